@@ -1,0 +1,78 @@
+"""A batch of CAN frames as arrays: the form in which logs are read and the bus is drained."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+EXTENDED = 1 << 31  # set in `ident` for a 29-bit id, as SocketCAN does (CAN_EFF_FLAG)
+CLASSIC_BYTES = 8  # payload of a classic CAN frame
+FD_BYTES = 64  # payload of the longest CAN FD frame
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Data frames in order of arrival.
+
+    ``t`` (n,) [s]; ``ident`` (n,) uint32 with bit 31 set for 29-bit ids; ``length`` (n,) uint8, payload bytes;
+    ``data`` (n, 8) uint8, or (n, 64) when a CAN FD frame is among them, zero beyond ``length``.
+    """
+
+    t: NDArray[np.float64]
+    ident: NDArray[np.uint32]
+    length: NDArray[np.uint8]
+    data: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __getitem__(self, index: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "Frames":
+        return Frames(self.t[index], self.ident[index], self.length[index], self.data[index])
+
+    @classmethod
+    def from_messages(cls, messages: Iterable[can.Message]) -> "Frames":
+        """Pack python-can data messages; the caller has dropped error and remote frames."""
+        rows = [
+            (m.timestamp, m.arbitration_id | (EXTENDED if m.is_extended_id else 0), len(m.data), bytes(m.data))
+            for m in messages
+        ]
+        width = FD_BYTES if any(row[2] > CLASSIC_BYTES for row in rows) else CLASSIC_BYTES
+        payload = b"".join(row[3].ljust(width, b"\0") for row in rows)
+        return cls(
+            np.array([row[0] for row in rows], dtype=np.float64),
+            np.array([row[1] for row in rows], dtype=np.uint32),
+            np.array([row[2] for row in rows], dtype=np.uint8),
+            np.frombuffer(payload, dtype=np.uint8).reshape(-1, width),
+        )
+
+    def messages(self) -> Iterator[can.Message]:
+        """The same frames as python-can messages, e.g. to put them on a bus."""
+        ids = self.ident.tolist()
+        times = self.t.tolist()
+        lengths = self.length.tolist()
+        width = self.data.shape[1]
+        payload = self.data.tobytes()
+        for i, ident in enumerate(ids):
+            start = i * width
+            yield can.Message(
+                timestamp=times[i],
+                arbitration_id=ident & ~EXTENDED,
+                is_extended_id=bool(ident & EXTENDED),
+                is_fd=lengths[i] > CLASSIC_BYTES,
+                data=payload[start : start + lengths[i]],
+            )
+
+    @classmethod
+    def concatenate(cls, parts: "list[Frames]") -> "Frames":
+        """Join batches, widening classic payloads where an FD frame is among them."""
+        width = max((part.data.shape[1] for part in parts), default=CLASSIC_BYTES)
+        return cls(
+            np.concatenate([part.t for part in parts]) if parts else np.empty(0),
+            np.concatenate([part.ident for part in parts]) if parts else np.empty(0, np.uint32),
+            np.concatenate([part.length for part in parts]) if parts else np.empty(0, np.uint8),
+            np.concatenate([np.pad(part.data, ((0, 0), (0, width - part.data.shape[1]))) for part in parts])
+            if parts
+            else np.empty((0, width), np.uint8),
+        )

@@ -1,0 +1,65 @@
+"""What an update of the estimator concludes: the one object that is printed, broadcast and stored."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+PARAMETERS = ("A", "C", "m")  # order of every parameter vector: [N], [N s^2/m^2], [kg]
+
+
+class Status(StrEnum):
+    """Whether the parameters may be used."""
+
+    UNESTIMATED = "unestimated"  # not enough shown yet, or the sampler did not converge
+    ESTIMATED = "estimated"
+    INVALID = "invalid"  # the model cannot describe the data
+
+
+@dataclass(frozen=True, slots=True)
+class Marginal:
+    """Posterior of one parameter: moments and quantiles in its own unit."""
+
+    mean: float
+    sd: float
+    q05: float
+    q50: float
+    q95: float
+
+
+@dataclass(frozen=True, slots=True)
+class Convergence:
+    """How far the chains can be trusted (Vehtari et al. 2021): worst value over the parameters."""
+
+    r_hat: float
+    ess_bulk: float
+    acceptance: float
+    draws: int  # kept, per chain
+    chains: int
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Occupied cells of the speed x acceleration grid, of those this vehicle can reach."""
+
+    occupied: int
+    available: int
+
+    @property
+    def fraction(self) -> float:
+        """Share of the reachable cells that the drive has shown."""
+        return self.occupied / self.available if self.available else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Conclusion at message time ``t`` [s]; the marginals are None unless the status is "estimated"."""
+
+    t: float
+    status: Status
+    reason: str
+    coverage: Coverage
+    admitted: int  # samples in the window
+    mass: Marginal | None = None  # [kg]
+    A: Marginal | None = None  # [N]
+    C: Marginal | None = None  # [N s^2/m^2]
+    convergence: Convergence | None = None
+    rms: float | None = None  # [W] of the power residual
