@@ -1,0 +1,1 @@
+"""Likelihoods, Metropolis-Hastings kernels and convergence diagnostics; numpy and scipy only."""
