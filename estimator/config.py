@@ -31,9 +31,13 @@ J1939_BINDING: dict[str, str | list[str]] = {
     Role.SHIFT_IN_PROCESS: "ETC1.TransShiftInProcess",
     Role.DRIVELINE_ENGAGED: "ETC1.TransDrivelineEngaged",
     Role.RETARDER_FRACTION: "ERC1.ActualRetarderPercentTorque",
-    Role.AMBIENT_TEMPERATURE: "AMB.AmbientAirTemp",
-    Role.AIR_PRESSURE: "AMB.BarometricPress",
+    Role.AMBIENT_TEMPERATURE: "AMB.AmbientAirTemperature",
+    Role.AIR_PRESSURE: "AMB.BarometricPressure",
     Role.ALTITUDE: "VDS.Altitude",
+    Role.HEADING: "VDS.CompassBearing",
+    Role.GPS_SPEED: "VDS.NavigationBasedVehicleSpeed",
+    Role.COOLANT_TEMPERATURE: "ET1.EngCoolantTemperature",
+    Role.PARASITIC_FRACTION: "EEC3.EstEngParasiticLossesPercentTorque",
 }
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.signals import Floats, Role
+from estimator.signals import Floats, Mask, Role
 
 STEP = 0.1  # s, the time grid: wheel speed comes at 10 Hz on nearly every bus
 
@@ -22,7 +22,7 @@ class Rows:
     index: NDArray[np.int64]
     speed: Floats
     power: Floats
-    fresh: NDArray[np.bool_]
+    fresh: Mask
     context: Mapping[Role, Floats]
 
     def __len__(self) -> int:
@@ -71,7 +71,7 @@ class Samples:
     def __len__(self) -> int:
         return len(self.t)
 
-    def __getitem__(self, part: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "Samples":
+    def __getitem__(self, part: slice | Mask | NDArray[np.intp]) -> "Samples":
         return Samples(*(getattr(self, field.name)[part] for field in fields(self)))
 
     @classmethod

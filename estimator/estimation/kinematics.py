@@ -23,13 +23,19 @@ from filterpy.kalman import KalmanFilter
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from estimator.signals import Floats
+from estimator.road_load import design
+from estimator.samples import STEP, Rows, Samples
+from estimator.signals import Floats, Role
 
 HALF_WIDTH = 1.2  # s, of the smoother's kernel; shorter than HOLE, which keeps instruments independent
 HOLE = 1.5  # s, half width of the surroundings that instruments leave out
 REACH = 4.0  # s, half width of the ring they are fitted to
 WARM_UP = 8.0  # s of filtering before the impulse: the Kalman gain is steady by then
-RATIO_BOUNDS = (1e1, 1e6)  # 1/s^4 s, q / (r dt): memories between about 0.5 s and one sample
+RATIO_BOUNDS = (10.0, 1000.0)  # 1/s^4, q / (r dt): memories of about 0.6 to 0.2 s
+LONGEST_LAG = 2.0  # s
+LAG_RATIO = 100.0  # 1/s^4, smoother used to find the lag
+LAG_SPEED = 2.0  # m/s
+LAG_SAMPLES = 300
 
 
 @dataclass(frozen=True)
@@ -133,3 +139,85 @@ def fit_ratio(speed: Floats, dt: float) -> float:
 
     low, high = np.log(RATIO_BOUNDS)
     return float(np.exp(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 0.05}).x))
+
+
+def fit_lag(speed: Floats, power: Floats, dt: float, longest: float) -> float:
+    """Delay of power behind speed [s] that makes the road-load model fit best; 0 when the data cannot tell.
+
+    Parabola through the smallest residual sums of least squares over shifts of up to ``longest`` [s] either way.
+    ``speed`` (n,) [m/s] and ``power`` (n,) [W] on a grid of step ``dt`` [s], NaN where unknown.
+    """
+    kernels = smoother_kernels(LAG_RATIO, dt)
+    v, a, P = convolve(speed, kernels.value), convolve(speed, kernels.slope), convolve(power, kernels.value)
+    reach = round(longest / dt) + 1
+    known = np.isfinite(v) & np.isfinite(a) & (v > LAG_SPEED)
+    shifts = range(-reach, reach + 1)
+    shifted = np.stack([np.roll(P, -k) for k in shifts])
+    known[:reach] = known[len(known) - reach :] = False
+    known &= np.isfinite(shifted).all(axis=0)
+    if known.sum() < LAG_SAMPLES:
+        return 0.0
+    X = design(v[known], a[known])
+    y = shifted[:, known].T
+    residual = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+    # Shifts change how much power there is to explain, so compare shares, not sums.
+    share = (residual**2).sum(axis=0) / ((y - y.mean(axis=0)) ** 2).sum(axis=0)
+    best = int(np.argmin(share))
+    if best in (0, 2 * reach):
+        return 0.0
+    left, centre, right = share[best - 1 : best + 2]
+    offset = 0.5 * (left - right) / (left - 2 * centre + right)
+    return float((best - reach + offset) * dt)
+
+
+def to_samples(rows: Rows, kernels: Kernels, lag: float, inertial: bool) -> Samples:
+    """Samples for the rows that have REACH on either side, one each; NaN where anything needed is missing.
+
+    ``lag`` [s] is how far power comes behind speed; ``inertial`` adds the slow part of the longitudinal
+    accelerometer's difference from dv/dt, which is gravity along the grade: m (dv/dt + g sin) is what the engine
+    feels. The fast part is left out: it is pitch on the suspension and vibration.
+    """
+    ring = instrument_kernels(STEP)
+    step = int(np.floor(lag / STEP))
+    share = lag / STEP - step
+    later = _shift(rows.power, step)
+    power = later if share == 0 else (1 - share) * later + share * _shift(rows.power, step + 1)
+    a, za = convolve(rows.speed, kernels.slope), convolve(rows.speed, ring.slope)
+    if inertial:
+        sensed = rows.context.get(Role.LONGITUDINAL_ACCELERATION, np.full(len(rows), np.nan))
+        gravity = convolve(sensed - np.gradient(rows.speed, STEP), slow_kernel(STEP))
+        a, za = a + gravity, za + gravity
+    samples = Samples(
+        rows.t,
+        convolve(rows.speed, kernels.value),
+        a,
+        convolve(power, kernels.value),
+        convolve(power, kernels.slope),
+        convolve(rows.speed, ring.value),
+        za,
+        convolve(power, ring.slope),
+    )
+    return samples[margin(STEP) : len(rows) - margin(STEP)]
+
+
+def margin(dt: float) -> int:
+    """Rows needed on either side of a sample: the ring, and room for the lag."""
+    return round((REACH + LONGEST_LAG) / dt)
+
+
+@lru_cache(maxsize=8)
+def slow_kernel(dt: float) -> Floats:
+    """Raised-cosine low-pass as wide as the ring, for gravity along the grade."""
+    half = round(REACH / dt)
+    weights = 1 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))
+    return weights / weights.sum()
+
+
+def _shift(signal: Floats, steps: int) -> Floats:
+    """``signal`` taken ``steps`` later, NaN where that leaves the array."""
+    out = np.full(len(signal), np.nan)
+    if steps >= 0:
+        out[: len(signal) - steps] = signal[steps:]
+    else:
+        out[-steps:] = signal[:steps]
+    return out

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 
 
 class Target(Protocol):
@@ -25,10 +25,9 @@ class Target(Protocol):
         ...
 
 
-def in_box(theta: Floats, lower: Floats, upper: Floats) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+def in_box(theta: Floats, lower: Floats, upper: Floats) -> Mask:
     """Which rows of ``theta`` (k, p) lie inside the box prior."""
-    inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = ((theta >= lower) & (theta <= upper)).all(axis=1)
-    return inside
+    return np.all((theta >= lower) & (theta <= upper), axis=1)
 
 
 @dataclass(frozen=True)

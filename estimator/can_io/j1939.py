@@ -1,0 +1,125 @@
+"""J1939: parameter group numbers, values that are no values, and multi-packet broadcasts.
+
+Source: SAE J1939-21 (identifiers, transport protocol) and J1939-71 table 1 (value ranges).
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.signals import Mask
+
+PDU1_LIMIT = 0xF0  # PDU formats below address one node: their low byte is a destination, not part of the PGN
+TP_CM = 0xEC00  # transport protocol, connection management
+TP_DT = 0xEB00  # transport protocol, data transfer
+BAM = 0x20  # control byte: broadcast announce message
+ABORT = 0xFF  # control byte: connection abort
+GLOBAL = 0xFF  # destination address of a broadcast
+T1 = 0.75  # s between packets after which a receiver gives up (J1939-21, 5.13.3)
+PACKET_BYTES = 7
+MAXIMUM_BYTES = 1785
+
+
+def pgn_of(ident: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Parameter group number of 29-bit ids (n,)."""
+    pdu2 = (ident >> 16 & 0xFF) >= PDU1_LIMIT
+    return np.where(pdu2, ident >> 8 & 0x3FFFF, ident >> 8 & 0x3FF00).astype(np.uint32)
+
+
+def classify(raw: NDArray[np.uint64], length: int) -> tuple[Mask, Mask, Mask]:
+    """Which raw values of ``length`` bits mean "not available", "error", or are reserved.
+
+    Numbers of a byte and more are valid while their top byte is at most 0xFA; 4-bit and 2-bit fields have the
+    last two codes. Other widths carry no special values.
+    """
+    no = np.zeros(len(raw), dtype=bool)
+    if length >= 8:
+        top = raw >> np.uint64(length - 8) & np.uint64(0xFF)
+        return top == 0xFF, top == 0xFE, (top > 0xFA) & (top < 0xFE)
+    if length in (2, 4):
+        last = (1 << length) - 1
+        return raw == last, raw == last - 1, no
+    return no, no, no
+
+
+@dataclass
+class _Session:
+    pgn: int
+    size: int
+    packets: int
+    t: float
+    payload: bytearray = field(default_factory=bytearray)
+    received: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MultiPacket:
+    """A message of more than 8 bytes, complete at time ``t`` [s]."""
+
+    t: float
+    pgn: int
+    source: int
+    payload: bytes
+
+
+class Transport:
+    """Reassembles broadcasts (BAM); one at a time per source, several sources may interleave.
+
+    A broken broadcast is dropped whole; ``rejected`` counts why.
+    """
+
+    def __init__(self) -> None:
+        self.rejected: Counter[str] = Counter()
+        self._sessions: dict[int, _Session] = {}
+
+    def feed(self, frames: Frames) -> list[MultiPacket]:
+        """Messages that these frames complete; frames that are not of the transport protocol are passed over."""
+        extended = frames.ident & EXTENDED != 0
+        # Broadcasts only: the destination byte of the id is the global address.
+        kind = frames.ident >> 8 & 0x3FFFF
+        management, transfer = kind == (TP_CM | GLOBAL), kind == (TP_DT | GLOBAL)
+        messages = []
+        for i in np.flatnonzero(extended & (management | transfer)).tolist():
+            t, source = float(frames.t[i]), int(frames.ident[i] & 0xFF)
+            data = frames.data[i, : frames.length[i]].tobytes()
+            if len(data) < 8:
+                self.rejected["transport: short frame"] += 1
+            elif management[i]:
+                self._open(t, source, data)
+            else:
+                message = self._extend(t, source, data)
+                if message is not None:
+                    messages.append(message)
+        return messages
+
+    def _open(self, t: float, source: int, data: bytes) -> None:
+        if data[0] == ABORT:
+            self._sessions.pop(source, None)
+            return
+        if data[0] != BAM:
+            return
+        size, packets = int.from_bytes(data[1:3], "little"), data[3]
+        if not 8 < size <= MAXIMUM_BYTES or packets != -(-size // PACKET_BYTES):
+            self.rejected["transport: impossible announcement"] += 1
+            return
+        if self._sessions.pop(source, None) is not None:
+            self.rejected["transport: broken off"] += 1
+        self._sessions[source] = _Session(int.from_bytes(data[5:8], "little"), size, packets, t)
+
+    def _extend(self, t: float, source: int, data: bytes) -> MultiPacket | None:
+        session = self._sessions.get(source)
+        if session is None:
+            return None
+        if not 0 <= t - session.t <= T1 or data[0] != session.received + 1:
+            self.rejected["transport: packet late or lost"] += 1
+            del self._sessions[source]
+            return None
+        session.t, session.received = t, session.received + 1
+        session.payload += data[1:8]
+        if session.received < session.packets:
+            return None
+        del self._sessions[source]
+        return MultiPacket(t, session.pgn, source, bytes(session.payload[: session.size]))

@@ -1,0 +1,121 @@
+"""Vector BLF logs: a file header, then containers of zlib-packed objects, which may straddle containers."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import NamedTuple
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.logs.blf_objects import BASE, SIGNATURE, decode_objects
+from estimator.can_io.logs.log import Log
+from estimator.can_io.logs.source import Source
+from estimator.errors import LogError
+
+MAGIC = b"LOGG"
+FILE_HEADER = struct.Struct("<4sL8xQQLL8H8H")  # magic, size; file size, unpacked size, objects; start, stop times
+OBJECT_HEADER = struct.Struct("<4sHHLL")  # signature, header size, header version, object size, type
+CONTAINER_HEADER = struct.Struct("<H6xL4x")  # method, unpacked size
+CONTAINER = 10  # object type
+UNPACKED, ZLIB = 0, 2  # methods
+MAX_CONTAINER = 1 << 26  # bytes, packed or unpacked (usual: 128 KiB); a larger one is taken for damage
+MAX_FILE_HEADER = 1 << 16  # bytes (usual: 144)
+
+
+class Header(NamedTuple):
+    """What the file header says: the file's size [bytes] and objects, both 0 until closed, and the start [s]."""
+
+    file_size: int
+    objects: int
+    start: float
+
+
+class BlfLog(Log):
+    """A ``.blf`` log; times are those of python-can's ``BLFReader`` (its start time taken as UTC)."""
+
+    def _read(self) -> Iterator[Frames]:
+        with Source(self.path) as source:
+            header = self._read_header(source)
+            rest = b""  # start of an object that goes on in the next container
+            count = 0
+            at = source.position
+            while True:
+                start = at
+                data, fault = self._next_container(source)
+                at = source.position
+                if data:
+                    decoded = decode_objects(rest + data, header.start)
+                    rest = (rest + data)[decoded.used :]
+                    self.skipped.update(decoded.skipped)
+                    count += len(decoded.frames)
+                    self.progress = source.consumed
+                    yield decoded.frames
+                    if decoded.fault:
+                        raise self._damage(start, decoded.fault, count, header)
+                if fault:
+                    raise self._damage(start, fault, count, header)
+                if at == start:
+                    break
+            if rest.strip(b"\0") or at < header.file_size:
+                raise self._damage(at, "the file ends too early", count, header)
+
+    def _read_header(self, source: Source) -> Header:
+        raw = source.read(FILE_HEADER.size)
+        if not raw.startswith(MAGIC):
+            raise LogError(f"{self.path}: not a BLF log (it does not begin with LOGG); check what the file is")
+        if len(raw) < FILE_HEADER.size:
+            raise LogError(f"{self.path}: cut at byte {len(raw)}, inside the file header; 0 frames can be read")
+        _, size, file_size, _, objects, _, *dates = FILE_HEADER.unpack(raw)
+        if not FILE_HEADER.size <= size <= MAX_FILE_HEADER:
+            raise LogError(f"{self.path}: damaged at byte 4: a file header of {size} bytes; 0 frames can be read")
+        source.read(size - FILE_HEADER.size)
+        return Header(file_size, objects, start_time(dates[:8]))
+
+    def _next_container(self, source: Source) -> tuple[bytes, str]:
+        """Read one top-level object: the contents of a container, as far as they are there, and what is wrong."""
+        raw = source.read(OBJECT_HEADER.size)
+        if not raw:
+            return b"", ""
+        if len(raw) < OBJECT_HEADER.size:
+            return b"", "the file ends in a container's header"
+        signature, _, _, size, kind = OBJECT_HEADER.unpack(raw)
+        if signature != SIGNATURE:
+            return b"", "no container where one should start"
+        if not BASE <= size <= MAX_CONTAINER:
+            return b"", f"a container of {size} bytes"
+        body = source.read(size - BASE)
+        cut = "the file ends inside a container" if len(body) < size - BASE else ""
+        source.read(size % 4)
+        if kind != CONTAINER:
+            self.skipped[f"BLF object of type {kind} outside a container"] += 1
+            return b"", cut
+        if len(body) < CONTAINER_HEADER.size:
+            return b"", cut or f"a container of {size} bytes"
+        method, _ = CONTAINER_HEADER.unpack_from(body)
+        packed = body[CONTAINER_HEADER.size :]
+        if method == UNPACKED:
+            return packed, cut
+        if method != ZLIB:
+            return b"", f"a container packed by the unknown method {method}"
+        unpacking = zlib.decompressobj()
+        try:
+            data = unpacking.decompress(packed, MAX_CONTAINER)
+        except zlib.error:
+            return b"", "a container whose packed data are damaged"
+        return data, cut or ("" if unpacking.eof else "a container whose packed data do not end")
+
+    def _damage(self, offset: int, fault: str, frames: int, header: Header) -> LogError:
+        unclosed = "its writer never closed it; " if header.objects == 0 else ""
+        return LogError(
+            f"{self.path}: damaged or cut at byte {offset} ({fault}) after {frames} frames; {unclosed}"
+            f"to keep those: can_logconvert '{self.path}' repaired.blf"
+        )
+
+
+def start_time(date: list[int]) -> float:
+    """Seconds since 1970 of a SYSTEMTIME (year, month, weekday, day, h, min, s, ms), 0 if it is none, as UTC."""
+    year, month, _, day, hour, minute, second, millisecond = date
+    try:
+        return datetime(year, month, day, hour, minute, second, millisecond * 1000, tzinfo=UTC).timestamp()
+    except ValueError:
+        return 0.0

@@ -1,0 +1,104 @@
+"""A recorded log as an iterable of batches of frames: what all formats have in common."""
+
+import zlib
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.logs.time_order import TimeOrder
+from estimator.errors import LogError
+
+BATCH = 65_536  # frames, the most in one batch
+
+ERROR_FRAME = "error frame"
+REMOTE_FRAME = "remote frame"
+
+
+class Log(ABC):
+    """A log file; iterating it reads the file from its beginning.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        The file.
+    skipped : collections.Counter[str]
+        What was in the file but is no data frame, counted by reason.
+    reordered : int
+        Frames whose time lies a little behind an earlier frame's.
+    progress : float
+        Share of the file read so far, 0 to 1.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.skipped: Counter[str] = Counter()
+        self.reordered = 0
+        self.progress = 0.0
+
+    def __iter__(self) -> Iterator[Frames]:
+        """Yield the data frames in file order, at most ``BATCH`` at a time.
+
+        Raises
+        ------
+        LogError
+            Where the file is damaged, after the frames before the damage; or if it holds no data frame.
+        """
+        self.skipped.clear()
+        self.reordered = 0
+        self.progress = 0.0
+        order = TimeOrder(self.path)
+        empty = True
+        for frames in regroup(self._guarded(), BATCH):
+            order.check(frames)
+            self.reordered = order.reordered
+            empty = False
+            yield frames
+        self.progress = 1.0
+        if empty:
+            others = ", ".join(f"{count} {reason}" for reason, count in sorted(self.skipped.items()))
+            raise LogError(f"{self.path}: no CAN data frame in it ({others or 'nothing at all'}); give another log")
+
+    @abstractmethod
+    def _read(self) -> Iterator[Frames]:
+        """Yield frames in batches of any size, count ``skipped`` and set ``progress`` on the way."""
+
+    def _guarded(self) -> Iterator[Frames]:
+        try:
+            yield from self._read()
+        except (OSError, EOFError, zlib.error) as error:  # the disk, or a gzip file that is cut or damaged
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise LogError(f"{self.path}: cannot be read on ({reason}); copy or unpack it anew") from error
+
+
+def regroup(parts: Iterable[Frames], size: int) -> Iterator[Frames]:
+    """Join and cut batches to ``size`` frames; before a LogError is passed on, the frames at hand are yielded."""
+    held: list[Frames] = []
+    count = 0
+    damage: LogError | None = None
+    source = iter(parts)
+    while True:
+        try:
+            part = next(source)
+        except StopIteration:
+            break
+        except LogError as error:
+            damage = error
+            break
+        if not len(part):
+            continue
+        held.append(part)
+        count += len(part)
+        if count < size:
+            continue
+        joined = Frames.concatenate(held)
+        whole = count - count % size
+        for start in range(0, whole, size):
+            yield joined[start : start + size]
+        held = [joined[whole:]] if whole < count else []
+        count -= whole
+    if held:
+        yield Frames.concatenate(held)
+    if damage is not None:
+        raise damage

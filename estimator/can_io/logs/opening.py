@@ -1,0 +1,64 @@
+"""Which reader a log file needs: by its suffix."""
+
+import os
+from pathlib import Path
+
+from estimator.can_io.logs.asc import AscLog
+from estimator.can_io.logs.blf import BlfLog
+from estimator.can_io.logs.candump import CandumpLog
+from estimator.can_io.logs.csv_text import CsvLog
+from estimator.can_io.logs.log import Log
+from estimator.can_io.logs.mf4 import Mf4Log
+from estimator.can_io.logs.trc import TrcLog
+from estimator.errors import LogError
+
+FORMATS: dict[str, type[Log]] = {
+    ".asc": AscLog,
+    ".asc.gz": AscLog,
+    ".blf": BlfLog,
+    ".blf.gz": BlfLog,
+    ".csv": CsvLog,
+    ".csv.gz": CsvLog,
+    ".log": CandumpLog,
+    ".log.gz": CandumpLog,
+    ".mf4": Mf4Log,
+    ".trc": TrcLog,
+    ".trc.gz": TrcLog,
+}
+
+
+def open_log(path: str | os.PathLike[str]) -> Log:
+    """Open a recorded log.
+
+    Parameters
+    ----------
+    path : str or os.PathLike[str]
+        A file whose suffix, in any case, is one of ``FORMATS``.
+
+    Returns
+    -------
+    Log
+        Iterable of ``Frames``; nothing but the presence of the file has been checked.
+
+    Raises
+    ------
+    LogError
+        If there is no such file, it cannot be read, is empty, or its format is unknown.
+    """
+    path = Path(path)
+    name = path.name.lower()
+    reader = next((log for suffix, log in FORMATS.items() if name.endswith(suffix)), None)
+    if path.is_dir():
+        raise LogError(f"{path}: is a folder; give a log file in it")
+    if not path.exists():
+        raise LogError(f"{path}: no such file; check the path")
+    if reader is None:
+        raise LogError(f"{path}: unknown log format '{path.suffix}'; known are {', '.join(FORMATS)}")
+    try:
+        with path.open("rb") as file:
+            empty = not file.read(1)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    if empty:
+        raise LogError(f"{path}: is empty; give another log")
+    return reader(path)

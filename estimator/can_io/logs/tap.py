@@ -1,0 +1,54 @@
+"""The lines of a text log on their way to a reader of python-can, watched.
+
+The readers of python-can pass over lines they do not know, and their errors name no line. A tap knows which line the
+reader has at hand, and hands back each line that gave no message.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from io import TextIOWrapper
+
+from estimator.can_io.logs.source import Stream
+
+MAX_LINE = 16_384  # characters; what goes on longer without a newline is no text
+
+
+class Tap(TextIOWrapper):
+    """A text file that passes each line through ``prepare`` and reports the unanswered ones to ``unread``.
+
+    ``prepare`` gives the lines that the reader sees instead; the last of them stands for the line in the file.
+    Blank lines are left out. ``number`` and ``line`` are those of the file's line that the reader has.
+    """
+
+    def __init__(self, stream: Stream, prepare: Callable[[str], list[str]], unread: Callable[[str], None]) -> None:
+        super().__init__(stream, encoding="utf-8-sig", errors="replace")
+        self._prepare = prepare
+        self._unread = unread
+        self._waiting: deque[str] = deque()
+        self._answered = True
+        self.number = 0
+        self.line = ""
+
+    def answered(self) -> None:
+        """Note that the reader has made a message of the line at hand."""
+        self._answered = True
+
+    def __next__(self) -> str:  # type: ignore[override]  # as in typeshed's own TextIOWrapper
+        if not self._waiting:
+            if not self._answered:
+                self._unread(self.line)
+            self._advance()
+            self._waiting.extend(self._prepare(self.line))
+        self._answered = len(self._waiting) > 1
+        return self._waiting.popleft()
+
+    def _advance(self) -> None:
+        self.line = "\n"
+        while not self.line.strip():
+            self.line = self.readline(MAX_LINE)
+            if not self.line:
+                self._answered = True
+                raise StopIteration
+            self.number += 1
+        if len(self.line) == MAX_LINE:
+            raise ValueError(f"expected text, found a line of over {MAX_LINE} characters")

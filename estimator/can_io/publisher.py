@@ -1,0 +1,191 @@
+"""Broadcast of the estimate on J1939: what it says, when, and what it withholds.
+
+The layout is that of the shipped ``roadload.dbc`` and nowhere else: positions, scales, limits and the raw values of
+"error" and "not available" (J1939-71: a number is valid while its top byte is at most 0xFA) are read from there.
+Parameters are sent only while the status is "estimated"; they read "error" when it is "invalid", "not available"
+otherwise. A conclusion older than ``stale_after`` is "stale": only its age is sent, never its values.
+"""
+
+from functools import cache
+from importlib.resources import files
+from math import floor, inf, isnan, nan
+
+import can
+from cantools.database.can import Database, Message, Signal
+
+from estimator.can_io.protection import COUNTS, checksum
+from estimator.errors import ConfigError
+from estimator.estimate import Estimate, Status
+
+STALE = "stale"  # beside the values of `Status` in the signal EstimateStatus
+_ERROR, _NOT_AVAILABLE = "error", "not available"  # labels in roadload.dbc
+_STATUS, _VALUES = "RoadloadStatus", ("RoadloadMass", "RoadloadA", "RoadloadC", "RoadloadDeviation")
+_CVW = "CVW"  # SAE's own group, PGN 65136: no counter, no checksum
+_PGN_MASK = 0x03FFFF00  # of the 29-bit id; every group here is a broadcast one (PDU2)
+
+
+@cache
+def output_database() -> Database:
+    """Load the shipped ``roadload.dbc``; it also serves to decode what a `Publisher` sends."""
+    database = Database()
+    database.add_dbc_string(files("estimator.dbc").joinpath("roadload.dbc").read_text(encoding="utf-8"))
+    return database
+
+
+class Schedule:
+    """Instants ``anchor + k * period`` [s]; those that were missed are skipped, not caught up."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self.restart(0.0)
+
+    def restart(self, t: float) -> None:
+        """Make ``t`` [s] the first instant."""
+        self._anchor = t
+        self._last = -1
+
+    def due(self, t: float) -> float | None:
+        """Latest instant [s] up to ``t`` [s], None when it has been asked for before; marks it as used."""
+        count = floor((t - self._anchor) / self._period)
+        if count <= self._last:
+            return None
+        self._last = count
+        return min(t, self._anchor + count * self._period)
+
+
+class Publisher:
+    """Turns the current estimate into frames, in time given by the caller alone.
+
+    Parameters
+    ----------
+    source_address
+        J1939 address to send from, 0..253; 0xFB (251) is the on-board data logger's. The attribute of the same name
+        may be changed between polls, e.g. when the address was lost to another node.
+    priority
+        J1939 priority, 0 (highest) .. 7.
+    status_period, value_period
+        Distance of the status frames and of the value frames [s].
+    stale_after
+        Age at which a conclusion is no longer published [s of message time].
+    cvw
+        Also send the mean mass as gross combination weight (CVW, PGN 65136, SPN 1760) with the value frames. Off by
+        default: a node of the vehicle may already send that group.
+
+    Raises
+    ------
+    ConfigError
+        An argument is out of its range.
+    """
+
+    def __init__(
+        self,
+        *,
+        source_address: int = 0xFB,
+        priority: int = 6,
+        status_period: float = 1.0,
+        value_period: float = 10.0,
+        stale_after: float = 3600.0,
+        cvw: bool = False,
+    ) -> None:
+        if not (0 <= source_address <= 253 and 0 <= priority <= 7):
+            raise ConfigError(f"source address {source_address} / priority {priority}: give 0..253 / 0..7")
+        if not (0 < status_period < inf and 0 < value_period < inf and stale_after > 0):
+            raise ConfigError(f"periods {status_period}, {value_period} s, stale after {stale_after} s: make them > 0")
+        self.source_address = source_address
+        self._priority = priority
+        self._slack = status_period  # steps back up to this much are taken for jitter of the time stamps
+        self._stale_after = stale_after
+        database = output_database()
+        self._groups = [
+            (Schedule(status_period), [database.get_message_by_name(_STATUS)]),
+            (Schedule(value_period), [database.get_message_by_name(name) for name in (*_VALUES, *[_CVW] * cvw)]),
+        ]
+        self._counters: dict[str, int] = {}
+        self._status: str | None = None  # as last sent
+        self._now = -inf  # [s]
+        self._lost = 0.0  # [s] by which the clock was set back since the current estimate was seen
+        self._estimate_t: float | None = None  # [s]
+
+    def poll(self, t: float, estimate: Estimate | None) -> list[can.Message]:
+        """Frames that are due at message time ``t`` [s], in order of time and stamped with the time they were due.
+
+        Call it at least once per ``status_period``: after a longer gap each frame is sent once. The first call, a
+        change of status and a clock set back send everything at once and start the periods anew. A step back within
+        one status period sends nothing twice.
+        """
+        stepped_back = self._advance(t, estimate)
+        age = nan if estimate is None else self._now + self._lost - estimate.t
+        if age < -self._slack:  # from a time to come, e.g. restored from before the clock was set: age unknown
+            age = nan
+        status = self._status_of(estimate, age)
+        if stepped_back or status != self._status:
+            self._status = status
+            for schedule, _ in self._groups:
+                schedule.restart(self._now)
+        instants = [(schedule.due(self._now), messages) for schedule, messages in self._groups]
+        due = [(instant, messages) for instant, messages in instants if instant is not None]
+        contents = _contents(estimate, status, age) if due else {}
+        frames = [self._frame(message, instant, contents) for instant, messages in due for message in messages]
+        return sorted(frames, key=lambda frame: frame.timestamp)
+
+    def _advance(self, t: float, estimate: Estimate | None) -> bool:
+        """Move to ``t`` and tell whether the clock was set back."""
+        stepped_back = t < self._now - self._slack
+        if stepped_back:
+            self._lost += self._now - t
+        self._now = t if stepped_back else max(t, self._now)
+        if estimate is not None and estimate.t != self._estimate_t:
+            self._estimate_t, self._lost = estimate.t, 0.0
+        return stepped_back
+
+    def _status_of(self, estimate: Estimate | None, age: float) -> str:
+        if estimate is None:
+            return Status.UNESTIMATED.value
+        return estimate.status.value if age <= self._stale_after else STALE
+
+    def _frame(self, message: Message, due: float, contents: dict[str, float | str]) -> can.Message:
+        protected = message.name != _CVW
+        if protected:
+            contents = contents | {"AliveCounter": self._counters.get(message.name, 0), "Checksum": 0}
+            self._counters[message.name] = (self._counters.get(message.name, 0) + 1) % COUNTS
+        raw: dict[str, int | float | str] = {s.name: _raw(s, contents[s.name]) for s in message.signals}
+        data = message.encode(raw, scaling=False, padding=True, strict=False)
+        ident = self._priority << 26 | message.frame_id & _PGN_MASK | self.source_address
+        if protected:
+            data = data[:-1] + bytes([checksum(ident, data[:-1])])
+        return can.Message(timestamp=due, arbitration_id=ident, data=data, is_extended_id=True, is_rx=False)
+
+
+def _contents(estimate: Estimate | None, status: str, age: float) -> dict[str, float | str]:
+    """Physical value, or label, of every signal except counter and checksum; NaN is not available."""
+    shown = None if status == STALE else estimate
+    contents: dict[str, float | str] = {
+        "EstimateStatus": status,
+        "EstimateAge": age,
+        "Coverage": 100 * shown.coverage.fraction if shown else nan,
+        "SampleCount": shown.admitted if shown else nan,
+        "RHat": shown.convergence.r_hat if shown and shown.convergence else nan,
+    }
+    withheld = _ERROR if status == Status.INVALID else _NOT_AVAILABLE
+    usable = shown if shown and status == Status.ESTIMATED else None
+    for name, marginal in {
+        "Mass": usable and usable.mass,
+        "A": usable and usable.A,
+        "C": usable and usable.C,
+    }.items():
+        contents[f"{name}Mean"] = marginal.mean if marginal else withheld
+        contents[f"{name}Q05"] = marginal.q05 if marginal else withheld
+        contents[f"{name}Q95"] = marginal.q95 if marginal else withheld
+        contents[f"{name}Deviation"] = marginal.sd if marginal else withheld
+    contents["GrossCombinationVehicleWeight"] = contents["MassMean"]
+    contents["PoweredVehicleWeight"] = _NOT_AVAILABLE
+    return contents
+
+
+def _raw(signal: Signal, value: float | str) -> int:
+    """Raw value: numbers are clamped to the signal's limits, labels looked up, NaN not available."""
+    if isinstance(value, str) or isnan(value):
+        label = value if isinstance(value, str) else _NOT_AVAILABLE
+        return next(raw for raw, name in (signal.choices or {}).items() if str(name) == label)
+    low, high = signal.minimum or 0.0, signal.maximum
+    return int(signal.scaled_to_raw(max(low, value if high is None else min(high, value))))

@@ -1,0 +1,180 @@
+"""Recorded drives as J1939 traffic: frames in the shipped database's layouts, and log files of them.
+
+What a recording does not hold is sent as not available (all ones). Reference torque (EC1, 39 bytes) goes out by the
+transport protocol's broadcast: one announcement (TP.CM, BAM) and six data packets (TP.DT), SAE J1939-21.
+"""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import can
+import numpy as np
+from cantools.database import Database, Message, Signal
+from numpy.typing import NDArray
+
+from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
+from estimator.errors import LogError, RoadloadError
+from estimator.signals import Floats, Role, Series, Signals
+from estimator.units import conversion_of
+
+EPOCH = 1_700_000_000.0  # s, time of the first moment of every recording
+ENGINE, TRANSMISSION, BRAKES, NAVIGATION = 0x00, 0x03, 0x0B, 0x1C  # source addresses
+TP_CM = 0x1CECFF00  # announcement to all; source address in the low byte
+TP_DT = 0x1CEBFF00  # data packet to all
+BAM = 0x20  # control byte: broadcast announce message
+PACKET_BYTES = 7  # payload of a data packet after its sequence number
+PACKET_SPACING = 0.05  # s
+NOT_AVAILABLE = 0xFF
+HIGHEST_VALID = {8: 0xFA, 16: 0xFAFF, 32: 0xFAFF_FFFF}  # raw values above mean error or not available
+
+Payload = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    """A message of a control unit; it goes out whenever its first role is measured."""
+
+    message: str
+    source: int
+    signals: Mapping[str, Role]
+
+
+_TRAFFIC = (
+    _Sent(
+        "EEC1",
+        ENGINE,
+        {
+            "ActualEngPercentTorque": Role.TORQUE_FRACTION,
+            "ActualEngPercentTorqueFractional": Role.TORQUE_FRACTION_FINE,
+            "EngSpeed": Role.ENGINE_SPEED,
+        },
+    ),
+    _Sent("EEC3", ENGINE, {"NominalFrictionPercentTorque": Role.FRICTION_FRACTION}),
+    _Sent("EC1", ENGINE, {"EngReferenceTorque": Role.REFERENCE_TORQUE}),
+    _Sent(
+        "CCVS1",
+        ENGINE,
+        {
+            "WheelBasedVehicleSpeed": Role.SPEED,
+            "BrakeSwitch": Role.BRAKE_SWITCH,
+            "ClutchSwitch": Role.CLUTCH_SWITCH,
+            "ParkingBrakeSwitch": Role.PARK_BRAKE,
+        },
+    ),
+    _Sent("ET1", ENGINE, {"EngCoolantTemperature": Role.COOLANT_TEMPERATURE}),
+    _Sent(
+        "AMB",
+        ENGINE,
+        {"AmbientAirTemperature": Role.AMBIENT_TEMPERATURE, "BarometricPressure": Role.AIR_PRESSURE},
+    ),
+    _Sent(
+        "ETC1",
+        TRANSMISSION,
+        {"TransDrivelineEngaged": Role.DRIVELINE_ENGAGED, "TransShiftInProcess": Role.SHIFT_IN_PROCESS},
+    ),
+    _Sent("ETC2", TRANSMISSION, {"TransCurrentGear": Role.GEAR}),
+    _Sent("EBC1", BRAKES, {"BrakePedalPosition": Role.BRAKE_PEDAL, "EBSBrakeSwitch": Role.BRAKE_SWITCH}),
+    _Sent("EBC2", BRAKES, {"FrontAxleSpeed": Role.WHEEL_SPEEDS}),
+    _Sent("SSI", BRAKES, {"PitchAngle": Role.GRADE}),
+    _Sent(
+        "VDS",
+        NAVIGATION,
+        {"Altitude": Role.ALTITUDE, "NavigationBasedVehicleSpeed": Role.GPS_SPEED, "Pitch": Role.GRADE},
+    ),
+)
+
+
+def shipped_database() -> Database:
+    """Load the shipped J1939 layouts."""
+    database = Database()
+    database.add_dbc_string((files("estimator.dbc") / "j1939.dbc").read_text("ascii"))
+    return database
+
+
+def frames_of(signals: Signals) -> Frames:
+    """CAN frames of measured signals (times from the start of the drive [s]), in order of time from ``EPOCH``."""
+    database = shipped_database()
+    parts = []
+    for sent in _TRAFFIC:
+        present = {name: signals[role] for name, role in sent.signals.items() if role in signals}
+        if next(iter(sent.signals)) in present:
+            parts.append(_frames_of_message(database.get_message_by_name(sent.message), sent, present))
+    frames = Frames.concatenate(parts)
+    return frames[np.argsort(frames.t, kind="stable")]
+
+
+def write_log(frames: Frames, path: Path) -> None:
+    """Write a log in the format of the path's suffix; it appears whole or not at all."""
+    partial = path.with_name(f".partial-{path.name}")
+    try:
+        with can.Logger(partial) as log:
+            for message in frames.messages():
+                log.on_message_received(message)
+        os.replace(partial, path)
+    except ValueError as error:
+        raise LogError(f"{path}: cannot write this kind of log: {error}") from error
+    except OSError as error:
+        raise RoadloadError(f"{path}: cannot write: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _frames_of_message(message: Message, sent: _Sent, present: Mapping[str, Series]) -> Frames:
+    t = next(iter(present.values())).t
+    payload = np.full((len(t), message.length), NOT_AVAILABLE, np.uint8)
+    for name, series in present.items():
+        signal = message.get_signal_by_name(name)
+        latest = np.searchsorted(series.t, t, side="right") - 1
+        raw = np.where(latest >= 0, _raw(signal, sent.signals[name], series.value[latest]), (1 << signal.length) - 1)
+        _place(payload, signal, raw)
+    if message.length > CLASSIC_BYTES:
+        return _broadcast(t, message, sent.source, payload)
+    ident = message.frame_id & ~0xFF | sent.source | EXTENDED
+    return Frames(EPOCH + t, np.full(len(t), ident, np.uint32), np.full(len(t), CLASSIC_BYTES, np.uint8), payload)
+
+
+def _raw(signal: Signal, role: Role, value: Floats) -> NDArray[np.int64]:
+    """Integers on the bus of SI values."""
+    conversion = conversion_of(signal.unit)
+    if role is Role.GRADE:
+        value = np.arctan(value)
+    physical = value if conversion is None else (value - conversion.offset) / conversion.scale
+    raw = np.round((physical - signal.offset) / signal.scale)
+    highest = HIGHEST_VALID.get(signal.length, (1 << signal.length) - 1)
+    return np.clip(raw, 0, highest).astype(np.int64)
+
+
+def _place(payload: Payload, signal: Signal, raw: NDArray[np.int64]) -> None:
+    """Write little-endian bits into every row of ``payload`` (n, bytes)."""
+    first, shift = divmod(signal.start, 8)
+    word = raw << shift
+    mask = ((1 << signal.length) - 1) << shift
+    for k in range((shift + signal.length + 7) // 8):
+        byte_mask = mask >> 8 * k & 0xFF
+        column = payload[:, first + k]
+        column &= 0xFF ^ byte_mask
+        column |= (word >> 8 * k & byte_mask).astype(np.uint8)
+
+
+def _broadcast(t: Floats, message: Message, source: int, payload: Payload) -> Frames:
+    """Announcement and data packets of every row of ``payload`` (n, bytes)."""
+    rows, size = payload.shape
+    packets = -(-size // PACKET_BYTES)
+    pgn = message.frame_id >> 8 & 0x3FFFF
+    data = np.full((rows, 1 + packets, CLASSIC_BYTES), NOT_AVAILABLE, np.uint8)
+    data[:, 0] = [BAM, size & 0xFF, size >> 8, packets, 0xFF, pgn & 0xFF, pgn >> 8 & 0xFF, pgn >> 16]
+    padded = np.full((rows, packets * PACKET_BYTES), NOT_AVAILABLE, np.uint8)
+    padded[:, :size] = payload
+    data[:, 1:, 0] = np.arange(1, packets + 1)
+    data[:, 1:, 1:] = padded.reshape(rows, packets, PACKET_BYTES)
+    ident = np.array([TP_CM, *[TP_DT] * packets], np.uint32) | np.uint32(source) | np.uint32(EXTENDED)
+    times = EPOCH + t[:, None] + PACKET_SPACING * np.arange(1 + packets)
+    return Frames(
+        times.ravel(),
+        np.tile(ident, rows),
+        np.full(times.size, CLASSIC_BYTES, np.uint8),
+        data.reshape(-1, CLASSIC_BYTES),
+    )

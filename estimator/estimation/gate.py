@@ -1,0 +1,68 @@
+"""The coverage gate: has the drive shown enough for an estimate, and is a new one worth making?
+
+Three questions, three methods. `is_calculable`: do the moments determine the parameters at all; `is_covered`: have
+enough of the reachable speed-acceleration cells been seen, and is the predicted standard deviation small enough;
+`has_news`: has enough been added since the last estimate.
+"""
+
+import numpy as np
+
+from estimator.config import Gate as GateConfig
+from estimator.estimate import Coverage
+from estimator.estimation.moments import Fit
+from estimator.estimation.window import Grid
+from estimator.road_load import design
+from estimator.signals import Floats
+
+PEAK_QUANTILE = 0.999  # of the power seen: what this vehicle can do
+NAMES = ("A", "C", "mass")
+
+
+class Gate:
+    """Judges a window; keeps no state but its settings, and says why when the answer is no."""
+
+    def __init__(self, config: GateConfig, grid: Grid) -> None:
+        self._config = config
+        self._speed, self._acceleration = grid.centres()
+
+    def coverage(self, counts: "np.ndarray[tuple[int], np.dtype[np.int64]]", theta: Floats, power: Floats) -> Coverage:
+        """Occupied cells among those reachable with parameters ``theta`` [A, C, m] and the ``power`` [W] seen.
+
+        A cell is reachable when holding it takes more than no power and no more than the vehicle has shown, and
+        its speed is not beyond the fastest that was driven.
+        """
+        occupied = counts >= self._config.cell_count
+        seen = counts > 0
+        if not seen.any() or not len(power):
+            return Coverage(0, 0)
+        load = design(self._speed, self._acceleration) @ theta
+        reachable = (load > 0) & (load <= np.quantile(power, PEAK_QUANTILE))
+        reachable &= self._speed <= self._speed[seen].max()
+        reachable &= self._acceleration <= self._acceleration[seen].max()
+        return Coverage(int((occupied & reachable).sum()), int(reachable.sum()))
+
+    def is_calculable(self, fit: Fit | None, box: tuple[Floats, Floats]) -> str:
+        """Empty when the parameters can be computed, else the reason why not."""
+        if fit is None:
+            return "speed and acceleration varied too little to tell A, C and m apart"
+        if fit.kept.sum() < self._config.minimum_samples:
+            return f"{int(fit.kept.sum())} usable samples of the {self._config.minimum_samples} needed"
+        lower, upper = box
+        for name, value, sd, low, high in zip(NAMES, fit.theta, fit.sd, lower, upper, strict=False):
+            if value + 5 * sd < low or value - 5 * sd > high:
+                return f"{name} {value:.4g} +- {sd:.2g} lies outside its prior [{low:g}, {high:g}]"
+        return ""
+
+    def is_covered(self, fit: Fit, coverage: Coverage) -> str:
+        """Empty when the drive has shown enough, else the reason why not."""
+        if coverage.occupied < self._config.minimum_cells or coverage.fraction < self._config.coverage:
+            share = f"{100 * coverage.fraction:.0f} % of the reachable speed-acceleration cells"
+            return f"coverage {share} ({coverage.occupied} of {coverage.available})"
+        for name, value, sd, limit in zip(NAMES, fit.theta, fit.sd, self._config.relative_sd, strict=False):
+            if not sd < limit * abs(value):
+                return f"predicted sd of {name} is {100 * sd / abs(value):.0f} % of its value, above {100 * limit:.0f} %"
+        return ""
+
+    def has_news(self, added: int, at_last_estimate: int, held: int) -> bool:
+        """Whether enough samples were ``added`` since the last estimate, relative to those ``held``."""
+        return added - at_last_estimate >= max(self._config.new_samples * held, 1)

@@ -1,0 +1,80 @@
+"""From samples to draws to a summary: the Bayesian part of one update."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.config import Config, Prior
+from estimator.estimate import Convergence, Marginal
+from estimator.estimation.moments import Fit
+from estimator.road_load import design
+from estimator.samples import Samples
+from estimator.sampling import convergence
+from estimator.sampling.likelihood import ClippedGaussianTarget, StudentTarget, Target, clipped_least_squares
+from estimator.sampling.metropolis import KERNELS
+from estimator.signals import Floats
+
+LARGEST_R_HAT = 1.05
+SMALLEST_ESS = 100.0
+LAG_BOX = 1.0  # s, what is left of the lag lies within
+SPREAD = 3.0  # sd of the chains' starting points around the centre
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Draws (chains, draws, p) and how they came about; parameters in the order A, C, m and then nuisances."""
+
+    draws: Floats
+    convergence: Convergence
+
+    @property
+    def has_converged(self) -> bool:
+        """Whether the chains agree and are worth enough independent draws."""
+        c = self.convergence
+        return c.r_hat < LARGEST_R_HAT and c.ess_bulk > SMALLEST_ESS
+
+    def marginal(self, i: int) -> Marginal:
+        """Summary of parameter ``i``."""
+        x = self.draws[:, :, i]
+        q05, q50, q95 = np.quantile(x, [0.05, 0.5, 0.95]).tolist()
+        return Marginal(float(x.mean()), float(x.std(ddof=1)), q05, q50, q95)
+
+
+def box(prior: Prior) -> tuple[Floats, Floats]:
+    """Lower and upper bounds of A [N], C [N s^2/m^2], m [kg] and the lag [s]."""
+    ranges = (prior.A_N, prior.C_N_s2_m2, prior.mass_kg, (-LAG_BOX, LAG_BOX))
+    return np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
+
+
+def target_of(samples: Samples, fit: Fit, config: Config) -> Target:
+    """The density to sample: the moment objective, or the paper's likelihood of all samples with power above 0."""
+    lower, upper = box(config.prior)
+    if config.sampler.likelihood == "instruments":
+        return StudentTarget(fit.theta, fit.covariance, fit.dof, lower, upper)
+    positive = samples[samples.P > 0]
+    X = design(positive.v, positive.a)
+    centre, variance = clipped_least_squares(X, positive.P)
+    return ClippedGaussianTarget(X, positive.P, centre, variance, lower[:3], upper[:3])
+
+
+def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterior:
+    """Run the configured kernel from random starting points inside the box."""
+    settings = config.sampler
+    lower, upper = box(config.prior)
+    p = len(target.centre)
+    factor = np.linalg.cholesky(target.curvature(target.centre))
+    starts = target.centre + SPREAD * rng.standard_normal((settings.chains, p)) @ factor.T
+    starts = np.clip(starts, lower[:p], upper[:p])
+    chains = KERNELS[settings.kernel](target, starts, settings.burn_in, settings.draws, rng)
+    per_parameter = [chains.draws[:, :, i] for i in range(3)]
+    return Posterior(
+        chains.draws,
+        Convergence(
+            # A parameter that cannot be judged makes the whole NaN, which never counts as converged.
+            float(np.max([convergence.r_hat(x) for x in per_parameter])),
+            float(np.min([convergence.ess_bulk(x) for x in per_parameter])),
+            chains.acceptance,
+            settings.draws,
+            settings.chains,
+        ),
+    )

@@ -1,0 +1,92 @@
+"""The bounded memory of admitted samples: blocks of consecutive driving, rare cells kept longest."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.config import Config
+from estimator.samples import Samples
+from estimator.signals import Floats
+
+LOWEST_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins
+SPEED_CELLS = 64
+ACCELERATION_CELLS = 64
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells of speed x acceleration, numbered row by row; values beyond the last cell fall into it."""
+
+    speed_step: float  # [m/s]
+    acceleration_step: float  # [m/s^2]
+
+    size = SPEED_CELLS * ACCELERATION_CELLS
+
+    def cell(self, v: Floats, a: Floats) -> NDArray[np.int64]:
+        """Cell number (n,) of each speed [m/s] and acceleration [m/s^2]."""
+        row = np.clip(np.floor(v / self.speed_step), 0, SPEED_CELLS - 1)
+        column = np.floor((a - LOWEST_ACCELERATION) / self.acceleration_step)
+        return (row * ACCELERATION_CELLS + np.clip(column, 0, ACCELERATION_CELLS - 1)).astype(np.int64)
+
+    def centres(self) -> tuple[Floats, Floats]:
+        """Speed [m/s] and acceleration [m/s^2] in the middle of every cell (size,)."""
+        row, column = np.divmod(np.arange(self.size), ACCELERATION_CELLS)
+        return (row + 0.5) * self.speed_step, LOWEST_ACCELERATION + (column + 0.5) * self.acceleration_step
+
+
+class Window:
+    """Holds at most ``config.window.samples``, none older than ``config.window.hours``.
+
+    When it is full, the block whose samples lie in the fullest cells goes first, so hours of cruising do not push
+    out the few accelerations that identify the mass. The choice depends on speed and acceleration alone, never on
+    power, so it does not bias the estimate.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.grid = Grid(config.gate.speed_step_m_s, config.gate.acceleration_step_m_s2)
+        self.evicted = 0
+        self.added = 0  # samples ever admitted
+        self._capacity = config.window.samples
+        self._longest = config.window.hours * 3600.0
+        self._blocks: list[Samples] = []
+        self._cells: list[NDArray[np.int64]] = []
+        self._counts = np.zeros(self.grid.size, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return int(self._counts.sum())
+
+    @property
+    def samples(self) -> Samples:
+        """Everything in the window, oldest first."""
+        return Samples.concatenate(self._blocks)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Samples per cell (grid.size,)."""
+        return self._counts.copy()
+
+    def add(self, block: Samples) -> None:
+        """Take a block of consecutive samples, and let go what there is no room for."""
+        if not len(block):
+            return
+        cells = self.grid.cell(block.v, block.a)
+        self._blocks.append(block)
+        self._cells.append(cells)
+        self._counts += np.bincount(cells, minlength=self.grid.size)
+        self.added += len(block)
+        while self._blocks and block.t[-1] - self._blocks[0].t[0] > self._longest:
+            self._drop(0)
+        while len(self) > self._capacity:
+            self._drop(int(np.argmax([self._counts[cells].mean() for cells in self._cells])))
+
+    def _drop(self, i: int) -> None:
+        self._blocks.pop(i)
+        cells = self._cells.pop(i)
+        self._counts -= np.bincount(cells, minlength=self.grid.size)
+        self.evicted += len(cells)
+
+    def clear(self) -> None:
+        """Forget everything, as after a change of vehicle or an unexplained step in time."""
+        self._blocks, self._cells = [], []
+        self._counts[:] = 0

@@ -1,0 +1,153 @@
+"""The one way from frames to estimates, live, replayed or read from a log.
+
+Frames are cut into blocks at fixed message times, so how they arrived - one by one or a million at once - changes
+nothing that follows.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from estimator.can_io.binding import bind, load_database
+from estimator.can_io.decoder import Decoder
+from estimator.can_io.frames import Frames
+from estimator.config import Config
+from estimator.errors import MissingInputsError
+from estimator.estimate import Estimate
+from estimator.estimation.alignment import Aligner
+from estimator.estimation.estimator import Estimator
+from estimator.signals import Floats, Role
+
+BLOCK = 5.0  # s of traffic decoded at a time
+LONGEST_SILENCE = 30.0  # s without a frame after which the signals before and after are not joined
+NEW_DRIVE = 900.0  # s without a frame after which the load may be another one: a new window
+BACKWARD = 0.1  # s a timestamp may step back, as gateways with several channels do
+
+
+class Pipeline:
+    """Decoder, aligner and estimator in a row, with the counts of what went through."""
+
+    def __init__(self, config: Config) -> None:
+        messages = bind(config, load_database(config.bus.dbc))
+        self._names = {s.role: f"{m.name}.{s.signal.name}" for m in messages for s in m.signals}
+        self._decoder = Decoder(messages)
+        self._aligner = Aligner(config.vehicle, frozenset(self._names))
+        self.estimator = Estimator(config, np.random.default_rng(config.sampler.seed))
+        self._config = config
+        self.frames = 0
+        self.valid_rows = 0  # with both speed and power
+        self.seen: Counter[Role] = Counter()  # readings a role has given
+        self.interruptions: list[tuple[float, float]] = []  # silence or a step in time, from and to [s]
+        self._waiting: list[Frames] = []
+        self._last: float | None = None
+        self._block_end = 0.0
+
+    @property
+    def used(self) -> int:
+        """Frames that gave a signal."""
+        return self._decoder.used
+
+    @property
+    def errors(self) -> Counter[str]:
+        """Frames and values that were refused, by message, signal and reason."""
+        return self._decoder.rejected + self._decoder.transport_rejected
+
+    @property
+    def sources(self) -> dict[str, int]:
+        """Source address that each J1939 signal is taken from, by MESSAGE.signal."""
+        return dict(self._decoder.sources)
+
+    def feed(self, frames: Frames) -> Iterator[Estimate]:
+        """Take the next frames in order of arrival; yields estimates as they fall due."""
+        if not len(frames):
+            return
+        self.frames += len(frames)
+        before = np.concatenate([[frames.t[0] if self._last is None else self._last], frames.t[:-1]])
+        step = frames.t - before
+        cuts = np.flatnonzero((step > LONGEST_SILENCE) | (step < -BACKWARD)).tolist()
+        for start, stop in zip([0, *cuts], [*cuts, len(frames)], strict=True):
+            if start in cuts:
+                yield from self._interrupt(float(frames.t[start]))
+            if start < stop:
+                yield from self._continue(frames[start:stop])
+
+    def finish(self) -> Iterator[Estimate]:
+        """Use up what is still waiting, at the end of the traffic."""
+        if self._last is None:
+            return
+        yield from self._flush(self._last)
+        for rows in self._aligner.finish(self._last):
+            self._count(rows.speed, rows.power)
+            yield from self.estimator.feed(rows)
+        yield from self.estimator.finish()
+        self._last = None
+
+    def require_inputs(self, place: str) -> None:
+        """Complain if the traffic so far cannot feed the model.
+
+        Raises
+        ------
+        MissingInputsError
+            A needed signal never came, or never with a valid value.
+        """
+        missing = [self._names.get(role, role.value) for role in self._needed() if not self.seen[role]]
+        if missing:
+            there = sorted(self._names[role] for role in self.seen)
+            raise MissingInputsError(
+                f"{place}: missing inputs: {', '.join(missing)}; found: {', '.join(there) or 'none'}; "
+                "bind what the bus carries in [signals] of the configuration"
+            )
+        if not self.valid_rows:
+            counts = self.errors + self.estimator.rejected
+            reasons = ", ".join(f"{reason} {count}" for reason, count in counts.most_common(4))
+            raise MissingInputsError(f"{place}: not one moment with both speed and power valid: {reasons}")
+
+    def _needed(self) -> list[Role]:
+        bound = self._names
+        needed = [Role.SPEED if Role.SPEED in bound else Role.WHEEL_SPEEDS]
+        if Role.ENGINE_POWER in bound:
+            return [*needed, Role.ENGINE_POWER]
+        if Role.ENGINE_TORQUE in bound:
+            return [*needed, Role.ENGINE_TORQUE, Role.ENGINE_SPEED]
+        needed += [Role.TORQUE_FRACTION, Role.ENGINE_SPEED]
+        if Role.FRICTION_FRACTION in bound:
+            needed.append(Role.FRICTION_FRACTION)
+        if self._config.vehicle.reference_torque_Nm is None:
+            needed.append(Role.REFERENCE_TORQUE)
+        return needed
+
+    def _continue(self, frames: Frames) -> Iterator[Estimate]:
+        if self._last is None:
+            self._block_end = float(frames.t[0]) + BLOCK
+        self._last = float(frames.t[-1])
+        while len(frames):
+            beyond = np.flatnonzero(frames.t >= self._block_end)
+            cut = int(beyond[0]) if len(beyond) else len(frames)
+            self._waiting.append(frames[:cut])
+            frames = frames[cut:]
+            if len(beyond):
+                yield from self._flush(self._block_end)
+                self._block_end += BLOCK
+
+    def _flush(self, now: float) -> Iterator[Estimate]:
+        block = Frames.concatenate(self._waiting)
+        self._waiting = []
+        readings = self._decoder.decode(block)
+        for role, parts in readings.items():
+            self.seen[role] += sum(len(part.t) for part in parts)
+        for rows in self._aligner.feed(readings, now):
+            self._count(rows.speed, rows.power)
+            yield from self.estimator.feed(rows)
+
+    def _count(self, speed: Floats, power: Floats) -> None:
+        self.valid_rows += int((np.isfinite(speed) & np.isfinite(power)).sum())
+
+    def _interrupt(self, t: float) -> Iterator[Estimate]:
+        """Signals before and after a silence or a step in time are not joined; a long one starts a new window."""
+        last = self._last
+        assert last is not None
+        self.interruptions.append((last, t))
+        yield from self.finish()
+        if not 0 <= t - last <= NEW_DRIVE:
+            self.estimator.forget()

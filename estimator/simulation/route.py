@@ -1,0 +1,112 @@
+"""Roads by distance: sections with a speed to drive, stops with a dwell time, and grade."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import cycle
+from typing import Literal
+
+import numpy as np
+
+from estimator.signals import Floats
+from estimator.simulation.noise import smooth
+
+KMH = 1 / 3.6  # m/s
+GRADE_SPACING = 20.0  # m between points of the grade profile
+HILL_LENGTH = 500.0  # m over which the grade changes
+
+RoadKind = Literal["urban", "mixed", "highway"]
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """A road to follow.
+
+    ``section_start`` (k,) [m] begins at 0 and rises; ``section_speed`` (k,) [m/s]; ``stop_position`` (j,) [m] rises
+    and ends at the road's end; ``stop_dwell`` (j,) [s]; ``grade`` (n,) rise over run every ``GRADE_SPACING`` [1].
+    """
+
+    section_start: Floats
+    section_speed: Floats
+    stop_position: Floats
+    stop_dwell: Floats
+    grade: Floats
+
+    @property
+    def length(self) -> float:
+        """Length of the road [m]."""
+        return float(self.stop_position[-1])
+
+    @property
+    def altitude(self) -> Floats:
+        """Altitude [m] above the start, at the points of ``grade``."""
+        sine = self.grade / np.hypot(1.0, self.grade)
+        return np.concatenate([[0.0], np.cumsum(0.5 * GRADE_SPACING * (sine[1:] + sine[:-1]))])
+
+
+@dataclass(frozen=True, slots=True)
+class _Road:
+    speeds: tuple[float, ...]  # km/h
+    section: tuple[float, float]  # m, shortest and longest
+    stop: float  # probability at the end of a section
+    bend: float  # probability of a slow bend or slow zone after a section
+    bend_speed: float  # km/h
+    bend_length: float  # m
+
+
+_URBAN = _Road((30, 40, 50, 50, 60), (150, 700), stop=0.5, bend=0.15, bend_speed=18, bend_length=25)
+_RURAL = _Road((60, 70, 80), (600, 2500), stop=0.2, bend=0.25, bend_speed=35, bend_length=80)
+_HIGHWAY = _Road((80, 85, 85, 90), (2000, 7000), stop=0.0, bend=0.2, bend_speed=60, bend_length=800)
+_BLOCKS: dict[RoadKind, tuple[tuple[_Road, float], ...]] = {  # kind of road, length of a block [m]
+    "urban": ((_URBAN, 10e3),),
+    "mixed": ((_URBAN, 5e3), (_RURAL, 6e3), (_HIGHWAY, 12e3), (_RURAL, 5e3)),
+    "highway": ((_URBAN, 1e3), (_RURAL, 3e3), (_HIGHWAY, 45e3)),
+}
+
+
+def generate_route(kind: RoadKind, length: float, rng: np.random.Generator, grade_sd: float = 0.0) -> Route:
+    """Generate a road at random.
+
+    Parameters
+    ----------
+    kind
+        ``"urban"``, ``"mixed"`` or ``"highway"``.
+    length
+        Length of the road [m]; the truck stays at its end.
+    rng
+        Source of randomness.
+    grade_sd
+        Standard deviation of the grade, rise over run [1]; flat by default.
+    """
+    starts: list[float] = []
+    speeds: list[float] = []
+    stops: list[float] = []
+    dwells: list[float] = []
+    position = 0.0
+    for road in _roads(kind):
+        if position >= length:
+            break
+        starts.append(position)
+        speeds.append(float(rng.choice(road.speeds)) * KMH)
+        position += rng.uniform(*road.section)
+        if rng.random() < road.bend:
+            starts.append(position)
+            speeds.append(road.bend_speed * rng.uniform(0.85, 1.15) * KMH)
+            position += road.bend_length * rng.uniform(0.7, 1.5)
+        if rng.random() < road.stop and position < length:
+            stops.append(position)
+            dwells.append(3.0 + rng.exponential(16.0))
+    points = int(length / GRADE_SPACING) + 2
+    return Route(
+        np.array(starts),
+        np.array(speeds),
+        np.array([*stops, length]),
+        np.array([*dwells, np.inf]),
+        smooth(points, grade_sd, HILL_LENGTH / GRADE_SPACING / 2, rng),
+    )
+
+
+def _roads(kind: RoadKind) -> Iterator[_Road]:
+    """Kind of road of one section after the other."""
+    for road, block in cycle(_BLOCKS[kind]):
+        for _ in range(max(1, round(block / (sum(road.section) / 2)))):
+            yield road

@@ -1,0 +1,161 @@
+"""What the truck's control units measure of a drive: each signal at its own rate, late, noisy and quantised.
+
+The engine sends indicated torque, ``T_indicated = T_net + T_friction``, in percent of the reference torque, as
+SPN 513 and 4154 do; the nominal friction comes apart and slower, as SPN 514 does. Resolutions are those of J1939.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.signals import Floats, Role, Series, Signals
+from estimator.simulation.drive import STEP, Truth
+from estimator.simulation.noise import correlated, smooth
+
+SPEED_RESOLUTION = 1 / 256 / 3.6  # m/s
+ENGINE_SPEED_RESOLUTION = 0.125 * 2 * pi / 60  # rad/s
+PERCENT = 0.01
+PEDAL_RESOLUTION = 0.004  # of full travel
+FULL_BRAKING = 6.0  # m/s^2 at full travel of the brake pedal
+TORQUE_PERIOD = 0.02  # s, engine torque and speed
+
+SEA_LEVEL_PRESSURE = 101_325.0  # Pa
+LAPSE = 2.25577e-5, 5.25588  # 1/m and exponent of the standard atmosphere
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """How well the truck measures.
+
+    Parameters
+    ----------
+    speed_noise
+        Standard deviation of the white noise on wheel speeds, before quantisation [m/s].
+    torque_noise, torque_correlation
+        Standard deviation, as a share of the reference torque [1], and correlation time [s] of the error of the
+        engine's torque model.
+    torque_white_noise
+        Standard deviation of white noise on torque, as a share of the reference torque [1].
+    torque_resolution
+        Share of the reference torque per bit: 0.00125 with SPN 4154, 0.01 without [1].
+    torque_lag
+        How much later torque and engine speed are measured than vehicle speed [s].
+    jitter
+        Standard deviation of sending times [s].
+    ambient_temperature
+        Mean temperature of the air [K].
+    """
+
+    speed_noise: float = 0.01
+    torque_noise: float = 0.01
+    torque_correlation: float = 0.5
+    torque_white_noise: float = 0.002
+    torque_resolution: float = 0.00125
+    torque_lag: float = 0.03
+    jitter: float = 0.0005
+    ambient_temperature: float = 288.15
+
+
+def measure(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Signals:
+    """Signals of a drive as the control units send them; roles of one message share their times."""
+    return dict(
+        series
+        for control_unit in (_engine, _vehicle_speed, _transmission, _brakes, _surroundings)
+        for series in control_unit(truth, sensors, rng)
+    )
+
+
+def _engine(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    truck = truth.truck
+    reference = truck.reference_torque
+
+    t = _times(truth, TORQUE_PERIOD, sensors, rng)
+    seen = t - sensors.torque_lag
+    speed = np.interp(seen, truth.t, truth.engine_speed)
+    indicated = np.interp(seen, truth.t, truth.torque + truck.friction_torque(truth.engine_speed)) / reference
+    indicated += correlated(len(t), sensors.torque_noise, sensors.torque_correlation / TORQUE_PERIOD, rng)
+    indicated += rng.normal(0.0, sensors.torque_white_noise, len(t))
+    indicated = np.clip(_quantise(indicated, sensors.torque_resolution), -1.25, 1.25)
+    yield Role.ENGINE_SPEED, Series(t, _quantise(speed, ENGINE_SPEED_RESOLUTION))
+    if sensors.torque_resolution < PERCENT:
+        whole = np.floor(indicated / PERCENT + 1e-6) * PERCENT
+        yield Role.TORQUE_FRACTION, Series(t, whole)
+        yield Role.TORQUE_FRACTION_FINE, Series(t, _quantise(indicated - whole, sensors.torque_resolution))
+    else:
+        yield Role.TORQUE_FRACTION, Series(t, indicated)
+
+    t = _times(truth, 0.25, sensors, rng)
+    friction = truck.friction_torque(np.interp(t - sensors.torque_lag, truth.t, truth.engine_speed)) / reference
+    yield Role.FRICTION_FRACTION, Series(t, _quantise(friction, PERCENT))
+    t = _times(truth, 5.0, sensors, rng)
+    yield Role.REFERENCE_TORQUE, Series(t, np.full(len(t), reference))
+
+
+def _vehicle_speed(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    t = _times(truth, 0.1, sensors, rng)
+    yield Role.SPEED, Series(t, _wheel_speed(truth, t, sensors, rng))
+    yield Role.BRAKE_SWITCH, _state(truth, t, truth.braking)
+    yield Role.CLUTCH_SWITCH, _state(truth, t, ~truth.engaged)
+    yield Role.PARK_BRAKE, _state(truth, t, truth.parked)
+    t = _times(truth, 0.1, sensors, rng)
+    yield Role.WHEEL_SPEEDS, Series(t, _wheel_speed(truth, t, sensors, rng))
+
+
+def _transmission(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    t = _times(truth, 0.02, sensors, rng)
+    yield Role.DRIVELINE_ENGAGED, _state(truth, t, truth.engaged)
+    yield Role.SHIFT_IN_PROCESS, _state(truth, t, truth.shifting)
+    t = _times(truth, 0.1, sensors, rng)
+    yield Role.GEAR, _state(truth, t, truth.gear)
+
+
+def _brakes(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    t = _times(truth, 0.1, sensors, rng)
+    pedal = np.interp(t, truth.t, truth.brake) / (FULL_BRAKING * truth.truck.mass)
+    pressed = _state(truth, t, truth.braking).value > 0.0
+    yield Role.BRAKE_PEDAL, Series(t, np.where(pressed, np.clip(_quantise(pedal, PEDAL_RESOLUTION), 0.0, 1.0), 0.0))
+    t = _times(truth, 0.1, sensors, rng)
+    yield Role.GRADE, Series(t, np.interp(t, truth.t, truth.grade))
+
+
+def _surroundings(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    t = _times(truth, 1.0, sensors, rng)
+    altitude = np.interp(t, truth.t, truth.altitude)
+    lapse, exponent = LAPSE
+    air = sensors.ambient_temperature + smooth(len(t), 0.5, 600.0, rng)
+    yield Role.AMBIENT_TEMPERATURE, Series(t, _quantise(air, 1 / 32, 273.15))
+    yield Role.AIR_PRESSURE, Series(t, _quantise(SEA_LEVEL_PRESSURE * (1.0 - lapse * altitude) ** exponent, 500.0))
+    t = _times(truth, 1.0, sensors, rng)
+    yield Role.COOLANT_TEMPERATURE, Series(t, _quantise(358.15 + smooth(len(t), 2.0, 120.0, rng), 1.0, 273.15))
+    t = _times(truth, 1.0, sensors, rng)
+    satellites = np.interp(t, truth.t, truth.v) + rng.normal(0.0, 0.05, len(t))
+    altitude = np.interp(t, truth.t, truth.altitude) + smooth(len(t), 1.0, 30.0, rng)
+    yield Role.ALTITUDE, Series(t, _quantise(altitude, 0.125))
+    yield Role.GPS_SPEED, Series(t, _quantise(np.maximum(satellites, 0.0), SPEED_RESOLUTION))
+
+
+def _times(truth: Truth, period: float, sensors: Sensors, rng: np.random.Generator) -> Floats:
+    """Draw the sending times [s] of one message: its period, a phase of its own, and jitter."""
+    end = truth.t[-1]
+    nominal = np.arange(rng.uniform(0.0, period), end, period)
+    late = np.clip(rng.normal(0.0, 1.0, len(nominal)) * sensors.jitter, -0.4 * period, 0.4 * period)
+    return np.clip(nominal + late, 0.0, end)
+
+
+def _wheel_speed(truth: Truth, t: Floats, sensors: Sensors, rng: np.random.Generator) -> Floats:
+    v = np.interp(t, truth.t, truth.v)
+    noisy = v + rng.normal(0.0, 1.0, len(t)) * sensors.speed_noise
+    return _quantise(np.where(v > 0.0, np.maximum(noisy, 0.0), 0.0), SPEED_RESOLUTION)
+
+
+def _state(truth: Truth, t: Floats, states: NDArray[np.generic]) -> Series:
+    """Switch or gear as it was at the last step before each time."""
+    return Series(t, states[(t / STEP).astype(int)].astype(np.float64))
+
+
+def _quantise(value: Floats, resolution: float, origin: float = 0.0) -> Floats:
+    counts: Floats = np.round((value - origin) / resolution)
+    return counts * resolution + origin

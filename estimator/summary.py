@@ -1,0 +1,53 @@
+"""The JSON that `roadload estimate` and `roadload replay` print: keys that other programs rely on."""
+
+import math
+from typing import Any
+
+import msgspec
+
+from estimator.estimate import Coverage, Estimate, Marginal
+from estimator.replay import Run
+
+
+def of_run(run: Run) -> dict[str, Any]:
+    """One object for a whole run, with every update; times count from the first frame [s]."""
+    final, pipeline = run.final, run.pipeline
+    return {
+        "status": final.status.value,
+        "reason": final.reason,
+        "parameters": parameters(final),
+        "convergence": convergence(final),
+        "coverage": coverage(final.coverage),
+        "rms_kW": None if final.rms is None else final.rms / 1e3,
+        "samples": {"admitted": final.admitted, "rejected": dict(pipeline.estimator.rejected)},
+        "frames": {"read": pipeline.frames, "used": pipeline.used, "errors": dict(run.skipped + pipeline.errors)},
+        "effects": [],
+        "updates": [
+            {"t_s": round(update.t - run.start, 3), "status": update.status.value, "parameters": parameters(update)}
+            for update in run.updates
+        ],
+    }
+
+
+def parameters(estimate: Estimate) -> dict[str, dict[str, float] | None]:
+    """The marginals under their names with units; None where there is no estimate."""
+    named = {"mass_kg": estimate.mass, "A_N": estimate.A, "C_N_s2_m2": estimate.C}
+    return {name: None if marginal is None else _marginal(marginal) for name, marginal in named.items()}
+
+
+def convergence(estimate: Estimate) -> dict[str, float | int | None] | None:
+    """Diagnostics of the chains behind an estimate."""
+    if estimate.convergence is None:
+        return None
+    values = msgspec.to_builtins(estimate.convergence)
+    return {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in values.items()}
+
+
+def coverage(cells: Coverage) -> dict[str, float | int]:
+    """Coverage with its fraction."""
+    return {"fraction": cells.fraction, "occupied": cells.occupied, "available": cells.available}
+
+
+def _marginal(marginal: Marginal) -> dict[str, float]:
+    values: dict[str, float] = msgspec.to_builtins(marginal)
+    return values

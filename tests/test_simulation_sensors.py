@@ -1,0 +1,110 @@
+"""What the control units send of a drive: rates, noise, lag, resolution."""
+
+import numpy as np
+import pytest
+
+from estimator.signals import DIMENSION, Role
+from estimator.simulation.drive import Truth, drive
+from estimator.simulation.route import generate_route
+from estimator.simulation.sensors import Sensors, measure
+from estimator.simulation.truck import Truck
+
+TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
+PERFECT = Sensors(speed_noise=0.0, torque_noise=0.0, torque_white_noise=0.0, torque_lag=0.0)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    rng = np.random.default_rng(11)
+    return drive(TRUCK, generate_route("mixed", 20e3, rng), 600.0, rng)
+
+
+def net_torque(signals):
+    """Net torque [N.m] by J1939: indicated minus nominal friction, at the times of the indicated torque."""
+    coarse, friction = signals[Role.TORQUE_FRACTION], signals[Role.FRICTION_FRACTION]
+    fine = signals[Role.TORQUE_FRACTION_FINE].value if Role.TORQUE_FRACTION_FINE in signals else 0.0
+    nominal = np.interp(coarse.t, friction.t, friction.value)
+    return coarse.t, (coarse.value + fine - nominal) * signals[Role.REFERENCE_TORQUE].value[0]
+
+
+@pytest.mark.parametrize(
+    ("role", "period"),
+    [
+        (Role.SPEED, 0.1),
+        (Role.WHEEL_SPEEDS, 0.1),
+        (Role.TORQUE_FRACTION, 0.02),
+        (Role.ENGINE_SPEED, 0.02),
+        (Role.FRICTION_FRACTION, 0.25),
+        (Role.REFERENCE_TORQUE, 5.0),
+        (Role.GEAR, 0.1),
+        (Role.SHIFT_IN_PROCESS, 0.02),
+        (Role.AMBIENT_TEMPERATURE, 1.0),
+        (Role.ALTITUDE, 1.0),
+        (Role.GRADE, 0.1),
+    ],
+)
+def test_rates(truth, role, period):
+    series = measure(truth, Sensors(), np.random.default_rng(0))[role]
+    gaps = np.diff(series.t)
+
+    assert np.all(gaps > 0.0)
+    assert np.mean(gaps) == pytest.approx(period, rel=0.01)
+
+
+def test_every_role_is_known_and_finite(truth):
+    for role, series in measure(truth, Sensors(), np.random.default_rng(0)).items():
+        assert role in DIMENSION
+        assert series.t.shape == series.value.shape
+        assert np.all(np.isfinite(series.value))
+
+
+def test_perfect_sensors_give_back_the_truth_within_their_resolution(truth):
+    signals = measure(truth, PERFECT, np.random.default_rng(0))
+    speed = signals[Role.SPEED]
+    t, torque = net_torque(signals)
+    # friction is sampled at 4 Hz in steps of 1 %: compare where the engine speed is steady
+    steady = np.abs(np.interp(t, truth.t, np.gradient(truth.engine_speed, truth.t))) < 2.0
+
+    np.testing.assert_allclose(speed.value, np.interp(speed.t, truth.t, truth.v), atol=0.51 / 256 / 3.6)
+    error = np.abs(torque - np.interp(t, truth.t, truth.torque))[steady]
+    assert np.mean(error < 0.0065 * 2500.0) > 0.995
+
+
+def test_coarse_torque_comes_in_whole_percents_without_a_fine_part(truth):
+    signals = measure(truth, Sensors(torque_resolution=0.01), np.random.default_rng(0))
+    percents = 100.0 * signals[Role.TORQUE_FRACTION].value
+
+    assert Role.TORQUE_FRACTION_FINE not in signals
+    np.testing.assert_allclose(percents, np.round(percents), atol=1e-9)
+
+
+def test_fine_torque_has_eight_steps(truth):
+    fine = measure(truth, Sensors(), np.random.default_rng(0))[Role.TORQUE_FRACTION_FINE].value
+
+    np.testing.assert_array_equal(np.unique(np.round(fine / 0.00125)), np.arange(8))
+
+
+def test_speed_noise_is_white_and_of_the_asked_size(truth):
+    speed = measure(truth, Sensors(speed_noise=0.03), np.random.default_rng(0))[Role.SPEED]
+    v = np.interp(speed.t, truth.t, truth.v)
+    error = (speed.value - v)[v > 1.0]
+
+    assert np.std(error) == pytest.approx(0.03, rel=0.1)
+    assert abs(np.corrcoef(error[1:], error[:-1])[0, 1]) < 0.06
+
+
+def test_torque_noise_is_correlated_as_asked(truth):
+    sensors = Sensors(torque_noise=0.02, torque_correlation=0.5, torque_white_noise=0.0)
+    noisy = measure(truth, sensors, np.random.default_rng(0))
+    clean = measure(truth, Sensors(torque_noise=0.0, torque_white_noise=0.0), np.random.default_rng(0))
+    error = (net_torque(noisy)[1] - net_torque(clean)[1])[100:] / 2500.0
+
+    assert np.std(error) == pytest.approx(0.02, rel=0.15)
+    assert np.corrcoef(error[25:], error[:-25])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.1)
+
+
+def test_torque_is_late_by_its_lag(truth):
+    late = Sensors(speed_noise=0.0, torque_noise=0.0, torque_white_noise=0.0, torque_lag=0.2, jitter=0.0)
+    speed = measure(truth, late, np.random.default_rng(0))[Role.ENGINE_SPEED]
+
+    np.testing.assert_allclose(speed.value, np.interp(speed.t - 0.2, truth.t, truth.engine_speed), atol=0.007)
