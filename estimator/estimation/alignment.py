@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.config import Vehicle
+from estimator.estimation.friction import FrictionCurve
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Mask, Role, Series
 
@@ -105,6 +106,7 @@ class Aligner:
         self._tracks: dict[tuple[Role, int], _Track] = {}
         self._power = _Track()
         self._powered_to = -np.inf
+        self._friction = FrictionCurve()
         self._next: int | None = None
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
@@ -160,7 +162,8 @@ class Aligner:
         fine = self._track(Role.TORQUE_FRACTION_FINE).held(t)
         fraction = indicated + np.where(np.isfinite(fine), fine, 0.0)
         if Role.FRICTION_FRACTION in self._bound:
-            fraction = fraction - self._track(Role.FRICTION_FRACTION).held(t)
+            reading = self._track(Role.FRICTION_FRACTION).held(t)
+            fraction = fraction - self._friction.refine(self._track(Role.ENGINE_SPEED).held(t), reading)
         if self._vehicle.subtract_parasitic_losses:
             fraction = fraction - self._track(Role.PARASITIC_FRACTION).held(t)
         return fraction

@@ -1,18 +1,21 @@
 """The fit behind the posterior: moments that noise in the regressors does not bias.
 
-Model: P = X theta + e with columns X = [v, v^3, v a, -dP] and theta = [A, C, m, tau]; tau [s] is what is left of
-the lag between power and speed, to first order. Noise of the wheel speed sits in X, so least squares is biased
-towards a light vehicle with more friction. The instruments Z are the same columns from readings that surround the
-sample without touching it; their noise is independent of the sample's, so
+Model: P = X theta + e with columns X = [v, v^3, v a, -dP] and theta = [A, C, m, tau]; the nuisance tau [s] is what
+is left of the lag between power and speed, to first order.
 
-    Z' (P - X theta) = 0
+Noise of the wheel speed sits in X, so least squares is biased towards a light vehicle with more friction. The
+instruments Z are the same columns from readings that surround the sample without touching it; their noise is
+independent of the sample's, so the moments
 
-estimates theta without knowing how noisy the sensors are. Which samples count is decided by the model power that
-the *instruments* predict: choosing by the measured power would choose by its noise.
+    g(theta) = Z' (P - X theta)
 
-The covariance of the moments has to allow for residuals that stay on one side for seconds. It is the average of
+vanish at the truth without anyone knowing how noisy the sensors are. Which samples count is decided by the model
+power that the *instruments* predict: choosing by the measured power would choose by its noise.
+
+The covariance S of the moments has to allow for residuals that stay on one side for seconds. It is the average of
 the lowest B cosine transforms of Z e (equal-weighted cosines: Mueller 2004; Lazarus, Lewis, Stock, Watson 2018),
-which makes the estimate t-distributed with B degrees of freedom.
+which makes the estimate t-distributed with B degrees of freedom. The posterior combines exp(-g' S^-1 g / 2)
+(Chernozhukov & Hong 2003) with a Gaussian prior of the nuisance.
 """
 
 from dataclasses import dataclass
@@ -25,8 +28,11 @@ from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 
 SELECTIONS = 8  # passes that settle which samples count
-FEWEST_COSINES = 8
+FEWEST_COSINES = 12
 TIMES_PER_COSINE = 4.0  # autocorrelation times that one cosine transform must span
+LAG_SD = 0.1  # s, prior of what the coarse alignment leaves
+PRIOR_PRECISION = np.array([0.0, 0.0, 0.0, LAG_SD**-2])
+ROAD_LOAD = 3  # the first parameters
 
 
 @dataclass(frozen=True)
@@ -79,31 +85,52 @@ def fit(samples: Samples, power_sigmas: float) -> Fit | None:
     columns are not independent.
     """
     X, Z = columns(samples)
-    p = X.shape[1]
+    if len(X) < 20 * X.shape[1]:
+        return None
     # Columns of order one: v^3 is 10^4 times v, and the equations would look singular for that alone.
-    scale = np.sqrt(np.mean(X**2, axis=0)) if len(X) else np.ones(p)
+    scale = np.sqrt(np.mean(X**2, axis=0))
     if not np.all(scale > 0):
         return None
-    X, Z = X / scale, Z / scale
+    X, Z, prior = X / scale, Z / scale, PRIOR_PRECISION / scale**2
     kept = np.ones(len(X), dtype=bool)
-    theta, sd, previous = np.zeros(p), 0.0, kept
+    spread: Floats | None = None
     for _ in range(SELECTIONS):
-        if kept.sum() < 10 * p:
+        if kept.sum() < 20 * X.shape[1]:
             return None
-        cross = Z[kept].T @ X[kept] / kept.sum()
-        if np.linalg.cond(cross) > 1 / np.sqrt(np.finfo(float).eps):
+        Xk, Zk, Pk = X[kept], Z[kept], samples.P[kept]
+        solution = _solve(Xk, Zk, Pk, spread, prior)
+        if solution is None:
             return None
-        theta = np.linalg.solve(cross, Z[kept].T @ samples.P[kept] / kept.sum())
-        residual = samples.P[kept] - X[kept] @ theta
-        sd = float(residual.std())
-        previous, kept = kept, Z[:, :3] @ theta[:3] > power_sigmas * sd
+        theta, covariance = solution
+        residual = Pk - Xk @ theta
+        time = autocorrelation_time(residual)
+        cosines = _cosines(len(Pk), time)
+        spread = long_run_covariance(Zk * residual[:, None], cosines)
+        previous, kept = kept, Z[:, :ROAD_LOAD] @ theta[:ROAD_LOAD] > power_sigmas * residual.std()
         if np.array_equal(kept, previous):
             break
-    kept = previous
-    n = int(kept.sum())
-    time = autocorrelation_time(residual)
-    cosines = int(np.clip(n / (TIMES_PER_COSINE * time), FEWEST_COSINES, 0.4 * n ** (2 / 3)))
-    spread = long_run_covariance(Z[kept] * residual[:, None], cosines)
-    inverse = np.linalg.inv(Z[kept].T @ X[kept])
-    covariance = inverse @ spread @ inverse.T / np.outer(scale, scale)
-    return Fit(theta / scale, covariance, float(cosines), kept, float(np.sqrt(np.mean(residual**2))), n / time)
+    rms = float(np.sqrt(np.mean(residual**2)))
+    covariance = covariance / np.outer(scale, scale)
+    return Fit(theta / scale, covariance, float(cosines), previous, rms, len(residual) / time)
+
+
+def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Floats) -> tuple[Floats, Floats] | None:
+    """Mode and covariance of the posterior; without a ``spread`` of the moments, that of white residuals."""
+    cross, moment = Z.T @ X, Z.T @ P
+    if spread is None:
+        start = np.linalg.lstsq(X, P, rcond=None)[0]
+        spread = float(np.mean((P - X @ start) ** 2)) * Z.T @ Z
+    if np.linalg.cond(spread) > 1 / np.finfo(float).eps:
+        return None
+    weighted = np.linalg.solve(spread, np.column_stack([cross, moment]))
+    information = cross.T @ weighted[:, :-1] + np.diag(prior)
+    unit = np.sqrt(np.diag(information))
+    if not np.all(unit > 0) or np.linalg.cond(information / np.outer(unit, unit)) > 1 / np.finfo(float).eps ** 0.5:
+        return None
+    covariance = np.linalg.inv(information / np.outer(unit, unit)) / np.outer(unit, unit)
+    return covariance @ (cross.T @ weighted[:, -1]), covariance
+
+
+def _cosines(n: int, time: float) -> int:
+    """How many cosine transforms stay below the frequency at which the residual's spectrum falls off."""
+    return int(np.clip(n / (TIMES_PER_COSINE * time), FEWEST_COSINES, max(0.4 * n ** (2 / 3), FEWEST_COSINES)))

@@ -16,7 +16,7 @@ from estimator.signals import Floats
 
 LARGEST_R_HAT = 1.05
 SMALLEST_ESS = 100.0
-LAG_BOX = 1.0  # s, what is left of the lag lies within
+LAG_BOX = (-1.0, 1.0)  # s, far wider than the prior of the lag
 SPREAD = 3.0  # sd of the chains' starting points around the centre
 
 
@@ -42,7 +42,7 @@ class Posterior:
 
 def box(prior: Prior) -> tuple[Floats, Floats]:
     """Lower and upper bounds of A [N], C [N s^2/m^2], m [kg] and the lag [s]."""
-    ranges = (prior.A_N, prior.C_N_s2_m2, prior.mass_kg, (-LAG_BOX, LAG_BOX))
+    ranges = (prior.A_N, prior.C_N_s2_m2, prior.mass_kg, LAG_BOX)
     return np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
 
 

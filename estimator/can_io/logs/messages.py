@@ -28,7 +28,7 @@ class MessageLog(Log):
         for message in messages:
             if message.is_error_frame:
                 self.skipped[ERROR_FRAME] += 1
-            elif message.is_remote_frame:
+            elif message.is_remote_frame and not (message.is_fd and message.dlc == 0):  # what .asc makes of empty FD
                 self.skipped[REMOTE_FRAME] += 1
             else:
                 check_message(message)

@@ -1,0 +1,79 @@
+"""What a person reads on the terminal."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from estimator.estimate import Marginal, Status
+from estimator.replay import Run
+
+ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C", "N s²/m²", "{:.3f}"))
+
+
+def print_run(console: Console, run: Run, truth: dict[str, float] | None = None) -> None:
+    """The estimate with its intervals, why there is none, and what went in; ``truth`` by mass, A, C where known."""
+    final, pipeline = run.final, run.pipeline
+    style = {Status.ESTIMATED: "green", Status.UNESTIMATED: "yellow", Status.INVALID: "red"}[final.status]
+    reason = f": {final.reason}" if final.reason else ""
+    console.print(f"[bold {style}]{final.status.value}[/]{reason}", highlight=False)
+    if final.mass is not None:
+        console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
+    c, k = final.coverage, final.convergence
+    console.print(f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)", highlight=False)
+    if k is not None and final.rms is not None:
+        console.print(
+            f"sampler   R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted; "
+            f"residual {final.rms / 1e3:.1f} kW rms",
+            highlight=False,
+        )
+    rejected = ", ".join(f"{reason} {count:,}" for reason, count in pipeline.estimator.rejected.most_common())
+    console.print(f"samples   {final.admitted:,} used; not used: {rejected or 'none'}", highlight=False)
+    refused = sum((run.skipped + pipeline.errors).values())
+    console.print(
+        f"frames    {pipeline.frames:,} read, {pipeline.used:,} used, {refused:,} frames or values refused",
+        highlight=False,
+    )
+    for start, end in pipeline.interruptions:
+        console.print(f"gap       no frames from {start - run.start:.1f} s to {end - run.start:.1f} s", highlight=False)
+    if run.broadcast:
+        console.print(f"broadcast {len(run.broadcast):,} frames", highlight=False)
+
+
+def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, float] | None) -> Table:
+    table = Table("parameter", "mean", "90 % interval", "sd", *(["truth"] if truth else []))
+    for key, name, unit, form in ROWS:
+        x = marginals[key]
+        if x is None:
+            continue
+        interval = f"{form.format(x.q05)} .. {form.format(x.q95)}"
+        row = [name, f"{form.format(x.mean)} {unit}", interval, f"{100 * x.sd / x.mean:.2f} %"]
+        table.add_row(*row, *([form.format(truth[key])] if truth else []))
+    return table
+
+
+def print_inspection(console: Console, content: dict[str, Any]) -> None:
+    """Inputs found and missing, and whether an estimate can come of them."""
+    frames = content["frames"]
+    console.print(
+        f"{content['log']}: {content['duration_s']:,.1f} s, {frames['read']:,} frames of {frames['ids']} ids, "
+        f"{frames['used']:,} used",
+        highlight=False,
+    )
+    table = Table("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps")
+    for role, x in content["inputs"].items():
+        source = content["sources"].get(x["signal"])
+        rate = "" if x["rate_Hz"] is None else f"{x['rate_Hz']:.1f} Hz"
+        values = "none valid" if x["minimum"] is None else f"{x['minimum']:.4g} .. {x['maximum']:.4g}"
+        gaps = ", ".join(f"{a:.1f}-{b:.1f} s" for a, b in x["gaps_s"][:3])
+        more = f" (+{len(x['gaps_s']) - 3})" if len(x["gaps_s"]) > 3 else ""
+        address = "" if source is None else f"0x{source:02X}"
+        table.add_row(role, x["signal"], address, rate, f"{100 * x['not_available']:.1f} %", values, gaps + more)
+    console.print(table)
+    if content["missing"]:
+        missing = ", ".join(f"{role} ({signal})" for role, signal in content["missing"].items())
+        console.print(f"not there: {missing}", highlight=False)
+    for reason, count in sorted(frames["errors"].items()):
+        console.print(f"refused: {reason} {count:,}", highlight=False)
+    reason = f": {content['reason']}" if content["reason"] else ""
+    console.print(f"{content['status']}{reason}; coverage {100 * content['coverage']:.0f} %", highlight=False)

@@ -1,0 +1,349 @@
+"""Logs of every format: what is read back equals what was written, and what is wrong is a LogError of one line."""
+
+import gzip
+import re
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.logs import MAX_STEP_BACK, Log, TimeOrder, open_log
+from estimator.can_io.logs.log import BATCH, regroup
+from estimator.errors import LogError
+
+FD_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]
+
+
+@st.composite
+def _message(draw: st.DrawFn, fd: bool, others: bool) -> can.Message:
+    extended = draw(st.booleans())
+    kind = draw(st.sampled_from(["data"] * 8 + ["error", "remote"] * others + ["fd"] * 4 * fd))
+    length = draw(st.sampled_from(FD_LENGTHS if kind == "fd" else range(9)))
+    return can.Message(
+        arbitration_id=draw(st.integers(0, 0x1FFFFFFF if extended else 0x7FF)),
+        is_extended_id=extended,
+        is_fd=kind == "fd",
+        is_error_frame=kind == "error",
+        is_remote_frame=kind == "remote",
+        dlc=length,
+        data=draw(st.binary(min_size=length, max_size=length)) if kind in ("data", "fd") else None,
+    )
+
+
+@st.composite
+def recorded(draw: st.DrawFn, fd: bool = True, others: bool = True) -> list[can.Message]:
+    """Messages of one recording, the first a data frame, at times of whole microseconds from 2023 on."""
+    first = can.Message(arbitration_id=0x18FEF100, is_extended_id=True, data=bytes(range(8)))
+    messages = [first, *draw(st.lists(_message(fd, others), max_size=30))]
+    t = 1_700_000_000_000_000
+    for message in messages:
+        t += draw(st.integers(0, 1_000_000))
+        message.timestamp = t / 1e6
+    return messages
+
+
+def write(path: Path, messages: Iterable[can.Message]) -> None:
+    with can.Logger(str(path)) as logger:
+        for message in messages:
+            logger(message)
+
+
+def read(path: Path) -> tuple[Log, Frames]:
+    log = open_log(path)
+    return log, Frames.concatenate(list(log))
+
+
+def assert_same(frames: Frames, messages: list[can.Message], tolerance: float) -> None:
+    data = [m for m in messages if not m.is_error_frame and not m.is_remote_frame]
+    assert frames.ident.tolist() == [m.arbitration_id | (EXTENDED if m.is_extended_id else 0) for m in data]
+    assert [bytes(row[:n]) for row, n in zip(frames.data, frames.length, strict=True)] == [bytes(m.data) for m in data]
+    assert not np.where(np.arange(frames.data.shape[1]) < frames.length[:, None], 0, frames.data).any()
+    t = np.array([m.timestamp for m in data])
+    assert np.allclose(np.diff(frames.t), np.diff(t), rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "tolerance", "fd", "others"),
+    [
+        (".blf", 2e-6, True, True),
+        (".log", 2e-6, True, True),
+        (".asc", 2e-6, True, True),
+        (".csv", 1e-9, False, True),
+        (".trc", 1e-3, False, False),  # its writer takes data frames only
+    ],
+)
+def test_what_python_can_writes_is_read_back(suffix: str, tolerance: float, fd: bool, others: bool) -> None:
+    @settings(max_examples=60, deadline=None, derandomize=True)
+    @given(messages=recorded(fd, others))
+    def check(messages: list[can.Message]) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"drive{suffix}"
+            write(path, messages)
+            log, frames = read(path)
+        assert_same(frames, messages, tolerance)
+        assert log.skipped["error frame"] == sum(m.is_error_frame for m in messages)
+        assert log.skipped["remote frame"] == sum(m.is_remote_frame and not m.is_error_frame for m in messages)
+        assert log.progress == 1.0
+
+    check()
+
+
+def test_mf4_is_read_back(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    messages = drive(300)
+    write(tmp_path / "drive.MF4", messages)
+    log, frames = read(tmp_path / "drive.MF4")
+    assert_same(frames, messages, 1e-6)
+    assert log.progress == 1.0
+
+
+def drive(count: int) -> list[can.Message]:
+    return [
+        can.Message(timestamp=1.7e9 + 0.01 * i, arbitration_id=0x18FEF100, data=i.to_bytes(8, "little"))
+        for i in range(count)
+    ]
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".log", ".asc", ".csv", ".trc"])
+def test_gzip_and_upper_case(tmp_path: Path, suffix: str) -> None:
+    messages = drive(100)
+    write(tmp_path / f"drive{suffix}", messages)
+    packed = tmp_path / f"DRIVE{suffix.upper()}.GZ"
+    packed.write_bytes(gzip.compress((tmp_path / f"drive{suffix}").read_bytes()))
+    log, frames = read(packed)
+    assert_same(frames, messages, 1e-3)
+    assert log.progress == 1.0
+    packed.write_bytes(packed.read_bytes()[:-20])
+    with pytest.raises(LogError, match="cannot be read on"):
+        read(packed)
+
+
+def test_a_log_can_be_iterated_twice_and_left_half_way(tmp_path: Path) -> None:
+    write(tmp_path / "drive.csv", [*drive(50), can.Message(timestamp=1.8e9, is_error_frame=True)])
+    log = open_log(tmp_path / "drive.csv")
+    next(iter(log))
+    assert [sum(map(len, log)), sum(map(len, log))] == [50, 50]
+    assert log.skipped == {"error frame": 1}
+
+
+def test_batches_are_bounded_and_in_order(tmp_path: Path) -> None:
+    lines = (f"({i // 1000}.{i % 1000:03d}) can0 123#{i:08X}\n" for i in range(2 * BATCH + 5))
+    (tmp_path / "a.log").write_text("".join(lines))
+    log = open_log(tmp_path / "a.log")
+    progress, sizes = [], []
+    for frames in log:
+        progress.append(log.progress)
+        sizes.append(len(frames))
+    assert sizes == [BATCH, BATCH, 5]
+    assert progress == sorted(progress)
+    assert 0 < progress[0] < 1
+
+
+def test_regroup_yields_what_it_has_before_the_damage() -> None:
+    def parts() -> Iterable[Frames]:
+        yield from (Frames.from_messages(drive(n)) for n in (3, 0, 9, 1))
+        raise LogError("damage")
+
+    batches = regroup(parts(), 4)
+    assert [len(next(batches)) for _ in range(4)] == [4, 4, 4, 1]
+    with pytest.raises(LogError, match="damage"):
+        next(batches)
+
+
+# What is no log
+
+
+def message_of(path: Path) -> str:
+    with pytest.raises(LogError) as caught:
+        for _ in open_log(path):
+            pass
+    text = str(caught.value)
+    assert str(path) in text
+    assert "\n" not in text
+    return text
+
+
+def test_missing_folder_empty_unknown(tmp_path: Path) -> None:
+    assert "no such file" in message_of(tmp_path / "missing.blf")
+    (tmp_path / "folder.log").mkdir()
+    assert "is a folder" in message_of(tmp_path / "folder.log")
+    (tmp_path / "empty.asc").touch()
+    assert "is empty" in message_of(tmp_path / "empty.asc")
+    (tmp_path / "drive.xyz").write_text("x")
+    assert ".blf" in message_of(tmp_path / "drive.xyz")
+
+
+def test_unreadable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text("(0.0) can0 123#\n")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    assert "Permission denied" in message_of(path)
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".log", ".asc", ".csv", ".trc", ".mf4", ".log.gz", ".blf.gz"])
+@pytest.mark.parametrize("junk", ["noise", "prose", "blank", "nul"])
+def test_what_is_no_log(tmp_path: Path, suffix: str, junk: str) -> None:
+    content = {
+        "noise": np.random.default_rng(1).bytes(50_000),
+        "prose": b"Dear diary,\ntoday I drove a truck.\n",
+        "blank": b"\n \n\r\n",
+        "nul": bytes(30_000),
+    }
+    path = tmp_path / f"junk{suffix}"
+    path.write_bytes(content[junk])
+    message_of(path)
+
+
+def test_mf4_without_asammdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.mf4").write_bytes(b"MDF     4.10")
+    monkeypatch.setattr("estimator.can_io.logs.mf4.find_spec", lambda _: None)
+    assert "pip install 'roadload[mf4]'" in message_of(tmp_path / "a.mf4")
+
+
+def test_mf4_cut_short(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    write(tmp_path / "whole.mf4", drive(100))
+    raw = (tmp_path / "whole.mf4").read_bytes()
+    for cut in (9, 100, len(raw) // 2):
+        (tmp_path / "cut.mf4").write_bytes(raw[:cut])
+        message_of(tmp_path / "cut.mf4")
+
+
+# Time
+
+
+def times(*t: float) -> Frames:
+    return Frames.from_messages(can.Message(timestamp=one, arbitration_id=1) for one in t)
+
+
+def test_small_steps_back_are_counted_across_batches() -> None:
+    order = TimeOrder(Path("a.log"))
+    order.check(times(1.0, 2.0, 1.95))
+    order.check(times(1.95, 2.1))
+    assert order.reordered == 2
+
+
+@pytest.mark.parametrize("batches", [[(5.0, 6.0, 5.5)], [(5.0, 6.0), (5.5,)]])
+def test_a_large_step_back_is_refused(batches: list[tuple[float, ...]]) -> None:
+    order = TimeOrder(Path("a.log"))
+    for batch in batches[:-1]:
+        order.check(times(*batch))
+    with pytest.raises(LogError, match=r"a.log: time steps back at frame 3, from 6\.0* s to 5\.50* s"):
+        order.check(times(*batches[-1]))
+
+
+def test_creeping_back_is_refused() -> None:
+    with pytest.raises(LogError, match="steps back"):
+        TimeOrder(Path("a.log")).check(times(*(10 - 0.9 * MAX_STEP_BACK * i for i in range(3))))
+
+
+@pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf")])
+def test_times_must_be_numbers_from_zero_on(bad: float) -> None:
+    with pytest.raises(LogError, match=r"frame 2 has the time"):
+        TimeOrder(Path("a.log")).check(times(0.0, bad))
+
+
+def test_time_order_is_checked_on_reading(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", [can.Message(timestamp=t, arbitration_id=1) for t in (3.0, 2.95, 4.0, 1.0)])
+    assert "frame 4" in message_of(tmp_path / "a.csv")
+
+
+# Text formats
+
+
+def asc(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "drive.asc"
+    path.write_text(text)
+    return path
+
+
+def test_asc_relative_times_are_added_up(tmp_path: Path) -> None:
+    path = asc(
+        tmp_path,
+        "date Mon Jan 1 10:00:00.000 2024\nbase hex  timestamps relative\nno internal events logged\n"
+        "0.000000 Start of measurement\n"
+        "0.100000 1  18FEF100x       Rx   d 2 01 02\n"
+        "0.100000 1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.1%\n"
+        "0.100000 1  123             Rx   d 1 FF\n",
+    )
+    log, frames = read(path)
+    assert np.allclose(frames.t, [0.1, 0.3])
+    assert log.skipped == {"event that is no CAN frame": 1}
+
+
+def test_asc_lines_that_python_can_drops_are_counted(tmp_path: Path) -> None:
+    path = asc(
+        tmp_path,
+        "base hex  timestamps absolute\n"  # and no line about internal events
+        "0.100000 1  18FEF100x       Rx   d 2 01 02\n"
+        "0.200000 J1939TP FEE3p 6 0 0 - Rx d 10 00 01 02 03 04 05 06 07 08 09\n"
+        "0.300000 1  ErrorFrame\n"
+        "0.400000 1  EngineData::EEC1 Rx   d 1 00\n"
+        "// a comment\n",
+    )
+    log, frames = read(path)
+    assert len(frames) == 1
+    assert sum(log.skipped.values()) == 3
+    assert log.skipped["error frame"] == 1
+    assert any("J1939TP" in reason for reason in log.skipped)
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("0.2 1  123  Rx   d 8 01 02 03\n", "expected 8 data bytes, found 3"),
+        ("0.2 1  123  Rx   d 2 01 XX\n", "XX"),
+        ("0.2 1  EngineData  Rx   d 2 01 02\n", "EngineData"),
+        ("0.2 1  FFF  Rx   d 1 01\n", "expected a CAN id"),
+        ("0.2 1  123  Rx   d 2 01 0", "ends inside this line"),
+        ("0.2 1  12", "ends inside this line"),
+        ("-0.2 1  123  Rx   d 1 01\n", "negative"),
+        ("0.2 CANFD 1 Rx 123 1 0 8 64 01\n", "expected 64 data bytes"),
+    ],
+)
+def test_asc_bad_lines_are_named(tmp_path: Path, line: str, reason: str) -> None:
+    head = "base hex  timestamps absolute\n\n0.1 1  18FEF100x  Rx   d 2 01 02\n"
+    text = message_of(asc(tmp_path, head + line))
+    assert f"{tmp_path / 'drive.asc'}:4: " in text
+    assert reason in text
+
+
+def test_csv_of_something_else(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,speed\n1,2\n")
+    assert "expected the header" in message_of(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".csv", ".trc"])
+def test_damaged_text_is_read_or_refused(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"drive{suffix}"
+    write(path, drive(40))
+    raw = path.read_bytes()
+    assert_read_or_refused(path, raw, np.random.default_rng(2), rounds=300)
+
+
+def assert_read_or_refused(path: Path, raw: bytes, rng: np.random.Generator, rounds: int) -> None:
+    for _ in range(rounds):
+        mutant = bytearray(raw)
+        if rng.random() < 0.3:
+            del mutant[rng.integers(len(raw)) :]
+        else:
+            for _ in range(rng.choice([1, 2, 20])):
+                mutant[rng.integers(len(raw))] = rng.integers(256)
+        path.write_bytes(mutant)
+        try:
+            frames = Frames.concatenate(list(open_log(path)))
+        except LogError as error:
+            assert re.match(re.escape(str(path)), str(error))  # noqa: PT017
+            assert "\n" not in str(error)  # noqa: PT017
+        else:
+            assert len(frames)
