@@ -55,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--config", type=Path, metavar="FILE.toml", help="settings and signal binding")
+    common.add_argument("--dbc", action="append", metavar="FILE.dbc", help="instead of the configuration's databases")
     common.add_argument("--json", action="store_true", help="one JSON object on standard output")
     common.add_argument("--debug", action="store_true", help="show a traceback on errors")
 
@@ -94,11 +95,13 @@ def _positive(text: str) -> float:
 
 
 def _settings(options: argparse.Namespace) -> Config:
+    """The configuration file, with what the command line puts in its place."""
     settings = config.load(options.config)
+    if options.dbc:
+        settings = msgspec.structs.replace(settings, bus=msgspec.structs.replace(settings.bus, dbc=options.dbc))
     if getattr(options, "seed", None) is not None:
-        settings = msgspec.structs.replace(
-            settings, sampler=msgspec.structs.replace(settings.sampler, seed=options.seed)
-        )
+        sampler = msgspec.structs.replace(settings.sampler, seed=options.seed)
+        settings = msgspec.structs.replace(settings, sampler=sampler)
     return settings
 
 

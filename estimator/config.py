@@ -45,7 +45,7 @@ class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Base of all tables: immutable, and strict about its keys."""
 
 
-class Vehicle(Section):
+class Vehicle(Section, frozen=True):
     """What is known of the vehicle beforehand."""
 
     driveline_efficiency: Annotated[float, Meta(gt=0, le=1)] = 1.0  # wheel power over crank power
@@ -53,7 +53,7 @@ class Vehicle(Section):
     subtract_parasitic_losses: bool = False  # some ECUs already count them as friction
 
 
-class Bus(Section):
+class Bus(Section, frozen=True):
     """How traffic is decoded: databases, and which source address may speak for a message."""
 
     dbc: list[str] = []  # paths relative to the configuration file; empty: the shipped j1939.dbc
@@ -61,14 +61,14 @@ class Bus(Section):
     source_addresses: dict[str, Address] = {}  # MESSAGE = address; others lock on the first valid sender
 
 
-class Kinematics(Section):
+class Kinematics(Section, frozen=True):
     """How speed becomes acceleration."""
 
     acceleration: Literal["wheel_speed", "inertial"] = "wheel_speed"  # inertial: senses gravity, so grade too
     maximum_lag_s: Annotated[float, Meta(ge=0, le=2)] = 0.6  # of torque against speed, searched on either side
 
 
-class Admission(Section):
+class Admission(Section, frozen=True):
     """Which samples may enter the window."""
 
     minimum_speed_m_s: NotNegative = 1.0
@@ -76,14 +76,14 @@ class Admission(Section):
     power_sigmas: NotNegative = 3.0  # model power must exceed this many sd of the residual
 
 
-class Window(Section):
+class Window(Section, frozen=True):
     """What is remembered."""
 
     samples: Annotated[int, Meta(ge=600, le=1_000_000)] = 36_000  # at 10 Hz: an hour of admitted driving
     hours: Positive = 24.0
 
 
-class Gate(Section):
+class Gate(Section, frozen=True):
     """When an estimate may be made."""
 
     interval_s: Annotated[float, Meta(ge=5)] = 60.0  # between updates, message time
@@ -97,7 +97,7 @@ class Gate(Section):
     relative_sd: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.1)  # largest predicted, of A, C, m
 
 
-class Prior(Section):
+class Prior(Section, frozen=True):
     """Box priors: the posterior lives inside."""
 
     mass_kg: Range = (500.0, 100_000.0)
@@ -105,7 +105,7 @@ class Prior(Section):
     C_N_s2_m2: Range = (0.0, 20.0)
 
 
-class Sampler(Section):
+class Sampler(Section, frozen=True):
     """Metropolis-Hastings."""
 
     likelihood: Literal["instruments", "paper"] = "instruments"
@@ -116,7 +116,7 @@ class Sampler(Section):
     seed: int = 1
 
 
-class Publish(Section):
+class Publish(Section, frozen=True):
     """What is broadcast."""
 
     source_address: Address = 0xFB
@@ -127,7 +127,7 @@ class Publish(Section):
     cvw: bool = False  # combination vehicle weight, PGN 65136
 
 
-class Config(Section):
+class Config(Section, frozen=True):
     """The whole file."""
 
     vehicle: Vehicle = Vehicle()

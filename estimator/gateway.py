@@ -1,10 +1,9 @@
 """The loop on a bus: messages in, broadcasts out, in message time. Live traffic and replay share it."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 
 import can
-import msgspec
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.publisher import Publisher
@@ -13,6 +12,7 @@ from estimator.estimate import Estimate
 from estimator.pipeline import Pipeline
 
 TICK = 1.0  # s of traffic taken at a time; broadcasts fall due on this rhythm
+LONGEST_LIST = 10_000  # updates remembered: a week of them
 
 
 class Gateway(can.Listener):
@@ -28,10 +28,17 @@ class Gateway(can.Listener):
 
     def __init__(self, config: Config, send: Callable[[can.Message], None]) -> None:
         self.pipeline = Pipeline(config)
-        self.updates: list[Estimate] = []
+        self.updates: deque[Estimate] = deque(maxlen=LONGEST_LIST)
         self.skipped: Counter[str] = Counter()
         self.sent: Counter[int] = Counter()  # messages broadcast, by arbitration id
-        self._publisher = Publisher(**_publisher_settings(config))
+        self._publisher = Publisher(
+            source_address=config.publish.source_address,
+            priority=config.publish.priority,
+            status_period=config.publish.status_period_s,
+            value_period=config.publish.value_period_s,
+            stale_after=config.publish.stale_after_s,
+            cvw=config.publish.cvw,
+        )
         self._send = send
         self._waiting: list[can.Message] = []
         self._due: float | None = None
@@ -69,9 +76,3 @@ class Gateway(can.Listener):
         for message in self._publisher.poll(t, self.pipeline.estimator.latest):
             self._send(message)
             self.sent[message.arbitration_id] += 1
-
-
-def _publisher_settings(config: Config) -> dict[str, float]:
-    settings = msgspec.structs.asdict(config.publish)
-    # The configuration names units in its keys; the publisher in its docstring.
-    return {key.removesuffix("_s"): value for key, value in settings.items()}

@@ -11,9 +11,9 @@ from estimator.can_io.binding import bind, load_database
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import EXTENDED
 from estimator.config import Config
-from estimator.replay import Progress, estimate, read
 from estimator.errors import MissingInputsError
-from estimator.signals import Floats, Role
+from estimator.replay import Progress, estimate, read
+from estimator.signals import Floats
 
 GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
 SHORTEST_GAP = 1.0  # s
@@ -36,7 +36,9 @@ class Input:
         known = value[np.isfinite(value)]
         edges = np.append(t, end)
         long = np.diff(edges) > max(GAP_PERIODS * period, SHORTEST_GAP)
-        gaps = [[round(float(edges[i] - start), 3), round(float(edges[i + 1] - start), 3)] for i in np.flatnonzero(long)]
+        gaps = [
+            [round(float(edges[i] - start), 3), round(float(edges[i + 1] - start), 3)] for i in np.flatnonzero(long)
+        ]
         return {
             "signal": self.name,
             "readings": len(t),

@@ -4,7 +4,7 @@ Frames are cut into blocks at fixed message times, so how they arrived - one by 
 nothing that follows.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,11 +17,13 @@ from estimator.errors import MissingInputsError
 from estimator.estimate import Estimate
 from estimator.estimation.alignment import Aligner
 from estimator.estimation.estimator import Estimator
-from estimator.signals import Floats, Role
+from estimator.samples import STEP, Rows
+from estimator.signals import Role
 
 BLOCK = 5.0  # s of traffic decoded at a time
 LONGEST_SILENCE = 30.0  # s without a frame after which the signals before and after are not joined
 NEW_DRIVE = 900.0  # s without a frame after which the load may be another one: a new window
+LONGEST_LIST = 1000  # gaps remembered
 BACKWARD = 0.1  # s a timestamp may step back, as gateways with several channels do
 
 
@@ -38,7 +40,7 @@ class Pipeline:
         self.frames = 0
         self.valid_rows = 0  # with both speed and power
         self.seen: Counter[Role] = Counter()  # readings a role has given
-        self.interruptions: list[tuple[float, float]] = []  # silence or a step in time, from and to [s]
+        self.gaps: deque[tuple[float, float]] = deque(maxlen=LONGEST_LIST)  # without speed or power, from and to [s]
         self._waiting: list[Frames] = []
         self._last: float | None = None
         self._block_end = 0.0
@@ -78,7 +80,7 @@ class Pipeline:
             return
         yield from self._flush(self._last)
         for rows in self._aligner.finish(self._last):
-            self._count(rows.speed, rows.power)
+            self._watch(rows)
             yield from self.estimator.feed(rows)
         yield from self.estimator.finish()
         self._last = None
@@ -137,17 +139,24 @@ class Pipeline:
         for role, parts in readings.items():
             self.seen[role] += sum(len(part.t) for part in parts)
         for rows in self._aligner.feed(readings, now):
-            self._count(rows.speed, rows.power)
+            self._watch(rows)
             yield from self.estimator.feed(rows)
 
-    def _count(self, speed: Floats, power: Floats) -> None:
-        self.valid_rows += int((np.isfinite(speed) & np.isfinite(power)).sum())
+    def _watch(self, rows: Rows) -> None:
+        """Count rows that could be used, and note for how long they could not."""
+        self.valid_rows += int((np.isfinite(rows.speed) & np.isfinite(rows.power)).sum())
+        stale = np.concatenate([[False], ~rows.fresh.all(axis=1), [False]])
+        edges = np.flatnonzero(np.diff(stale)).reshape(-1, 2)
+        for start, end in ((rows.index[0] + edges) * STEP).tolist():
+            if self.gaps and start - self.gaps[-1][1] < STEP:
+                start = self.gaps.pop()[0]
+            self.gaps.append((start, end))
 
     def _interrupt(self, t: float) -> Iterator[Estimate]:
         """Signals before and after a silence or a step in time are not joined; a long one starts a new window."""
         last = self._last
         assert last is not None
-        self.interruptions.append((last, t))
         yield from self.finish()
+        self.gaps.append((last, t))
         if not 0 <= t - last <= NEW_DRIVE:
             self.estimator.forget()

@@ -91,8 +91,8 @@ def replay(
     """
     skipped, heard = Counter[str](), list[can.Message]()
     start = None
-    settings = {"interface": "virtual", "channel": object(), "preserve_timestamps": True, "ignore_config": True}
-    with can.Bus(**settings) as vehicle, can.Bus(**settings) as node:
+    channel = f"replay {id(heard)}"  # nobody else's in this process
+    with _virtual_bus(channel) as vehicle, _virtual_bus(channel) as node:
         gateway = Gateway(config, node.send)
         sent = received = 0
         for frames in read(paths, progress, skipped):
@@ -111,7 +111,7 @@ def replay(
     gateway.pipeline.require_inputs(_names(paths))
     if output is not None:
         write_log(Frames.from_messages(heard), output)
-    return Run(gateway.pipeline, gateway.updates, skipped + gateway.skipped, start or 0.0, heard)
+    return Run(gateway.pipeline, list(gateway.updates), skipped + gateway.skipped, start or 0.0, heard)
 
 
 def paced(messages: Iterable[can.Message], speed: float | None) -> Iterator[can.Message]:
@@ -126,6 +126,10 @@ def paced(messages: Iterable[can.Message], speed: float | None) -> Iterator[can.
         if wait > 0:
             time.sleep(wait)
         yield message
+
+
+def _virtual_bus(channel: str) -> can.BusABC:
+    return can.Bus(interface="virtual", channel=channel, preserve_timestamps=True, ignore_config=True)
 
 
 def _drain(bus: can.BusABC, take: Callable[[can.Message], object]) -> int:

@@ -8,6 +8,7 @@ from rich.table import Table
 from estimator.estimate import Marginal, Status
 from estimator.replay import Run
 
+SHORTEST_GAP = 1.0  # s, worth a line of its own
 ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C", "N s²/m²", "{:.3f}"))
 
 
@@ -16,28 +17,35 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     final, pipeline = run.final, run.pipeline
     style = {Status.ESTIMATED: "green", Status.UNESTIMATED: "yellow", Status.INVALID: "red"}[final.status]
     reason = f": {final.reason}" if final.reason else ""
-    console.print(f"[bold {style}]{final.status.value}[/]{reason}", highlight=False)
+    console.print(f"[bold {style}]{final.status.value}[/]{reason}", highlight=False, soft_wrap=True)
     if final.mass is not None:
         console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
     c, k = final.coverage, final.convergence
-    console.print(f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)", highlight=False)
+    console.print(
+        f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)",
+        highlight=False,
+        soft_wrap=True,
+    )
     if k is not None and final.rms is not None:
         console.print(
             f"sampler   R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted; "
             f"residual {final.rms / 1e3:.1f} kW rms",
             highlight=False,
+            soft_wrap=True,
         )
     rejected = ", ".join(f"{reason} {count:,}" for reason, count in pipeline.estimator.rejected.most_common())
-    console.print(f"samples   {final.admitted:,} used; not used: {rejected or 'none'}", highlight=False)
+    console.print(f"samples   {final.admitted:,} used; not used: {rejected or 'none'}", highlight=False, soft_wrap=True)
     refused = sum((run.skipped + pipeline.errors).values())
     console.print(
         f"frames    {pipeline.frames:,} read, {pipeline.used:,} used, {refused:,} frames or values refused",
         highlight=False,
     )
-    for start, end in pipeline.interruptions:
-        console.print(f"gap       no frames from {start - run.start:.1f} s to {end - run.start:.1f} s", highlight=False)
+    for start, end in pipeline.gaps:
+        if end - start >= SHORTEST_GAP:
+            times = f"{start - run.start:.1f} s to {end - run.start:.1f} s"
+            console.print(f"gap       no speed or no power from {times}: not bridged", highlight=False, soft_wrap=True)
     if run.broadcast:
-        console.print(f"broadcast {len(run.broadcast):,} frames", highlight=False)
+        console.print(f"broadcast {len(run.broadcast):,} frames", highlight=False, soft_wrap=True)
 
 
 def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, float] | None) -> Table:
@@ -72,8 +80,10 @@ def print_inspection(console: Console, content: dict[str, Any]) -> None:
     console.print(table)
     if content["missing"]:
         missing = ", ".join(f"{role} ({signal})" for role, signal in content["missing"].items())
-        console.print(f"not there: {missing}", highlight=False)
+        console.print(f"not there: {missing}", highlight=False, soft_wrap=True)
     for reason, count in sorted(frames["errors"].items()):
-        console.print(f"refused: {reason} {count:,}", highlight=False)
+        console.print(f"refused: {reason} {count:,}", highlight=False, soft_wrap=True)
     reason = f": {content['reason']}" if content["reason"] else ""
-    console.print(f"{content['status']}{reason}; coverage {100 * content['coverage']:.0f} %", highlight=False)
+    console.print(
+        f"{content['status']}{reason}; coverage {100 * content['coverage']:.0f} %", highlight=False, soft_wrap=True
+    )

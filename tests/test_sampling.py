@@ -9,7 +9,6 @@ from estimator.sampling import convergence
 from estimator.sampling.likelihood import ClippedGaussianTarget, StudentTarget
 from estimator.sampling.metropolis import KERNELS
 
-
 CENTRE = np.array([1800.0, 3.7, 27_000.0])
 SD = np.array([60.0, 0.1, 90.0])
 CORRELATION = np.array([[1, -0.9, -0.2], [-0.9, 1, 0.1], [-0.2, 0.1, 1]])

@@ -72,7 +72,7 @@ def load_database(paths: list[str]) -> Database:
 def _parse(path: str, text: str) -> Database:
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=False)
-    except (cantools.database.Error, ValueError, KeyError, IndexError, AttributeError) as error:
+    except (cantools.Error, ValueError, KeyError, IndexError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise DatabaseError(f"{path}: not a DBC that can be read: {reason}") from error
     if not isinstance(database, Database) or not database.messages:
@@ -99,9 +99,7 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     for name in config.bus.source_addresses:
         if name not in wanted:
             raise ConfigError(f"bus.source_addresses.{name}: no signal is bound to that message")
-    return [
-        _bound(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()
-    ]
+    return [_bound(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()]
 
 
 def _find(database: Database, message_name: str, signal_name: str, place: str) -> Signal:

@@ -7,6 +7,8 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.signals import Floats
+
 EXTENDED = 1 << 31  # set in `ident` for a 29-bit id, as SocketCAN does (CAN_EFF_FLAG)
 CLASSIC_BYTES = 8  # payload of a classic CAN frame
 FD_BYTES = 64  # payload of the longest CAN FD frame
@@ -20,7 +22,7 @@ class Frames:
     ``data`` (n, 8) uint8, or (n, 64) when a CAN FD frame is among them, zero beyond ``length``.
     """
 
-    t: NDArray[np.float64]
+    t: Floats
     ident: NDArray[np.uint32]
     length: NDArray[np.uint8]
     data: NDArray[np.uint8]

@@ -24,6 +24,7 @@ class Reason(StrEnum):
     POWER_STALE = "power stale"
     POWER_NOT_AVAILABLE = "power not available"
     NEAR_EXCLUDED = "near an excluded moment"
+    INCOMPLETE = "surroundings incomplete"
     BELOW_MODEL_POWER = "below model power"
     EVICTED = "evicted from the window"
 
@@ -73,7 +74,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
 def admit(samples: Samples, codes: NDArray[np.int8], rejected: Counter[str]) -> Samples:
     """Samples whose rows have no reason against them and whose surroundings are complete; counts the others."""
     complete = np.all([np.isfinite(getattr(samples, f)) for f in samples.__slots__], axis=0)
-    codes = np.where((codes == ADMITTED) & ~complete, _ORDER.index(Reason.NEAR_EXCLUDED), codes)
+    codes = np.where((codes == ADMITTED) & ~complete, _ORDER.index(Reason.INCOMPLETE), codes)
     values, counts = np.unique(codes, return_counts=True)
     for code, count in zip(values.tolist(), counts.tolist(), strict=True):
         if code != ADMITTED:

@@ -179,7 +179,7 @@ class Aligner:
         speed, speed_there = self._speed(edges)
         power, power_there = cell_means(self._power.t, self._power.value, edges, self._power.limit)
         at = index * STEP
-        context = {}
+        context: dict[Role, Floats] = {}
         for (role, i), track in self._tracks.items():
             if i == 0 and role not in (Role.SPEED, Role.WHEEL_SPEEDS, Role.ENGINE_POWER, *TORQUE_ROLES):
                 if role == Role.LONGITUDINAL_ACCELERATION:

@@ -18,6 +18,7 @@ from estimator.samples import STEP, Rows, Samples
 
 BLOCK = 200  # rows turned into samples at a time: 20 s
 CALIBRATION = 1800  # moving rows after which the smoother and the lag are settled: 3 min
+NOTHING_COVERED = Coverage(0, 0)
 
 
 class Estimator:
@@ -75,7 +76,7 @@ class Estimator:
         # The rows at the very ends have no complete surroundings.
         left = len(self._pending)
         end = float(self._pending.t[-1])
-        self._rejected[Reason.NEAR_EXCLUDED] += left
+        self._rejected[Reason.INCOMPLETE] += left
         self._pending = None
         yield self._conclude(end)
 
@@ -127,12 +128,13 @@ class Estimator:
         held = int(fit.kept.sum()) if fit else len(samples)
         self._below = len(samples) - held
 
-        def unestimated(reason: str, coverage: Coverage = Coverage(0, 0)) -> Estimate:
+        def unestimated(reason: str, coverage: Coverage = NOTHING_COVERED) -> Estimate:
             return Estimate(t, Status.UNESTIMATED, reason, coverage, held)
 
-        reason = self._gate.is_calculable(fit, posterior.box(self._config.prior))
+        reason = self._gate.is_calculable(fit, held, posterior.box(self._config.prior))
         if fit is None or reason:
-            return unestimated(reason)
+            common = self.rejected.most_common(1)
+            return unestimated(reason + (f"; most others: {common[0][0]}" if common else ""))
         coverage = self._gate.coverage(self.window.counts, np.maximum(fit.theta[:3], 0.0), samples.P)
         if reason := self._gate.is_covered(fit, coverage):
             return unestimated(reason, coverage)

@@ -1,4 +1,4 @@
-"""The coverage gate: has the drive shown enough for an estimate, and is a new one worth making?
+"""The coverage gate: has the drive shown enough for an estimate, and is a new one worth making.
 
 Three questions, three methods. `is_calculable`: do the moments determine the parameters at all; `is_covered`: have
 enough of the reachable speed-acceleration cells been seen, and is the predicted standard deviation small enough;
@@ -41,12 +41,12 @@ class Gate:
         reachable &= self._acceleration <= self._acceleration[seen].max()
         return Coverage(int((occupied & reachable).sum()), int(reachable.sum()))
 
-    def is_calculable(self, fit: Fit | None, box: tuple[Floats, Floats]) -> str:
-        """Empty when the parameters can be computed, else the reason why not."""
+    def is_calculable(self, fit: Fit | None, usable: int, box: tuple[Floats, Floats]) -> str:
+        """Empty when the parameters can be computed from ``usable`` samples, else the reason why not."""
+        if usable < self._config.minimum_samples:
+            return f"{usable} usable samples of the {self._config.minimum_samples} needed"
         if fit is None:
             return "speed and acceleration varied too little to tell A, C and m apart"
-        if fit.kept.sum() < self._config.minimum_samples:
-            return f"{int(fit.kept.sum())} usable samples of the {self._config.minimum_samples} needed"
         lower, upper = box
         for name, value, sd, low, high in zip(NAMES, fit.theta, fit.sd, lower, upper, strict=False):
             if value + 5 * sd < low or value - 5 * sd > high:
@@ -60,7 +60,9 @@ class Gate:
             return f"coverage {share} ({coverage.occupied} of {coverage.available})"
         for name, value, sd, limit in zip(NAMES, fit.theta, fit.sd, self._config.relative_sd, strict=False):
             if not sd < limit * abs(value):
-                return f"predicted sd of {name} is {100 * sd / abs(value):.0f} % of its value, above {100 * limit:.0f} %"
+                return (
+                    f"predicted sd of {name} is {100 * sd / abs(value):.0f} % of its value, above {100 * limit:.0f} %"
+                )
         return ""
 
     def has_news(self, added: int, at_last_estimate: int, held: int) -> bool:

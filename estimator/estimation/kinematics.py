@@ -135,7 +135,7 @@ def fit_ratio(speed: Floats, dt: float) -> float:
         for piece in pieces:
             e = lfilter(top, bottom, piece - piece[0])[2:]
             squares, count = squares + float(e @ e), count + len(e)
-        return count * float(np.log(squares / count))
+        return count * float(np.log(max(squares / count, np.finfo(float).tiny)))
 
     low, high = np.log(RATIO_BOUNDS)
     return float(np.exp(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 0.05}).x))
@@ -210,7 +210,8 @@ def slow_kernel(dt: float) -> Floats:
     """Raised-cosine low-pass as wide as the ring, for gravity along the grade."""
     half = round(REACH / dt)
     weights = 1 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))
-    return weights / weights.sum()
+    kernel: Floats = weights / weights.sum()
+    return kernel
 
 
 def _shift(signal: Floats, steps: int) -> Floats:

@@ -27,7 +27,10 @@ class Grid:
         """Cell number (n,) of each speed [m/s] and acceleration [m/s^2]."""
         row = np.clip(np.floor(v / self.speed_step), 0, SPEED_CELLS - 1)
         column = np.floor((a - LOWEST_ACCELERATION) / self.acceleration_step)
-        return (row * ACCELERATION_CELLS + np.clip(column, 0, ACCELERATION_CELLS - 1)).astype(np.int64)
+        cell: NDArray[np.int64] = (row * ACCELERATION_CELLS + np.clip(column, 0, ACCELERATION_CELLS - 1)).astype(
+            np.int64
+        )
+        return cell
 
     def centres(self) -> tuple[Floats, Floats]:
         """Speed [m/s] and acceleration [m/s^2] in the middle of every cell (size,)."""

@@ -63,7 +63,7 @@ def _effective(chains: Floats) -> float:
     stop = min(int(negative[0]) if len(negative) else n, (n - 3) // 2)
     monotone = np.minimum.accumulate(pairs[:stop])
     tau = -1 + 2 * float(monotone.sum()) + max(float(rho[2 * stop]), 0.0)
-    return m * n / max(tau, 1 / np.log10(m * n))
+    return float(m * n / max(tau, 1 / np.log10(m * n)))
 
 
 def ess_bulk(draws: Floats) -> float:

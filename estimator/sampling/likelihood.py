@@ -27,7 +27,8 @@ class Target(Protocol):
 
 def in_box(theta: Floats, lower: Floats, upper: Floats) -> Mask:
     """Which rows of ``theta`` (k, p) lie inside the box prior."""
-    return np.all((theta >= lower) & (theta <= upper), axis=1)
+    inside: Mask = np.all((theta >= lower) & (theta <= upper), axis=1)
+    return inside
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ class ClippedGaussianTarget:
     def chi2(self, theta: Floats) -> Floats:
         """Sum of squared residuals (k,) [W^2] for ``theta`` (k, p)."""
         residual = self.P[:, None] - np.maximum(self.X @ theta.T, 0.0)
-        return np.einsum("ij,ij->j", residual, residual)
+        total: Floats = np.einsum("ij,ij->j", residual, residual)
+        return total
 
     def log_density(self, theta: Floats) -> Floats:
         """See `Target.log_density`."""

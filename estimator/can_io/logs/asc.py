@@ -15,6 +15,7 @@ from estimator.can_io.logs.text import CUT, TextLog
 EVENT = re.compile(r"\s*(?P<time>-?\d+\.\d+)\s+(?P<rest>(?P<word>\S+).*)", re.DOTALL)
 RELATIVE = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
 HEADER_END = "no internal events logged\n"  # where python-can takes the header to end
+NO_EVENT = re.compile(r"\s*(//|date |base |(no )?internal events|begin |end |previous log file)", re.IGNORECASE)
 FRAME = re.compile(r"\s[TR]x\s+[dr]\b")
 
 
@@ -44,7 +45,9 @@ class AscLog(TextLog):
     def _unread(self, line: str) -> None:
         event = EVENT.match(line)
         if event is None:
-            return  # header, comment or trigger block
+            if NO_EVENT.match(line) is None:
+                self.skipped["line that is no event"] += 1
+            return
         if not line.endswith("\n"):
             raise ValueError(CUT)
         if event["word"].upper() == "J1939TP":

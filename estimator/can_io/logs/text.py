@@ -27,8 +27,10 @@ class TextLog(MessageLog):
                     self.progress = source.consumed
                     yield frames
             except READER_ERRORS as error:
-                reason = " ".join(str(error).split()) or "a line that python-can cannot read"
-                raise LogError(f"{self.path}:{tap.number}: {reason}; correct or delete the line") from error
+                reason = " ".join(str(error).split()) or type(error).__name__
+                raise LogError(
+                    f"{self.path}:{tap.number}: this line cannot be read ({reason}); correct or delete it"
+                ) from error
 
     def _messages(self, tap: Tap) -> Iterator[can.Message]:
         for message in self._reader(tap):

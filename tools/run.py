@@ -1,0 +1,65 @@
+#!/usr/bin/env python3
+"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|test``.
+
+Needs Python >= 3.11 and nothing else. The virtual environment `.venv` is made once and renewed when the pinned
+dependencies change.
+"""
+
+import hashlib
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+ENVIRONMENT = ROOT / ".venv"
+BIN = ENVIRONMENT / ("Scripts" if os.name == "nt" else "bin")
+TASKS = {
+    "demo": ("", [["python", "tools/demo.py"]]),
+    "test": (
+        "[dev]",
+        [
+            ["ruff", "check", "."],
+            ["ruff", "format", "--check", "."],
+            ["mypy"],
+            ["lint-imports"],
+            ["pytest"],
+        ],
+    ),
+}
+
+
+def install(extras: str) -> None:
+    """Install the project with ``extras`` and the pinned versions, unless that has been done."""
+    pins = (ROOT / "pyproject.toml").read_bytes() + (ROOT / "constraints.txt").read_bytes()
+    stamp, state = ENVIRONMENT / f"installed{extras}", hashlib.sha256(pins).hexdigest()
+    if stamp.exists() and stamp.read_text() == state:
+        return
+    print(f"setting up {ENVIRONMENT.relative_to(ROOT)} ...", flush=True)
+    if not (BIN / "python").exists():
+        venv.create(ENVIRONMENT, with_pip=True)
+    pip = [str(BIN / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "--constraint", "constraints.txt", "--editable", f".{extras}"], cwd=ROOT, check=True)
+    stamp.write_text(state)
+
+
+def main() -> int:
+    """Run the task named on the command line; stops at the first step that fails."""
+    if len(sys.argv) < 2 or sys.argv[1] not in TASKS:
+        print(f"usage: python3 tools/run.py {'|'.join(TASKS)} [OPTION...]", file=sys.stderr)
+        return 2
+    extras, steps = TASKS[sys.argv[1]]
+    try:
+        install(extras)
+        for program, *arguments in steps:
+            print(f"> {program} {' '.join(arguments)}", flush=True)
+            last = program == steps[-1][0]
+            subprocess.run([str(BIN / program), *arguments, *(sys.argv[2:] if last else [])], cwd=ROOT, check=True)
+    except subprocess.CalledProcessError as error:
+        return error.returncode
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
