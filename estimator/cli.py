@@ -98,10 +98,9 @@ def _settings(options: argparse.Namespace) -> Config:
     """The configuration file, with what the command line puts in its place."""
     settings = config.load(options.config)
     if options.dbc:
-        settings = msgspec.structs.replace(settings, bus=msgspec.structs.replace(settings.bus, dbc=options.dbc))
+        settings = config.replace(settings, bus=msgspec.structs.replace(settings.bus, dbc=options.dbc))
     if getattr(options, "seed", None) is not None:
-        sampler = msgspec.structs.replace(settings.sampler, seed=options.seed)
-        settings = msgspec.structs.replace(settings, sampler=sampler)
+        settings = config.replace(settings, sampler=msgspec.structs.replace(settings.sampler, seed=options.seed))
     return settings
 
 

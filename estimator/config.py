@@ -205,3 +205,8 @@ def load(path: Path | None) -> Config:
         raise ConfigError(f"{path}: {error}") from error
     databases = [str(path.parent / name) for name in config.bus.dbc]
     return msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, dbc=databases))
+
+
+def replace(config: Config, **sections: Section) -> Config:
+    """A copy of ``config`` with whole tables exchanged."""
+    return msgspec.structs.replace(config, **sections)

@@ -11,7 +11,7 @@ from estimator.config import Config
 from estimator.estimate import Estimate
 from estimator.pipeline import Pipeline
 
-TICK = 1.0  # s of traffic taken at a time; broadcasts fall due on this rhythm
+TICK = 0.25  # s of traffic taken at a time; well below the shortest period of what is broadcast
 LONGEST_LIST = 10_000  # updates remembered: a week of them
 
 

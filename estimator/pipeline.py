@@ -68,11 +68,11 @@ class Pipeline:
         before = np.concatenate([[frames.t[0] if self._last is None else self._last], frames.t[:-1]])
         step = frames.t - before
         cuts = np.flatnonzero((step > LONGEST_SILENCE) | (step < -BACKWARD)).tolist()
-        for start, stop in zip([0, *cuts], [*cuts, len(frames)], strict=True):
+        starts = sorted({0, *cuts})
+        for start, stop in zip(starts, [*starts[1:], len(frames)], strict=True):
             if start in cuts:
                 yield from self._interrupt(float(frames.t[start]))
-            if start < stop:
-                yield from self._continue(frames[start:stop])
+            yield from self._continue(frames[start:stop])
 
     def finish(self) -> Iterator[Estimate]:
         """Use up what is still waiting, at the end of the traffic."""

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -49,7 +50,7 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
 
 
 def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, float] | None) -> Table:
-    table = Table("parameter", "mean", "90 % interval", "sd", *(["truth"] if truth else []))
+    table = Table("", "mean", "90 % interval", "sd", *(["truth"] if truth else []), box=box.SIMPLE_HEAD, pad_edge=False)
     for key, name, unit, form in ROWS:
         x = marginals[key]
         if x is None:
@@ -68,7 +69,9 @@ def print_inspection(console: Console, content: dict[str, Any]) -> None:
         f"{frames['used']:,} used",
         highlight=False,
     )
-    table = Table("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps"):
+        table.add_column(heading, overflow="fold")
     for role, x in content["inputs"].items():
         source = content["sources"].get(x["signal"])
         rate = "" if x["rate_Hz"] is None else f"{x['rate_Hz']:.1f} Hz"

@@ -110,15 +110,16 @@ class Publisher:
         """Frames that are due at message time ``t`` [s], in order of time and stamped with the time they were due.
 
         Call it at least once per ``status_period``: after a longer gap each frame is sent once. The first call, a
-        change of status and a clock set back send everything at once and start the periods anew. A step back within
+        new conclusion, a change of status and a clock set back send everything at once and start the periods anew. A step back within
         one status period sends nothing twice.
         """
+        renewed = estimate is not None and estimate.t != self._estimate_t
         stepped_back = self._advance(t, estimate)
         age = nan if estimate is None else self._now + self._lost - estimate.t
         if age < -self._slack:  # from a time to come, e.g. restored from before the clock was set: age unknown
             age = nan
         status = self._status_of(estimate, age)
-        if stepped_back or status != self._status:
+        if stepped_back or renewed or status != self._status:
             self._status = status
             for schedule, _ in self._groups:
                 schedule.restart(self._now)

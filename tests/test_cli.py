@@ -1,0 +1,195 @@
+"""The command as a user meets it: exit status, one line of error, JSON and nothing else."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.recorder import frames_of, write_log
+from estimator.cli import main
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+
+Outcome = tuple[int, str, str]
+Cli = Callable[..., Outcome]
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    def call(*arguments: object) -> Outcome:
+        status = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes of driving: too little for an estimate, enough for everything else."""
+    rng = np.random.default_rng(2)
+    truck = Truck(mass=20_000.0, A=1200.0, C=3.5)
+    path = tmp_path_factory.mktemp("cli") / "drive.blf"
+    write_log(frames_of(record(truck, generate_route("urban", 5e3, rng), 120.0, rng).signals), path)
+    return path
+
+
+def fails(outcome: Outcome, *fragments: str) -> None:
+    status, out, err = outcome
+    assert status == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    for fragment in fragments:
+        assert fragment in err
+
+
+JSON_KEYS = {
+    "status",
+    "reason",
+    "parameters",
+    "convergence",
+    "coverage",
+    "rms_kW",
+    "samples",
+    "frames",
+    "effects",
+    "updates",
+}
+
+
+@pytest.mark.parametrize("command", ["replay", "estimate"])
+def test_json_is_one_object_with_the_agreed_keys(cli: Cli, log: Path, command: str) -> None:
+    status, out, err = cli(command, log, "--json")
+    assert (status, err) == (0, "")
+    content = json.loads(out)
+    assert set(content) == JSON_KEYS
+    assert content["status"] == "unestimated"
+    assert "needed" in content["reason"]
+    assert set(content["parameters"]) == {"mass_kg", "A_N", "C_N_s2_m2"}
+    assert set(content["coverage"]) == {"fraction", "occupied", "available"}
+    assert content["frames"]["read"] > 15_000
+    assert set(content["samples"]) == {"admitted", "rejected"}
+    assert set(content["updates"][-1]) == {"t_s", "status", "parameters"}
+
+
+def test_simulate_then_estimate(cli: Cli, tmp_path: Path) -> None:
+    path = tmp_path / "truck.asc"
+    status, out, _ = cli("simulate", path, "--minutes", 25, "--seed", 5, "--mass", 30_000, "--json")
+    truth = json.loads(out)["truth"]
+    assert status == 0
+    assert truth["mass_kg"] == 30_000
+    status, out, _ = cli("estimate", path, "--json")
+    content = json.loads(out)
+    assert content["status"] == "estimated"
+    assert content["parameters"]["mass_kg"]["mean"] == pytest.approx(30_000, rel=0.03)
+    assert set(content["parameters"]["A_N"]) == {"mean", "sd", "q05", "q50", "q95"}
+    assert set(content["convergence"]) == {"r_hat", "ess_bulk", "acceptance", "draws", "chains"}
+
+
+def test_tables_for_people(cli: Cli, log: Path) -> None:
+    status, out, _ = cli("estimate", log)
+    assert status == 0
+    assert "unestimated" in out
+    status, out, _ = cli("inspect", log)
+    assert status == 0
+    assert "EEC1.EngSpeed" in out
+    assert "0x00" in out
+
+
+def test_inspect_json(cli: Cli, log: Path) -> None:
+    _, out, _ = cli("inspect", log, "--json")
+    content = json.loads(out)
+    assert content["inputs"]["speed"]["rate_Hz"] == pytest.approx(10, rel=0.05)
+    assert content["inputs"]["engine_speed"]["rate_Hz"] == pytest.approx(50, rel=0.05)
+    assert content["sources"]["EEC1.EngSpeed"] == 0
+    assert content["status"] == "unestimated"
+
+
+def test_pace(cli: Cli, tmp_path: Path, log: Path) -> None:
+    with can.LogReader(log) as reader, can.Logger(tmp_path / "short.blf") as writer:
+        for message, _ in zip(reader, range(1300), strict=False):
+            writer(message)
+    status, out, _ = cli("replay", tmp_path / "short.blf", "--speed", 50, "--json")
+    assert status == 0
+    assert json.loads(out)["frames"]["read"] == 1300
+
+
+# Bad input: one line, status 2, nothing left behind.
+
+
+def test_log_missing(cli: Cli, tmp_path: Path) -> None:
+    fails(cli("estimate", tmp_path / "no.blf"), "no.blf")
+
+
+def test_log_empty(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "empty.blf").touch()
+    fails(cli("replay", tmp_path / "empty.blf"), "empty.blf")
+
+
+def test_log_truncated_leaves_no_output(cli: Cli, tmp_path: Path, log: Path) -> None:
+    content = log.read_bytes()
+    (tmp_path / "cut.blf").write_bytes(content[: len(content) * 2 // 3])
+    output = tmp_path / "out.blf"
+    fails(cli("replay", tmp_path / "cut.blf", "--output", output), "cut.blf", "byte")
+    assert [p.name for p in tmp_path.iterdir()] == ["cut.blf"]
+
+
+def test_log_is_prose(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "poem.log").write_text("Shall I compare thee to a summer's day?\n")
+    fails(cli("estimate", tmp_path / "poem.log"), "poem.log:1")
+
+
+def test_dbc_does_not_parse(cli: Cli, tmp_path: Path, log: Path) -> None:
+    (tmp_path / "bad.dbc").write_text("BO_ what is this")
+    fails(cli("estimate", log, "--dbc", tmp_path / "bad.dbc"), "bad.dbc")
+
+
+def test_signal_not_in_the_dbc(cli: Cli, tmp_path: Path, log: Path) -> None:
+    (tmp_path / "c.toml").write_text('[signals]\nspeed = "CCVS1.Velocity"\n')
+    fails(cli("estimate", log, "--config", tmp_path / "c.toml"), "Velocity", "WheelBasedVehicleSpeed")
+
+
+def test_unknown_configuration_key(cli: Cli, tmp_path: Path, log: Path) -> None:
+    (tmp_path / "c.toml").write_text("[window]\nsample = 1000\n")
+    fails(cli("estimate", log, "--config", tmp_path / "c.toml"), "c.toml", "sample", "window")
+
+
+def test_inputs_missing_are_named_beside_those_found(cli: Cli, tmp_path: Path, log: Path) -> None:
+    with can.LogReader(log) as reader, can.Logger(tmp_path / "deaf.blf") as writer:
+        for message in reader:
+            if message.arbitration_id >> 8 & 0xFFFF != 0xF004:
+                writer(message)
+    fails(cli("replay", tmp_path / "deaf.blf"), "EEC1.EngSpeed", "CCVS1.WheelBasedVehicleSpeed", "missing")
+
+
+def test_time_steps_back(cli: Cli, tmp_path: Path) -> None:
+    lines = [f"({t:.6f}) can0 18FEF100#FFFFFFFFFFFFFFFF" for t in (10.0, 10.1, 10.2, 4.0, 4.1)]
+    (tmp_path / "back.log").write_text("\n".join(lines) + "\n")
+    fails(cli("estimate", tmp_path / "back.log"), "back.log", "back")
+
+
+def test_nothing_valid_in_the_whole_log(cli: Cli, tmp_path: Path, log: Path) -> None:
+    with can.LogReader(log) as reader:
+        frames = Frames.from_messages(reader)
+    speed = frames.ident >> 8 & 0xFFFF == 0xFEF1
+    data = frames.data.copy()
+    data[speed] = 0xFF
+    write_log(Frames(frames.t, frames.ident | EXTENDED, frames.length, data), tmp_path / "na.blf")
+    fails(cli("estimate", tmp_path / "na.blf"), "na.blf", "CCVS1.WheelBasedVehicleSpeed")
+
+
+def test_speed_factor_is_checked(cli: Cli, log: Path) -> None:
+    fails(cli("replay", log, "--speed", "fast"), "--speed")
+
+
+def test_usage_errors_have_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_info:
+        main(["estimate"])
+    assert exit_info.value.code == 2
+    assert "usage" in capsys.readouterr().err

@@ -1,0 +1,71 @@
+"""Real recordings: what the program says of them is known, as far as it can be."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator import config, inspection
+from estimator.config import Config
+from estimator.estimate import Status
+from estimator.replay import Run, estimate, replay
+
+KENWORTH = {"normal.log": 19_957, "tsc1.log": 21_568, "address_claim_attack.log": 15_723}
+PAYLOAD = {"TripB22", "TripB24", "TripB34"}  # +80, +60, +160 kg
+
+
+def silent(share: float) -> None:
+    assert 0 <= share <= 1
+
+
+@pytest.mark.parametrize("name", KENWORTH)
+def test_kenworth_is_read_whole_and_not_over_interpreted(recordings: Path, name: str) -> None:
+    run = replay([recordings / "j1939_trucks/kenworth_t270" / name], Config(), silent)
+    assert run.pipeline.frames == KENWORTH[name]
+    assert run.final.status == Status.UNESTIMATED
+    assert "usable samples" in run.final.reason
+    assert run.final.mass is None
+
+
+def test_kenworth_inputs_and_reference_torque(recordings: Path) -> None:
+    content = inspection.inspect(recordings / "j1939_trucks/kenworth_t270/normal.log", Config(), silent)
+    inputs = content["inputs"]
+    assert inputs["reference_torque"]["minimum"] == inputs["reference_torque"]["maximum"] == 1109
+    assert inputs["speed"]["minimum"] * 3.6 == pytest.approx(23.6, abs=0.5)
+    assert inputs["speed"]["maximum"] * 3.6 == pytest.approx(54.9, abs=0.1)
+    # Engine and cab controller both send CCVS1; each signal comes from the node that knows it.
+    assert content["sources"]["CCVS1.WheelBasedVehicleSpeed"] == 0x00
+    assert content["sources"]["CCVS1.BrakeSwitch"] == 0x31
+
+
+def test_kenworth_drop_out_is_a_gap(recordings: Path) -> None:
+    run: Run = estimate([recordings / "j1939_trucks/kenworth_t270/address_claim_attack.log"], Config(), silent)
+    start, end = max(run.pipeline.gaps, key=lambda gap: gap[1] - gap[0])
+    assert start - run.start == pytest.approx(15.5, abs=0.3)
+    assert end - run.start > 29
+    assert run.pipeline.estimator.rejected["speed stale"] > 50
+
+
+@pytest.mark.parametrize("name", ["css_truck_idle_11111111.MF4", "paccar_mx.trc"])
+def test_standing_trucks(recordings: Path, name: str) -> None:
+    run = estimate([recordings / "j1939_trucks/stationary_format_samples" / name], Config(), silent)
+    assert run.final.status == Status.UNESTIMATED
+    assert run.final.admitted == 0
+
+
+@pytest.fixture(scope="module")
+def trips(recordings: Path) -> dict[str, Run]:
+    folder = recordings / "bmw_i3"
+    settings = config.load(Path(__file__).parents[1] / "dbc" / "bmw_i3.toml")
+    bus = config.Bus(dbc=[str(folder / "bmw_i3.dbc")])
+    settings = config.replace(settings, bus=bus)
+    return {path.stem: estimate([path], settings, silent) for path in sorted(folder.glob("*.blf"))}
+
+
+def test_bmw_masses_agree_between_trips(trips: dict[str, Run]) -> None:
+    mass = {name: run.final.mass.mean for name, run in trips.items() if run.final.mass is not None}
+    assert len(trips) == 29
+    assert len(mass) >= 25
+    empty = np.array([m for name, m in mass.items() if name not in PAYLOAD])
+    assert empty.std(ddof=1) < 0.04 * empty.mean()
+    assert max(mass, key=lambda name: mass[name]) == "TripB34"

@@ -1,0 +1,130 @@
+"""The whole way on a virtual bus: frames in, estimate and broadcast out."""
+
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from estimator import summary
+from estimator.can_io.protection import verify
+from estimator.can_io.publisher import output_database
+from estimator.can_io.recorder import frames_of, write_log
+from estimator.config import Config, from_dict
+from estimator.gateway import Gateway
+from estimator.replay import Run, estimate, replay
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+
+TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
+
+
+def silent(share: float) -> None:
+    assert 0 <= share <= 1
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rng = np.random.default_rng(4)
+    frames = frames_of(record(TRUCK, generate_route("mixed", 60e3, rng), 1500.0, rng).signals)
+    path = tmp_path_factory.mktemp("drive") / "drive.blf"
+    write_log(frames, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(drive: Path) -> Run:
+    return replay([drive], Config(), silent, output=drive.with_name("broadcast.blf"))
+
+
+def test_replay_recovers_the_truck(run: Run) -> None:
+    final = run.final
+    assert final.status == "estimated"
+    assert final.mass is not None
+    assert final.A is not None
+    assert final.C is not None
+    assert final.convergence is not None
+    assert final.mass.mean == pytest.approx(TRUCK.mass, rel=0.02)
+    assert final.A.mean == pytest.approx(TRUCK.A, rel=0.10)
+    assert final.C.mean == pytest.approx(TRUCK.C, rel=0.10)
+    for marginal, truth in ((final.mass, TRUCK.mass), (final.A, TRUCK.A), (final.C, TRUCK.C)):
+        assert abs(marginal.mean - truth) < 3.5 * marginal.sd
+        assert marginal.q05 < marginal.q50 < marginal.q95
+    assert final.convergence.r_hat < 1.05
+
+
+def test_replay_and_estimate_agree_to_the_last_bit(drive: Path, run: Run) -> None:
+    assert summary.of_run(estimate([drive], Config(), silent)) == summary.of_run(run)
+
+
+def test_broadcast_says_what_was_estimated(drive: Path, run: Run) -> None:
+    with can.LogReader(drive.with_name("broadcast.blf")) as reader:
+        messages = list(reader)
+    assert [bytes(m.data) for m in messages] == [bytes(m.data) for m in run.broadcast]
+    assert all(verify(m) for m in messages)
+    database = output_database()
+    last = {m.arbitration_id: database.decode_message(m.arbitration_id, bytes(m.data)) for m in messages}
+    by_name = {database.get_message_by_frame_id(i).name: values for i, values in last.items()}
+    assert run.final.mass is not None
+    assert by_name["RoadloadMass"]["MassMean"] == pytest.approx(run.final.mass.mean, abs=1.01)
+    assert by_name["RoadloadStatus"]["EstimateStatus"] == "estimated"
+    status = [m for m in messages if m.arbitration_id >> 8 & 0xFF == 0x60]
+    assert np.diff([m.timestamp for m in status]).max() < 1.5
+    # Nothing is claimed before the first estimate.
+    first = run.updates[[u.status for u in run.updates].index("estimated")].t
+    early = [m for m in messages if m.timestamp < first and m.arbitration_id >> 8 & 0xFF == 0x61]
+    assert len(early) > 5
+    assert all(bytes(m.data[:6]) == b"\xff" * 6 for m in early)
+
+
+def test_replay_is_deterministic(drive: Path, run: Run) -> None:
+    again = replay([drive], Config(), silent)
+    assert [(m.timestamp, bytes(m.data)) for m in again.broadcast] == [
+        (m.timestamp, bytes(m.data)) for m in run.broadcast
+    ]
+
+
+def test_seed_changes_draws_but_not_the_conclusion(drive: Path, run: Run) -> None:
+    other = estimate([drive], from_dict({"sampler": {"seed": 99}}), silent).final
+    assert other.mass is not None
+    assert run.final.mass is not None
+    assert other.mass.mean != run.final.mass.mean
+    assert other.mass.mean == pytest.approx(run.final.mass.mean, abs=0.2 * run.final.mass.sd)
+
+
+def test_gateway_is_a_listener_like_any_other(drive: Path, run: Run) -> None:
+    """Fed by python-can's own reader and notifier conventions, it concludes the same."""
+    sent: list[can.Message] = []
+    gateway = Gateway(Config(), sent.append)
+    with can.LogReader(drive) as reader:
+        for message in reader:
+            gateway(message)
+    gateway.stop()
+    assert gateway.updates[-1].mass == run.final.mass
+
+
+def test_gateway_counts_what_is_no_data_frame() -> None:
+    gateway = Gateway(Config(), lambda message: None)
+    gateway(can.Message(timestamp=1.0, is_error_frame=True))
+    gateway(can.Message(timestamp=1.0, is_remote_frame=True))
+    gateway.stop()
+    assert gateway.skipped == {"error frame": 1, "remote frame": 1}
+
+
+def test_logs_whose_times_follow_are_one_drive(drive: Path, run: Run, tmp_path: Path) -> None:
+    with can.LogReader(drive) as reader:
+        messages = list(reader)
+    middle = len(messages) // 2
+    paths = [tmp_path / "1.blf", tmp_path / "2.blf"]
+    for path, part in zip(paths, (messages[:middle], messages[middle:]), strict=True):
+        with can.Logger(path) as writer:
+            for message in part:
+                writer(message)
+    joined = estimate(paths, Config(), silent).final
+    assert joined.mass is not None
+    assert run.final.mass is not None
+    assert joined.mass.mean == pytest.approx(run.final.mass.mean, abs=0.3 * run.final.mass.sd)
+    swapped = estimate(paths[::-1], Config(), silent)
+    assert swapped.final.admitted < 0.8 * run.final.admitted
+    assert len(swapped.pipeline.gaps) >= 1
