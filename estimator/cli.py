@@ -25,6 +25,7 @@ from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
 from estimator.tables import print_inspection, print_run
 
+WIDE = 140  # columns of tables that go to a file or a pipe
 METRES_PER_MINUTE = 2000.0  # of simulated road: nobody drives a truck faster, so the road never ends
 
 
@@ -113,6 +114,12 @@ def _progress(label: str) -> Iterator[replay.Progress]:
         yield lambda share: bar.update(task, completed=share)
 
 
+def _console() -> Console:
+    """Standard output; what is not a terminal has no width to keep to."""
+    console = Console()
+    return console if console.is_terminal else Console(width=WIDE)
+
+
 def _print_json(content: dict[str, Any]) -> None:
     print(json.dumps(content, indent=2, allow_nan=False))
 
@@ -121,7 +128,7 @@ def _report(run: replay.Run, options: argparse.Namespace) -> int:
     if options.json:
         _print_json(summary.of_run(run))
     else:
-        print_run(Console(), run)
+        print_run(_console(), run)
     return 0
 
 
@@ -149,7 +156,7 @@ def _inspect(options: argparse.Namespace) -> int:
     if options.json:
         _print_json(content)
     else:
-        print_inspection(Console(), content)
+        print_inspection(_console(), content)
     return 0
 
 
@@ -177,7 +184,7 @@ def _simulate(options: argparse.Namespace) -> int:
         table.add_row("mass", f"{truck.mass:,.0f} kg")
         table.add_row("A", f"{truck.A:,.0f} N")
         table.add_row("C", f"{truck.C:.3f} N s²/m²")
-        console = Console()
+        console = _console()
         console.print(f"{options.output}: {len(frames):,} frames, {options.minutes:g} min of {options.route} driving")
         console.print(table)
     return 0

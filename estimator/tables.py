@@ -71,7 +71,7 @@ def print_inspection(console: Console, content: dict[str, Any]) -> None:
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps"):
-        table.add_column(heading, overflow="fold")
+        table.add_column(heading, overflow="fold", no_wrap=heading == "input")
     for role, x in content["inputs"].items():
         source = content["sources"].get(x["signal"])
         rate = "" if x["rate_Hz"] is None else f"{x['rate_Hz']:.1f} Hz"

@@ -39,7 +39,7 @@ def install(extras: str) -> None:
     print(f"setting up {ENVIRONMENT.relative_to(ROOT)} ...", flush=True)
     if not (BIN / "python").exists():
         venv.create(ENVIRONMENT, with_pip=True)
-    pip = [str(BIN / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip = [str(BIN / "python"), "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
     subprocess.run([*pip, "--constraint", "constraints.txt", "--editable", f".{extras}"], cwd=ROOT, check=True)
     stamp.write_text(state)
 

@@ -110,8 +110,8 @@ class Publisher:
         """Frames that are due at message time ``t`` [s], in order of time and stamped with the time they were due.
 
         Call it at least once per ``status_period``: after a longer gap each frame is sent once. The first call, a
-        new conclusion, a change of status and a clock set back send everything at once and start the periods anew. A step back within
-        one status period sends nothing twice.
+        new conclusion, a change of status and a clock set back send everything at once and start the periods anew.
+        A step back within one status period sends nothing twice.
         """
         renewed = estimate is not None and estimate.t != self._estimate_t
         stepped_back = self._advance(t, estimate)

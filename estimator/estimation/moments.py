@@ -109,9 +109,14 @@ def fit(samples: Samples, power_sigmas: float) -> Fit | None:
         previous, kept = kept, Z[:, :ROAD_LOAD] @ theta[:ROAD_LOAD] > power_sigmas * residual.std()
         if np.array_equal(kept, previous):
             break
-    rms = float(np.sqrt(np.mean(residual**2)))
+    # Once more, with the spread that belongs to the final choice.
+    final = _solve(Xk, Zk, Pk, spread, prior)
+    if final is None:
+        return None
+    theta, covariance = final
+    rms = float(np.sqrt(np.mean((Pk - Xk @ theta) ** 2)))
     covariance = covariance / np.outer(scale, scale)
-    return Fit(theta / scale, covariance, float(cosines), previous, rms, len(residual) / time)
+    return Fit(theta / scale, covariance, float(cosines), previous, rms, len(Pk) / time)
 
 
 def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Floats) -> tuple[Floats, Floats] | None:

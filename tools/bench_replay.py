@@ -1,0 +1,120 @@
+"""Speed of reading, decoding and replaying a long log, beside what a user would write with python-can and cantools.
+
+    python tools/bench_replay.py [--frames 1000000]
+
+Ratios are what counts: all rows are measured in one run on one machine. Peak memory is that of a fresh process.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from estimator.can_io.binding import bind, load_database
+from estimator.can_io.decoder import Decoder
+from estimator.can_io.logs import open_log
+from estimator.can_io.recorder import frames_of, write_log
+from estimator.config import Config
+from estimator.replay import estimate, replay
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import draw_truck
+
+FRAMES_PER_SECOND = 158.4  # of the simulated truck's bus
+
+
+def silent(share: float) -> None:
+    """Show nothing."""
+
+
+def by_hand(path: Path) -> int:
+    """What the libraries offer: LogReader, a look-up by PGN, cantools decode."""
+    messages = {message.key: message for message in bind(Config(), load_database([]))}
+    database = load_database([])
+    layouts = {key: database.get_message_by_name(message.name) for key, message in messages.items()}
+    count = 0
+    with can.LogReader(path) as reader:
+        for frame in reader:
+            count += 1
+            layout = layouts.get(frame.arbitration_id >> 8 & 0x3FFFF)
+            if layout is not None and layout.length <= 8:
+                layout.decode(bytes(frame.data), decode_choices=False)
+    return count
+
+
+def read_and_decode(path: Path) -> int:
+    """Our reader and decoder, no estimate."""
+    decoder, count = Decoder(bind(Config(), load_database([]))), 0
+    for frames in open_log(path):
+        decoder.decode(frames)
+        count += len(frames)
+    return count
+
+
+ROWS: dict[str, Callable[[Path], int]] = {
+    "python-can + cantools, decode only": by_hand,
+    "roadload, decode only": read_and_decode,
+    "roadload estimate": lambda path: estimate([path], Config(), silent).pipeline.frames,
+    "roadload replay on a virtual bus": lambda path: replay([path], Config(), silent).pipeline.frames,
+}
+
+
+def measure(name: str, path: Path) -> None:
+    """Run one row in this process and print what it took."""
+    start = time.perf_counter()
+    count = ROWS[name](path)
+    seconds = time.perf_counter() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({"frames": count, "seconds": seconds, "peak_MiB": peak}))
+
+
+def main() -> int:
+    """Write the log, measure every row in a process of its own, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--row", nargs=2, metavar=("NAME", "LOG"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.row:
+        measure(options.row[0], Path(options.row[1]))
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "long.blf"
+        rng = np.random.default_rng(1)
+        duration = options.frames / FRAMES_PER_SECOND
+        route = generate_route("mixed", duration * 33, rng)
+        frames = frames_of(record(draw_truck(rng), route, duration, rng).signals)[: options.frames]
+        write_log(frames, path)
+        table = Table("", "frames", "lost", "frames/s", "ratio", "peak MiB")
+        reference = None
+        for name in ROWS:
+            done = subprocess.run(
+                [sys.executable, __file__, "--row", name, str(path)], check=True, capture_output=True, text=True
+            )
+            row = json.loads(done.stdout)
+            rate = row["frames"] / row["seconds"]
+            reference = reference or rate
+            lost = len(frames) - row["frames"]
+            table.add_row(
+                name,
+                f"{row['frames']:,}",
+                f"{lost}",
+                f"{rate:,.0f}",
+                f"{rate / reference:.2f}",
+                f"{row['peak_MiB']:.0f}",
+            )
+    Console().print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
