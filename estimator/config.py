@@ -1,6 +1,9 @@
 """The configuration: one TOML file, every key typed, ranged and defaulted here; unknown keys are errors."""
 
+import math
 import tomllib
+from collections.abc import Iterator
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,8 +19,11 @@ Fraction = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
 Address = Annotated[int, Meta(ge=0, le=253)]
 Range = tuple[float, float]
+Belief = tuple[Positive, Positive]
+SignalPaths = str | list[str]
+FREE_TABLES: dict[str, Any] = {"signals": SignalPaths, "bus.source_addresses": Address}  # keys are the user's
 
-J1939_BINDING: dict[str, str | list[str]] = {
+J1939_BINDING: dict[str, SignalPaths] = {
     Role.SPEED: "CCVS1.WheelBasedVehicleSpeed",
     Role.ENGINE_SPEED: "EEC1.EngSpeed",
     Role.TORQUE_FRACTION: "EEC1.ActualEngPercentTorque",
@@ -87,7 +93,7 @@ class Gate(Section, frozen=True):
     """When an estimate may be made."""
 
     interval_s: Annotated[float, Meta(ge=5)] = 60.0  # between updates, message time
-    minimum_samples: Count = 1200
+    minimum_samples: Count = 600
     minimum_cells: Count = 8  # occupied cells of the speed x acceleration grid
     cell_count: Count = 10  # samples that make a cell occupied
     coverage: Fraction = 0.15
@@ -97,12 +103,23 @@ class Gate(Section, frozen=True):
     relative_sd: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.1)  # largest predicted, of A, C, m
 
 
+class Load(Section, frozen=True):
+    """When the load may change, and how well the vehicle is remembered across such a stop."""
+
+    stop_s: Positive = 300.0  # standing this long starts a new load segment
+    change_sd: NotNegative = 0.1  # relative sd of what A / m and C may change with the load: trailers differ
+    drift_per_hour: NotNegative = 0.03  # relative sd by which A / m and C may wander, growing with the square root
+
+
 class Prior(Section, frozen=True):
-    """Box priors: the posterior lives inside."""
+    """Box priors: the posterior lives inside; and beliefs as (mean, sd), e.g. from a weigh ticket or data sheet."""
 
     mass_kg: Range = (500.0, 100_000.0)
     A_N: Range = (0.0, 10_000.0)
     C_N_s2_m2: Range = (0.0, 20.0)
+    mass_belief_kg: Belief | None = None
+    A_belief_N: Belief | None = None
+    C_belief_N_s2_m2: Belief | None = None
 
 
 class Sampler(Section, frozen=True):
@@ -113,7 +130,7 @@ class Sampler(Section, frozen=True):
     chains: Annotated[int, Meta(ge=2, le=1024)] = 64
     burn_in: Count = 20
     draws: Annotated[int, Meta(ge=8)] = 100  # kept, per chain
-    seed: int = 1
+    seed: Annotated[int, Meta(ge=0)] = 1
 
 
 class Publish(Section, frozen=True):
@@ -132,35 +149,46 @@ class Config(Section, frozen=True):
 
     vehicle: Vehicle = Vehicle()
     bus: Bus = Bus()
-    signals: dict[str, str | list[str]] = {}
+    signals: dict[str, SignalPaths] = {}
     kinematics: Kinematics = Kinematics()
     admission: Admission = Admission()
     window: Window = Window()
     gate: Gate = Gate()
+    load: Load = Load()
     prior: Prior = Prior()
     sampler: Sampler = Sampler()
     publish: Publish = Publish()
 
     @property
-    def binding(self) -> dict[str, str | list[str]]:
+    def binding(self) -> dict[str, SignalPaths]:
         """Role to ``MESSAGE.signal``: the file's own, or J1939 where it names none."""
         return self.signals or J1939_BINDING
 
 
 def _check(config: Config) -> None:
-    for name, (low, high) in msgspec.structs.asdict(config.prior).items():
+    prior = config.prior
+    boxes = {"mass_kg": prior.mass_belief_kg, "A_N": prior.A_belief_N, "C_N_s2_m2": prior.C_belief_N_s2_m2}
+    for name, belief in boxes.items():
+        low, high = getattr(prior, name)
         if not low < high:
             raise ConfigError(f"prior.{name}: the box is empty: {low} is not below {high}")
         if low < 0:
             raise ConfigError(f"prior.{name}: a road-load parameter cannot be negative, {low} is")
+        if belief is not None and not low <= belief[0] <= high:
+            raise ConfigError(f"prior.{name}: the box [{low}, {high}] excludes the belief {belief[0]}")
+        if belief is not None and config.sampler.likelihood == "paper":
+            raise ConfigError('sampler.likelihood: "paper" knows boxes only; take the beliefs out of [prior]')
     known = {role.value for role in Role}
     for role, bound in config.signals.items():
         if role not in known:
             raise ConfigError(f"signals.{role}: no such role; the roles are {', '.join(sorted(known))}")
         if isinstance(bound, list) and role != Role.WHEEL_SPEEDS:
             raise ConfigError(f"signals.{role}: takes one MESSAGE.signal; only wheel_speeds takes a list")
+        if not bound:
+            raise ConfigError(f"signals.{role}: is empty; leave it out, or write MESSAGE.signal")
         for signal in [bound] if isinstance(bound, str) else bound:
-            if signal.count(".") != 1:
+            message, _, name = signal.partition(".")
+            if not message or not name or "." in name:
                 raise ConfigError(f"signals.{role}: {signal!r} is not of the form MESSAGE.signal")
 
 
@@ -172,14 +200,41 @@ def from_dict(tables: dict[str, Any]) -> Config:
     ConfigError
         An unknown key, a wrong type or a value out of range; the message names the key.
     """
+    for place, value in _leaves(tables, ""):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{place}: {value} is not a number that can be used here")
     try:
         config = msgspec.convert(tables, Config)
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at `$")
-        key = place.rstrip("`").lstrip(".")
+        key = _named(place.rstrip("`").lstrip("."), tables)
         raise ConfigError(f"{key}: {reason}" if key else reason) from error
     _check(config)
     return config
+
+
+def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """All values that are neither tables nor lists, and where they stand."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{place}.{key}" if place else key)
+    elif isinstance(value, list | tuple):
+        for i, inner in enumerate(value):
+            yield from _leaves(inner, f"{place}[{i}]")
+    else:
+        yield place, value
+
+
+def _named(place: str, tables: dict[str, Any]) -> str:
+    """``place`` with the key of a free table, for which msgspec writes ``[...]``."""
+    table, gap, rest = place.partition("[...]")
+    if gap:
+        for key, value in reduce(dict.__getitem__, table.split("."), tables).items():
+            try:
+                msgspec.convert(value, FREE_TABLES[table])
+            except msgspec.ValidationError:
+                return f"{table}.{key}{rest}"
+    return place
 
 
 def load(path: Path | None) -> Config:
@@ -197,7 +252,7 @@ def load(path: Path | None) -> Config:
             tables = tomllib.load(file)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # also bytes that are not UTF-8, and numbers of thousands of digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
     try:
         config = from_dict(tables)

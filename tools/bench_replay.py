@@ -30,7 +30,8 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import draw_truck
 
-FRAMES_PER_SECOND = 158.4  # of the simulated truck's bus
+FRAMES_PER_SECOND = 158.39  # of the simulated truck's bus
+METRES_PER_SECOND = 33.0  # of road, more than any truck drives
 
 
 def silent(share: float) -> None:
@@ -69,6 +70,14 @@ ROWS: dict[str, Callable[[Path], int]] = {
 }
 
 
+def write(path: Path, count: int) -> None:
+    """A log of ``count`` frames of one long simulated drive."""
+    rng = np.random.default_rng(1)
+    duration = count / FRAMES_PER_SECOND
+    route = generate_route("mixed", duration * METRES_PER_SECOND, rng)
+    write_log(frames_of(record(draw_truck(rng), route, duration, rng).signals)[:count], path)
+
+
 def measure(name: str, path: Path) -> None:
     """Run one row in this process and print what it took."""
     start = time.perf_counter()
@@ -82,36 +91,26 @@ def main() -> int:
     """Write the log, measure every row in a process of its own, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--row", nargs=2, metavar=("NAME", "LOG"), help=argparse.SUPPRESS)
+    parser.add_argument("--row", metavar="NAME", help=argparse.SUPPRESS)
+    parser.add_argument("--log", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.row:
-        measure(options.row[0], Path(options.row[1]))
+    if options.log is not None:
+        measure(options.row, options.log) if options.row else write(options.log, options.frames)
         return 0
+    # A child's peak starts at its parent's, so the log is written in a process of its own too.
+    command = [sys.executable, __file__, "--frames", str(options.frames)]
+    table = Table("", "frames", "lost", "frames/s", "ratio", "peak MiB")
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "long.blf"
-        rng = np.random.default_rng(1)
-        duration = options.frames / FRAMES_PER_SECOND
-        route = generate_route("mixed", duration * 33, rng)
-        frames = frames_of(record(draw_truck(rng), route, duration, rng).signals)[: options.frames]
-        write_log(frames, path)
-        table = Table("", "frames", "lost", "frames/s", "ratio", "peak MiB")
+        log = ["--log", f"{folder}/long.blf"]
+        subprocess.run([*command, *log], check=True)
         reference = None
         for name in ROWS:
-            done = subprocess.run(
-                [sys.executable, __file__, "--row", name, str(path)], check=True, capture_output=True, text=True
-            )
+            done = subprocess.run([*command, *log, "--row", name], check=True, capture_output=True, text=True)
             row = json.loads(done.stdout)
             rate = row["frames"] / row["seconds"]
             reference = reference or rate
-            lost = len(frames) - row["frames"]
-            table.add_row(
-                name,
-                f"{row['frames']:,}",
-                f"{lost}",
-                f"{rate:,.0f}",
-                f"{rate / reference:.2f}",
-                f"{row['peak_MiB']:.0f}",
-            )
+            counts = [f"{row['frames']:,}", f"{options.frames - row['frames']:,}"]
+            table.add_row(name, *counts, f"{rate:,.0f}", f"{rate / reference:.2f}", f"{row['peak_MiB']:.0f}")
     Console().print(table)
     return 0
 

@@ -1,7 +1,7 @@
 """Which bits of which message play which role: databases and configuration brought together, once at start."""
 
+import difflib
 import logging
-import math
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -19,6 +19,9 @@ from estimator.units import KNOWN_UNITS, Conversion, conversion_of
 
 logging.getLogger("cantools").setLevel(logging.ERROR)
 
+LONGEST = 64  # bits of a signal
+FLOATS = (16, 32, 64)  # bits of a floating-point signal
+
 
 @dataclass(frozen=True)
 class BoundSignal:
@@ -27,6 +30,7 @@ class BoundSignal:
     role: Role
     signal: Signal
     conversion: Conversion
+    multiplexers: tuple[Signal, ...]  # its own first, then that one's, and so on up
     tangent: bool = False  # an angle that stands for a slope
 
 
@@ -34,16 +38,16 @@ class BoundSignal:
 class BoundMessage:
     """One message and the signals wanted from it.
 
-    ``key`` is a PGN where ``by_pgn``, else the arbitration id with bit 31 set for 29-bit ids.
+    ``key`` is a PGN where ``by_pgn``, else the arbitration id with bit 31 set for 29-bit ids. Where ``j1939``, the
+    highest raw values are no values.
     """
 
     name: str
     key: int
     by_pgn: bool
-    length: int
+    j1939: bool
     source: int | None  # the only source address to believe, if configured
     signals: tuple[BoundSignal, ...]
-    multiplexers: tuple[Signal, ...]
 
 
 def load_database(paths: list[str]) -> Database:
@@ -59,7 +63,7 @@ def load_database(paths: list[str]) -> Database:
     texts = []
     for path in paths:
         try:
-            texts.append((path, Path(path).read_text("cp1252", errors="replace")))
+            texts.append((path, _text(Path(path).read_bytes())))
         except OSError as error:
             raise DatabaseError(f"{path}: {error.strerror}") from error
     database = _parse(*texts[0])
@@ -67,6 +71,13 @@ def load_database(paths: list[str]) -> Database:
         database.messages.extend(_parse(path, text).messages)
     database.refresh()
     return database
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:  # what Windows tools write
+        return data.decode("cp1252", errors="replace")
 
 
 def _parse(path: str, text: str) -> Database:
@@ -88,67 +99,74 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     DatabaseError
         A message or signal is not in the database, or its unit is unknown or of the wrong kind.
     ConfigError
-        ``bus.source_addresses`` names a message that nothing is bound to.
+        ``bus.match`` or ``bus.source_addresses`` does not fit a message.
     """
     wanted: dict[str, list[BoundSignal]] = {}
     for role, bound in config.binding.items():
         for path in [bound] if isinstance(bound, str) else bound:
             message_name, signal_name = path.split(".")
-            signal = _find(database, message_name, signal_name, f"signals.{role}")
-            wanted.setdefault(message_name, []).append(_convert(Role(role), signal, path))
+            message, signal = _find(database, message_name, signal_name, f"signals.{role}")
+            wanted.setdefault(message_name, []).append(_convert(Role(role), signal, message, path))
     for name in config.bus.source_addresses:
         if name not in wanted:
-            raise ConfigError(f"bus.source_addresses.{name}: no signal is bound to that message")
+            has = ", ".join(wanted)
+            raise ConfigError(f"bus.source_addresses.{name}: no signal is bound to that message; bound are {has}")
     return [_bound(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()]
 
 
-def _find(database: Database, message_name: str, signal_name: str, place: str) -> Signal:
+def _find(database: Database, message_name: str, signal_name: str, place: str) -> tuple[Message, Signal]:
     try:
         message = database.get_message_by_name(message_name)
     except KeyError:
-        raise DatabaseError(f"{place}: the DBC has no message {message_name!r}") from None
+        near = ", ".join(difflib.get_close_matches(message_name, [m.name for m in database.messages], cutoff=0))
+        raise DatabaseError(f"{place}: the DBC has no message {message_name!r}; the nearest are {near}") from None
     for signal in message.signals:
         if signal.name == signal_name:
-            return signal
+            return message, signal
     has = ", ".join(s.name for s in message.signals)
     raise DatabaseError(f"{place}: message {message_name!r} has no signal {signal_name!r}; it has {has}")
 
 
-def _convert(role: Role, signal: Signal, path: str) -> BoundSignal:
+def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSignal:
+    if signal.length > LONGEST or (signal.is_float and signal.length not in FLOATS):
+        kind = "floating-point signal" if signal.is_float else "signal"
+        raise DatabaseError(f"{path}: a {kind} of {signal.length} bits is no number; correct the DBC")
+    multiplexers = _multiplexers(signal, message, path)
     dimension = DIMENSION[role]
     if dimension == STATE:
-        return BoundSignal(role, signal, Conversion(STATE, 1.0))
+        return BoundSignal(role, signal, Conversion(STATE, 1.0), multiplexers)
     conversion = conversion_of(signal.unit)
+    known = " ".join(u for u, c in KNOWN_UNITS.items() if c.dimension == dimension)
     if conversion is None:
-        known = " ".join(u for u, c in KNOWN_UNITS.items() if c.dimension == dimension)
         raise DatabaseError(f"{path}: unknown unit {signal.unit or ''!r}; for {role} write one of: {known}")
-    if role == Role.GRADE and conversion.dimension == "rad":
-        return BoundSignal(role, signal, conversion, tangent=True)
-    if conversion.dimension != dimension:
-        raise DatabaseError(f"{path}: unit {signal.unit!r} does not fit {role}, which is in {dimension}")
-    return BoundSignal(role, signal, conversion)
+    tangent = role == Role.GRADE and conversion.dimension == "rad"
+    if conversion.dimension != dimension and not tangent:
+        raise DatabaseError(f"{path}: unit {signal.unit!r} does not fit {role}, which takes one of: {known}")
+    return BoundSignal(role, signal, conversion, multiplexers, tangent)
+
+
+def _multiplexers(signal: Signal, message: Message, path: str) -> tuple[Signal, ...]:
+    by_name = {s.name: s for s in message.signals}
+    chain: list[Signal] = []
+    while signal.multiplexer_signal:
+        signal = by_name[signal.multiplexer_signal]
+        if signal in chain:
+            raise DatabaseError(f"{path}: {signal.name} multiplexes itself; correct the DBC")
+        chain.append(signal)
+    return tuple(chain)
 
 
 def _bound(message: Message, signals: tuple[BoundSignal, ...], config: Config) -> BoundMessage:
-    by_pgn = config.bus.match == "pgn" or (config.bus.match == "auto" and message.protocol == "j1939")
-    if by_pgn and not message.is_extended_frame:
-        raise ConfigError(f"bus.match: {message.name} has an 11-bit id and cannot be matched by PGN")
-    key = _pgn(message.frame_id) if by_pgn else message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-    parents = {s.signal.multiplexer_signal for s in signals}
-    # A multiplexer may itself be multiplexed: follow the chain up.
-    chain = {s.name: s for s in message.signals}
-    names = {name for name in parents if name}
-    while more := {chain[n].multiplexer_signal for n in names} - names - {None}:
-        names |= {name for name in more if name}
-    return BoundMessage(
-        message.name,
-        key,
-        by_pgn,
-        math.ceil(message.length),
-        config.bus.source_addresses.get(message.name),
-        signals,
-        tuple(chain[name] for name in sorted(names)),
-    )
+    match, name, extended = config.bus.match, message.name, message.is_extended_frame
+    if match == "pgn" and not extended:
+        raise ConfigError(f'bus.match: {name} has an 11-bit id, which holds no PGN; write "auto" or "id"')
+    j1939 = extended and (match == "pgn" or message.protocol == "j1939")
+    by_pgn = j1939 and match != "id"
+    source = config.bus.source_addresses.get(name)
+    if source is not None and not by_pgn:
+        raise ConfigError(f"bus.source_addresses.{name}: matched by its whole id, not by PGN; leave it out")
+    key = _pgn(message.frame_id) if by_pgn else message.frame_id | (EXTENDED if extended else 0)
+    return BoundMessage(name, key, by_pgn, j1939, source, signals)
 
 
 def _pgn(ident: int) -> int:

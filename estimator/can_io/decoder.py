@@ -5,13 +5,14 @@ not available, as an error, or that lies outside its declared range becomes NaN 
 """
 
 from collections import Counter
+from itertools import pairwise
 
 import numpy as np
 from cantools.database.can import Signal
 from numpy.typing import NDArray
 
 from estimator.can_io.binding import BoundMessage, BoundSignal
-from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
+from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import MultiPacket, Transport, classify, pgn_of
 from estimator.signals import Floats, Mask, Role, Series
 
@@ -64,7 +65,7 @@ class Decoder:
     """Keeps what decoding must remember between batches: who sends which signal, and unfinished broadcasts.
 
     Several nodes may send one parameter group, each filling in the signals it knows: each *signal* is taken from
-    one source address, the first that sends valid values of it, or the one that was configured.
+    one source address, the first that sends a valid value of it, or the one that was configured.
     """
 
     def __init__(self, messages: list[BoundMessage]) -> None:
@@ -75,7 +76,7 @@ class Decoder:
             if message.source is not None:
                 self.sources |= {_path(message, bound): message.source for bound in message.signals}
         self._messages = messages
-        self._needs = {m.name: max(last_byte(s.signal) for s in m.signals) for m in messages}
+        self._needs = [max(last_byte(s) for b in m.signals for s in (b.signal, *b.multiplexers)) for m in messages]
         self._transport = Transport()
 
     @property
@@ -89,95 +90,88 @@ class Decoder:
         extended = frames.ident & EXTENDED != 0
         pgn = np.where(extended, pgn_of(frames.ident), np.uint32(0xFFFFFFFF))
         packets = self._transport.feed(frames)
-        for message in self._messages:
-            if message.by_pgn and message.length > CLASSIC_BYTES:
-                chosen = _stack([p for p in packets if p.pgn == message.key], message.length)
-            else:
-                chosen = frames[(pgn if message.by_pgn else frames.ident) == message.key]
+        for message, need in zip(self._messages, self._needs, strict=True):
+            chosen = frames[(pgn if message.by_pgn else frames.ident) == message.key]
+            if message.by_pgn and (broadcasts := [p for p in packets if p.pgn == message.key]):
+                chosen = Frames.concatenate([chosen, _stack(broadcasts, need)])
+                chosen = chosen[np.argsort(chosen.t, kind="stable")]
+            whole = chosen.length >= need
+            if not whole.all():
+                self.rejected[f"{message.name}: short frame"] += int((~whole).sum())
+                chosen = chosen[whole]
             if len(chosen):
                 self._decode_message(message, chosen, out)
         return out
 
     def _decode_message(self, message: BoundMessage, frames: Frames, out: dict[Role, list[Series]]) -> None:
-        whole = frames.length >= self._needs[message.name]
-        if not whole.all():
-            self.rejected[f"{message.name}: short frame"] += int((~whole).sum())
-            frames = frames[whole]
-        present = self._multiplexed(message, frames)
-        source = frames.ident & 0xFF
-        useful = np.zeros(len(frames), dtype=bool)
+        useful, spoken_for, carrying = np.zeros((3, len(frames)), dtype=bool)
         for bound in message.signals:
-            here = present[bound.signal.multiplexer_signal or ""]
-            if bound.signal.multiplexer_signal:
-                here = here & self._selected(message, bound.signal, frames)
+            here = _present(bound, frames)
+            carrying |= here
             if message.by_pgn:
-                here = here & (source == self._source_of(message, bound, frames[here]))
+                since = self._find_source(message, bound, frames, here)
+                spoken_for[since:] |= here[since:]
+                here[:since] = False
+                here &= frames.ident & 0xFF == self.sources.get(_path(message, bound), -1)
             if not here.any():
                 continue
             useful |= here
             part = frames[here]
-            value, counts = self._value(bound, part, message.by_pgn)
+            value, counts = _values(message, bound, part)
             for reason, count in counts.items():
                 self.rejected[f"{_path(message, bound)}: {reason}"] += count
             out.setdefault(bound.role, []).append(Series(part.t, value))
         self.used += int(useful.sum())
-        if message.by_pgn and not useful.all():
-            known = any(_path(message, bound) in self.sources for bound in message.signals)
-            reason = "other source address" if known else "no valid value"
-            self.rejected[f"{message.name}: {reason}"] += int((~useful).sum())
-
-    def _selected(self, message: BoundMessage, signal: Signal, frames: Frames) -> Mask:
-        """In which frames the multiplexer of ``signal`` selects it."""
-        parent = next(s for s in message.multiplexers if s.name == signal.multiplexer_signal)
-        return np.isin(extract(frames.data, parent), np.array(signal.multiplexer_ids or [], dtype=np.uint64))
-
-    def _multiplexed(self, message: BoundMessage, frames: Frames) -> dict[str, Mask]:
-        """For each multiplexer of the message, in which frames it is itself present."""
-        present = {"": np.ones(len(frames), dtype=bool)}
-        waiting = list(message.multiplexers)
-        while waiting:
-            signal = next(s for s in waiting if (s.multiplexer_signal or "") in present)
-            waiting.remove(signal)
-            here = present[signal.multiplexer_signal or ""]
-            if signal.multiplexer_signal:
-                here = here & self._selected(message, signal, frames)
-            present[signal.name] = here
-        return present
-
-    def _value(self, bound: BoundSignal, frames: Frames, special: bool) -> tuple[Floats, Counter[str]]:
-        """SI values, NaN where the sender gave none, and how many for which reason."""
-        signal = bound.signal
-        raw = extract(frames.data, signal)
-        value = _number(raw, signal)
-        masks: dict[str, Mask] = {}
-        if special:
-            masks["not available"], masks["error"], masks["reserved value"] = classify(raw, signal.length)
-        low, high = signal.minimum, signal.maximum
-        valued = np.logical_not(np.any(list(masks.values()), axis=0)) if masks else np.ones(len(value), dtype=bool)
-        if low is not None and high is not None and low < high:
-            # Half a bit of room: ranges in DBC files are often written rounded.
-            room = abs(float(signal.scale)) / 2
-            masks["out of range"] = valued & ((value < float(low) - room) | (value > float(high) + room))
-        masks["not a number"] = valued & ~np.isfinite(value)
-        value = value * bound.conversion.scale + bound.conversion.offset
-        if bound.tangent:
-            value = np.tan(value)
-        counts: Counter[str] = Counter()
-        for reason, mask in masks.items():
+        idle = carrying & ~useful
+        for reason, mask in (("other source address", idle & spoken_for), ("no valid value", idle & ~spoken_for)):
             if mask.any():
-                counts[reason] = int(mask.sum())
-                value[mask] = np.nan
-        return value, counts
+                self.rejected[f"{message.name}: {reason}"] += int(mask.sum())
 
-    def _source_of(self, message: BoundMessage, bound: BoundSignal, frames: Frames) -> int:
-        """The source address that speaks for a signal; -1 while nobody has sent a valid value."""
+    def _find_source(self, message: BoundMessage, bound: BoundSignal, frames: Frames, here: Mask) -> int:
+        """From which of the frames on somebody speaks for a signal; as many as there are if nobody does yet."""
         path = _path(message, bound)
-        if path not in self.sources and len(frames):
-            valid = np.isfinite(self._value(bound, frames, True)[0])
-            sources, counts = np.unique(frames.ident[valid] & 0xFF, return_counts=True)
-            if len(sources):
-                self.sources[path] = int(sources[np.argmax(counts)])
-        return self.sources.get(path, -1)
+        if path in self.sources:
+            return 0
+        places = np.flatnonzero(here)
+        valid = places[np.isfinite(_values(message, bound, frames[places])[0])]
+        if not len(valid):
+            return len(frames)
+        self.sources[path] = int(frames.ident[valid[0]] & 0xFF)
+        return int(valid[0])
+
+
+def _present(bound: BoundSignal, frames: Frames) -> Mask:
+    """In which frames the multiplexers of a signal select it."""
+    here = np.ones(len(frames), dtype=bool)
+    for signal, multiplexer in pairwise((bound.signal, *bound.multiplexers)):
+        selecting = np.array(signal.multiplexer_ids or [], dtype=np.uint64)
+        here &= np.isin(extract(frames.data, multiplexer), selecting)
+    return here
+
+
+def _values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[Floats, Counter[str]]:
+    """SI values, NaN where the sender gave none, and how many for which reason."""
+    signal, conversion = bound.signal, bound.conversion
+    raw = extract(frames.data, signal)
+    masks: dict[str, Mask] = {}
+    with np.errstate(over="ignore", invalid="ignore"):  # floating-point signals may hold anything
+        value = _number(raw, signal)
+        si = value * conversion.scale + conversion.offset
+        if bound.tangent:
+            si = np.tan(si)
+    if message.j1939 and not signal.is_signed:
+        masks["not available"], masks["error"], masks["reserved value"] = classify(raw, signal.length)
+    valued = ~np.any([np.zeros(len(raw), dtype=bool), *masks.values()], axis=0)
+    masks["not a number"] = valued & ~np.isfinite(si)
+    valued &= np.isfinite(si)
+    low, high = signal.minimum, signal.maximum
+    if low is not None and high is not None and low < high:
+        # Half a bit of room: ranges in DBC files are often written rounded.
+        room = abs(float(signal.scale)) / 2
+        masks["out of range"] = valued & ((value < float(low) - room) | (value > float(high) + room))
+    counts = Counter({reason: int(mask.sum()) for reason, mask in masks.items() if mask.any()})
+    si[np.any(list(masks.values()), axis=0)] = np.nan
+    return si, counts
 
 
 def _path(message: BoundMessage, bound: BoundSignal) -> str:
@@ -185,11 +179,11 @@ def _path(message: BoundMessage, bound: BoundSignal) -> str:
 
 
 def _stack(packets: list[MultiPacket], width: int) -> Frames:
-    """Reassembled messages in the form of frames, cut or zero-filled to the length the DBC says."""
+    """Reassembled messages in the form of frames, cut or zero-filled to the bytes that are wanted."""
     rows = [np.frombuffer(p.payload[:width].ljust(width, b"\0"), dtype=np.uint8) for p in packets]
     return Frames(
         np.array([p.t for p in packets], dtype=np.float64),
         np.array([EXTENDED | p.pgn << 8 | p.source for p in packets], dtype=np.uint32),
         np.array([min(len(p.payload), 255) for p in packets], dtype=np.uint8),
-        np.array(rows, dtype=np.uint8).reshape(-1, width),
+        np.array(rows, dtype=np.uint8),
     )

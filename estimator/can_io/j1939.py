@@ -96,17 +96,16 @@ class Transport:
         return messages
 
     def _open(self, t: float, source: int, data: bytes) -> None:
-        if data[0] == ABORT:
-            self._sessions.pop(source, None)
+        if data[0] not in (BAM, ABORT):
             return
-        if data[0] != BAM:
+        if self._sessions.pop(source, None) is not None:
+            self.rejected["transport: broken off"] += 1
+        if data[0] == ABORT:
             return
         size, packets = int.from_bytes(data[1:3], "little"), data[3]
         if not 8 < size <= MAXIMUM_BYTES or packets != -(-size // PACKET_BYTES):
             self.rejected["transport: impossible announcement"] += 1
             return
-        if self._sessions.pop(source, None) is not None:
-            self.rejected["transport: broken off"] += 1
         self._sessions[source] = _Session(int.from_bytes(data[5:8], "little"), size, packets, t)
 
     def _extend(self, t: float, source: int, data: bytes) -> MultiPacket | None:

@@ -1,0 +1,263 @@
+"""Databases and bindings: what cannot be bound is said in one line; units mean what they say."""
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import constants
+
+from estimator.can_io.binding import BoundMessage, bind, load_database
+from estimator.config import Config, from_dict
+from estimator.errors import ConfigError, DatabaseError, InputError
+from estimator.signals import Role
+from estimator.units import KNOWN_UNITS, conversion_of
+
+HEAD = 'VERSION ""\nBS_:\nBU_: X\n'
+CAR = """BO_ 256 CAR: 8 X
+ SG_ Speed : 0|16@1+ (0.01,0) [0|250] "km/h" X
+ SG_ Angle : 16|8@1- (1,0) [0|0] "deg" X
+ SG_ Strange : 24|8@1+ (1,0) [0|0] "furlong/fortnight" X
+ SG_ Bare : 32|8@1+ (1,0) [0|0] "" X
+BO_ 2566844926 CCVS1: 8 X
+ SG_ Speed : 8|16@1+ (0.00390625,0) [0|250] "km/h" X
+BO_ 2364540158 EEC1: 8 X
+ SG_ EngSpeed : 24|16@1+ (0.125,0) [0|8031.875] "rpm" X
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+BA_ "VFrameFormat" BO_ 2566844926 3;
+"""
+
+
+def dbc(folder: Path, text: str | bytes, name: str = "car.dbc") -> str:
+    path = folder / name
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return str(path)
+
+
+def bound(folder: Path, config: dict, text: str | bytes = HEAD + CAR) -> list[BoundMessage]:
+    return bind(from_dict(config), load_database([dbc(folder, text)]))
+
+
+def refusal(kind: type[InputError], folder: Path, config: dict, text: str | bytes = HEAD + CAR) -> str:
+    with pytest.raises(InputError) as caught:
+        bound(folder, config, text)
+    assert type(caught.value) is kind
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# --- Databases ----------------------------------------------------------------------------------------------------
+
+
+def test_the_shipped_database_carries_the_default_binding() -> None:
+    messages = bind(Config(), load_database([]))
+    assert {s.role for m in messages for s in m.signals} == set(Config().binding)
+    assert all(m.by_pgn and m.j1939 and m.source is None for m in messages)
+    assert {m.name: m.key for m in messages}["EEC1"] == 0xF004
+
+
+def test_several_files_are_one_database(tmp_path: Path) -> None:
+    other = dbc(tmp_path, HEAD + 'BO_ 300 IMU: 8 X\n SG_ Yaw : 0|16@1- (1,0) [0|0] "rad/s" X\n', "imu.dbc")
+    database = load_database([dbc(tmp_path, HEAD + CAR), other])
+    messages = bind(from_dict({"signals": {"speed": "CAR.Speed", "yaw_rate": "IMU.Yaw"}}), database)
+    assert [m.key for m in messages] == [256, 300]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "not a DBC"),
+        ("The quick brown fox", "not a DBC"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "not a DBC"),
+        (bytes(range(256)), "not a DBC"),
+        (HEAD + CAR[:200], "not a DBC"),
+        ((HEAD + CAR).encode("utf-16"), "not a DBC"),
+        (HEAD + 'BO_ 256 CAR: 8 X\n SG_ A : 0|0@1+ (1,0) [0|0] "" X\n', "greater than 0"),
+        (HEAD, "holds no CAN messages"),
+    ],
+)
+def test_what_is_no_database(tmp_path: Path, text: str | bytes, said: str) -> None:
+    message = refusal(DatabaseError, tmp_path, {}, text)
+    assert message.startswith(f"{tmp_path / 'car.dbc'}: ")
+    assert said in message
+
+
+def test_the_second_file_is_named_if_it_is_the_bad_one(tmp_path: Path) -> None:
+    bad = dbc(tmp_path, "no", "bad.dbc")
+    with pytest.raises(DatabaseError, match=r"^.*/bad\.dbc: not a DBC"):
+        load_database([dbc(tmp_path, HEAD + CAR), bad])
+
+
+def test_no_such_file_and_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(DatabaseError, match=r"none\.dbc: No such file or directory$"):
+        load_database([str(tmp_path / "none.dbc")])
+    with pytest.raises(DatabaseError, match=r"Is a directory$"):
+        load_database([str(tmp_path)])
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig"])
+@pytest.mark.parametrize(
+    ("role", "unit"), [("ambient_temperature", "°C"), ("lateral_acceleration", "m/s²"), ("heading", "°")]
+)
+def test_units_with_signs_of_any_encoding(tmp_path: Path, encoding: str, role: str, unit: str) -> None:
+    text = HEAD + f'BO_ 256 M: 8 X\n SG_ S : 0|8@1+ (1,0) [0|0] "{unit}" X\nCM_ BO_ 256 "Größe, Übersicht";\n'
+    (message,) = bound(tmp_path, {"signals": {role: "M.S"}}, text.encode(encoding))
+    assert message.signals[0].conversion == KNOWN_UNITS[unit.lower()]
+
+
+@given(
+    st.integers(0, len(CAR) - 1), st.sampled_from(['"', "|", "@", "-", " ", "", "99", "SG_", "\n", "é", "1e999", "nan"])
+)
+@settings(max_examples=150, deadline=None, derandomize=True)
+def test_a_damaged_database_loads_or_is_refused(tmp_path_factory: pytest.TempPathFactory, k: int, put: str) -> None:
+    config = {"signals": {"speed": "CAR.Speed", "engine_speed": "EEC1.EngSpeed"}}
+    with contextlib.suppress(DatabaseError):
+        bound(tmp_path_factory.getbasetemp(), config, HEAD + CAR[:k] + put + CAR[k + 1 :])
+
+
+# --- Bindings -----------------------------------------------------------------------------------------------------
+
+
+def test_unknown_message_names_the_nearest(tmp_path: Path) -> None:
+    message = refusal(DatabaseError, tmp_path, {"signals": {"speed": "CCVS.Speed"}})
+    assert message.startswith("signals.speed: the DBC has no message 'CCVS'; the nearest are CCVS1, ")
+
+
+def test_unknown_signal_lists_what_there_is(tmp_path: Path) -> None:
+    message = refusal(DatabaseError, tmp_path, {"signals": {"wheel_speeds": ["CAR.Speed", "CAR.Sped"]}})
+    assert message.startswith("signals.wheel_speeds: message 'CAR' has no signal 'Sped'; it has ")
+    assert all(name in message for name in ("Speed", "Angle", "Strange", "Bare"))
+
+
+@pytest.mark.parametrize(("name", "unit"), [("Strange", "furlong/fortnight"), ("Bare", "")])
+def test_unknown_unit_names_the_signal_and_the_known_ones(tmp_path: Path, name: str, unit: str) -> None:
+    message = refusal(DatabaseError, tmp_path, {"signals": {"speed": f"CAR.{name}"}})
+    assert message.startswith(f"CAR.{name}: unknown unit {unit!r}; for speed write one of: m/s ")
+    assert "km/h" in message
+    assert "rpm" not in message
+
+
+def test_unit_of_another_dimension_names_the_fitting_ones(tmp_path: Path) -> None:
+    message = refusal(DatabaseError, tmp_path, {"signals": {"engine_power": "CAR.Speed"}})
+    assert message == "CAR.Speed: unit 'km/h' does not fit engine_power, which takes one of: w kw hp bhp ps cv"
+
+
+def test_states_need_no_unit_and_a_grade_may_be_an_angle(tmp_path: Path) -> None:
+    (message,) = bound(tmp_path, {"signals": {"gear": "CAR.Strange", "brake_switch": "CAR.Bare", "grade": "CAR.Angle"}})
+    assert [(s.role, s.conversion.scale, s.tangent) for s in message.signals] == [
+        (Role.GEAR, 1.0, False),
+        (Role.BRAKE_SWITCH, 1.0, False),
+        (Role.GRADE, pytest.approx(np.pi / 180), True),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('SG_ S : 0|65@1+ (1,0) [0|0] "" X', "M.S: a signal of 65 bits is no number"),
+        ('SG_ S : 0|24@1+ (1,0) [0|0] "" X\nSIG_VALTYPE_ 256 S : 1;', "M.S: a floating-point signal of 24 bits"),
+        (
+            'SG_ S m0M : 0|8@1+ (1,0) [0|0] "" X\n SG_ T m0M : 8|8@1+ (1,0) [0|0] "" X\n'
+            "SG_MUL_VAL_ 256 S T 0-0;\nSG_MUL_VAL_ 256 T S 0-0;",
+            "M.S: T multiplexes itself",
+        ),
+    ],
+)
+def test_layouts_that_cannot_be_decoded(tmp_path: Path, line: str, said: str) -> None:
+    text = f"{HEAD}BO_ 256 M: 64 X\n {line}\n"
+    assert refusal(DatabaseError, tmp_path, {"signals": {"gear": "M.S"}}, text).startswith(said)
+
+
+def test_source_address_of_a_message_that_is_not_bound(tmp_path: Path) -> None:
+    config = {"bus": {"source_addresses": {"EEC1": 0}}, "signals": {"speed": "CCVS1.Speed"}}
+    message = refusal(ConfigError, tmp_path, config)
+    assert message == "bus.source_addresses.EEC1: no signal is bound to that message; bound are CCVS1"
+
+
+@pytest.mark.parametrize(("name", "match"), [("CAR", "auto"), ("CCVS1", "id")])
+def test_source_address_of_a_message_matched_by_its_whole_id(tmp_path: Path, name: str, match: str) -> None:
+    config = {"bus": {"source_addresses": {name: 0}, "match": match}, "signals": {"speed": f"{name}.Speed"}}
+    message = refusal(ConfigError, tmp_path, config)
+    assert message == f"bus.source_addresses.{name}: matched by its whole id, not by PGN; leave it out"
+
+
+def test_an_11_bit_id_cannot_be_matched_by_pgn(tmp_path: Path) -> None:
+    message = refusal(ConfigError, tmp_path, {"bus": {"match": "pgn"}, "signals": {"speed": "CAR.Speed"}})
+    assert message == 'bus.match: CAR has an 11-bit id, which holds no PGN; write "auto" or "id"'
+
+
+@pytest.mark.parametrize(
+    ("match", "name", "key", "by_pgn", "j1939"),
+    [
+        ("auto", "CCVS1", 0xFEF1, True, True),
+        ("pgn", "CCVS1", 0xFEF1, True, True),
+        ("id", "CCVS1", 2566844926, False, True),
+        ("auto", "CAR", 256, False, False),  # the database says J1939, the id that it cannot be
+        ("id", "CAR", 256, False, False),
+    ],
+)
+def test_how_messages_are_matched(tmp_path: Path, match: str, name: str, key: int, by_pgn: bool, j1939: bool) -> None:
+    config = {"bus": {"match": match}, "signals": {"speed": f"{name}.Speed"}}
+    text = HEAD + CAR.replace('DEF_DEF_ "VFrameFormat" "J1939PG"', 'DEF_DEF_ "VFrameFormat" "StandardCAN"')
+    for one in (HEAD + CAR, text):
+        (message,) = bound(tmp_path, config, one)
+        assert (message.key, message.by_pgn, message.j1939) == (key, by_pgn, j1939)
+
+
+# --- Units --------------------------------------------------------------------------------------------------------
+
+c = constants
+SI = {
+    "m/s mps": 1,
+    "km/h kph kmh kmph": c.kmh,
+    "mph mi/h": c.mph,
+    "m/s^2 m/s2 m/s² mps2 m/s/s": 1,
+    "g gn": c.g,
+    "rad/s": 1,
+    "rpm 1/min r/min min^-1 u/min": 2 * c.pi / c.minute,
+    "deg/s °/s degree/s": c.degree,
+    "nm n.m n·m n*m newton-meter": 1,
+    "lbft lb-ft lbf.ft ft-lb ftlb": c.lbf * c.foot,
+    "w v a m kg pa rad 1 - ratio": 1,
+    "kw km t kpa": c.kilo,
+    "hp bhp": c.horsepower,
+    "ps cv": 75 * c.kilogram_force,
+    "% percent pct": c.centi,
+    "deg ° degree degrees": c.degree,
+    "ft": c.foot,
+    "mi": c.mile,
+    "hpa mbar": c.hecto,
+    "bar": c.bar,
+    "psi": c.psi,
+    "lb lbs lbm": c.lb,
+}
+TEMPERATURES = {"degc °c deg.c celsius c": "Celsius", "degf °f fahrenheit f": "Fahrenheit", "k kelvin": "Kelvin"}
+
+
+def test_every_spelling_converts_as_scipy_does() -> None:
+    expected = {spelling: value for spellings, value in SI.items() for spelling in spellings.split()}
+    scales = {spelling for spellings in TEMPERATURES for spelling in spellings.split()}
+    assert expected.keys() | scales == KNOWN_UNITS.keys()
+    for spelling, value in expected.items():
+        assert KNOWN_UNITS[spelling].scale == pytest.approx(value, rel=1e-12), spelling
+        assert KNOWN_UNITS[spelling].offset == 0
+    for spellings, scale in TEMPERATURES.items():
+        for spelling in spellings.split():
+            unit = KNOWN_UNITS[spelling]
+            for value in (-40.0, 0.0, 100.0):
+                kelvin = c.convert_temperature(value, scale, "Kelvin")
+                assert unit.scale * value + unit.offset == pytest.approx(kelvin, rel=1e-12), spelling
+
+
+@pytest.mark.parametrize("spelling", ["km/h", "Km/H", " km / h ", "KM/H"])
+def test_case_and_blanks_do_not_matter(spelling: str) -> None:
+    assert conversion_of(spelling) == conversion_of("km/h") is not None
+
+
+@pytest.mark.parametrize("spelling", ["", None, "furlong", "km", "m/s m/s"])
+def test_other_spellings_are_not_speeds(spelling: str | None) -> None:
+    found = conversion_of(spelling)
+    assert found is None or found.dimension != "m/s"
