@@ -2,11 +2,13 @@
 
 import argparse
 import dataclasses
+import importlib
 import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import msgspec
@@ -19,6 +21,7 @@ from estimator import __version__, config, inspection, replay, summary
 from estimator.can_io.recorder import frames_of, write_log
 from estimator.config import Config
 from estimator.errors import ConfigError, RoadloadError
+from estimator.report import export
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
@@ -64,12 +67,14 @@ def _parser() -> argparse.ArgumentParser:
     played.add_argument("log", nargs="+", type=Path, metavar="LOG")
     played.add_argument("--speed", default="max", metavar="max|FACTOR", help="multiple of real time (default: max)")
     played.add_argument("--output", type=Path, metavar="OUT.blf", help="record what was broadcast")
-    played.add_argument("--seed", type=int, help="of the sampler, instead of the configuration's")
+    played.add_argument("--seed", type=_seed, help="of the sampler, instead of the configuration's")
     played.set_defaults(run=_replay)
 
     estimated = commands.add_parser("estimate", parents=[common], help="the same answer from logs without a bus")
     estimated.add_argument("log", nargs="+", type=Path, metavar="LOG")
-    estimated.add_argument("--seed", type=int, help="of the sampler, instead of the configuration's")
+    estimated.add_argument("--seed", type=_seed, help="of the sampler, instead of the configuration's")
+    estimated.add_argument("--draws", type=Path, metavar="OUT.csv|.json|.nc", help="draws of the posterior")
+    estimated.add_argument("--plot", type=Path, metavar="OUT.png|.svg|.html", help="posterior, fit, coverage, chains")
     estimated.set_defaults(run=_estimate)
 
     inspected = commands.add_parser("inspect", parents=[common], help="what is in a log")
@@ -80,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     simulated.add_argument("output", type=Path, metavar="OUT.blf", help="the log: .blf .asc .log .csv .trc")
     simulated.add_argument("--minutes", type=_positive, default=40.0, help="length of the drive (default: 40)")
     simulated.add_argument("--route", choices=["urban", "mixed", "highway"], default="mixed")
-    simulated.add_argument("--seed", type=int, default=1, help="draws truck, route and noise (default: 1)")
+    simulated.add_argument("--seed", type=_seed, default=1, help="draws truck, route and noise (default: 1)")
     for name, unit, what in (("mass", "kg", "mass"), ("A", "N", "rolling force"), ("C", "N s2/m2", "drag coefficient")):
         simulated.add_argument(f"--{name}", type=_positive, metavar=unit, help=f"{what}, instead of the drawn one")
     simulated.add_argument("--speed-noise", type=float, default=0.01, metavar="m/s", help="sd (default: 0.01)")
@@ -92,6 +97,13 @@ def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is negative")
     return value
 
 
@@ -145,9 +157,31 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _estimate(options: argparse.Namespace) -> int:
+    for path, check in ((options.draws, export.check_format), (options.plot, _plots_format)):
+        if path is not None:
+            check(path)
     with _progress("estimating") as progress:
         run = replay.estimate(options.log, _settings(options), progress)
+    evidence = run.pipeline.estimator.evidence
+    if evidence is not None and options.draws is not None:
+        export.write_draws(evidence.posterior, options.draws)
+    if evidence is not None and options.plot is not None:
+        _plots().write_plot(evidence, f"roadload: {', '.join(path.name for path in options.log)}", options.plot)
+    if evidence is None and (options.draws or options.plot):
+        print("note: no estimate, so no draws and no picture were written", file=sys.stderr)
     return _report(run, options)
+
+
+def _plots() -> ModuleType:
+    """The room that draws, which needs matplotlib: loaded only when a picture is asked for."""
+    try:
+        return importlib.import_module("estimator.report.plots")
+    except ImportError as error:
+        raise RoadloadError("--plot needs matplotlib: pip install 'roadload[plot]'") from error
+
+
+def _plots_format(path: Path) -> None:
+    _plots().check_format(path)
 
 
 def _inspect(options: argparse.Namespace) -> int:

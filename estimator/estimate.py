@@ -50,6 +50,15 @@ class Coverage:
 
 
 @dataclass(frozen=True, slots=True)
+class LoadChange:
+    """Whether the mass after a stop is another one than before: ``probability``, and both means [kg]."""
+
+    probability: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """Conclusion at message time ``t`` [s]; the marginals are None unless the status is "estimated"."""
 
@@ -63,3 +72,4 @@ class Estimate:
     C: Marginal | None = None  # [N s^2/m^2]
     convergence: Convergence | None = None
     rms: float | None = None  # [W] of the power residual
+    load: LoadChange | None = None  # against the load before the last long stop, where that was estimated

@@ -108,6 +108,8 @@ class Pipeline:
     def _needed(self) -> list[Role]:
         bound = self._names
         needed = [Role.SPEED if Role.SPEED in bound else Role.WHEEL_SPEEDS]
+        if self._config.kinematics.acceleration == "inertial":
+            needed.append(Role.LONGITUDINAL_ACCELERATION)
         if Role.ENGINE_POWER in bound:
             return [*needed, Role.ENGINE_POWER]
         if Role.ENGINE_TORQUE in bound:
@@ -115,6 +117,8 @@ class Pipeline:
         needed += [Role.TORQUE_FRACTION, Role.ENGINE_SPEED]
         if Role.FRICTION_FRACTION in bound:
             needed.append(Role.FRICTION_FRACTION)
+        if self._config.vehicle.subtract_parasitic_losses:
+            needed.append(Role.PARASITIC_FRACTION)
         if self._config.vehicle.reference_torque_Nm is None:
             needed.append(Role.REFERENCE_TORQUE)
         return needed

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from estimator.signals import Floats, Mask, Role
 
 STEP = 0.1  # s, the time grid: wheel speed comes at 10 Hz on nearly every bus
+HARDEST = 12.0  # m/s^2: no tyre holds more, so a speed that changes faster is not the vehicle's
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,15 @@ class Rows:
     def t(self) -> Floats:
         """Grid times [s]."""
         return self.index * STEP
+
+    @property
+    def plausible_speed(self) -> Floats:
+        """Speed [m/s], NaN on either side of a jump: a locked wheel, a sensor that starts anew, a wrong bit.
+
+        One such value would outweigh an hour of driving in the fit, and be the last to leave the window.
+        """
+        jump = np.abs(np.diff(self.speed)) > HARDEST * STEP
+        return np.where(np.append(jump, False) | np.insert(jump, 0, False), np.nan, self.speed)
 
     @classmethod
     def concatenate(cls, a: "Rows", b: "Rows") -> "Rows":

@@ -22,11 +22,19 @@ def of_run(run: Run) -> dict[str, Any]:
         "samples": {"admitted": final.admitted, "rejected": dict(pipeline.estimator.rejected)},
         "frames": {"read": pipeline.frames, "used": pipeline.used, "errors": dict(run.skipped + pipeline.errors)},
         "effects": [],
-        "updates": [
-            {"t_s": round(update.t - run.start, 3), "status": update.status.value, "parameters": parameters(update)}
-            for update in run.updates
-        ],
+        "updates": [_update(update, run.start) for update in run.updates],
     }
+
+
+def _update(update: Estimate, start: float) -> dict[str, Any]:
+    """One update; after a long stop it also says whether the load has changed since."""
+    summary: dict[str, Any] = {"t_s": round(update.t - start, 3), "status": update.status.value}
+    summary["parameters"] = parameters(update)
+    if update.load is not None:
+        change = update.load
+        masses = {"mass_before_kg": change.before, "mass_after_kg": change.after}
+        summary["load_changed"] = {"probability": change.probability, **masses}
+    return summary
 
 
 def parameters(estimate: Estimate) -> dict[str, dict[str, float] | None]:

@@ -34,6 +34,11 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
             highlight=False,
             soft_wrap=True,
         )
+    if final.load is not None:
+        change, load = final.load, "the load changed" if final.load.probability > 0.5 else "the load is the same"
+        sure = max(change.probability, 1 - change.probability)
+        masses = f"{change.before:,.0f} kg before, {change.after:,.0f} kg after"
+        console.print(f"stop      {load}, probability {sure:.3f}: {masses}", highlight=False, soft_wrap=True)
     rejected = ", ".join(f"{reason} {count:,}" for reason, count in pipeline.estimator.rejected.most_common())
     console.print(f"samples   {final.admitted:,} used; not used: {rejected or 'none'}", highlight=False, soft_wrap=True)
     refused = sum((run.skipped + pipeline.errors).values())

@@ -16,6 +16,7 @@ class Reason(StrEnum):
 
     SPEED_STALE = "speed stale"
     SPEED_NOT_AVAILABLE = "speed not available"
+    SPEED_IMPLAUSIBLE = "speed jumps"
     STANDING = "standing"
     REVERSE = "reverse"
     BRAKING = "braking"
@@ -56,6 +57,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
     masks: dict[Reason, Mask] = {
         Reason.SPEED_STALE: ~rows.fresh[:, 0],
         Reason.SPEED_NOT_AVAILABLE: np.isnan(rows.speed),
+        Reason.SPEED_IMPLAUSIBLE: np.isnan(rows.plausible_speed),
         Reason.STANDING: standing,
         Reason.REVERSE: gear < 0,
         Reason.BRAKING: braking,

@@ -5,20 +5,38 @@ It owns the window and nothing else that moves: no clock, no bus, no thread. Fed
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.config import Config
 from estimator.estimate import Coverage, Estimate, Status
 from estimator.estimation import kinematics, moments, posterior
 from estimator.estimation.admission import Reason, admit, row_reasons
 from estimator.estimation.gate import Gate
-from estimator.estimation.window import Window
+from estimator.estimation.load import Segment, Standstill, load_change
+from estimator.estimation.model_check import misfit
+from estimator.estimation.moments import Fit
+from estimator.estimation.posterior import Posterior
+from estimator.estimation.window import Grid, Window
 from estimator.samples import STEP, Rows, Samples
 
 BLOCK = 200  # rows turned into samples at a time: 20 s
 CALIBRATION = 1800  # moving rows after which the smoother and the lag are settled: 3 min
+LONGEST_WAIT = 18_000  # rows kept waiting for that: 30 min
 NOTHING_COVERED = Coverage(0, 0)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Samples, fit and draws behind an estimate, and the samples per cell of the window's grid."""
+
+    samples: Samples
+    fit: Fit
+    posterior: Posterior
+    grid: Grid
+    counts: NDArray[np.int64]
 
 
 class Estimator:
@@ -38,19 +56,32 @@ class Estimator:
         self._config = config
         self._rng = rng
         self._gate = Gate(config.gate, self.window.grid)
+        # Rows that a sample needs on either side, for its instruments and for what it must keep away from.
+        self._margin = max(kinematics.margin(STEP), round(config.admission.margin_s / STEP))
         self._pending: Rows | None = None
         self._smoother: kinematics.Kernels | None = None
         self._lag = 0.0
         self._moving = 0
+        self._next: int | None = None  # index of the row that would follow without a gap
         self._due: int | None = None
         self._at_last = 0
         self._below = 0
         self._latest: Estimate | None = None
+        self._standstill = Standstill(config.load, config.admission.minimum_speed_m_s)
+        self._given = posterior.belief_of(config.prior)
+        self._shown: Segment | None = None  # what this load has shown so far
+        self._before: Segment | None = None  # and the one before
+        self._evidence: Evidence | None = None
 
     @property
     def latest(self) -> Estimate | None:
         """The newest conclusion; None before the first."""
         return self._latest
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """What the newest estimate rests on; None while there is none."""
+        return self._evidence
 
     @property
     def rejected(self) -> Counter[str]:
@@ -62,9 +93,12 @@ class Estimator:
         """Take the next rows of the grid; yields an estimate whenever one falls due."""
         if self._pending is not None and rows.index[0] != self._pending.index[-1] + 1:
             yield from self.finish()
+        if self._next is not None and rows.index[0] > self._next:
+            self._standstill.pause(int(rows.index[0] - self._next))
+        self._next = int(rows.index[-1]) + 1
         self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
         self._moving += int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
-        if self._smoother is None and self._moving < CALIBRATION:
+        if self._moving < CALIBRATION and len(self._pending) < LONGEST_WAIT:
             return
         yield from self._consume(BLOCK)
 
@@ -83,27 +117,35 @@ class Estimator:
     def forget(self) -> None:
         """Start a new window: what follows is another drive, perhaps with another load."""
         self.window.clear()
-        self._pending, self._due, self._latest = None, None, None
-        self._at_last = self.window.added
+        self._pending, self._due, self._next = None, None, None
+        self._start_segment()
 
     def _calibrate(self, rows: Rows) -> kinematics.Kernels:
-        self._lag = kinematics.fit_lag(rows.speed, rows.power, STEP, self._config.kinematics.maximum_lag_s)
-        return kinematics.smoother_kernels(kinematics.fit_ratio(rows.speed, STEP), STEP)
+        speed = rows.plausible_speed
+        self._lag = kinematics.fit_lag(speed, rows.power, STEP, self._config.kinematics.maximum_lag_s)
+        return kinematics.smoother_kernels(kinematics.fit_ratio(speed, STEP), STEP)
 
     def _consume(self, least: int) -> Iterator[Estimate]:
         assert self._pending is not None
-        margin = kinematics.margin(STEP)
+        margin = self._margin
         if self._smoother is None:
             self._smoother = self._calibrate(self._pending)
         while len(self._pending) >= least + 2 * margin:
             core = min(BLOCK, len(self._pending) - 2 * margin)
-            yield from self._take(self._pending[: core + 2 * margin], margin)
+            yield from self._take(self._pending[: core + 2 * margin])
             self._pending = self._pending[core:]
+        if self._moving < CALIBRATION:
+            # A few moments of driving must not settle the smoother for all that follows.
+            self._smoother, self._moving = None, 0
 
-    def _take(self, rows: Rows, margin: int) -> Iterator[Estimate]:
+    def _take(self, rows: Rows) -> Iterator[Estimate]:
         assert self._smoother is not None
+        margin = self._margin
         inertial = self._config.kinematics.acceleration == "inertial"
-        samples = kinematics.to_samples(rows, self._smoother, self._lag, inertial)
+        spare = margin - kinematics.margin(STEP)
+        samples = kinematics.to_samples(rows[spare : len(rows) - spare], self._smoother, self._lag, inertial)
+        if self._standstill.drives_off(rows.speed[margin : len(rows) - margin]):
+            self._start_segment()
         codes = row_reasons(rows, self._config.admission)[margin : len(rows) - margin]
         self.window.add(admit(samples, codes, self._rejected))
         newest = int(rows.index[-1 - margin])
@@ -115,6 +157,14 @@ class Estimator:
             if self._gate.has_news(self.window.added, self._at_last, len(self.window)):
                 yield self._conclude(newest * STEP)
 
+    def _start_segment(self) -> None:
+        """Another load, perhaps: forget the mass, keep what the vehicle has shown of itself."""
+        if self._shown is not None:
+            self._before = self._shown
+        self.window.clear()
+        self._latest, self._evidence, self._shown = None, None, None
+        self._at_last = self.window.added
+
     def _conclude(self, t: float) -> Estimate:
         """Fit, judge, sample: one update."""
         samples = self.window.samples
@@ -124,7 +174,10 @@ class Estimator:
         return self._latest
 
     def _estimate(self, t: float, samples: Samples) -> Estimate:
-        fit = moments.fit(samples, self._config.admission.power_sigmas)
+        belief = self._given
+        if self._before is not None:
+            belief = belief + self._before.carry_over(t, self._config.load)
+        fit = moments.fit(samples, self._config.admission.power_sigmas, belief)
         held = int(fit.kept.sum()) if fit else len(samples)
         self._below = len(samples) - held
 
@@ -138,9 +191,15 @@ class Estimator:
         coverage = self._gate.coverage(self.window.counts, np.maximum(fit.theta[:3], 0.0), samples.P)
         if reason := self._gate.is_covered(fit, coverage):
             return unestimated(reason, coverage)
+        if reason := misfit(samples, fit):
+            return Estimate(t, Status.INVALID, reason, coverage, held, rms=fit.rms)
         draws = posterior.sample(posterior.target_of(samples, fit, self._config), self._config, self._rng)
         if not draws.has_converged:
             c = draws.convergence
             return unestimated(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
+        self._evidence = Evidence(samples, fit, draws, self.window.grid, self.window.counts)
         A, C, m = (draws.marginal(i) for i in range(3))
-        return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms)
+        road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, : moments.ROAD_LOAD]
+        self._shown = Segment(road_load.mean(axis=0), np.cov(road_load.T), t)
+        change = None if self._before is None else load_change(self._before, self._shown)
+        return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms, change)

@@ -4,6 +4,9 @@ SPN 514 comes in steps of 1 % of the reference torque, often 25 N.m: half a step
 does, is several per cent of the rolling resistance. But a reading of k steps says more than "k": friction lies within
 half a step of it, and it follows the engine speed smoothly. A curve through all readings so far, held inside each
 reading's own interval, is never worse than the interval and mostly far better than its middle.
+
+Every engine speed counts alike, however long it was driven at: an hour of cruising repeats one rounded reading,
+which would otherwise draw the curve to itself just where it is needed.
 """
 
 import numpy as np
@@ -12,6 +15,9 @@ from estimator.signals import Floats
 
 DEGREE = 3  # of the curve in engine speed
 SPEED_SCALE = 150.0  # rad/s, to keep powers of the speed near one
+BIN = 3.0  # rad/s, engine speeds that count as one
+BINS = 400  # up to 1200 rad/s
+ENOUGH = 50.0  # readings after which more in the same bin add no weight
 RIDGE = 1e-3  # readings' worth of prior at zero slope: keeps a drive at one speed solvable
 FORGET = 36_000.0  # readings after which old ones fade, as oil warms: 12 min at 50 Hz
 
@@ -20,8 +26,7 @@ class FrictionCurve:
     """Running least-squares polynomial of friction over engine speed."""
 
     def __init__(self) -> None:
-        self._moments = np.zeros((DEGREE + 1, DEGREE + 1))
-        self._target = np.zeros(DEGREE + 1)
+        self._sums = np.zeros((3, BINS))  # of readings in each bin: how many, their engine speeds, their values
         self._levels = np.empty(0)
 
     def refine(self, engine_speed: Floats, reading: Floats) -> Floats:
@@ -30,18 +35,28 @@ class FrictionCurve:
         NaN where either is; the readings themselves until they have shown what their step is.
         """
         known = np.isfinite(engine_speed) & np.isfinite(reading)
-        levels = np.unique(np.round(reading[known], 6))
+        speed, value = engine_speed[known], reading[known]
+        levels = np.unique(np.round(value, 6))
         if not np.isin(levels, self._levels).all():
             self._levels = np.union1d(self._levels, levels)
-        powers = np.vander(engine_speed[known] / SPEED_SCALE, DEGREE + 1, increasing=True)
-        fade = np.exp(-known.sum() / FORGET)
-        self._moments = fade * self._moments + powers.T @ powers
-        self._target = fade * self._target + powers.T @ reading[known]
+        cell = np.clip(speed / BIN, 0, BINS - 1).astype(np.int64)
+        new = [np.bincount(cell, weights, BINS) for weights in (np.ones(len(cell)), speed, value)]
+        self._sums = np.exp(-len(value) / FORGET) * self._sums + new
         if len(self._levels) < 2:
             return np.where(known, reading, np.nan)
         half_step = float(np.diff(self._levels).min()) / 2
-        ridge = np.diag([0.0] + [RIDGE] * DEGREE)
-        curve = powers @ np.linalg.solve(self._moments + ridge, self._target)
         refined = np.full(len(reading), np.nan)
-        refined[known] = np.clip(curve, reading[known] - half_step, reading[known] + half_step)
+        refined[known] = np.clip(self._curve(speed), value - half_step, value + half_step)
         return refined
+
+    def _curve(self, engine_speed: Floats) -> Floats:
+        count, speeds, values = self._sums[:, self._sums[0] > 0]
+        powers = _powers(speeds / count)
+        weighted = powers.T * np.minimum(count, ENOUGH)
+        ridge = np.diag([0.0] + [RIDGE] * DEGREE)
+        curve: Floats = _powers(engine_speed) @ np.linalg.solve(weighted @ powers + ridge, weighted @ (values / count))
+        return curve
+
+
+def _powers(engine_speed: Floats) -> Floats:
+    return np.vander(engine_speed / SPEED_SCALE, DEGREE + 1, increasing=True)

@@ -36,6 +36,8 @@ LONGEST_LAG = 2.0  # s
 LAG_RATIO = 100.0  # 1/s^4, smoother used to find the lag
 LAG_SPEED = 2.0  # m/s
 LAG_SAMPLES = 300
+LAG_CORRELATION = 1.0  # s, over which residuals are taken to hang together
+LAG_SURE = 0.1  # s, standard deviation beyond which a lag is not believed
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,8 @@ def fit_ratio(speed: Floats, dt: float) -> float:
 def fit_lag(speed: Floats, power: Floats, dt: float, longest: float) -> float:
     """Delay of power behind speed [s] that makes the road-load model fit best; 0 when the data cannot tell.
 
-    Parabola through the smallest residual sums of least squares over shifts of up to ``longest`` [s] either way.
+    Parabola through the smallest residual sums of least squares over shifts of up to ``longest`` [s] either way;
+    how sharp it is says how sure the lag is.
     ``speed`` (n,) [m/s] and ``power`` (n,) [W] on a grid of step ``dt`` [s], NaN where unknown.
     """
     kernels = smoother_kernels(LAG_RATIO, dt)
@@ -154,20 +157,28 @@ def fit_lag(speed: Floats, power: Floats, dt: float, longest: float) -> float:
     shifts = range(-reach, reach + 1)
     shifted = np.stack([np.roll(P, -k) for k in shifts])
     known[:reach] = known[len(known) - reach :] = False
-    known &= np.isfinite(shifted).all(axis=0)
+    # Brakes and gear changes, which the model does not know, would pull the lag: keep to steady traction.
+    known &= (shifted > 0).all(axis=0)
     if known.sum() < LAG_SAMPLES:
         return 0.0
     X = design(v[known], a[known])
     y = shifted[:, known].T
     residual = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+    total = ((y - y.mean(axis=0)) ** 2).sum(axis=0)
+    if not np.all(total > 0):
+        return 0.0
     # Shifts change how much power there is to explain, so compare shares, not sums.
-    share = (residual**2).sum(axis=0) / ((y - y.mean(axis=0)) ** 2).sum(axis=0)
+    share = (residual**2).sum(axis=0) / total
     best = int(np.argmin(share))
     if best in (0, 2 * reach):
         return 0.0
     left, centre, right = share[best - 1 : best + 2]
-    offset = 0.5 * (left - right) / (left - 2 * centre + right)
-    return float((best - reach + offset) * dt)
+    bend = left - 2 * centre + right
+    independent = known.sum() * dt / LAG_CORRELATION
+    if bend <= 0 or centre * dt**2 > independent * bend * LAG_SURE**2:
+        return 0.0
+    offset = 0.5 * (left - right) / bend
+    return float(np.clip((best - reach + offset) * dt, -longest, longest))
 
 
 def to_samples(rows: Rows, kernels: Kernels, lag: float, inertial: bool) -> Samples:
@@ -182,18 +193,19 @@ def to_samples(rows: Rows, kernels: Kernels, lag: float, inertial: bool) -> Samp
     share = lag / STEP - step
     later = _shift(rows.power, step)
     power = later if share == 0 else (1 - share) * later + share * _shift(rows.power, step + 1)
-    a, za = convolve(rows.speed, kernels.slope), convolve(rows.speed, ring.slope)
+    speed = rows.plausible_speed
+    a, za = convolve(speed, kernels.slope), convolve(speed, ring.slope)
     if inertial:
         sensed = rows.context.get(Role.LONGITUDINAL_ACCELERATION, np.full(len(rows), np.nan))
-        gravity = convolve(sensed - np.gradient(rows.speed, STEP), slow_kernel(STEP))
+        gravity = convolve(sensed - np.gradient(speed, STEP), slow_kernel(STEP))
         a, za = a + gravity, za + gravity
     samples = Samples(
         rows.t,
-        convolve(rows.speed, kernels.value),
+        convolve(speed, kernels.value),
         a,
         convolve(power, kernels.value),
         convolve(power, kernels.slope),
-        convolve(rows.speed, ring.value),
+        convolve(speed, ring.value),
         za,
         convolve(power, ring.slope),
     )

@@ -31,8 +31,31 @@ SELECTIONS = 8  # passes that settle which samples count
 FEWEST_COSINES = 12
 TIMES_PER_COSINE = 4.0  # autocorrelation times that one cosine transform must span
 LAG_SD = 0.1  # s, prior of what the coarse alignment leaves
-PRIOR_PRECISION = np.array([0.0, 0.0, 0.0, LAG_SD**-2])
 ROAD_LOAD = 3  # the first parameters
+PARAMETERS = 4  # with the lag
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known before the data, as a Gaussian in information form: ``precision`` (p, p) and precision @ mean.
+
+    Beliefs from independent sources add up.
+    """
+
+    precision: Floats
+    moment: Floats
+
+    def __add__(self, other: "Belief") -> "Belief":
+        return Belief(self.precision + other.precision, self.moment + other.moment)
+
+    @classmethod
+    def about(cls, i: int, mean: float, sd: float) -> "Belief":
+        """Parameter ``i`` is ``mean`` give or take ``sd``."""
+        unit = np.eye(PARAMETERS)[i]
+        return cls(np.outer(unit, unit) / sd**2, unit * mean / sd**2)
+
+
+SMALL_LAG = Belief.about(3, 0.0, LAG_SD)
 
 
 @dataclass(frozen=True)
@@ -78,8 +101,8 @@ def columns(samples: Samples) -> tuple[Floats, Floats]:
     return X, Z
 
 
-def fit(samples: Samples, power_sigmas: float) -> Fit | None:
-    """Fit all samples whose predicted power exceeds ``power_sigmas`` residual sd.
+def fit(samples: Samples, power_sigmas: float, belief: Belief = SMALL_LAG) -> Fit | None:
+    """Fit all samples whose predicted power exceeds ``power_sigmas`` residual sd, given a prior ``belief``.
 
     Returns None where the moments do not determine the parameters: too few samples, or a drive so uniform that the
     columns are not independent.
@@ -91,7 +114,8 @@ def fit(samples: Samples, power_sigmas: float) -> Fit | None:
     scale = np.sqrt(np.mean(X**2, axis=0))
     if not np.all(scale > 0):
         return None
-    X, Z, prior = X / scale, Z / scale, PRIOR_PRECISION / scale**2
+    X, Z = X / scale, Z / scale
+    prior = Belief(belief.precision / np.outer(scale, scale), belief.moment / scale)
     kept = np.ones(len(X), dtype=bool)
     spread: Floats | None = None
     for _ in range(SELECTIONS):
@@ -119,7 +143,7 @@ def fit(samples: Samples, power_sigmas: float) -> Fit | None:
     return Fit(theta / scale, covariance, float(cosines), previous, rms, len(Pk) / time)
 
 
-def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Floats) -> tuple[Floats, Floats] | None:
+def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Belief) -> tuple[Floats, Floats] | None:
     """Mode and covariance of the posterior; without a ``spread`` of the moments, that of white residuals."""
     cross, moment = Z.T @ X, Z.T @ P
     if spread is None:
@@ -128,12 +152,12 @@ def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Floats
     if np.linalg.cond(spread) > 1 / np.finfo(float).eps:
         return None
     weighted = np.linalg.solve(spread, np.column_stack([cross, moment]))
-    information = cross.T @ weighted[:, :-1] + np.diag(prior)
+    information = cross.T @ weighted[:, :-1] + prior.precision
     unit = np.sqrt(np.diag(information))
     if not np.all(unit > 0) or np.linalg.cond(information / np.outer(unit, unit)) > 1 / np.finfo(float).eps ** 0.5:
         return None
     covariance = np.linalg.inv(information / np.outer(unit, unit)) / np.outer(unit, unit)
-    return covariance @ (cross.T @ weighted[:, -1]), covariance
+    return covariance @ (cross.T @ weighted[:, -1] + prior.moment), covariance
 
 
 def _cosines(n: int, time: float) -> int:

@@ -6,18 +6,17 @@ import numpy as np
 
 from estimator.config import Config, Prior
 from estimator.estimate import Convergence, Marginal
-from estimator.estimation.moments import Fit
+from estimator.estimation.moments import SMALL_LAG, Belief, Fit
 from estimator.road_load import design
 from estimator.samples import Samples
-from estimator.sampling import convergence
-from estimator.sampling.likelihood import ClippedGaussianTarget, StudentTarget, Target, clipped_least_squares
-from estimator.sampling.metropolis import KERNELS
+from estimator.sampling.clipped import ClippedGaussianTarget
+from estimator.sampling.likelihood import StudentTarget, Target
+from estimator.sampling.run import run
 from estimator.signals import Floats
 
 LARGEST_R_HAT = 1.05
 SMALLEST_ESS = 100.0
 LAG_BOX = (-1.0, 1.0)  # s, far wider than the prior of the lag
-SPREAD = 3.0  # sd of the chains' starting points around the centre
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,15 @@ def box(prior: Prior) -> tuple[Floats, Floats]:
     return np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
 
 
+def belief_of(prior: Prior) -> Belief:
+    """What the configuration says beforehand, as one Gaussian; parameters in the order A, C, m, lag."""
+    belief = SMALL_LAG
+    for i, known in enumerate((prior.A_belief_N, prior.C_belief_N_s2_m2, prior.mass_belief_kg)):
+        if known is not None:
+            belief = belief + Belief.about(i, *known)
+    return belief
+
+
 def target_of(samples: Samples, fit: Fit, config: Config) -> Target:
     """The density to sample: the moment objective, or the paper's likelihood of all samples with power above 0."""
     lower, upper = box(config.prior)
@@ -53,28 +61,22 @@ def target_of(samples: Samples, fit: Fit, config: Config) -> Target:
         return StudentTarget(fit.theta, fit.covariance, fit.dof, lower, upper)
     positive = samples[samples.P > 0]
     X = design(positive.v, positive.a)
-    centre, variance = clipped_least_squares(X, positive.P)
-    return ClippedGaussianTarget(X, positive.P, centre, variance, lower[:3], upper[:3])
+    return ClippedGaussianTarget(X, positive.P, lower[:3], upper[:3])
 
 
 def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterior:
     """Run the configured kernel from random starting points inside the box."""
     settings = config.sampler
-    lower, upper = box(config.prior)
-    p = len(target.centre)
-    factor = np.linalg.cholesky(target.curvature(target.centre))
-    starts = target.centre + SPREAD * rng.standard_normal((settings.chains, p)) @ factor.T
-    starts = np.clip(starts, lower[:p], upper[:p])
-    chains = KERNELS[settings.kernel](target, starts, settings.burn_in, settings.draws, rng)
-    per_parameter = [chains.draws[:, :, i] for i in range(3)]
+    result = run(target, settings.kernel, settings.chains, settings.burn_in, settings.draws, rng)
+    road_load = result.diagnoses[:3]
     return Posterior(
-        chains.draws,
+        result.draws,
         Convergence(
             # A parameter that cannot be judged makes the whole NaN, which never counts as converged.
-            float(np.max([convergence.r_hat(x) for x in per_parameter])),
-            float(np.min([convergence.ess_bulk(x) for x in per_parameter])),
-            chains.acceptance,
-            settings.draws,
+            float(np.max([diagnosis.r_hat for diagnosis in road_load])),
+            float(np.min([diagnosis.ess_bulk for diagnosis in road_load])),
+            result.acceptance,
+            result.draws.shape[1],
             settings.chains,
         ),
     )

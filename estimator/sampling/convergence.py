@@ -2,15 +2,36 @@
 
 Rank-normalised split R-hat, bulk and tail effective sample size: Vehtari, Gelman, Simpson, Carpenter, Buerkner,
 "Rank-normalization, folding, and localization: an improved R-hat", Bayesian Analysis 16 (2021).
-All functions take draws (chains, draws) of one parameter.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 from estimator.signals import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """Of the draws of one parameter; NaN where it cannot be computed, which never counts as converged."""
+
+    r_hat: float  # the larger of the rank-normalised and the folded one
+    ess_bulk: float  # independent draws that tell as much about the centre
+    ess_tail: float  # and about the 5 % and 95 % quantiles, the smaller of the two
+
+
+def diagnose(draws: Floats) -> Diagnosis:
+    """Judge ``draws`` (chains, draws) of one parameter."""
+    if draws.shape[0] < 2 or draws.shape[1] < 4 or not np.isfinite(draws).all() or np.ptp(draws) == 0:
+        return Diagnosis(np.nan, np.nan, np.nan)
+    halves = _split(draws)
+    scores = _rank_normal(halves)
+    folded = _rank_normal(np.abs(halves - np.median(halves)))
+    tails = [_effective((halves <= q).astype(float)) for q in np.quantile(draws, (0.05, 0.95))]
+    r_hat = max(_potential_scale_reduction(scores), _potential_scale_reduction(folded))
+    return Diagnosis(r_hat, _effective(scores), min(tails))
 
 
 def _split(draws: Floats) -> Floats:
@@ -19,14 +40,15 @@ def _split(draws: Floats) -> Floats:
 
 
 def _rank_normal(draws: Floats) -> Floats:
-    """Normal scores of the ranks over all chains (Blom's offset)."""
-    ranks = rankdata(draws, method="average").reshape(draws.shape)
-    return ndtri((ranks - 0.375) / (draws.size + 0.25))
-
-
-def _usable(draws: Floats) -> bool:
-    enough = draws.shape[0] >= 2 and draws.shape[1] >= 4
-    return enough and bool(np.isfinite(draws).all()) and float(np.ptp(draws)) > 0
+    """Normal scores of the ranks over all chains, equal draws sharing theirs (Blom's offset)."""
+    order = np.argsort(draws, axis=None)
+    ordered = draws.ravel()[order]
+    first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+    count = np.diff(first, append=draws.size)
+    scores = np.empty(draws.size)
+    # Draws first .. first + count - 1 in order share the mean of ranks first + 1 .. first + count.
+    scores[order] = np.repeat(ndtri((first + (count + 1) / 2 - 0.375) / (draws.size + 0.25)), count)
+    return scores.reshape(draws.shape)
 
 
 def _potential_scale_reduction(draws: Floats) -> float:
@@ -36,27 +58,19 @@ def _potential_scale_reduction(draws: Floats) -> float:
     return float(np.sqrt((between / within + n - 1) / n)) if within > 0 else np.inf
 
 
-def r_hat(draws: Floats) -> float:
-    """Largest of the rank-normalised and the folded split R-hat; NaN where it cannot be computed."""
-    if not _usable(draws):
-        return np.nan
-    halves = _split(draws)
-    folded = np.abs(halves - np.median(halves))
-    return max(_potential_scale_reduction(_rank_normal(x)) for x in (halves, folded))
-
-
 def _effective(chains: Floats) -> float:
     """Geyer's initial monotone sequence over the combined chains; ``chains`` are split already."""
     m, n = chains.shape
     centred = chains - chains.mean(axis=1, keepdims=True)
-    size = next_fast_len(2 * n)
+    size = next_fast_len(2 * n, real=True)
     spectrum = rfft(centred, size)
-    covariance = irfft(spectrum * spectrum.conj(), size)[:, :n] / n
-    within = float(covariance[:, 0].mean()) * n / (n - 1)
-    total = within * (n - 1) / n + (float(chains.mean(axis=1).var(ddof=1)) if m > 1 else 0.0)
+    power = (spectrum.real**2 + spectrum.imag**2).mean(axis=0)
+    covariance = irfft(power, size)[:n] / n  # mean over the chains
+    within = float(covariance[0]) * n / (n - 1)
+    total = within * (n - 1) / n + float(chains.mean(axis=1).var(ddof=1))
     if total <= 0:
         return np.nan
-    rho = 1 - (within - covariance.mean(axis=0)) / total
+    rho = 1 - (within - covariance) / total
     rho[0] = 1.0
     pairs = rho[: 2 * (n // 2)].reshape(-1, 2).sum(axis=1)
     negative = np.flatnonzero(pairs <= 0)
@@ -64,15 +78,3 @@ def _effective(chains: Floats) -> float:
     monotone = np.minimum.accumulate(pairs[:stop])
     tau = -1 + 2 * float(monotone.sum()) + max(float(rho[2 * stop]), 0.0)
     return float(m * n / max(tau, 1 / np.log10(m * n)))
-
-
-def ess_bulk(draws: Floats) -> float:
-    """Effective sample size for the centre of the distribution; NaN where it cannot be computed."""
-    return _effective(_rank_normal(_split(draws))) if _usable(draws) else np.nan
-
-
-def ess_tail(draws: Floats) -> float:
-    """Effective sample size for the 5 % and 95 % quantiles, the smaller of the two."""
-    if not _usable(draws):
-        return np.nan
-    return min(_effective(_split((draws <= np.quantile(draws, q)).astype(float))) for q in (0.05, 0.95))

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.sampling.likelihood import Target
+from estimator.sampling.likelihood import Target, factor
 from estimator.signals import Floats
 
 REFRESH = 100  # iterations between new proposal covariances of the random walk
-PROPOSAL_DOF = 12.0  # of the independence proposal: tails heavier than any target here
-PROPOSAL_WIDTH = 1.1  # sd of the independence proposal over that of the local Gaussian
+ACCEPTANCE = 0.3  # that the steps of the random walk are scaled to
+SCALING = 2.0  # log of the scale, per excess of acceptance over ACCEPTANCE, at every refresh
+PROPOSAL_DOF = 12.0  # of the independence proposal: tails as heavy as those of any target here
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,36 +28,33 @@ class Chains:
 Kernel = Callable[[Target, Floats, int, int, np.random.Generator], Chains]
 
 
-def _factor(covariance: Floats) -> Floats:
-    """Lower Cholesky factor (p, p), with a whisper added where a direction has no variance."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    correlation = covariance / np.outer(scale, scale)
-    return scale[:, None] * np.linalg.cholesky(correlation + 1e-12 * np.eye(len(scale)))
-
-
 def random_walk(target: Target, starts: Floats, burn_in: int, draws: int, rng: np.random.Generator) -> Chains:
     """Random walk whose steps have the covariance sigma^2 (J' J)^-1 of where each chain is now.
 
-    ``starts`` (k, p), one row a chain. The covariance is renewed every REFRESH iterations during burn-in and kept
-    from then on, so that the kept draws come from one fixed kernel.
+    ``starts`` (k, p), one row a chain. The covariance is renewed every REFRESH iterations during burn-in, and scaled
+    where too few or too many steps are accepted: a box may cut the density far narrower than its curvature says.
+    From then on both are kept, so that the kept draws of a chain come from one fixed kernel.
     """
     k, p = starts.shape
     position, density = starts.copy(), target.log_density(starts)
     kept = np.empty((k, draws, p))
-    accepted = 0
-    factors = np.empty((k, p, p))
+    total, recent = 0, np.zeros(k)
+    scale, factors = np.ones(k), factor(target.curvature(starts))
     for i in range(burn_in + draws):
-        if i % REFRESH == 0 and i <= burn_in:
-            factors = np.stack([_factor(target.curvature(theta)) for theta in position])
+        if 0 < i <= burn_in and i % REFRESH == 0:
+            scale *= np.exp(SCALING * (recent / REFRESH - ACCEPTANCE))
+            factors = scale[:, None, None] * factor(target.curvature(position))
+            recent[:] = 0
         proposal = position + np.einsum("kij,kj->ki", factors, rng.standard_normal((k, p)))
         proposed = target.log_density(proposal)
-        accept = np.log(rng.random(k)) < proposed - density
-        position = np.where(accept[:, None], proposal, position)
-        density = np.where(accept, proposed, density)
+        accept = proposed - density > -rng.standard_exponential(k)
+        np.copyto(position, proposal, where=accept[:, None])
+        np.copyto(density, proposed, where=accept)
+        recent += accept
         if i >= burn_in:
             kept[:, i - burn_in] = position
-            accepted += int(accept.sum())
-    return Chains(kept, accepted / (k * draws))
+            total += int(np.count_nonzero(accept))
+    return Chains(kept, total / (k * draws))
 
 
 def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: np.random.Generator) -> Chains:
@@ -67,22 +65,26 @@ def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: 
     """
     k, p = starts.shape
     n = burn_in + draws
-    factor = PROPOSAL_WIDTH * _factor(target.curvature(target.centre))
-    z = rng.standard_normal((n, k, p)) / np.sqrt(rng.chisquare(PROPOSAL_DOF, (n, k, 1)) / PROPOSAL_DOF)
-    states = np.concatenate([starts[None], target.centre + z @ factor.T])
-    z = np.concatenate([np.linalg.solve(factor, (starts - target.centre).T).T[None], z])
+    width = factor(target.curvature(target.centre[None])[0])
+    # Columns are proposals: chain by chain within an iteration, the starting points first.
+    z = np.empty((p, (n + 1) * k))
+    z[:, :k] = np.linalg.solve(width, (starts - target.centre).T)
+    z[:, k:] = rng.standard_normal((p, n * k))
+    z[:, k:] *= np.sqrt(PROPOSAL_DOF / 2 / rng.standard_gamma(PROPOSAL_DOF / 2, n * k))
+    states = (width @ z).T + target.centre
+    states[:k] = starts
     # An independence chain compares log(target / proposal), the importance weights of the states.
-    density = target.log_density(states.reshape(-1, p)).reshape(n + 1, k)
-    weight = density + 0.5 * (PROPOSAL_DOF + p) * np.log1p((z**2).sum(axis=2) / PROPOSAL_DOF)
-    threshold = np.log(rng.random((n, k)))
-    held, index = weight[0], np.zeros((n + 1, k), dtype=np.int64)
-    for i in range(1, n + 1):
-        accept = weight[i] > held + threshold[i - 1]
-        held = np.where(accept, weight[i], held)
-        index[i] = np.where(accept, i, index[i - 1])
-    kept = np.take_along_axis(states, index[burn_in + 1 :, :, None], axis=0)
-    moved = np.diff(index[burn_in:], axis=0) != 0
-    return Chains(np.ascontiguousarray(kept.swapaxes(0, 1)), float(moved.mean()))
+    weight = target.log_density(states)
+    weight += 0.5 * (PROPOSAL_DOF + p) * np.log1p(np.einsum("ij,ij->j", z, z) / PROPOSAL_DOF)
+    weight = weight.reshape(n + 1, k)
+    hurdle = weight[1:] + rng.standard_exponential((n, k))
+    held, accept = weight[0].copy(), np.empty((n, k), dtype=bool)
+    for above, new, taken in zip(hurdle, weight[1:], accept, strict=True):
+        np.greater(above, held, out=taken)
+        np.copyto(held, new, where=taken)
+    last = np.maximum.accumulate(np.where(accept, np.arange(1, n + 1)[:, None], 0), axis=0)[burn_in:]
+    index = (last * k + np.arange(k)).T
+    return Chains(states.take(index, axis=0), float(accept[burn_in:].mean()))
 
 
 KERNELS: dict[str, Kernel] = {"independence": independence, "random_walk": random_walk}

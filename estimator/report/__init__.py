@@ -1,0 +1,1 @@
+"""What can be kept and shown of an estimate: draws, tables, pictures."""

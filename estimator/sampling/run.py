@@ -1,0 +1,67 @@
+"""One run of a kernel: starting points, draws, diagnosis, and a second way where the first does badly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.sampling.convergence import Diagnosis, diagnose
+from estimator.sampling.likelihood import Target, factor
+from estimator.sampling.metropolis import KERNELS, Chains
+from estimator.signals import Floats
+
+SPREAD = 3.0  # sd of the chains' starting points around the centre
+LEAST_ACCEPTANCE = 0.2  # of independence proposals that resemble the target
+LEAST_ESS = 0.05  # per draw, of the worst parameter
+WALK_BURN_IN = 1000  # iterations of the random walk that steps in
+WALK_DRAWS = 50  # of it, for every draw of the independence kernel
+
+
+@dataclass(frozen=True)
+class Run:
+    """Draws (chains, draws, p), who made them, and what they are worth parameter by parameter."""
+
+    draws: Floats
+    kernel: str
+    acceptance: float
+    diagnoses: tuple[Diagnosis, ...]
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlation (p, p) of the draws of all chains."""
+        flat = self.draws.reshape(-1, self.draws.shape[2])
+        return np.atleast_2d(np.corrcoef(flat.T))
+
+
+def overdispersed(target: Target, chains: int, rng: np.random.Generator) -> Floats:
+    """Random starting points (chains, p) inside the box, spread wider than the density is."""
+    centre = target.centre
+    away = SPREAD * rng.standard_normal((chains, len(centre))) @ factor(target.curvature(centre[None])[0]).T
+    return np.clip(centre + away, target.lower, target.upper)
+
+
+def run(target: Target, kernel: str, chains: int, burn_in: int, draws: int, rng: np.random.Generator) -> Run:
+    """Draw from ``target`` with one of `metropolis.KERNELS`, ``chains`` x ``draws`` after ``burn_in`` iterations.
+
+    Independence proposals are only as good as the local Gaussian they come from. Where the density has several
+    modes or an odd shape they are hardly ever accepted, or few draws are worth anything; then the random walk, which
+    needs no such resemblance, takes over with more iterations. Whether it converged its diagnoses say: chains that
+    stay in different modes give a large R-hat.
+    """
+    starts = overdispersed(target, chains, rng)
+    first = _judged(kernel, KERNELS[kernel](target, starts, burn_in, draws, rng))
+    if kernel != "independence" or _resembles(first):
+        return first
+    walk = KERNELS["random_walk"](target, starts, max(burn_in, WALK_BURN_IN), WALK_DRAWS * draws, rng)
+    return _judged("random_walk", walk)
+
+
+def _judged(kernel: str, chains: Chains) -> Run:
+    diagnoses = tuple(diagnose(chains.draws[:, :, i]) for i in range(chains.draws.shape[2]))
+    return Run(chains.draws, kernel, chains.acceptance, diagnoses)
+
+
+def _resembles(run: Run) -> bool:
+    """Whether the proposals of an independence run were like its target."""
+    draws = run.draws.shape[0] * run.draws.shape[1]
+    worst = float(np.min([diagnosis.ess_bulk for diagnosis in run.diagnoses]))
+    return run.acceptance >= LEAST_ACCEPTANCE and worst >= LEAST_ESS * draws

@@ -1,0 +1,125 @@
+"""Three questions before an estimate, each with its reason when the answer is no."""
+
+import numpy as np
+import pytest
+
+from estimator.config import Gate as GateConfig
+from estimator.config import Prior
+from estimator.estimate import Coverage
+from estimator.estimation.gate import Gate
+from estimator.estimation.moments import Fit
+from estimator.estimation.posterior import box
+from estimator.estimation.window import Grid
+
+THETA = np.array([1739.0, 3.74, 27_190.0, 0.0])
+GRID = Grid(2.5, 0.1)
+
+
+def gate(**settings) -> Gate:
+    return Gate(GateConfig(**settings), GRID)
+
+
+def fit(theta=THETA, relative=0.01) -> Fit:
+    theta = np.asarray(theta, float)
+    return Fit(theta, np.diag((relative * np.abs(theta) + 1e-9) ** 2), 50.0, np.ones(10, dtype=bool), 5e3, 100.0)
+
+
+def counts(v, a) -> np.ndarray:
+    return np.bincount(GRID.cell(np.asarray(v, float), np.asarray(a, float)), minlength=GRID.size)
+
+
+# Calculable
+
+
+def test_a_good_fit_is_calculable():
+    assert gate().is_calculable(fit(), 5000, box(Prior())) == ""
+
+
+def test_too_few_samples():
+    strict = gate(minimum_samples=1200)
+    assert strict.is_calculable(fit(), 1199, box(Prior())) == "1199 usable samples of the 1200 needed"
+    assert strict.is_calculable(None, 0, box(Prior())) == "0 usable samples of the 1200 needed"
+    assert strict.is_calculable(fit(), 1200, box(Prior())) == ""
+
+
+def test_no_fit():
+    assert "varied too little" in gate().is_calculable(None, 5000, box(Prior()))
+
+
+@pytest.mark.parametrize(("i", "name"), list(enumerate(["A", "C", "mass"])))
+@pytest.mark.parametrize("factor", [-1.0, 10.0])
+def test_conflicts_with_the_prior_are_named(i, name, factor):
+    theta = THETA.copy()
+    theta[i] *= factor
+    reason = gate().is_calculable(fit(theta), 5000, box(Prior()))
+    assert reason.startswith(f"{name} ")
+    assert "outside its prior" in reason
+
+
+def test_a_fit_that_reaches_into_the_prior_is_no_conflict():
+    assert gate().is_calculable(fit([-50.0, 3.74, 27_190.0, 0.0], 1.0), 5000, box(Prior())) == ""
+
+
+# Covered
+
+
+def test_a_fit_that_is_sure_enough_is_covered():
+    assert gate().is_covered(fit(), Coverage(20, 60)) == ""
+
+
+def test_coverage_counts():
+    assert gate().is_covered(fit(), Coverage(7, 10)).startswith("coverage 70 %")
+    assert (
+        gate().is_covered(fit(), Coverage(8, 100))
+        == "coverage 8 % of the reachable speed-acceleration cells (8 of 100)"
+    )
+    assert gate().is_covered(fit(), Coverage(0, 0)).startswith("coverage 0 %")
+
+
+def test_an_unsure_fit_is_not_covered():
+    assert "sd of mass is 20 %" in gate().is_covered(fit(relative=0.2), Coverage(20, 60))
+    assert "sd of A is 60 %" in gate().is_covered(fit(relative=0.6), Coverage(20, 60))
+    assert gate(relative_sd=(1.0, 1.0, 1.0)).is_covered(fit(relative=0.6), Coverage(20, 60)) == ""
+    assert gate().is_covered(fit(relative=np.nan), Coverage(20, 60)) != ""
+
+
+def test_constant_speed_covers_one_cell():
+    coverage = gate().coverage(counts(np.full(5000, 22.0), np.zeros(5000)), THETA[:3], np.full(5000, 80e3))
+    assert coverage.occupied <= 1
+    assert gate().is_covered(fit(), coverage) != ""
+
+
+def test_reachable_cells_need_power_that_was_seen():
+    v, a = (x.ravel() for x in np.meshgrid(np.arange(1, 25, 0.1), np.arange(-0.5, 0.9, 0.01)))
+    load = np.column_stack([v, v**3, v * a]) @ THETA[:3]
+    seen = (load > 0) & (load < 250e3)
+    full = gate().coverage(counts(v[seen], a[seen]), THETA[:3], load[seen])
+    assert full.fraction > 0.95
+    slow = seen & (v < 12)
+    half = gate().coverage(counts(v[slow], a[slow]), THETA[:3], load[slow])
+    assert half.available < full.available
+    weak = gate().coverage(counts(v[slow], a[slow]), THETA[:3], np.full(10, 50e3))
+    assert weak.available < half.available
+    assert 0 <= weak.occupied <= weak.available
+
+
+def test_a_cell_needs_enough_samples():
+    v = np.repeat(np.arange(5.0, 20.0, 2.5), 9)
+    power = np.full(len(v), 100e3)
+    assert gate().coverage(counts(v, 0.05 + 0 * v), THETA[:3], power).occupied == 0
+    assert gate(cell_count=9).coverage(counts(v, 0.05 + 0 * v), THETA[:3], power).occupied == 6
+
+
+def test_an_empty_window_covers_nothing():
+    assert gate().coverage(np.zeros(GRID.size, dtype=np.int64), THETA[:3], np.empty(0)) == Coverage(0, 0)
+
+
+# News
+
+
+def test_news():
+    assert not gate().has_news(0, 0, 0)
+    assert gate().has_news(1, 0, 1)
+    assert not gate(new_samples=0.1).has_news(1099, 1000, 1000)
+    assert gate(new_samples=0.1).has_news(1100, 1000, 1000)
+    assert not gate(new_samples=0.0).has_news(1000, 1000, 1000)

@@ -1,0 +1,299 @@
+"""From frames to estimates: truth from a simulated drive, however its frames come in, and whatever time does."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.recorder import EPOCH, frames_of
+from estimator.config import J1939_BINDING, from_dict
+from estimator.errors import MissingInputsError
+from estimator.estimate import Estimate, Status
+from estimator.estimation.admission import Reason
+from estimator.pipeline import NEW_DRIVE, Pipeline
+from estimator.signals import Role
+from estimator.simulation.recording import Recording, record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+
+TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the dyno truth of the paper
+EAGER = {"gate": {"minimum_samples": 300, "coverage": 0.0, "minimum_cells": 1, "relative_sd": [9, 9, 9]}}
+
+
+def recorded(minutes: float, seed: int, grade_sd: float = 0.0) -> Recording:
+    rng = np.random.default_rng(seed)
+    return record(TRUCK, generate_route("mixed", 1500 * minutes, rng, grade_sd), 60 * minutes, rng)
+
+
+@pytest.fixture(scope="module")
+def drive() -> Frames:
+    return frames_of(recorded(40, 1).signals)
+
+
+@pytest.fixture(scope="module")
+def short(drive) -> Frames:
+    return between(drive, 0, 480)
+
+
+def moved(frames: Frames, by: float) -> Frames:
+    return replace(frames, t=frames.t + by)
+
+
+def between(frames: Frames, low: float, high: float) -> Frames:
+    return frames[(frames.t >= EPOCH + low) & (frames.t < EPOCH + high)]
+
+
+def run(parts, **tables) -> tuple[Pipeline, list[Estimate]]:
+    pipeline = Pipeline(from_dict(tables))
+    updates = [update for part in parts for update in pipeline.feed(part)]
+    return pipeline, [*updates, *pipeline.finish()]
+
+
+def near(estimate: Estimate, m: float = 0.02, A: float = 0.10, C: float = 0.08) -> bool:
+    return (
+        estimate.status == Status.ESTIMATED
+        and abs(estimate.mass.mean / TRUCK.mass - 1) < m
+        and abs(estimate.A.mean / TRUCK.A - 1) < A
+        and abs(estimate.C.mean / TRUCK.C - 1) < C
+    )
+
+
+# Truth
+
+
+def test_truth_comes_back_through_frames(drive):
+    pipeline, updates = run([drive])
+    final = updates[-1]
+    assert near(final)
+    assert final.convergence.r_hat < 1.05
+    assert final.mass.q05 < final.mass.q50 < final.mass.q95
+    assert final.rms < 10e3
+    assert pipeline.frames == len(drive)
+    assert len(updates) > 30
+    pipeline.require_inputs("drive")
+    estimator = pipeline.estimator
+    rejected = {r: n for r, n in estimator.rejected.items() if r not in (Reason.BELOW_MODEL_POWER, Reason.EVICTED)}
+    assert estimator.window.added + sum(rejected.values()) == pytest.approx(24_000, abs=3)
+    assert {Reason.STANDING, Reason.BRAKING, Reason.SHIFTING, Reason.NEAR_EXCLUDED} <= set(rejected)
+
+
+@pytest.mark.parametrize(
+    "sampler",
+    [
+        {"seed": 2},
+        {"kernel": "random_walk", "chains": 8, "burn_in": 300, "draws": 1500},
+        {"likelihood": "paper"},
+    ],
+    ids=["other seed", "random walk", "paper"],
+)
+def test_other_samplers_agree(drive, sampler):
+    final = run([drive], sampler=sampler, gate={"interval_s": 1200})[1][-1]
+    # The paper's likelihood knows nothing of noise in the regressors.
+    assert near(final, 0.05, 0.2, 0.2) if sampler.get("likelihood") == "paper" else near(final)
+
+
+def test_the_papers_own_sampler(drive):
+    sampler = {"likelihood": "paper", "kernel": "random_walk", "chains": 3, "burn_in": 300, "draws": 1500}
+    final = run([between(drive, 0, 900)], sampler=sampler, gate={**EAGER["gate"], "interval_s": 3600})[1][-1]
+    assert near(final, 0.1, 0.4, 0.4)
+    assert final.convergence.chains == 3
+
+
+def test_the_seed_decides(short):
+    part = short
+    one, same, other = (run([part], sampler={"seed": seed}, **EAGER)[1] for seed in (5, 5, 6))
+    assert one == same
+    assert one[-1].mass.mean != other[-1].mass.mean
+    assert one[-1].mass.mean == pytest.approx(other[-1].mass.mean, abs=one[-1].mass.sd)
+
+
+# How frames come in
+
+
+def pieces(frames: Frames, cuts) -> list[Frames]:
+    bounds = [0, *sorted(cuts), len(frames)]
+    return [frames[a:b] for a, b in pairwise(bounds)]
+
+
+def test_one_by_one_or_all_at_once_is_the_same_to_the_bit(short):
+    part = between(short, 0, 360)
+    whole = run([part], **EAGER)
+    single = run((part[i : i + 1] for i in range(len(part))), **EAGER)
+    assert whole[1][-1].status == Status.ESTIMATED
+    assert single[1] == whole[1]
+    assert single[0].estimator.rejected == whole[0].estimator.rejected
+    assert single[0].gaps == whole[0].gaps
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_batches_of_any_size_are_the_same_to_the_bit(short, seed):
+    rng = np.random.default_rng(seed)
+    gappy = short[(short.t < EPOCH + 350) | (short.t > EPOCH + 395)]
+    random = pieces(gappy, rng.integers(0, len(gappy), int(rng.integers(5, 300))))
+    assert run(random, **EAGER)[1] == run([gappy], **EAGER)[1]
+
+
+def test_two_halves_with_following_times_are_the_whole(drive):
+    first, second = between(drive, 0, 600), between(drive, 600, 1200)
+    whole = run([between(drive, 0, 1200)], **EAGER)[1][-1]
+    assert run([first, second], **EAGER)[1][-1] == whole
+    # As two loggers' files with their own clocks, the second a few seconds later.
+    later = run([first, moved(second, 8.0)], **EAGER)[1][-1]
+    for part in ("mass", "A", "C"):
+        assert getattr(later, part).mean == pytest.approx(getattr(whole, part).mean, abs=getattr(whole, part).sd)
+
+
+# What time does
+
+
+def test_a_silence_is_a_gap_and_not_bridged(short):
+    pipeline, updates = run([between(short, 0, 200), moved(between(short, 200, 480), 100)])
+    assert any(
+        a == pytest.approx(EPOCH + 200, abs=1) and b == pytest.approx(EPOCH + 300, abs=1) for a, b in pipeline.gaps
+    )
+    t = pipeline.estimator.window.samples.t - EPOCH
+    assert not np.any((t > 195) & (t < 305))
+    assert np.any(t < 195)
+    assert np.any(t > 305)
+    assert any(update.t == pytest.approx(EPOCH + 200, abs=1) for update in updates)
+
+
+@pytest.mark.parametrize("batch", [None, 1000, 1])
+def test_a_silence_at_the_edge_of_a_batch(short, batch):
+    parts = [between(short, 0, 60), moved(between(short, 60, 70), 40)]
+    if batch:
+        parts = [part[i : i + batch] for part in parts for i in range(0, len(part), batch)]
+    pipeline, _ = run(parts)
+    assert [round(b - a) for a, b in pipeline.gaps if b - a > 1] == [40]
+
+
+def test_one_signal_missing_for_a_while_is_a_gap(short):
+    speed = (short.ident >> 8) & 0xFFFF == 0xFEF1  # CCVS1
+    out = (short.t > EPOCH + 100) & (short.t < EPOCH + 110)
+    pipeline, _ = run([short[~(speed & out)]])
+    assert [(round(a - EPOCH), round(b - EPOCH)) for a, b in pipeline.gaps if b - a > 1] == [(100, 110)]
+    assert pipeline.estimator.rejected[Reason.SPEED_STALE] >= 98
+
+
+@pytest.mark.parametrize(("silence", "kept"), [(200, True), (NEW_DRIVE + 60, False)])
+def test_a_long_silence_starts_a_new_window(short, silence, kept):
+    pipeline, _ = run([between(short, 0, 300), moved(between(short, 300, 480), silence)])
+    t = pipeline.estimator.window.samples.t - EPOCH
+    assert np.any(t < 300) == kept
+    assert np.any(t > 300 + silence)
+    assert any(b - a == pytest.approx(silence, abs=2) for a, b in pipeline.gaps)
+
+
+def test_a_step_back_of_an_hour(short):
+    parts = [between(short, 0, 300), moved(between(short, 300, 480), -3600)]
+    pipeline, updates = run(parts)
+    assert any(
+        a == pytest.approx(EPOCH + 300, abs=1) and b == pytest.approx(EPOCH - 3300, abs=1) for a, b in pipeline.gaps
+    )
+    assert updates[-1].t < EPOCH
+    assert np.all(pipeline.estimator.window.samples.t < EPOCH)
+    assert len(pipeline.estimator.window) > 0
+
+
+def test_duplicates_change_nothing(short):
+    # All but transport packets, whose second copy would be out of sequence.
+    packet = (short.ident >> 16) & 0xFE == 0xEA
+    twice = short[np.repeat(np.arange(len(short)), np.where(packet, 1, 2))]
+    once = run([short], **EAGER)[1][-1]
+    assert run([twice], **EAGER)[1][-1] == once
+
+
+def test_slightly_shuffled_times_hardly_matter(short):
+    rng = np.random.default_rng(1)
+    order = np.argsort(short.t + rng.uniform(0, 0.005, len(short)), kind="stable")
+    straight, shuffled = run([short], **EAGER), run([short[order]], **EAGER)
+    assert np.any(np.diff(short[order].t) < 0)
+    assert len(shuffled[0].gaps) <= len(straight[0].gaps) + 1
+    assert shuffled[1][-1].mass.mean == pytest.approx(straight[1][-1].mass.mean, rel=0.01)
+
+
+def test_late_frames_of_a_second_channel(short):
+    """Merged by blocks of 80 ms, as gateways with several channels do."""
+    order = np.lexsort((short.ident & 0xFF, np.floor(short.t / 0.08)))
+    pipeline, updates = run([short[order]], **EAGER)
+    straight = run([short], **EAGER)[1][-1]
+    assert updates[-1].mass.mean == pytest.approx(straight.mass.mean, rel=0.02)
+    assert not [gap for gap in pipeline.gaps if gap[1] - gap[0] > 1]
+
+
+def test_the_pipeline_goes_on_after_its_end(short):
+    pipeline = Pipeline(from_dict(EAGER))
+    list(pipeline.feed(between(short, 0, 240)))
+    assert list(pipeline.finish())
+    list(pipeline.feed(between(short, 240, 480)))
+    list(pipeline.finish())
+    assert pipeline.frames == len(short)
+    assert list(pipeline.finish()) == []
+
+
+def test_no_frames_at_all():
+    pipeline = Pipeline(from_dict({}))
+    empty = Frames.concatenate([])
+    assert list(pipeline.feed(empty)) == []
+    assert list(pipeline.finish()) == []
+    with pytest.raises(MissingInputsError):
+        pipeline.require_inputs("nothing")
+
+
+# What is missing
+
+
+def without(frames: Frames, pgn: int) -> Frames:
+    pgns = (frames.ident >> 8) & 0x3FFFF
+    destined = (pgns & 0xFF00) < 0xF000
+    return frames[np.where(destined, pgns & 0x3FF00, pgns) != pgn]
+
+
+@pytest.mark.parametrize(
+    ("pgn", "name"),
+    [
+        (0xF004, "EEC1.EngSpeed"),
+        (0xFEF1, "CCVS1.WheelBasedVehicleSpeed"),
+        (0xFEDF, "EEC3.NominalFrictionPercentTorque"),
+        (0xEC00, "EC1.EngReferenceTorque"),
+    ],
+)
+def test_missing_inputs_are_named(short, pgn, name):
+    pipeline, updates = run([without(between(short, 0, 60), pgn)])
+    with pytest.raises(MissingInputsError, match=name) as error:
+        pipeline.require_inputs("here")
+    assert str(error.value).startswith("here: missing inputs: ")
+    assert all(update.status == Status.UNESTIMATED for update in updates)
+
+
+def test_what_the_configuration_adds_is_required(short):
+    part = between(short, 0, 60)
+    run([part])[0].require_inputs("here")
+    with pytest.raises(MissingInputsError, match="longitudinal_acceleration"):
+        run([part], kinematics={"acceleration": "inertial"})[0].require_inputs("here")
+    known = run([without(part, 0xEC00)], vehicle={"reference_torque_Nm": 2500.0})[0]
+    known.require_inputs("here")
+
+
+def test_values_that_are_never_available_are_named(short):
+    part = between(short, 0, 60)
+    speed = (part.ident >> 8) & 0xFFFF == 0xFEF1
+    part.data[speed, 1:3] = 0xFF
+    with pytest.raises(MissingInputsError, match=r"missing inputs: CCVS1\.WheelBasedVehicleSpeed"):
+        run([part])[0].require_inputs("here")
+
+
+# Vehicles with other signals
+
+
+def test_wheel_speeds_stand_in_for_speed(drive):
+    binding = {role: signal for role, signal in J1939_BINDING.items() if role != Role.SPEED}
+    binding[Role.WHEEL_SPEEDS] = ["EBC2.FrontAxleSpeed"]
+    assert near(run([drive], signals=binding, gate={"interval_s": 1200})[1][-1])
+
+
+def test_driveline_efficiency_scales_the_parameters(short):
+    whole, part_of = (run([short], vehicle={"driveline_efficiency": e}, **EAGER)[1][-1] for e in (1.0, 0.9))
+    assert part_of.mass.mean == pytest.approx(0.9 * whole.mass.mean, rel=0.01)

@@ -1,0 +1,66 @@
+"""The two estimators that roadload is compared with find the truth where nothing stands in their way."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.config import Config
+from estimator.road_load import design
+from estimator.samples import STEP, Rows
+from estimator.signals import Role
+
+TRUTH = np.array([1500.0, 3.5, 22_000.0])  # N, N s^2/m^2, kg
+BRAKING = slice(3000, 3050)  # rows
+
+
+@pytest.fixture
+def peers(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "tools")
+    yield pytest.importorskip("peers_online")
+    sys.modules.pop("peers_online", None)
+
+
+@pytest.fixture
+def rows():
+    """Ten minutes without noise; power makes no sense while the brake is on."""
+    t = np.arange(6000) * STEP
+    v = 14 + 6 * np.sin(2 * np.pi * t / 60) + 3 * np.sin(2 * np.pi * t / 23)
+    a = 6 * 2 * np.pi / 60 * np.cos(2 * np.pi * t / 60) + 3 * 2 * np.pi / 23 * np.cos(2 * np.pi * t / 23)
+    power = design(v, a) @ TRUTH
+    brake = np.zeros(len(t))
+    power[BRAKING], brake[BRAKING] = 0.0, 1.0
+    return Rows(np.arange(len(t)), v, power, np.ones((len(t), 2), dtype=bool), {Role.BRAKE_SWITCH: brake})
+
+
+def test_stretches_leave_out_what_admission_does(peers, rows):
+    config = Config().admission
+    first, second = peers.stretches(rows, config, 0.0)
+    margin = round(config.margin_s / STEP)
+    assert len(first.speed) == BRAKING.start - margin
+    assert len(second.speed) == len(rows) - BRAKING.stop - margin
+
+
+def test_recursive_least_squares_finds_the_truth(peers, rows):
+    data = peers.stretches(rows, Config().admission, 0.0)
+    found = peers.recursive_least_squares(data, peers.Forgetting(mass=0.9999, resistance=0.9999, cutoff=0.4))
+    np.testing.assert_allclose(found.theta, TRUTH, rtol=0.005)
+
+
+def test_extended_kalman_filter_finds_the_truth(peers, rows):
+    data = peers.stretches(rows, Config().admission, 0.0)
+    found = peers.extended_kalman(data, peers.ProcessNoise(power=300.0, walk=0.0, speed=0.001))
+    np.testing.assert_allclose(found.theta, TRUTH, rtol=0.001)
+
+
+def test_recursion_equals_least_squares_without_forgetting(peers, rows):
+    rng = np.random.default_rng(1)
+    noisy = Rows(rows.index, rows.speed, rows.power + rng.normal(0, 5e3, len(rows)), rows.fresh, rows.context)
+    data = peers.stretches(noisy, Config().admission, 0.0)
+    found = peers.recursive_least_squares(data, peers.Forgetting(mass=1.0, resistance=1.0, cutoff=0.4))
+    parts = [peers.regression(stretch, 0.4) for stretch in data]
+    X, force = np.concatenate([x for x, _ in parts]), np.concatenate([f for _, f in parts])
+    prior = np.diag((peers.FORCE_NOISE / peers.START_SD) ** 2)
+    expected = np.linalg.solve(X.T @ X + prior, X.T @ force + prior @ peers.START)
+    np.testing.assert_allclose(found.theta, expected, rtol=1e-8)

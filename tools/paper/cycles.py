@@ -1,0 +1,88 @@
+"""The paper's drive cycles at 1 Hz: HWFET from a table, COMMUT from its description, HHDDT where it is at hand."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from paper.vehicles import MPH
+from scipy.optimize import brentq
+
+from estimator.signals import Floats
+
+SHIPPED = Path(__file__).parents[1] / "cycles"
+RECORDED = Path(os.environ.get("ROADLOAD_DATA", Path(__file__).parents[3] / "shared" / "data")) / "drive_cycles" / "csv"
+HHDDT_MODES = ("EPA_Ph2_transient", "hhddt_cruise3")  # transient and cruise; creep is left out as in the paper
+
+COMMUT_IDLE, COMMUT_LAUNCH, COMMUT_CRUISE, COMMUT_BRAKE = 20.0, 90.0, 188.0, 12.0  # s; idle at both ends
+COMMUT_SPEED = 55 * MPH
+COMMUT_LENGTH = 4 * 1609.344  # m
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Speed ``v`` [m/s] and acceleration ``a`` [m/s^2] of ``name``, one value a second."""
+
+    name: str
+    v: Floats
+    a: Floats
+
+    @classmethod
+    def of(cls, name: str, *speeds: Floats) -> "Cycle":
+        """Join parts; accelerations are central differences inside each part."""
+        return cls(name, np.concatenate(speeds), np.concatenate([np.gradient(v) for v in speeds]))
+
+    @classmethod
+    def joined(cls, cycles: "list[Cycle]") -> "Cycle":
+        """All of ``cycles``, one after the other."""
+        return cls("all cycles", np.concatenate([c.v for c in cycles]), np.concatenate([c.a for c in cycles]))
+
+    def __getitem__(self, part: slice) -> "Cycle":
+        return Cycle(self.name, self.v[part], self.a[part])
+
+    @property
+    def duration(self) -> int:
+        """Number of seconds."""
+        return len(self.v)
+
+    @property
+    def miles(self) -> float:
+        """Distance [mi]."""
+        return float(self.v.sum()) / 1609.344
+
+
+def _table(path: Path) -> Floats:
+    rows = [line for line in path.read_text().splitlines() if line[:1].isdigit()]
+    return np.array([float(row.split(",")[1]) for row in rows])
+
+
+def hwfet() -> Cycle:
+    """EPA Highway Fuel Economy driving schedule, 40 CFR part 600, appendix I."""
+    return Cycle.of("HWFET", _table(SHIPPED / "hwfet.csv"))
+
+
+def commut() -> Cycle:
+    """Commuter phase of SAE J1376, from its description.
+
+    Idle 20 s, 90 s to 55 mph, 188 s at 55 mph, 12 s of even braking to a standstill, idle 20 s; 4 miles. The launch
+    is the exponential approach that makes the distance right.
+    """
+    launch = (COMMUT_LENGTH - COMMUT_SPEED * (COMMUT_CRUISE + COMMUT_BRAKE / 2)) / (COMMUT_SPEED * COMMUT_LAUNCH)
+    # Launch over k time constants has the mean speed 1 / (1 - exp(-k)) - 1 / k of the last.
+    k = brentq(lambda k: 1 / -np.expm1(-k) - 1 / k - launch, 0.1, 50.0)
+    t = np.arange(2 * COMMUT_IDLE + COMMUT_LAUNCH + COMMUT_CRUISE + COMMUT_BRAKE)
+    rise = np.expm1(-k * np.clip((t - COMMUT_IDLE) / COMMUT_LAUNCH, 0, 1)) / np.expm1(-k)
+    fall = np.clip((COMMUT_IDLE + COMMUT_LAUNCH + COMMUT_CRUISE + COMMUT_BRAKE - t) / COMMUT_BRAKE, 0, 1)
+    return Cycle.of("COMMUT", COMMUT_SPEED * rise * fall)
+
+
+def hhddt() -> Cycle | None:
+    """Transient and cruise of the Heavy Heavy-Duty Diesel Truck schedule, or None where the tables are absent."""
+    files = [RECORDED / f"{mode}.csv" for mode in HHDDT_MODES]
+    return Cycle.of("HHDDT", *map(_table, files)) if all(file.is_file() for file in files) else None
+
+
+def tabulated_commut() -> Floats | None:
+    """COMMUT as a table of others [m/s], to compare with, or None where it is absent."""
+    file = RECORDED / "sae_j1376_commut.csv"
+    return _table(file) if file.is_file() else None
