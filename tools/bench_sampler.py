@@ -194,7 +194,7 @@ def blackjax_nuts(q: Problem) -> Floats:
 OURS = "roadload, independence"
 FLOOR = "floor: cut Gaussian, not exact"
 ROWS: dict[str, Callable[[Problem], Floats]] = {
-    OURS: kernel("independence", 256, 10, 100, 31),
+    OURS: kernel("independence", 256, 5, 100, 31),
     "roadload, random walk": kernel("random_walk", 256, 300, 700, 1),
     "paper's algorithm, plain numpy": paper,
     "emcee": emcee_stretch,

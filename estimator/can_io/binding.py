@@ -2,7 +2,7 @@
 
 import difflib
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -32,6 +32,7 @@ class BoundSignal:
     conversion: Conversion
     multiplexers: tuple[Signal, ...]  # its own first, then that one's, and so on up
     tangent: bool = False  # an angle that stands for a slope
+    place: int = 0  # among the signals of a role that takes several
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,11 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     """
     wanted: dict[str, list[BoundSignal]] = {}
     for role, bound in config.binding.items():
-        for path in [bound] if isinstance(bound, str) else bound:
+        for place, path in enumerate([bound] if isinstance(bound, str) else bound):
             message_name, signal_name = path.split(".")
             message, signal = _find(database, message_name, signal_name, f"signals.{role}")
-            wanted.setdefault(message_name, []).append(_convert(Role(role), signal, message, path))
+            converted = replace(_convert(Role(role), signal, message, path), place=place)
+            wanted.setdefault(message_name, []).append(converted)
     for name in config.bus.source_addresses:
         if name not in wanted:
             has = ", ".join(wanted)

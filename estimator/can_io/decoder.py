@@ -61,6 +61,9 @@ def _number(raw: Raw, signal: Signal) -> Floats:
     return value * float(signal.scale) + float(signal.offset)
 
 
+NOTHING = Series(np.empty(0), np.empty(0))
+
+
 class Decoder:
     """Keeps what decoding must remember between batches: who sends which signal, and unfinished broadcasts.
 
@@ -76,6 +79,7 @@ class Decoder:
             if message.source is not None:
                 self.sources |= {_path(message, bound): message.source for bound in message.signals}
         self._messages = messages
+        self._places = Counter(bound.role for message in messages for bound in message.signals)
         self._needs = [max(last_byte(s) for b in m.signals for s in (b.signal, *b.multiplexers)) for m in messages]
         self._transport = Transport()
 
@@ -85,7 +89,7 @@ class Decoder:
         return self._transport.rejected
 
     def decode(self, frames: Frames) -> dict[Role, list[Series]]:
-        """Signals in a batch of frames, in SI; roles bound to several signals have several series."""
+        """Signals in a batch of frames, in SI; a role bound to several has a series for each, empty or not."""
         out: dict[Role, list[Series]] = {}
         extended = frames.ident & EXTENDED != 0
         pgn = np.where(extended, pgn_of(frames.ident), np.uint32(0xFFFFFFFF))
@@ -120,7 +124,8 @@ class Decoder:
             value, counts = _values(message, bound, part)
             for reason, count in counts.items():
                 self.rejected[f"{_path(message, bound)}: {reason}"] += count
-            out.setdefault(bound.role, []).append(Series(part.t, value))
+            places = out.setdefault(bound.role, [NOTHING] * self._places[bound.role])
+            places[bound.place] = Series(part.t, value)
         self.used += int(useful.sum())
         idle = carrying & ~useful
         for reason, mask in (("other source address", idle & spoken_for), ("no valid value", idle & ~spoken_for)):

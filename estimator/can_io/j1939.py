@@ -112,6 +112,9 @@ class Transport:
         session = self._sessions.get(source)
         if session is None:
             return None
+        if 0 < data[0] == session.received and session.payload.endswith(data[1:8]):
+            self.rejected["transport: packet repeated"] += 1
+            return None
         if not 0 <= t - session.t <= T1 or data[0] != session.received + 1:
             self.rejected["transport: packet late or lost"] += 1
             del self._sessions[source]

@@ -195,5 +195,9 @@ class Aligner:
         if not any(key in self._tracks for key in keys):
             return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, dtype=bool)
         tracks = [self._tracks[key] for key in keys]
-        means = [cell_means(track.t, track.value, edges, track.limit) for track in tracks]
-        return np.mean([m[0] for m in means], axis=0), np.all([m[1] for m in means], axis=0)
+        means, there = zip(*(cell_means(track.t, track.value, edges, track.limit) for track in tracks), strict=True)
+        # A wheel without a valid speed is left out; where none has one there is none.
+        known = np.isfinite(means)
+        total = np.where(known, means, 0.0).sum(axis=0)
+        count = known.sum(axis=0)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan), np.any(there, axis=0)

@@ -8,13 +8,15 @@ ellipsoid |z| <= r if |x . theta0| <= r |L' x|: a few dozen out of any number. S
 the sums of the samples that are surely active in it, forgets those that are surely clipped, and evaluates the
 undecided ones one by one; in the outermost, which has no end, all samples are undecided.
 
-Everything is relative to theta0 and in units of sigma, so nothing cancels: with u = x . theta0, w = L' x and the
-residual e = P - max(u, 0), a sample whose power changes by h adds h^2 - 2 h e to chi2.
+Everything is relative to theta0 and in units of sigma, so hardly anything cancels: with u = x . theta0, w = L' x and
+the residual e = P - max(u, 0), a sample whose power changes by h = max(w . z + min(u, 0), -max(u, 0)) adds
+(h - e)^2 - e^2 to chi2.
 
 Source: Miller, Konan, Duran, "Bayesian Parameter Estimation for Heavy-Duty Vehicles", NREL.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 from estimator.sampling.likelihood import bound_precision, factor, highest_in_box, in_box
 from estimator.signals import Floats
 
-RADII = (2.0, 4.0, 8.0, 32.0, 128.0)  # sd, of the ellipsoids
+RADII = (1.5, 2.5, 4.0, 8.0, 32.0, 128.0)  # sd, of the ellipsoids
 ITERATIONS = 50  # of the least squares; a few are enough where the data say anything
 FINEST = 1e-9  # smallest sd of the residual, over the root mean square of the power
 BATCH = 2**15  # numbers evaluated at once, to stay in the cache
@@ -82,29 +84,34 @@ def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) ->
 
 @dataclass(frozen=True)
 class _Ellipsoid:
-    """``sure``: sums of the samples that are active in all of it; rows [w, u] and ``e`` of the undecided ones."""
+    """``sure``: sums of the samples that are active in all of it; ``w`` (m, p), ``u``, ``e`` (m,) of the undecided."""
 
     sure: Sums
     w: Floats
     u: Floats
     e: Floats
 
+    @cached_property
+    def _residual(self) -> tuple[Floats, Floats, float]:
+        """H - e = max(rows [z, 1], floor), and the sum of e^2."""
+        rows = np.column_stack([self.w, np.minimum(self.u, 0.0) - self.e])
+        return rows, -(np.maximum(self.u, 0.0) + self.e)[:, None], float(self.e @ self.e)
+
     def excess(self, z: Floats) -> Floats:
-        """Chi2 over that of the centre (k,) for columns of ``z`` (p, k) inside."""
-        total = self.sure.excess(z)
+        """Chi2 over that of the centre (k,) for columns [z, 1] (p + 1, k) inside."""
+        total = self.sure.excess(z[:-1])
         if len(self.e):
-            offset, floor = np.minimum(self.u, 0.0)[:, None], -np.maximum(self.u, 0.0)[:, None]
+            rows, floor, least = self._residual
             step = max(BATCH // len(self.e), 1)
             for i in range(0, z.shape[1], step):
-                h = self.w @ z[:, i : i + step]
-                h += offset
-                np.maximum(h, floor, out=h)
-                total[i : i + step] += np.einsum("ij,ij->j", h, h) - 2 * (self.e @ h)
+                residual = rows @ z[:, i : i + step]
+                np.maximum(residual, floor, out=residual)
+                total[i : i + step] += np.einsum("ij,ij->j", residual, residual) - least
         return total
 
     def information(self, z: Floats) -> Floats:
-        """Sum of w w' over the samples active at ``z`` (p,)."""
-        active = self.w[self.w @ z + self.u > 0]
+        """Sum of w w' over the samples active at [z, 1] (p + 1,)."""
+        active = self.w[self.w @ z[:-1] + self.u > 0]
         return self.sure.G + active.T @ active
 
 
@@ -135,9 +142,10 @@ class ClippedGaussianTarget:
         self._beyond_data = self._colour.T @ beyond_data @ self._colour
 
     def _locate(self, theta: Floats) -> tuple[Floats, NDArray[np.intp]]:
-        """Columns z (p, k) of ``theta`` (k, p), and the innermost ellipsoid that holds each (k,)."""
-        z = self._whiten.T @ (theta.T - self.centre[:, None])
-        return z, np.searchsorted(self._squared_radii, np.einsum("ij,ij->j", z, z))
+        """Columns [z, 1] (p + 1, k) of ``theta`` (k, p), and the innermost ellipsoid that holds each (k,)."""
+        z = np.ones((theta.shape[1] + 1, len(theta)))
+        z[:-1] = self._whiten.T @ (theta.T - self.centre[:, None])
+        return z, np.searchsorted(self._squared_radii, np.einsum("ij,ij->j", z[:-1], z[:-1]))
 
     def log_density(self, theta: Floats) -> Floats:
         """See `Target.log_density`; zero at the centre."""

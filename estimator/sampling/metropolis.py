@@ -78,13 +78,13 @@ def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: 
     weight += 0.5 * (PROPOSAL_DOF + p) * np.log1p(np.einsum("ij,ij->j", z, z) / PROPOSAL_DOF)
     weight = weight.reshape(n + 1, k)
     hurdle = weight[1:] + rng.standard_exponential((n, k))
-    held, accept = weight[0].copy(), np.empty((n, k), dtype=bool)
-    for above, new, taken in zip(hurdle, weight[1:], accept, strict=True):
-        np.greater(above, held, out=taken)
-        np.copyto(held, new, where=taken)
-    last = np.maximum.accumulate(np.where(accept, np.arange(1, n + 1)[:, None], 0), axis=0)[burn_in:]
-    index = (last * k + np.arange(k)).T
-    return Chains(states.take(index, axis=0), float(accept[burn_in:].mean()))
+    # Whoever does not clear the hurdle stays: takes over weight and place of the iteration before.
+    place, stay = np.arange(len(states)).reshape(n + 1, k), np.empty((n, k), dtype=bool)
+    for i, stays in enumerate(stay):
+        np.less_equal(hurdle[i], weight[i], out=stays)
+        np.copyto(weight[i + 1], weight[i], where=stays)
+        np.copyto(place[i + 1], place[i], where=stays)
+    return Chains(states.take(place[burn_in + 1 :].T, axis=0), 1.0 - float(stay[burn_in:].mean()))
 
 
 KERNELS: dict[str, Kernel] = {"independence": independence, "random_walk": random_walk}

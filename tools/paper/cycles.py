@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from paper.vehicles import MPH
 from scipy.optimize import brentq
 
 from estimator.signals import Floats
+from paper.vehicles import MPH
 
 SHIPPED = Path(__file__).parents[1] / "cycles"
 RECORDED = Path(os.environ.get("ROADLOAD_DATA", Path(__file__).parents[3] / "shared" / "data")) / "drive_cycles" / "csv"

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from paper.cycles import Cycle
-from paper.vehicles import LOWER, MPH, UPPER
 
 from estimator.estimation.window import Grid
 from estimator.road_load import design, power
@@ -14,6 +12,8 @@ from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
 from estimator.sampling.metropolis import REFRESH, random_walk
 from estimator.sampling.run import run
 from estimator.signals import Floats, Mask
+from paper.cycles import Cycle
+from paper.vehicles import LOWER, MPH, UPPER
 
 CHAINS = 3
 ITERATIONS = 10_000

@@ -3,6 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import levene
+
+from estimator.sampling.identifiability import EigenMetrics
+from estimator.sampling.metropolis import REFRESH
+from estimator.signals import Floats
 from paper.cycles import Cycle, commut, hhddt, hwfet
 from paper.estimation import (
     BURN_IN,
@@ -15,11 +20,6 @@ from paper.estimation import (
     scheduled_walk,
 )
 from paper.vehicles import DUMMY, DYNO, LBF, MPH, SLUG
-from scipy.stats import levene
-
-from estimator.sampling.identifiability import EigenMetrics
-from estimator.sampling.metropolis import REFRESH
-from estimator.signals import Floats
 
 NOISE = 5e3  # W, sd of the power noise where nothing else is said: about 1 % of the highest power
 RUNS = 12  # repetitions of each cycle

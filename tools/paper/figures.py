@@ -11,14 +11,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from paper.cycles import Cycle
-from paper.estimation import BURN_IN, GRID, Availability, Drive, Estimate
-from paper.experiments import NOISE_LEVELS
-from paper.vehicles import DYNO, SI_UNITS
 
 from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS
 from estimator.road_load import power
 from estimator.signals import Floats
+from paper.cycles import Cycle
+from paper.estimation import BURN_IN, GRID, Availability, Drive, Estimate
+from paper.experiments import NOISE_LEVELS
+from paper.vehicles import DYNO, SI_UNITS
 
 COLOURS = ("#3b6ea5", "#d08a2e", "#4b8b57")
 TRUTH = "#333333"

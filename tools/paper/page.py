@@ -4,6 +4,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+
+from estimator.road_load import power
+from estimator.sampling.identifiability import EigenMetrics
+from estimator.signals import Floats
+from estimator.units import STANDARD_GRAVITY
 from paper.cycles import Cycle, tabulated_commut
 from paper.estimation import Availability, Estimate
 from paper.experiments import (
@@ -16,11 +21,6 @@ from paper.experiments import (
     TableFive,
 )
 from paper.vehicles import DUMMY, DYNO, LBF, MPH, NAMES, PAPER_UNITS, TO_SI
-
-from estimator.road_load import power
-from estimator.sampling.identifiability import EigenMetrics
-from estimator.signals import Floats
-from estimator.units import STANDARD_GRAVITY
 
 UNKNOWN = "not at hand"
 DIGITS = (1, 4, 1)  # of A, C, m in the paper's units
