@@ -34,7 +34,7 @@ class Pipeline:
         messages = bind(config, load_database(config.bus.dbc))
         self._names = {s.role: f"{m.name}.{s.signal.name}" for m in messages for s in m.signals}
         self._decoder = Decoder(messages)
-        self._aligner = Aligner(config.vehicle, frozenset(self._names))
+        self._aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike)
         self.estimator = Estimator(config, np.random.default_rng(config.sampler.seed))
         self._config = config
         self.frames = 0

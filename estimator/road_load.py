@@ -13,9 +13,12 @@ import numpy as np
 from estimator.signals import Floats
 
 
-def design(v: Floats, a: Floats) -> Floats:
-    """Columns v, v^3, v a (n, 3) of the model before the clip: ``P = design(v, a) @ [A, C, m]``."""
-    return np.column_stack([v, v**3, v * a])
+def design(v: Floats, a: Floats, density: Floats | float = 1.0) -> Floats:
+    """Columns v, v^3, v a (n, 3) of the model before the clip: ``P = design(v, a) @ [A, C, m]``.
+
+    Drag goes with the air: ``density`` is relative to the one that C is to hold for.
+    """
+    return np.column_stack([v, density * v**3, v * a])
 
 
 def power(v: Floats, a: Floats, theta: Floats) -> Floats:

@@ -67,6 +67,7 @@ class Samples:
 
     Smoothed speed ``v`` [m/s], acceleration ``a`` [m/s^2] and power ``P`` [W] with its rate ``dP`` [W/s]; and their
     instruments ``zv``, ``za``, ``zdP``: the same quantities from readings around, but not at, the moment.
+    ``density`` of the air [kg/m^3], NaN where temperature or pressure is not known.
     """
 
     t: Floats
@@ -77,9 +78,24 @@ class Samples:
     zv: Floats
     za: Floats
     zdP: Floats
+    density: Floats
 
     def __len__(self) -> int:
         return len(self.t)
+
+    @property
+    def complete(self) -> Mask:
+        """Where everything that the model needs is known; it can do without the density."""
+        needed = [getattr(self, field.name) for field in fields(self) if field.name != "density"]
+        known: Mask = np.all(np.isfinite(needed), axis=0)
+        return known
+
+    @property
+    def relative_density(self) -> Floats:
+        """Density of the air over its mean here, 1 where it is not known."""
+        known = np.isfinite(self.density)
+        mean = self.density[known].mean() if known.any() else 1.0
+        return np.where(known, self.density / mean, 1.0)
 
     def __getitem__(self, part: slice | Mask | NDArray[np.intp]) -> "Samples":
         return Samples(*(getattr(self, field.name)[part] for field in fields(self)))

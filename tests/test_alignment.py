@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.config import Vehicle
-from estimator.estimation.alignment import Aligner, cell_means
+from estimator.estimation.alignment import Aligner, cell_means, despike
 from estimator.estimation.friction import FrictionCurve
 from estimator.samples import STEP, Rows
 from estimator.signals import Role, Series
@@ -353,3 +353,20 @@ def test_friction_is_unknown_where_speed_or_reading_is():
     refined = FrictionCurve().refine(w, reading)
     np.testing.assert_array_equal(np.isnan(refined), np.isnan(w) | np.isnan(reading))
     assert np.isnan(FrictionCurve().refine(np.full(5, np.nan), np.full(5, 0.05))).all()
+
+
+def test_lone_gross_errors_are_repaired_and_nothing_else():
+    rng = np.random.default_rng(3)
+    t = np.arange(500) / 50
+    clean = 2e5 + 1e5 * np.sin(t) + 2e3 * rng.standard_normal(500)
+    clean[250:] -= 2e5  # a gear change
+    assert np.abs(despike(clean) - clean).max() == 0
+    dirty = clean.copy()
+    bad = rng.choice(np.arange(5, 495, 7), 15, replace=False)
+    dirty[bad] += rng.choice([-1, 1], 15) * 3e5
+    repaired = despike(dirty)
+    assert np.abs(repaired - clean)[bad].max() < 5e4
+    assert np.array_equal(np.delete(repaired, bad), np.delete(clean, bad))
+    unknown = clean.copy()
+    unknown[::3] = np.nan
+    assert np.array_equal(np.isnan(despike(unknown)), np.isnan(unknown))

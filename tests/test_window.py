@@ -17,7 +17,7 @@ from estimator.signals import Role
 def block(n: int, start: float = 0.0, v=20.0, a=0.0) -> Samples:
     t = start + STEP * np.arange(n)
     one = np.ones(n)
-    return Samples(t, v * one, a * one, *(one * i for i in range(5)))
+    return Samples(t, v * one, a * one, *(one * i for i in range(6)))
 
 
 def window(samples: int = 600, hours: float = 24.0) -> Window:

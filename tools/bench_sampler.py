@@ -72,35 +72,31 @@ class Problem:
         """By brute force (k,)."""
         residual = self.P - np.maximum(theta @ self.X.T, 0.0)
         density = -np.einsum("ij,ij->i", residual, residual) / (2 * self.target.variance)
-        return np.where(in_box(theta, self.target.lower, self.target.upper), density, -np.inf)
+        return np.where(in_box(theta, *BOX), density, -np.inf)
 
     def timed(self, work: Callable[[], Floats], repetitions: int = 1) -> Floats:
         """Draws of ``work``, whose median CPU time is noted."""
-        durations = []
+        times = [time.process_time()]
         for _ in range(repetitions):
-            start = time.process_time()
             draws = work()
-            durations.append(time.process_time() - start)
-        self.seconds = float(np.median(durations))
+            times.append(time.process_time())
+        self.seconds = float(np.median(np.diff(times)))
         return draws
 
 
-def kernel(name: str, chains: int, burn_in: int, draws: int, repetitions: int) -> Callable[[Problem], Floats]:
-    """One of our own."""
-
-    def work(q: Problem) -> Floats:
-        starts = overdispersed(q.target, chains, q.rng)
-        return q.timed(lambda: KERNELS[name](q.target, starts, burn_in, draws, q.rng).draws, repetitions)
-
-    return work
+def ours(q: Problem, kernel: str, burn_in: int, draws: int, repetitions: int) -> Floats:
+    """One of our own kernels, 256 chains."""
+    starts = overdispersed(q.target, 256, q.rng)
+    return q.timed(lambda: KERNELS[kernel](q.target, starts, burn_in, draws, q.rng).draws, repetitions)
 
 
 def floor(q: Problem) -> Floats:
     """The Gaussian approximation, cut by the box: independent draws, not exact."""
+    root, (lower, upper) = q.root, BOX
 
     def work() -> Floats:
-        theta = q.rng.standard_normal((25_600, 3)) @ q.root.T + q.target.centre
-        return theta[in_box(theta, q.target.lower, q.target.upper)]
+        theta = q.rng.standard_normal((25_600, 3)) @ root.T + q.target.centre
+        return theta[in_box(theta, lower, upper)]
 
     draws = q.timed(work, 31)
     return draws[: len(draws) // 256 * 256].reshape(256, -1, 3)
@@ -110,11 +106,10 @@ def paper(q: Problem) -> Floats:
     """Random walk J = R z of three chains one after the other, chi2 summed over all samples."""
 
     def work() -> Floats:
-        n = q.iterations(3)
-        draws = np.empty((3, n, 3))
+        draws = np.empty((3, q.iterations(3), 3))
         for chain in draws:
             theta, density = q.target.centre, q.log_density(q.target.centre[None])[0]
-            for i in range(n):
+            for i in range(len(chain)):
                 if i % 100 == 0:
                     J = q.X[q.X @ theta > 0]
                     R = np.linalg.cholesky(q.target.variance * np.linalg.inv(J.T @ J))
@@ -133,8 +128,7 @@ def emcee_stretch(q: Problem) -> Floats:
     import emcee
 
     sampler = emcee.EnsembleSampler(32, 3, q.log_density, vectorize=True)
-    starts = q.target.centre + q.rng.standard_normal((32, 3)) @ q.root.T
-    n = q.iterations(32)
+    starts, n = q.target.centre + q.rng.standard_normal((32, 3)) @ q.root.T, q.iterations(32)
     q.timed(lambda: sampler.run_mcmc(starts, n))
     return sampler.get_chain()[n // 10 :].swapaxes(0, 1)
 
@@ -149,11 +143,10 @@ def pymcmcstat_dram(q: Problem) -> Floats:
     def chain() -> Floats:
         mcmc = MCMC()
         mcmc.data.add_data_set(x=np.arange(len(q.P)), y=q.P)
-        for name, value, low, high in zip("ACm", q.target.centre, q.target.lower, q.target.upper, strict=True):
+        for name, value, low, high in zip("ACm", q.target.centre, *BOX, strict=True):
             mcmc.parameters.add_model_parameter(name=name, theta0=value, minimum=low, maximum=high)
-        mcmc.simulation_options.define_simulation_options(
-            nsimu=q.iterations(3), method="dram", updatesigma=False, verbosity=0, waitbar=False, qcov=q.root @ q.root.T
-        )
+        options = {"method": "dram", "updatesigma": False, "verbosity": 0, "waitbar": False, "qcov": q.root @ q.root.T}
+        mcmc.simulation_options.define_simulation_options(nsimu=q.iterations(3), **options)
         mcmc.model_settings.define_model_settings(
             sos_function=lambda theta, _: np.sum((q.P - np.maximum(q.X @ theta, 0)) ** 2), sigma2=q.target.variance
         )
@@ -167,35 +160,32 @@ def blackjax_nuts(q: Problem) -> Floats:
     """Blackjax, NUTS, in coordinates that are well scaled: theta = centre + root z."""
     import blackjax
     import jax
-    import jax.numpy as jnp
+    from jax import numpy as jnp
 
     jax.config.update("jax_enable_x64", True)
     w, u, P = jnp.asarray(q.X @ q.root), jnp.asarray(q.X @ q.target.centre), jnp.asarray(q.P)
 
     def density(z):
         theta = q.target.centre + q.root @ z
-        inside = jnp.all((theta >= q.target.lower) & (theta <= q.target.upper))
+        inside = jnp.all((theta >= BOX[0]) & (theta <= BOX[1]))
         chi2 = jnp.sum((P - jnp.maximum(u + w @ z, 0.0)) ** 2)
         return jnp.where(inside, -chi2 / (2 * q.target.variance), -jnp.inf)
 
     (state, tuned), _ = blackjax.window_adaptation(blackjax.nuts, density).run(jax.random.PRNGKey(0), np.zeros(3), 300)
-    step = blackjax.nuts(density, **tuned).step
-    n = q.iterations(8) // 2 * 2
+    step, n = blackjax.nuts(density, **tuned).step, q.iterations(8) // 2 * 2
 
     @jax.jit
     def draw(key):
         return jax.lax.scan(lambda s, k: (step(k, s)[0],) * 2, state, jax.random.split(key, n))[1].position
 
     draw(jax.random.PRNGKey(1)).block_until_ready()  # compiles
-    draws = q.timed(lambda: np.asarray(draw(jax.random.PRNGKey(2))))
-    return q.target.centre + draws.reshape(2, -1, 3) @ q.root.T
+    return q.target.centre + q.timed(lambda: np.asarray(draw(jax.random.PRNGKey(2)))).reshape(2, -1, 3) @ q.root.T
 
 
-OURS = "roadload, independence"
 FLOOR = "floor: cut Gaussian, not exact"
 ROWS: dict[str, Callable[[Problem], Floats]] = {
-    OURS: kernel("independence", 256, 5, 100, 31),
-    "roadload, random walk": kernel("random_walk", 256, 300, 700, 1),
+    "roadload, independence": lambda q: ours(q, "independence", 5, 100, 31),
+    "roadload, random walk": lambda q: ours(q, "random_walk", 300, 700, 1),
     "paper's algorithm, plain numpy": paper,
     "emcee": emcee_stretch,
     "pymcmcstat DRAM": pymcmcstat_dram,
@@ -220,13 +210,12 @@ def compare(n: int, table: Table) -> None:
         moments[name] = [f"{x.mean():.5g} ± {x.std():.2g}" for x in draws.reshape(-1, 3).T]
     peers = [rate for name, rate in rates.items() if "roadload" not in name and name != FLOOR]
     for name, rate in rates.items():
-        table.add_row(
-            f"{n:,}", name, f"{rate:,.0f}", f"{rate / max(peers):,.2f}", f"{rate / rates[FLOOR]:.2g}", *moments[name]
-        )
+        ratios = f"{rate / max(peers):,.2f}", f"{rate / rates[FLOOR]:.2g}"
+        table.add_row(f"{n:,}", name, f"{rate:,.0f}", *ratios, *moments[name])
     table.add_section()
 
 
-def whole_answer(console: Console, n: int = 36_000) -> None:
+def whole_answer(n: int) -> str:
     """Fit, sampling and diagnosis from ``n`` samples, as configured by default."""
     X, P = samples(n, np.random.default_rng(0))
     settings, durations = Config().sampler, []
@@ -235,12 +224,10 @@ def whole_answer(console: Console, n: int = 36_000) -> None:
         target = ClippedGaussianTarget(X, P, *BOX)
         result = run(target, settings.kernel, settings.chains, settings.burn_in, settings.draws, rng)
         durations.append(1e3 * (time.process_time() - start))
-    r_hat = max(d.r_hat for d in result.diagnoses)
-    bulk, tail = min(d.ess_bulk for d in result.diagnoses), min(d.ess_tail for d in result.diagnoses)
-    console.print(
-        f"Whole answer from {n:,} samples: {np.median(durations):.1f} ms CPU (fastest {min(durations):.1f}); "
-        f"R-hat {r_hat:.4f}, bulk ESS {bulk:,.0f}, tail ESS {tail:,.0f}, correlation of A and C "
-        f"{result.correlation[0, 1]:.2f}"
+    r_hat, bulk, tail = np.transpose([(d.r_hat, d.ess_bulk, d.ess_tail) for d in result.diagnoses])
+    return (
+        f"Whole answer from {n:,} samples: {np.median(durations):.1f} ms CPU; R-hat {r_hat.max():.4f}, ESS "
+        f"{bulk.min():,.0f} bulk, {tail.min():,.0f} tail; correlation of A and C {result.correlation[0, 1]:.2f}"
     )
 
 
@@ -252,12 +239,10 @@ def main() -> int:
     if not ONE_THREAD.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | ONE_THREAD)
     warnings.simplefilter("ignore")  # of the others
-    console = Console(width=160)
     table = Table("samples", "sampler", "ESS/s", "/ best peer", "/ floor", "A [N]", "C [N s²/m²]", "m [kg]")
     for n in options.samples:
         compare(n, table)
-    console.print(table)
-    whole_answer(console)
+    Console(width=160).print(table, whole_answer(36_000))
     return 0
 
 

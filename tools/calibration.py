@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -28,7 +29,7 @@ from estimator.estimation import kinematics, moments, posterior
 from estimator.estimation.admission import admit, row_reasons
 from estimator.road_load import design
 from estimator.samples import STEP, Rows
-from estimator.signals import Floats, Role
+from estimator.signals import Floats, Mask, Role
 from estimator.simulation import drive as simulation
 from estimator.simulation.noise import correlated
 from estimator.simulation.route import RoadKind, generate_route
@@ -67,7 +68,7 @@ class Drive:
     columns: Floats
     v: Floats
     engine_speed: Floats
-    driving: "np.ndarray[tuple[int], np.dtype[np.bool_]]"
+    driving: Mask
     context: dict[Role, Floats]
     reference_torque: float  # N.m
 
@@ -156,8 +157,8 @@ CASES: dict[str, Measure] = {
 class Outcome:
     """One data set: all arrays (3,) in the order A, C, m."""
 
-    held: "np.ndarray[tuple[int], np.dtype[np.bool_]]"  # truth inside the 90 % interval
-    rank: "np.ndarray[tuple[int], np.dtype[np.int64]]"  # of the truth among RANKED draws
+    held: Mask  # truth inside the 90 % interval
+    rank: NDArray[np.int64]  # of the truth among RANKED draws
 
 
 def conclude(rows: Rows, theta: Floats, config: Config, rng: np.random.Generator) -> Outcome | None:

@@ -35,7 +35,7 @@ from estimator.estimation import kinematics
 from estimator.estimation.estimator import Estimator
 from estimator.pipeline import Pipeline
 from estimator.samples import STEP, Rows
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
@@ -70,7 +70,7 @@ class Drive:
     truth: Floats
     data: list[Stretch]
     means: Floats | None  # (3,); None if roadload gave no estimate
-    held: "np.ndarray[tuple[int], np.dtype[np.bool_]]"  # truth inside roadload's 90 % intervals (3,)
+    held: Mask  # truth inside roadload's 90 % intervals (3,)
 
     @classmethod
     def simulate(cls, seed: int, options: argparse.Namespace) -> "Drive":
@@ -138,7 +138,7 @@ def main() -> int:
         answers[name] = [(x.theta / truth - 1, x.holds(truth)) for x, truth in found]
 
     figures: dict[str, Any] = {"settings": {name: asdict(settings) for name, (_, settings) in peers.items()}}
-    table = Table("", "drives", *(f"{name}: {what}" for name in NAMES for what in ("median", "worst", "90 % holds")))
+    table = Table("", "", "median error", "worst", "90 % intervals that hold the truth")
     for name, results in answers.items():
         size = np.abs([error for error, _ in results])
         held = np.sum([held for _, held in results], axis=0)
@@ -146,10 +146,10 @@ def main() -> int:
             parameter: {"median": float(np.median(size[:, i])), "worst": float(size[:, i].max()), "holds": int(held[i])}
             for i, parameter in enumerate(NAMES)
         }
-        cells = []
-        for x in figures[name].values():
-            cells += [f"{100 * x['median']:.2f} %", f"{100 * x['worst']:.2f} %", f"{x['holds']} of {len(results)}"]
-        table.add_row(name, str(len(results)), *cells)
+        for parameter, x in figures[name].items():
+            shown = [f"{100 * x[key]:.2f} %" for key in ("median", "worst")]
+            table.add_row(name, parameter, *shown, f"{x['holds']} of {len(results)}")
+        table.add_section()
     if options.json:
         print(json.dumps(figures, indent=2))
     else:

@@ -25,7 +25,7 @@ from scipy.signal import butter, lfilter
 from estimator.config import Admission
 from estimator.estimation.admission import ADMITTED, row_reasons
 from estimator.samples import STEP, Rows
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 
 START = np.array([1800.0, 4.0, 25e3])  # N, N s^2/m^2, kg: a class-8 truck of which nothing is known
 START_SD = np.array([1000.0, 2.0, 10e3])  # N, N s^2/m^2, kg
@@ -52,7 +52,7 @@ class Estimate:
     theta: Floats
     sd: Floats
 
-    def holds(self, truth: Floats) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    def holds(self, truth: Floats) -> Mask:
         """Whether the 90 % interval of each parameter holds the ``truth`` (3,)."""
         return np.abs(truth - self.theta) <= Z90 * self.sd
 

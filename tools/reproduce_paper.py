@@ -13,7 +13,8 @@ from pathlib import Path
 from paper import experiments, figures
 from paper.cycles import Cycle
 from paper.estimation import BURN_IN, Availability, Drive, scheduled_walk
-from paper.page import Results, render
+from paper.page import render
+from paper.results import Results
 from paper.vehicles import DUMMY, DYNO
 from rich.console import Console
 
@@ -40,6 +41,7 @@ def compute(console: Console) -> Results:
         cycles=cycles,
         dummy=dummy,
         runs=runs,
+        selection={c.name: experiments.selection_bias(c) for c in cycles},
         levene_estimates=experiments.levene_of_estimates(runs),
         levene_residuals=experiments.levene_of_residuals(cycles, runs),
         eigen=experiments.table_five(cycles, runs),

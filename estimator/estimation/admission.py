@@ -75,8 +75,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
 
 def admit(samples: Samples, codes: NDArray[np.int8], rejected: Counter[str]) -> Samples:
     """Samples whose rows have no reason against them and whose surroundings are complete; counts the others."""
-    complete = np.all([np.isfinite(getattr(samples, f)) for f in samples.__slots__], axis=0)
-    codes = np.where((codes == ADMITTED) & ~complete, _ORDER.index(Reason.INCOMPLETE), codes)
+    codes = np.where((codes == ADMITTED) & ~samples.complete, _ORDER.index(Reason.INCOMPLETE), codes)
     values, counts = np.unique(codes, return_counts=True)
     for code, count in zip(values.tolist(), counts.tolist(), strict=True):
         if code != ADMITTED:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import medfilt
 
 from estimator.config import Vehicle
 from estimator.estimation.friction import FrictionCurve
@@ -21,6 +22,10 @@ SHORTEST_FRESH = 0.3  # s, for senders whose rate follows the engine speed
 LONGEST_FRESH = 15.0  # s, for slow senders
 SETTLE = 3.0  # s, rows lag this far behind the newest reading, so that straight lines have both ends
 FOR_EVER = np.inf
+SPIKE_WINDOW = 5  # readings, for the running median
+SPIKE_SDS = 8.0
+SMALLEST_SPREAD = 0.02  # of the usual power: below, one quantum of the sender would pass for a spike
+MAD_TO_SD = 1.4826  # of a Gaussian
 TORQUE_ROLES = (Role.TORQUE_FRACTION_FINE, Role.FRICTION_FRACTION, Role.PARASITIC_FRACTION, Role.REFERENCE_TORQUE)
 
 Readings = Mapping[Role, list[Series]]
@@ -90,15 +95,34 @@ def cell_means(t: Floats, value: Floats, edges: Floats, limit: float) -> tuple[F
     return np.where(there & ~touched(bad[1:] | bad[:-1]), mean, np.nan), there
 
 
+def despike(value: Floats) -> Floats:
+    """Readings (n,) with gross errors replaced by the median of their neighbours (Hampel 1974).
+
+    A reading is grossly wrong when it is off that median by SPIKE_SDS robust standard deviations of such
+    differences in the batch. The running median follows ramps and steps, so only lone readings can be.
+    """
+    known = np.flatnonzero(np.isfinite(value))
+    if len(known) < SPIKE_WINDOW:
+        return value
+    x = value[known]
+    local = medfilt(np.pad(x, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)[SPIKE_WINDOW // 2 : -(SPIKE_WINDOW // 2)]
+    off = np.abs(x - local)
+    limit = SPIKE_SDS * MAD_TO_SD * max(float(np.median(off)), SMALLEST_SPREAD * float(np.median(np.abs(x))))
+    cleaned = value.copy()
+    cleaned[known[off > limit]] = local[off > limit]
+    return cleaned
+
+
 class Aligner:
     """Turns batches of readings into rows, about SETTLE behind the newest reading.
 
     ``bound`` are the roles that the configuration expects: a term of the power that is expected but has not come
-    makes the power unknown, not larger.
+    makes the power unknown, not larger. ``despike`` repairs lone gross errors of power.
     """
 
-    def __init__(self, vehicle: Vehicle, bound: frozenset[Role]) -> None:
+    def __init__(self, vehicle: Vehicle, bound: frozenset[Role], despike: bool = True) -> None:
         self._vehicle = vehicle
+        self._despike = despike
         self._bound = bound
         self._restart()
 
@@ -155,6 +179,7 @@ class Aligner:
     def _append_power(self, t: Floats, value: Floats) -> None:
         if len(t):
             self._powered_to = float(t[-1])
+            value = despike(value) if self._despike else value
             self._power.add(Series(t, value * self._vehicle.driveline_efficiency))
 
     def _net_fraction(self, t: Floats, indicated: Floats) -> Floats:

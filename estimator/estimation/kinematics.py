@@ -36,6 +36,7 @@ LONGEST_LAG = 2.0  # s
 LAG_RATIO = 100.0  # 1/s^4, smoother used to find the lag
 LAG_SPEED = 2.0  # m/s
 LAG_SAMPLES = 300
+GAS_CONSTANT = 287.05  # J/(kg K), of dry air
 LAG_CORRELATION = 1.0  # s, over which residuals are taken to hang together
 LAG_SURE = 0.1  # s, standard deviation beyond which a lag is not believed
 
@@ -208,8 +209,16 @@ def to_samples(rows: Rows, kernels: Kernels, lag: float, inertial: bool) -> Samp
         convolve(speed, ring.value),
         za,
         convolve(power, ring.slope),
+        air_density(rows),
     )
     return samples[margin(STEP) : len(rows) - margin(STEP)]
+
+
+def air_density(rows: Rows) -> Floats:
+    """Density of dry air [kg/m^3] (n,) from temperature and pressure, NaN where either is not known."""
+    blank = np.full(len(rows), np.nan)
+    temperature = rows.context.get(Role.AMBIENT_TEMPERATURE, blank)
+    return rows.context.get(Role.AIR_PRESSURE, blank) / (GAS_CONSTANT * temperature)
 
 
 def margin(dt: float) -> int:

@@ -96,8 +96,9 @@ def long_run_covariance(scores: Floats, cosines: int) -> Floats:
 
 def columns(samples: Samples) -> tuple[Floats, Floats]:
     """Regressors X and instruments Z, both (n, 4)."""
-    X = np.column_stack([design(samples.v, samples.a), -samples.dP])
-    Z = np.column_stack([design(samples.zv, samples.za), -samples.zdP])
+    density = samples.relative_density
+    X = np.column_stack([design(samples.v, samples.a, density), -samples.dP])
+    Z = np.column_stack([design(samples.zv, samples.za, density), -samples.zdP])
     return X, Z
 
 

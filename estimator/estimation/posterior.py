@@ -60,7 +60,7 @@ def target_of(samples: Samples, fit: Fit, config: Config) -> Target:
     if config.sampler.likelihood == "instruments":
         return StudentTarget(fit.theta, fit.covariance, fit.dof, lower, upper)
     positive = samples[samples.P > 0]
-    X = design(positive.v, positive.a)
+    X = design(positive.v, positive.a, positive.relative_density)
     return ClippedGaussianTarget(X, positive.P, lower[:3], upper[:3])
 
 

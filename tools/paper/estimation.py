@@ -87,13 +87,10 @@ def estimate(kept: Drive, seed: tuple[int, ...] = (0,)) -> Estimate:
 
 @dataclass(frozen=True)
 class _Reweighted:
-    """``base`` with another sigma^2 for each chain, ``variance`` (k,) [W^2]; rows of theta are chains."""
+    """What the random walk needs of ``base``, with sigma^2 ``variance`` (k,) [W^2] of its own for each of k chains."""
 
     base: ClippedGaussianTarget
     variance: Floats
-
-    def __getattr__(self, name: str) -> Floats:
-        return getattr(self.base, name)
 
     def log_density(self, theta: Floats) -> Floats:
         return self.base.log_density(theta) * (self.base.variance / self.variance)

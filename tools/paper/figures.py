@@ -52,7 +52,7 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def random_walk(walks: dict[str, Floats], path: Path) -> None:
-    """Fig. 1: mass along the chains (chains, iterations, 3), one column a schedule; below, around the end of the burn-in."""
+    """Fig. 1: mass along chains (chains, iterations, 3), one column a schedule; below, at the end of the burn-in."""
     plt.rcParams.update(STYLE)
     figure, axes = plt.subplots(2, len(walks), figsize=(WIDTH, 4.4), sharey="row")
     for column, (title, walk) in zip(axes.T, walks.items(), strict=True):
