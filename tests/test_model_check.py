@@ -1,0 +1,76 @@
+"""When the model cannot describe the data, no number is published."""
+
+import numpy as np
+import pytest
+
+from estimator.can_io.recorder import frames_of
+from estimator.config import from_dict
+from estimator.estimate import Estimate, Status
+from estimator.estimation import moments
+from estimator.estimation.model_check import misfit
+from estimator.pipeline import Pipeline
+from estimator.samples import STEP, Samples
+from estimator.signals import Floats, Role, Series
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+
+WIDE = {"gate": {"relative_sd": [9.0, 9.0, 9.0], "coverage": 0.0}}
+
+
+def samples_of(power, n: int = 6000) -> Samples:
+    rng = np.random.default_rng(1)
+    t = np.arange(n) * STEP
+    v = 15 + 8 * np.sin(0.02 * t) + 2 * np.sin(0.3 * t)
+    a = np.gradient(v, STEP)
+    P = power(v, a) + 3e3 * rng.standard_normal(n)
+    zero = np.gradient(P, STEP)
+    return Samples(t, v, a, P, zero, v, a, zero, np.full(n, np.nan))
+
+
+def verdict(power) -> str:
+    samples = samples_of(power)
+    fit = moments.fit(samples, 3.0)
+    assert fit is not None
+    return misfit(samples, fit)
+
+
+def model(v: Floats, a: Floats) -> Floats:
+    return 1700 * v + 3.7 * v**3 + 27_000 * v * a
+
+
+def test_the_model_passes_its_own_data():
+    assert verdict(model) == ""
+
+
+def test_small_imperfections_pass():
+    assert verdict(lambda v, a: model(v, a) + 2e3 * np.sin(v)) == ""
+
+
+def test_power_that_has_little_to_do_with_driving():
+    hills = 4e5 * np.sin(np.arange(6000) * STEP / 40)
+    assert "explains" in verdict(lambda v, a: model(v, a) + hills)
+
+
+def test_a_load_that_the_model_lacks_is_located():
+    reason = verdict(lambda v, a: model(v, a) + 9e4 * (v > 20) * (v < 22))
+    assert "is left at speed" in reason
+
+
+@pytest.fixture(scope="module")
+def broken() -> Estimate:
+    """A truck whose bus reports a torque that its engine does not have."""
+    rng = np.random.default_rng(5)
+    recording = record(Truck(mass=20_000.0, A=1200.0, C=3.5), generate_route("mixed", 60e3, rng), 1500.0, rng)
+    signals = dict(recording.signals)
+    torque = signals[Role.TORQUE_FRACTION]
+    wild = 0.5 + 0.4 * np.sin(2 * np.pi * torque.t / 23)
+    signals[Role.TORQUE_FRACTION] = Series(torque.t, wild)
+    pipeline = Pipeline(from_dict(WIDE))
+    return [*pipeline.feed(frames_of(signals)), *pipeline.finish()][-1]
+
+
+def test_invalid_says_why_and_gives_no_numbers(broken):
+    assert broken.status in (Status.INVALID, Status.UNESTIMATED)
+    assert broken.reason
+    assert broken.mass is None
