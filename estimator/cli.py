@@ -164,7 +164,7 @@ def _estimate(options: argparse.Namespace) -> int:
         run = replay.estimate(options.log, _settings(options), progress)
     evidence = run.pipeline.estimator.evidence
     if evidence is not None and options.draws is not None:
-        export.write_draws(evidence.posterior, options.draws)
+        export.write_draws(evidence, options.draws)
     if evidence is not None and options.plot is not None:
         _plots().write_plot(evidence, f"roadload: {', '.join(path.name for path in options.log)}", options.plot)
     if evidence is None and (options.draws or options.plot):

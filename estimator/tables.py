@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -21,6 +22,10 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     console.print(f"[bold {style}]{final.status.value}[/]{reason}", highlight=False, soft_wrap=True)
     if final.mass is not None:
         console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
+    evidence = pipeline.estimator.evidence
+    if evidence is not None and np.isfinite(evidence.samples.density).any():
+        density = float(np.nanmean(evidence.samples.density))
+        console.print(f"air       {density:.3f} kg/m³, for which C holds; it goes with the density", highlight=False)
     c, k = final.coverage, final.convergence
     console.print(
         f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)",

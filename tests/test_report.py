@@ -38,6 +38,13 @@ def test_draws_in_every_format_agree(log: Path, tmp_path: Path, capsys: pytest.C
     assert float(data.posterior["mass_kg"].mean()) == pytest.approx(mean, rel=1e-9)
     assert data.posterior["mass_kg"].shape == draws.shape
     assert not list(tmp_path.glob(".*"))
+    summary = content["summary"]["mass_kg"]
+    assert summary["q05"] < summary["q50"] < summary["q95"]
+    assert summary["r_hat"] < 1.05
+    assert summary["ess_tail"] > 400
+    assert np.diag(content["correlation"]) == pytest.approx(1)
+    assert 1.0 < content["air"]["density_kg_m3"] < 1.4
+    assert len(content["eigen_metrics"]["scaled"]["log10_eigenvalues"]) == 3
 
 
 @pytest.mark.parametrize(("suffix", "start"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("html", b"<!doctype html>")])

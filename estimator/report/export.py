@@ -1,14 +1,27 @@
-"""Draws of the posterior in a file: CSV and JSON always, NetCDF for ArviZ where it is installed."""
+"""Draws of the posterior in a file: CSV and JSON always, NetCDF for ArviZ where it is installed.
+
+The JSON also says what is told of a posterior beside its draws: quantiles, correlation, convergence of each
+parameter, the paper's eigen-metrics raw and scaled by the posterior, and the drag coefficient in reference air.
+"""
 
 import csv
 import json
 from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
 
 from estimator.errors import ConfigError, RoadloadError
+from estimator.estimation.estimator import Evidence
 from estimator.estimation.posterior import Posterior
+from estimator.road_load import design
+from estimator.sampling.convergence import diagnose
+from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
 
 NAMES = ("A_N", "C_N_s2_m2", "mass_kg")  # order of the draws' last axis
 FORMATS = (".csv", ".json", ".nc")
+REFERENCE_DENSITY = 1.225  # kg/m^3, of air at sea level, ISO 2533
 
 
 def check_format(path: Path) -> None:
@@ -23,8 +36,8 @@ def check_format(path: Path) -> None:
         raise ConfigError(f"{path}: draws are written as one of {', '.join(FORMATS)}")
 
 
-def write_draws(posterior: Posterior, path: Path) -> None:
-    """Write the draws of A, C and m to ``path``; the suffix says how.
+def write_draws(evidence: Evidence, path: Path) -> None:
+    """Write the draws of A, C and m behind an estimate to ``path``; the suffix says how.
 
     Raises
     ------
@@ -34,7 +47,10 @@ def write_draws(posterior: Posterior, path: Path) -> None:
     check_format(path)
     temporary = path.with_name(f".{path.name}.part")
     try:
-        {".csv": _csv, ".json": _json, ".nc": _netcdf}[path.suffix.lower()](posterior, temporary)
+        if path.suffix.lower() == ".json":
+            temporary.write_text(json.dumps(_content(evidence), allow_nan=False), encoding="utf-8")
+        else:
+            {".csv": _csv, ".nc": _netcdf}[path.suffix.lower()](evidence.posterior, temporary)
         temporary.replace(path)
     except OSError as error:
         raise RoadloadError(f"{path}: {error.strerror}") from error
@@ -50,9 +66,46 @@ def _csv(posterior: Posterior, path: Path) -> None:
             table.writerows([i, j, *draw] for j, draw in enumerate(chain))
 
 
-def _json(posterior: Posterior, path: Path) -> None:
-    draws = {name: posterior.draws[:, :, i].tolist() for i, name in enumerate(NAMES)}
-    path.write_text(json.dumps({"dims": ["chain", "draw"], "posterior": draws}), encoding="utf-8")
+def _content(evidence: Evidence) -> dict[str, Any]:
+    draws = evidence.posterior.draws[:, :, : len(NAMES)]
+    flat = draws.reshape(-1, len(NAMES))
+    used = evidence.samples[evidence.fit.kept]
+    J = design(used.v, used.a, used.relative_density)
+    information = J.T @ J
+    scale = flat.std(axis=0) / evidence.fit.rms
+    content: dict[str, Any] = {
+        "dims": ["chain", "draw"],
+        "posterior": {name: draws[:, :, i].tolist() for i, name in enumerate(NAMES)},
+        "summary": {name: _summary(evidence.posterior, i) for i, name in enumerate(NAMES)},
+        "correlation": np.corrcoef(flat.T).tolist(),
+        "effective_samples": evidence.fit.effective,
+        "eigen_metrics": {
+            "raw": _metrics(eigen_metrics(information)),
+            "scaled": _metrics(eigen_metrics(information, scale)),
+        },
+    }
+    density = used.density[np.isfinite(used.density)]
+    if len(density):
+        factor = REFERENCE_DENSITY / float(density.mean())
+        content["air"] = {
+            "density_kg_m3": float(density.mean()),
+            "reference_kg_m3": REFERENCE_DENSITY,
+            "C_at_reference_N_s2_m2": {
+                "mean": factor * float(flat[:, 1].mean()),
+                "sd": factor * float(flat[:, 1].std()),
+            },
+        }
+    return content
+
+
+def _summary(posterior: Posterior, i: int) -> dict[str, float]:
+    marginal, diagnosis = posterior.marginal(i), diagnose(posterior.draws[:, :, i])
+    summary: dict[str, float] = msgspec.to_builtins(marginal)
+    return summary | {"r_hat": diagnosis.r_hat, "ess_bulk": diagnosis.ess_bulk, "ess_tail": diagnosis.ess_tail}
+
+
+def _metrics(metrics: EigenMetrics) -> dict[str, Any]:
+    return {"log10_eigenvalues": metrics.log10_eigenvalues.tolist(), "angles_deg": metrics.angles.tolist()}
 
 
 def _netcdf(posterior: Posterior, path: Path) -> None:

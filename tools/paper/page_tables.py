@@ -63,10 +63,10 @@ def estimates(r: Results) -> str:
     hhddt = ""
     if "HHDDT" in r.selection:
         paper, program = (f"{100 * r.selection['HHDDT'][rule][0]:+.1f} %" for rule in (PAPER_RULE, PROGRAM_RULE))
-        hhddt = f""" On HHDDT the intervals hold the truth too seldom: keeping only P > 0 selects on the noise. Where model
-power is near zero, as in much of that cycle, samples with positive noise stay and those with negative noise go. Over
-{SELECTION_FITS} least-squares fits the mean error of A is {paper}; with the program's default rule, model power above
-three sd of the residual, it is {program}."""
+        hhddt = f""" On HHDDT the intervals hold the truth too seldom: keeping only P > 0 selects on the noise. Where
+model power is near zero, as in much of that cycle, samples with positive noise stay and those with negative noise go.
+Over {SELECTION_FITS} least-squares fits the mean error of A is {paper}; with the program's default rule, model power
+above three sd of the residual, it is {program}."""
     return f"""## Tables 2-4: the dynamometer truck
 
 {RUNS} runs of each cycle with fresh noise. Errors are those of A, C and m in that order. The paper's estimates and sd
