@@ -22,6 +22,7 @@ from estimator.can_io.recorder import frames_of, write_log
 from estimator.config import Config
 from estimator.errors import ConfigError, RoadloadError
 from estimator.report import export
+from estimator.report.files import check_suffix
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
@@ -157,9 +158,10 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _estimate(options: argparse.Namespace) -> int:
-    for path, check in ((options.draws, export.check_format), (options.plot, _plots_format)):
-        if path is not None:
-            check(path)
+    if options.draws is not None:
+        check_suffix(options.draws, export.FORMATS)
+    if options.plot is not None:
+        check_suffix(options.plot, _plots().FORMATS)
     with _progress("estimating") as progress:
         run = replay.estimate(options.log, _settings(options), progress)
     evidence = run.pipeline.estimator.evidence
@@ -178,10 +180,6 @@ def _plots() -> ModuleType:
         return importlib.import_module("estimator.report.plots")
     except ImportError as error:
         raise RoadloadError("--plot needs matplotlib: pip install 'roadload[plot]'") from error
-
-
-def _plots_format(path: Path) -> None:
-    _plots().check_format(path)
 
 
 def _inspect(options: argparse.Namespace) -> int:

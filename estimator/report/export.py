@@ -12,9 +12,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from estimator.errors import ConfigError, RoadloadError
+from estimator.errors import RoadloadError
 from estimator.estimation.estimator import Evidence
 from estimator.estimation.posterior import Posterior
+from estimator.report.files import check_suffix, whole
 from estimator.road_load import design
 from estimator.sampling.convergence import diagnose
 from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
@@ -22,18 +23,6 @@ from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
 NAMES = ("A_N", "C_N_s2_m2", "mass_kg")  # order of the draws' last axis
 FORMATS = (".csv", ".json", ".nc")
 REFERENCE_DENSITY = 1.225  # kg/m^3, of air at sea level, ISO 2533
-
-
-def check_format(path: Path) -> None:
-    """Refuse a file name early, before the work is done.
-
-    Raises
-    ------
-    ConfigError
-        The suffix is none of FORMATS.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise ConfigError(f"{path}: draws are written as one of {', '.join(FORMATS)}")
 
 
 def write_draws(evidence: Evidence, path: Path) -> None:
@@ -44,18 +33,12 @@ def write_draws(evidence: Evidence, path: Path) -> None:
     RoadloadError
         The file cannot be written, or .nc is asked for without ArviZ.
     """
-    check_format(path)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
+    check_suffix(path, FORMATS)
+    with whole(path) as temporary:
         if path.suffix.lower() == ".json":
             temporary.write_text(json.dumps(_content(evidence), allow_nan=False), encoding="utf-8")
         else:
             {".csv": _csv, ".nc": _netcdf}[path.suffix.lower()](evidence.posterior, temporary)
-        temporary.replace(path)
-    except OSError as error:
-        raise RoadloadError(f"{path}: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _csv(posterior: Posterior, path: Path) -> None:

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import MaxNLocator
 
-from estimator.errors import ConfigError, RoadloadError
 from estimator.estimation.estimator import Evidence
 from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS
+from estimator.report.files import check_suffix, whole
 from estimator.road_load import power
 
 NAMES = ("A [N]", "C [N s²/m²]", "m [kg]")
@@ -23,18 +23,6 @@ INK, FADED, MARK = "#1b3a4b", "#8fa9b8", "#d1495b"
 TRACE = 6000  # samples shown of the power trace: ten minutes
 FORMATS = (".png", ".svg", ".pdf", ".html")
 mpl.rcParams["svg.hashsalt"] = "roadload"  # the same picture twice is the same file
-
-
-def check_format(path: Path) -> None:
-    """Refuse a file name early, before the work is done.
-
-    Raises
-    ------
-    ConfigError
-        The suffix is none of FORMATS.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise ConfigError(f"{path}: a picture is written as one of {', '.join(FORMATS)}")
 
 
 def write_plot(evidence: Evidence, title: str, path: Path) -> None:
@@ -45,7 +33,7 @@ def write_plot(evidence: Evidence, title: str, path: Path) -> None:
     RoadloadError
         The file cannot be written.
     """
-    check_format(path)
+    check_suffix(path, FORMATS)
     figure = draw(evidence, title)
     kind = path.suffix.lower().removeprefix(".")
     image = BytesIO()
@@ -53,14 +41,8 @@ def write_plot(evidence: Evidence, title: str, path: Path) -> None:
     content = image.getvalue()
     if kind == "html":
         content = _page(title, content).encode()
-    temporary = path.with_name(f".{path.name}.part")
-    try:
+    with whole(path) as temporary:
         temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        raise RoadloadError(f"{path}: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def draw(evidence: Evidence, title: str) -> Figure:
