@@ -311,7 +311,9 @@ def smooth_friction(w):
 
 
 def in_batches(curve: FrictionCurve, w, reading) -> np.ndarray:
-    return np.concatenate([curve.refine(w[i : i + 250], reading[i : i + 250]) for i in range(0, len(w), 250)])
+    return np.concatenate(
+        [curve.refine(w[i : i + 250], reading[i : i + 250], w[i : i + 250]) for i in range(0, len(w), 250)]
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -350,9 +352,9 @@ def test_friction_is_unknown_where_speed_or_reading_is():
     w = 130 + 40 * np.sin(np.arange(1000) / 300)
     reading = np.round(smooth_friction(w), 2)
     w[100:200], reading[300:400] = np.nan, np.nan
-    refined = FrictionCurve().refine(w, reading)
+    refined = FrictionCurve().refine(w, reading, w)
     np.testing.assert_array_equal(np.isnan(refined), np.isnan(w) | np.isnan(reading))
-    assert np.isnan(FrictionCurve().refine(np.full(5, np.nan), np.full(5, 0.05))).all()
+    assert np.isnan(FrictionCurve().refine(np.full(5, np.nan), np.full(5, 0.05), np.full(5, 90.0))).all()
 
 
 def test_lone_gross_errors_are_repaired_and_nothing_else():

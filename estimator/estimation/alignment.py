@@ -58,6 +58,11 @@ class _Track:
         first = max(int(np.searchsorted(self.t, before)) - 1, 0)
         self.t, self.value = self.t[first:], self.value[first:]
 
+    def time_of_held(self, at: Floats) -> Floats:
+        """When the last reading at or before each time came, NaN where there is none."""
+        last = np.searchsorted(self.t, at, side="right") - 1
+        return np.where(last >= 0, self.t[np.maximum(last, 0)], np.nan) if len(self.t) else np.full(len(at), np.nan)
+
     def held(self, at: Floats, limit: float | None = None) -> Floats:
         """The last reading at or before each time, NaN once it is stale."""
         if not len(self.t):
@@ -187,8 +192,9 @@ class Aligner:
         fine = self._track(Role.TORQUE_FRACTION_FINE).held(t)
         fraction = indicated + np.where(np.isfinite(fine), fine, 0.0)
         if Role.FRICTION_FRACTION in self._bound:
-            reading = self._track(Role.FRICTION_FRACTION).held(t)
-            fraction = fraction - self._friction.refine(self._track(Role.ENGINE_SPEED).held(t), reading)
+            friction, speed = self._track(Role.FRICTION_FRACTION), self._track(Role.ENGINE_SPEED)
+            speed_then = speed.held(friction.time_of_held(t))
+            fraction = fraction - self._friction.refine(speed.held(t), friction.held(t), speed_then)
         if self._vehicle.subtract_parasitic_losses:
             fraction = fraction - self._track(Role.PARASITIC_FRACTION).held(t)
         return fraction

@@ -6,7 +6,8 @@ half a step of it, and it follows the engine speed smoothly. A curve through all
 reading's own interval, is never worse than the interval and mostly far better than its middle.
 
 Every engine speed counts alike, however long it was driven at: an hour of cruising repeats one rounded reading,
-which would otherwise draw the curve to itself just where it is needed.
+which would otherwise draw the curve to itself just where it is needed. And a reading speaks for the engine speed it
+was sent at: what is held until the next one, a quarter of a second later, is by how much the curve misses its interval.
 """
 
 import numpy as np
@@ -17,6 +18,7 @@ DEGREE = 3  # of the curve in engine speed
 SPEED_SCALE = 150.0  # rad/s, to keep powers of the speed near one
 BIN = 3.0  # rad/s, engine speeds that count as one
 BINS = 400  # up to 1200 rad/s
+MOST_LEVELS = 256  # a sender with more is not one of whole per cents, and needs no curve
 ENOUGH = 50.0  # readings after which more in the same bin add no weight
 RIDGE = 1e-3  # readings' worth of prior at zero slope: keeps a drive at one speed solvable
 FORGET = 36_000.0  # readings after which old ones fade, as oil warms: 12 min at 50 Hz
@@ -29,24 +31,26 @@ class FrictionCurve:
         self._sums = np.zeros((3, BINS))  # of readings in each bin: how many, their engine speeds, their values
         self._levels = np.empty(0)
 
-    def refine(self, engine_speed: Floats, reading: Floats) -> Floats:
-        """Friction (n,) as a share of reference torque from ``reading`` (n,), both at ``engine_speed`` [rad/s].
+    def refine(self, engine_speed: Floats, reading: Floats, speed_then: Floats) -> Floats:
+        """Friction (n,) as a share of reference torque at ``engine_speed`` [rad/s].
 
-        NaN where either is; the readings themselves until they have shown what their step is.
+        ``reading`` (n,) is the last one at each moment, sent when the engine turned at ``speed_then`` [rad/s]. NaN
+        where any is; the readings themselves until they have shown what their step is.
         """
-        known = np.isfinite(engine_speed) & np.isfinite(reading)
-        speed, value = engine_speed[known], reading[known]
-        levels = np.unique(np.round(value, 6))
-        if not np.isin(levels, self._levels).all():
-            self._levels = np.union1d(self._levels, levels)
+        known = np.isfinite(engine_speed) & np.isfinite(reading) & np.isfinite(speed_then)
+        speed, value = speed_then[known], reading[known]
+        if len(self._levels) <= MOST_LEVELS:
+            self._levels = np.union1d(self._levels, np.round(value, 6))
         cell = np.clip(speed / BIN, 0, BINS - 1).astype(np.int64)
         new = [np.bincount(cell, weights, BINS) for weights in (np.ones(len(cell)), speed, value)]
         self._sums = np.exp(-len(value) / FORGET) * self._sums + new
-        if len(self._levels) < 2:
+        if not 2 <= len(self._levels) <= MOST_LEVELS:
             return np.where(known, reading, np.nan)
         half_step = float(np.diff(self._levels).min()) / 2
         refined = np.full(len(reading), np.nan)
-        refined[known] = np.clip(self._curve(speed), value - half_step, value + half_step)
+        then = self._curve(speed)
+        missed = np.clip(then, value - half_step, value + half_step) - then
+        refined[known] = self._curve(engine_speed[known]) + missed
         return refined
 
     def _curve(self, engine_speed: Floats) -> Floats:

@@ -29,6 +29,7 @@ from estimator.signals import Floats, Mask
 
 SELECTIONS = 8  # passes that settle which samples count
 FEWEST_COSINES = 12
+SLOW = 20  # samples, 2 s: beyond the reach of the smoother
 TIMES_PER_COSINE = 4.0  # autocorrelation times that one cosine transform must span
 LAG_SD = 0.1  # s, prior of what the coarse alignment leaves
 ROAD_LOAD = 3  # the first parameters
@@ -88,6 +89,12 @@ def autocorrelation_time(x: Floats) -> float:
     return max(float(tau[enough[0]] if len(enough) else tau[-1]), 1.0)
 
 
+def _slow_time(residual: Floats) -> float:
+    """Autocorrelation time [samples] of means over SLOW, where noise of dv/dt, which hides slower noise, is gone."""
+    means = residual[: len(residual) // SLOW * SLOW].reshape(-1, SLOW).mean(axis=1)
+    return SLOW * autocorrelation_time(means)
+
+
 def long_run_covariance(scores: Floats, cosines: int) -> Floats:
     """Covariance (p, p) of the column sums of ``scores`` (n, p), autocorrelated as they may be."""
     transform = dct(scores, type=2, axis=0, norm="ortho")[1 : cosines + 1]
@@ -129,8 +136,9 @@ def fit(samples: Samples, power_sigmas: float, belief: Belief = SMALL_LAG) -> Fi
         theta, covariance = solution
         residual = Pk - Xk @ theta
         time = autocorrelation_time(residual)
-        cosines = _cosines(len(Pk), time)
-        spread = long_run_covariance(Zk * residual[:, None], cosines)
+        cosines = _cosines(len(Pk), _slow_time(residual))
+        # The fit has taken from the residual what its parameters can follow, as in n / (n - p).
+        spread = long_run_covariance(Zk * residual[:, None], cosines) * cosines / (cosines - PARAMETERS)
         previous, kept = kept, Z[:, :ROAD_LOAD] @ theta[:ROAD_LOAD] > power_sigmas * residual.std()
         if np.array_equal(kept, previous):
             break
