@@ -4,21 +4,22 @@ import argparse
 import dataclasses
 import importlib
 import json
+import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress as Bar
-from rich.table import Table
 
 from estimator import __version__, config, inspection, replay, summary
-from estimator.can_io.recorder import frames_of, write_log
+from estimator.can_io.logs import FORMATS
+from estimator.can_io.recorder import WRITABLE, frames_of, write_log
 from estimator.config import Config
 from estimator.errors import ConfigError, RoadloadError
 from estimator.report import export
@@ -36,76 +37,121 @@ METRES_PER_MINUTE = 2000.0  # of simulated road: nobody drives a truck faster, s
 def main(arguments: list[str] | None = None) -> int:
     """Run one subcommand; returns the exit status: 0, 2 for bad input, 1 for a run that could not finish."""
     options = _parser().parse_args(arguments)
+    # python-can logs what it cannot parse; the log readers raise or count it themselves.
+    logging.getLogger("can").setLevel(logging.CRITICAL)
     try:
         status: int = options.run(options)
+        sys.stdout.flush()
     except RoadloadError as error:
         if options.debug:
             raise
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_status
-    except KeyboardInterrupt:
-        print("error: interrupted", file=sys.stderr)
-        return 1
     except BrokenPipeError:
         # Whoever read our output has gone; keep the interpreter from complaining about it at exit.
         sys.stderr.close()
         return 1
+    except OSError as error:
+        if options.debug:
+            raise
+        print(f"error: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("error: interrupted", file=sys.stderr)
+        return 1
     return status
 
 
+class Parser(argparse.ArgumentParser):
+    """Argument parser whose complaints are one line too."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong with the command line and where to read on; exit status 2."""
+        print(f"error: {message}; see {self.prog} --help", file=sys.stderr)
+        raise SystemExit(2)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="roadload", description="Vehicle mass, rolling resistance and drag from CAN.")
+    parser = Parser(prog="roadload", description="Vehicle mass, rolling resistance and drag from CAN.")
     parser.add_argument("--version", action="version", version=f"roadload {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    common = argparse.ArgumentParser(add_help=False)
+    shown = Parser(add_help=False)
+    shown.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    shown.add_argument("--debug", action="store_true", help="show a traceback on errors")
+    common = Parser(add_help=False, parents=[shown])
     common.add_argument("--config", type=Path, metavar="FILE.toml", help="settings and signal binding")
     common.add_argument("--dbc", action="append", metavar="FILE.dbc", help="instead of the configuration's databases")
-    common.add_argument("--json", action="store_true", help="one JSON object on standard output")
-    common.add_argument("--debug", action="store_true", help="show a traceback on errors")
 
-    played = commands.add_parser("replay", parents=[common], help="play logs on a virtual bus through the daemon")
-    played.add_argument("log", nargs="+", type=Path, metavar="LOG")
+    logs = f"recorded traffic: {' '.join(FORMATS)}"
+    played = commands.add_parser("replay", parents=[common], help="play logs on a virtual bus to the gateway's loop")
+    played.add_argument("log", nargs="+", type=Path, metavar="LOG", help=logs)
     played.add_argument("--speed", default="max", metavar="max|FACTOR", help="multiple of real time (default: max)")
-    played.add_argument("--output", type=Path, metavar="OUT.blf", help="record what was broadcast")
+    played.add_argument(
+        "--output", type=Path, metavar="OUT.blf", help=f"record what was broadcast: {' '.join(WRITABLE)}"
+    )
     played.add_argument("--seed", type=_seed, help="of the sampler, instead of the configuration's")
     played.set_defaults(run=_replay)
 
     estimated = commands.add_parser("estimate", parents=[common], help="the same answer from logs without a bus")
-    estimated.add_argument("log", nargs="+", type=Path, metavar="LOG")
+    estimated.add_argument("log", nargs="+", type=Path, metavar="LOG", help=logs)
     estimated.add_argument("--seed", type=_seed, help="of the sampler, instead of the configuration's")
     estimated.add_argument("--draws", type=Path, metavar="OUT.csv|.json|.nc", help="draws of the posterior")
-    estimated.add_argument("--plot", type=Path, metavar="OUT.png|.svg|.html", help="posterior, fit, coverage, chains")
+    estimated.add_argument(
+        "--plot", type=Path, metavar="OUT.png|.svg|.pdf|.html", help="posterior, fit, coverage, chains"
+    )
     estimated.set_defaults(run=_estimate)
 
     inspected = commands.add_parser("inspect", parents=[common], help="what is in a log")
-    inspected.add_argument("log", type=Path, metavar="LOG")
+    inspected.add_argument("log", type=Path, metavar="LOG", help=logs)
     inspected.set_defaults(run=_inspect)
 
-    simulated = commands.add_parser("simulate", parents=[common], help="drive a simulated truck and write a log")
-    simulated.add_argument("output", type=Path, metavar="OUT.blf", help="the log: .blf .asc .log .csv .trc")
-    simulated.add_argument("--minutes", type=_positive, default=40.0, help="length of the drive (default: 40)")
-    simulated.add_argument("--route", choices=["urban", "mixed", "highway"], default="mixed")
+    simulated = commands.add_parser("simulate", parents=[shown], help="drive a simulated truck and write a log")
+    simulated.add_argument("output", type=Path, metavar="OUT.blf", help=f"the log: {' '.join(WRITABLE)}")
+    simulated.add_argument("--minutes", type=_minutes, default=40.0, help="length of the drive (default: 40)")
+    roads = ["urban", "mixed", "highway"]
+    simulated.add_argument("--route", choices=roads, default="mixed", help="kind of road (default: mixed)")
     simulated.add_argument("--seed", type=_seed, default=1, help="draws truck, route and noise (default: 1)")
     for name, unit, what in (("mass", "kg", "mass"), ("A", "N", "rolling force"), ("C", "N s2/m2", "drag coefficient")):
         simulated.add_argument(f"--{name}", type=_positive, metavar=unit, help=f"{what}, instead of the drawn one")
-    simulated.add_argument("--speed-noise", type=float, default=0.01, metavar="m/s", help="sd (default: 0.01)")
+    noise = "sd of the wheel speed's noise (default: 0.01)"
+    simulated.add_argument("--speed-noise", type=_not_negative, default=0.01, metavar="m/s", help=noise)
     simulated.set_defaults(run=_simulate)
     return parser
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
+def _number(low: float, high: float, what: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return parse
+
+
+_positive = _number(sys.float_info.min, sys.float_info.max, "a positive number")
+_not_negative = _number(0.0, sys.float_info.max, "a number that is not negative")
+_minutes = _number(0.5, 10_000.0, "a number of minutes from 0.5 to 10000")
 
 
 def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} is negative")
-    return value
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number that is not negative")
+    return int(text)
+
+
+def _check_outputs(options: argparse.Namespace, outputs: dict[Path | None, tuple[str, ...]]) -> None:
+    """Refuse what cannot be written, and what would overwrite an input, before the work is done."""
+    inputs = {path.resolve() for path in options.log}
+    for path, formats in outputs.items():
+        if path is not None:
+            check_suffix(path, formats)
+            if path.resolve() in inputs:
+                raise ConfigError(f"{path}: is a log to be read; write to another file")
 
 
 def _settings(options: argparse.Namespace) -> Config:
@@ -146,11 +192,12 @@ def _report(run: replay.Run, options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    _check_outputs(options, {options.output: WRITABLE})
     speed = None
     if options.speed != "max":
         try:
             speed = _positive(options.speed)
-        except (ValueError, argparse.ArgumentTypeError) as error:
+        except argparse.ArgumentTypeError as error:
             raise ConfigError(f"--speed: {options.speed!r} is neither 'max' nor a positive factor") from error
     with _progress("replaying") as progress:
         run = replay.replay(options.log, _settings(options), progress, speed, options.output)
@@ -158,10 +205,12 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _estimate(options: argparse.Namespace) -> int:
-    if options.draws is not None:
-        check_suffix(options.draws, export.FORMATS)
+    outputs: dict[Path | None, tuple[str, ...]] = {options.draws: export.FORMATS}
     if options.plot is not None:
-        check_suffix(options.plot, _plots().FORMATS)
+        outputs[options.plot] = _plots().FORMATS
+    _check_outputs(options, outputs)
+    if options.draws is not None and options.draws.suffix.lower() == ".nc":
+        export.require_arviz()
     with _progress("estimating") as progress:
         run = replay.estimate(options.log, _settings(options), progress)
     evidence = run.pipeline.estimator.evidence
@@ -193,6 +242,7 @@ def _inspect(options: argparse.Namespace) -> int:
 
 
 def _simulate(options: argparse.Namespace) -> int:
+    check_suffix(options.output, WRITABLE)
     rng = np.random.default_rng(options.seed)
     drawn = draw_truck(rng)
     chosen = {name: getattr(options, name) for name in ("mass", "A", "C") if getattr(options, name) is not None}
@@ -212,11 +262,6 @@ def _simulate(options: argparse.Namespace) -> int:
     if options.json:
         _print_json(truth)
     else:
-        table = Table("parameter", "truth")
-        table.add_row("mass", f"{truck.mass:,.0f} kg")
-        table.add_row("A", f"{truck.A:,.0f} N")
-        table.add_row("C", f"{truck.C:.3f} N s²/m²")
-        console = _console()
-        console.print(f"{options.output}: {len(frames):,} frames, {options.minutes:g} min of {options.route} driving")
-        console.print(table)
+        print(f"{options.output}: {len(frames):,} frames, {options.minutes:g} min of {options.route} driving")
+        print(f"truth: mass {truck.mass:,.0f} kg, A {truck.A:,.0f} N, C {truck.C:.3f} N s²/m²")
     return 0

@@ -128,9 +128,9 @@ class Sampler(Section, frozen=True):
 
     likelihood: Literal["instruments", "paper"] = "instruments"
     kernel: Literal["independence", "random_walk"] = "independence"
-    chains: Annotated[int, Meta(ge=2, le=1024)] = 64
-    burn_in: Count = 20
-    draws: Annotated[int, Meta(ge=8)] = 100  # kept, per chain
+    chains: Annotated[int, Meta(ge=2, le=256)] = 64
+    burn_in: Annotated[int, Meta(ge=1, le=20_000)] = 20  # the random walk takes more of both: it moves slowly
+    draws: Annotated[int, Meta(ge=8, le=20_000)] = 100  # kept, per chain
     seed: Annotated[int, Meta(ge=0)] = 1
 
 

@@ -102,7 +102,7 @@ class Pipeline:
             )
         if not self.valid_rows:
             counts = self.errors + self.estimator.rejected
-            reasons = ", ".join(f"{reason} {count}" for reason, count in counts.most_common(4))
+            reasons = ", ".join(f"{reason} {count}" for reason, count in counts.most_common(4)) or "time stands still"
             raise MissingInputsError(f"{place}: not one moment with both speed and power valid: {reasons}")
 
     def _needed(self) -> list[Role]:
@@ -163,4 +163,5 @@ class Pipeline:
         yield from self.finish()
         self.gaps.append((last, t))
         if not 0 <= t - last <= NEW_DRIVE:
-            self.estimator.forget()
+            # Time that steps back is another recording, or the same one again.
+            self.estimator.forget(vehicle=t < last)

@@ -6,6 +6,7 @@ import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from estimator.estimate import Marginal, Status
 from estimator.replay import Run
@@ -14,49 +15,48 @@ SHORTEST_GAP = 1.0  # s, worth a line of its own
 ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C", "N s²/m²", "{:.3f}"))
 
 
+def say(console: Console, text: str) -> None:
+    """Print a line as it is: names in it may hold anything, brackets included."""
+    console.print(Text(text), soft_wrap=True)
+
+
 def print_run(console: Console, run: Run, truth: dict[str, float] | None = None) -> None:
     """The estimate with its intervals, why there is none, and what went in; ``truth`` by mass, A, C where known."""
     final, pipeline = run.final, run.pipeline
     style = {Status.ESTIMATED: "green", Status.UNESTIMATED: "yellow", Status.INVALID: "red"}[final.status]
     reason = f": {final.reason}" if final.reason else ""
-    console.print(f"[bold {style}]{final.status.value}[/]{reason}", highlight=False, soft_wrap=True)
+    console.print(Text.assemble((final.status.value, f"bold {style}"), reason), soft_wrap=True)
     if final.mass is not None:
         console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
     evidence = pipeline.estimator.evidence
+    if evidence is not None:
+        say(console, f"lag       power comes {evidence.lag:.2f} s after speed, and has been aligned")
     if evidence is not None and np.isfinite(evidence.samples.density).any():
         density = float(np.nanmean(evidence.samples.density))
-        console.print(f"air       {density:.3f} kg/m³, for which C holds; it goes with the density", highlight=False)
+        say(console, f"air       {density:.3f} kg/m³, for which C holds; it goes with the density")
     c, k = final.coverage, final.convergence
-    console.print(
-        f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)",
-        highlight=False,
-        soft_wrap=True,
-    )
+    say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
     if k is not None and final.rms is not None:
-        console.print(
+        say(
+            console,
             f"sampler   R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted; "
             f"residual {final.rms / 1e3:.1f} kW rms",
-            highlight=False,
-            soft_wrap=True,
         )
     if final.load is not None:
         change, load = final.load, "the load changed" if final.load.probability > 0.5 else "the load is the same"
         sure = max(change.probability, 1 - change.probability)
         masses = f"{change.before:,.0f} kg before, {change.after:,.0f} kg after"
-        console.print(f"stop      {load}, probability {sure:.3f}: {masses}", highlight=False, soft_wrap=True)
+        say(console, f"stop      {load}, probability {sure:.3f}: {masses}")
     rejected = ", ".join(f"{reason} {count:,}" for reason, count in pipeline.estimator.rejected.most_common())
-    console.print(f"samples   {final.admitted:,} used; not used: {rejected or 'none'}", highlight=False, soft_wrap=True)
+    say(console, f"samples   {final.admitted:,} used; not used: {rejected or 'none'}")
     refused = sum((run.skipped + pipeline.errors).values())
-    console.print(
-        f"frames    {pipeline.frames:,} read, {pipeline.used:,} used, {refused:,} frames or values refused",
-        highlight=False,
-    )
+    say(console, f"frames    {pipeline.frames:,} read, {pipeline.used:,} used, {refused:,} frames or values refused")
     for start, end in pipeline.gaps:
         if end - start >= SHORTEST_GAP:
             times = f"{start - run.start:.1f} s to {end - run.start:.1f} s"
-            console.print(f"gap       no speed or no power from {times}: not bridged", highlight=False, soft_wrap=True)
+            say(console, f"gap       no speed or no power from {times}: not bridged")
     if run.broadcast:
-        console.print(f"broadcast {len(run.broadcast):,} frames", highlight=False, soft_wrap=True)
+        say(console, f"broadcast {len(run.broadcast):,} frames")
 
 
 def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, float] | None) -> Table:
@@ -74,10 +74,10 @@ def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, floa
 def print_inspection(console: Console, content: dict[str, Any]) -> None:
     """Inputs found and missing, and whether an estimate can come of them."""
     frames = content["frames"]
-    console.print(
+    say(
+        console,
         f"{content['log']}: {content['duration_s']:,.1f} s, {frames['read']:,} frames of {frames['ids']} ids, "
         f"{frames['used']:,} used",
-        highlight=False,
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps"):
@@ -93,10 +93,8 @@ def print_inspection(console: Console, content: dict[str, Any]) -> None:
     console.print(table)
     if content["missing"]:
         missing = ", ".join(f"{role} ({signal})" for role, signal in content["missing"].items())
-        console.print(f"not there: {missing}", highlight=False, soft_wrap=True)
+        say(console, f"not there: {missing}")
     for reason, count in sorted(frames["errors"].items()):
-        console.print(f"refused: {reason} {count:,}", highlight=False, soft_wrap=True)
+        say(console, f"refused: {reason} {count:,}")
     reason = f": {content['reason']}" if content["reason"] else ""
-    console.print(
-        f"{content['status']}{reason}; coverage {100 * content['coverage']:.0f} %", highlight=False, soft_wrap=True
-    )
+    say(console, f"{content['status']}{reason}; coverage {100 * content['coverage']:.0f} %")

@@ -192,4 +192,46 @@ def test_usage_errors_have_status_2(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_info:
         main(["estimate"])
     assert exit_info.value.code == 2
-    assert "usage" in capsys.readouterr().err
+    assert capsys.readouterr().err == "error: the following arguments are required: LOG; see roadload estimate --help\n"
+
+
+def test_an_input_is_never_overwritten(cli: Cli, log: Path) -> None:
+    before = log.read_bytes()
+    fails(cli("replay", log, "--output", log), log.name, "another file")
+    assert log.read_bytes() == before
+
+
+@pytest.mark.parametrize("output", ["nowhere/out.blf", ".", "out.xyz"])
+def test_outputs_are_checked_before_the_work(cli: Cli, tmp_path: Path, log: Path, output: str) -> None:
+    fails(cli("replay", log, "--output", tmp_path / output))
+    fails(cli("simulate", tmp_path / output, "--minutes", 1))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--minutes", "0"), ("--minutes", "x"), ("--speed-noise", "nan"), ("--seed", "-1"), ("--mass", "inf")]
+)
+def test_arguments_out_of_range_are_one_line(
+    arguments: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as exit_info:
+        main(["simulate", str(tmp_path / "x.blf"), *arguments])
+    assert exit_info.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith(f"error: argument {arguments[0]}")
+
+
+def test_names_are_printed_as_they_are(cli: Cli, tmp_path: Path, log: Path) -> None:
+    odd = tmp_path / "[bold]odd[red].blf"
+    odd.write_bytes(log.read_bytes())
+    status, out, _ = cli("inspect", odd)
+    assert status == 0
+    assert "[bold]odd[red].blf" in out
+
+
+def test_databases_that_define_a_message_twice(cli: Cli, tmp_path: Path, log: Path) -> None:
+    dbc = 'VERSION ""\nBU_: X\nBO_ 256 M: 8 X\n SG_ S : 0|16@1+ (1,0) [0|0] "km/h" X\n'
+    for name in ("a.dbc", "b.dbc"):
+        (tmp_path / name).write_text(dbc)
+    fails(cli("estimate", log, "--dbc", tmp_path / "a.dbc", "--dbc", tmp_path / "b.dbc"), "b.dbc", "'M'")

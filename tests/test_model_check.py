@@ -74,3 +74,48 @@ def test_invalid_says_why_and_gives_no_numbers(broken):
     assert broken.status in (Status.INVALID, Status.UNESTIMATED)
     assert broken.reason
     assert broken.mass is None
+
+
+def conclude(change, tables: dict | None = None) -> Estimate:
+    """What a good drive comes to after something in it or in the configuration is made wrong."""
+    rng = np.random.default_rng(1)
+    truck = Truck(mass=27_190.0, A=1739.0, C=3.74)
+    signals = dict(record(truck, generate_route("mixed", 60e3, rng), 1500.0, rng).signals)
+    change(signals)
+    pipeline = Pipeline(from_dict(tables or {}))
+    return [*pipeline.feed(frames_of(signals)), *pipeline.finish()][-1]
+
+
+def rescale(role: Role, factor: float, delay: float = 0.0):
+    def change(signals: dict[Role, Series]) -> None:
+        signals[role] = Series(signals[role].t + delay, signals[role].value * factor)
+
+    return change
+
+
+def test_a_speed_in_the_wrong_unit_is_seen_by_the_gps():
+    final = conclude(rescale(Role.SPEED, 1 / 1.609))
+    assert final.status == Status.INVALID
+    assert "0.62 times the GPS speed" in final.reason
+
+
+@pytest.mark.parametrize("delay", [0.7, 1.0, 2.0, 5.0])
+def test_a_speed_that_comes_far_too_late_gives_no_number_or_an_honest_one(delay):
+    final = conclude(rescale(Role.SPEED, 1.0, delay))
+    if final.status == Status.ESTIMATED:
+        assert final.mass is not None
+        assert abs(final.mass.mean - 27_190) < 3 * final.mass.sd
+    else:
+        assert final.mass is None
+
+
+def test_torque_of_the_wrong_sign_is_named():
+    final = conclude(rescale(Role.TORQUE_FRACTION, -1.0))
+    assert final.status == Status.UNESTIMATED
+    assert "sign of the torque" in final.reason
+
+
+def test_a_belief_that_the_drive_contradicts_is_not_averaged_in():
+    final = conclude(lambda signals: None, {"prior": {"mass_belief_kg": [10_000, 10]}})
+    assert final.status == Status.INVALID
+    assert "the configuration believes 1e+04" in final.reason

@@ -15,7 +15,7 @@ from estimator.replay import Run, replay
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
-from estimator.tables import print_run
+from estimator.tables import print_run, say
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the class-8 tractor of Miller, Konan and Duran
 HIDDEN = ("AliveCounter", "Checksum")
@@ -37,9 +37,7 @@ def main() -> int:
     route = generate_route("mixed", options.minutes * METRES_PER_MINUTE, rng)
     frames = frames_of(record(TRUCK, route, options.minutes * 60, rng).signals)
     write_log(frames, log)
-    console.print(
-        f"drove     {options.minutes:g} min, {len(frames):,} J1939 frames -> {log}", highlight=False, soft_wrap=True
-    )
+    say(console, f"drove     {options.minutes:g} min, {len(frames):,} J1939 frames -> {log}")
     try:
         run = replay([log], Config(), lambda share: None, output=answer)
     except RoadloadError as error:
@@ -47,7 +45,7 @@ def main() -> int:
         return error.exit_status
     print_run(console, run, {"mass": TRUCK.mass, "A": TRUCK.A, "C": TRUCK.C})
     show_last_broadcast(console, run)
-    console.print(f"recorded  {answer}; look into it with: roadload inspect {log}", highlight=False, soft_wrap=True)
+    say(console, f"recorded  {answer}; look into it with: roadload inspect {log}")
     return 0
 
 
@@ -60,11 +58,7 @@ def show_last_broadcast(console: Console, run: Run) -> None:
         signals = layout.decode(bytes(message.data), decode_choices=True)
         values = {n: f"{v:g}" if isinstance(v, float) else v for n, v in signals.items() if n not in HIDDEN}
         shown = ", ".join(f"{name} {value}" for name, value in values.items())
-        console.print(
-            f"  {ident:08X}  {bytes(message.data).hex(' ').upper()}  {layout.name}: {shown}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        say(console, f"  {ident:08X}  {bytes(message.data).hex(' ').upper()}  {layout.name}: {shown}")
 
 
 if __name__ == "__main__":

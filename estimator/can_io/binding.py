@@ -66,10 +66,13 @@ def load_database(paths: list[str]) -> Database:
         try:
             texts.append((path, _text(Path(path).read_bytes())))
         except OSError as error:
-            raise DatabaseError(f"{path}: {error.strerror}") from error
+            raise DatabaseError(f"{path}: {error.strerror}; correct bus.dbc, or give --dbc FILE.dbc") from error
     database = _parse(*texts[0])
     for path, text in texts[1:]:
-        database.messages.extend(_parse(path, text).messages)
+        more = _parse(path, text).messages
+        for name in {m.name for m in more} & {m.name for m in database.messages}:
+            raise DatabaseError(f"{path}: message {name!r} is in another of the databases too; give one of them")
+        database.messages.extend(more)
     database.refresh()
     return database
 

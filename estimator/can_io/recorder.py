@@ -94,6 +94,9 @@ def shipped_database() -> Database:
     return database
 
 
+WRITABLE = (".blf", ".asc", ".log", ".csv", ".trc")
+
+
 def frames_of(signals: Signals) -> Frames:
     """CAN frames of measured signals (times from the start of the drive [s]), in order of time from ``EPOCH``."""
     database = shipped_database()

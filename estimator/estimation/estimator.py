@@ -16,8 +16,8 @@ from estimator.estimation import kinematics, moments, posterior
 from estimator.estimation.admission import Reason, admit, row_reasons
 from estimator.estimation.gate import Gate
 from estimator.estimation.load import Segment, Standstill, load_change
-from estimator.estimation.model_check import misfit
-from estimator.estimation.moments import Fit
+from estimator.estimation.model_check import SpeedScale, contradiction, misfit
+from estimator.estimation.moments import SMALL_LAG, Fit
 from estimator.estimation.posterior import Posterior
 from estimator.estimation.window import Grid, Window
 from estimator.samples import STEP, Rows, Samples
@@ -25,16 +25,18 @@ from estimator.samples import STEP, Rows, Samples
 BLOCK = 200  # rows turned into samples at a time: 20 s
 CALIBRATION = 1800  # moving rows after which the smoother and the lag are settled: 3 min
 LONGEST_WAIT = 18_000  # rows kept waiting for that: 30 min
+PULLING = 0.1  # m/s^2
 NOTHING_COVERED = Coverage(0, 0)
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Samples, fit and draws behind an estimate, and the samples per cell of the window's grid."""
+    """Samples, fit, draws, lag of power behind speed [s] and samples per cell of the grid behind an estimate."""
 
     samples: Samples
     fit: Fit
     posterior: Posterior
+    lag: float
     grid: Grid
     counts: NDArray[np.int64]
 
@@ -72,6 +74,7 @@ class Estimator:
         self._shown: Segment | None = None  # what this load has shown so far
         self._before: Segment | None = None  # and the one before
         self._evidence: Evidence | None = None
+        self._scale = SpeedScale()
 
     @property
     def latest(self) -> Estimate | None:
@@ -114,11 +117,17 @@ class Estimator:
         self._pending = None
         yield self._conclude(end)
 
-    def forget(self) -> None:
-        """Start a new window: what follows is another drive, perhaps with another load."""
-        self.window.clear()
+    def forget(self, vehicle: bool = False) -> None:
+        """Start a new window: what follows is another drive, perhaps with another load.
+
+        With ``vehicle``, also forget what was learnt about the vehicle itself: nobody knows whose drive follows, or
+        whether it is the same one once more.
+        """
         self._pending, self._due, self._next = None, None, None
         self._start_segment()
+        if vehicle:
+            self._before = None
+            self._scale = SpeedScale()
 
     def _calibrate(self, rows: Rows) -> kinematics.Kernels:
         speed = rows.plausible_speed
@@ -146,6 +155,7 @@ class Estimator:
         samples = kinematics.to_samples(rows[spare : len(rows) - spare], self._smoother, self._lag, inertial)
         if self._standstill.drives_off(rows.speed[margin : len(rows) - margin]):
             self._start_segment()
+        self._scale.add(rows[margin : len(rows) - margin])
         codes = row_reasons(rows, self._config.admission)[margin : len(rows) - margin]
         self.window.add(admit(samples, codes, self._rejected))
         newest = int(rows.index[-1 - margin])
@@ -168,12 +178,24 @@ class Estimator:
     def _conclude(self, t: float) -> Estimate:
         """Fit, judge, sample: one update."""
         samples = self.window.samples
+        self._evidence = None
         self._latest = self._estimate(t, samples)
         if self._latest.status == Status.ESTIMATED:
             self._at_last = self.window.added
         return self._latest
 
+    def _contradicted(self, samples: Samples) -> str:
+        """Which belief of the configuration the drive contradicts, if any."""
+        if self._given is SMALL_LAG:
+            return ""
+        drive = moments.fit(samples, self._config.admission.power_sigmas)
+        if drive is None or drive.kept.sum() < self._config.gate.minimum_samples:
+            return ""
+        return contradiction(self._config.prior, drive)
+
     def _estimate(self, t: float, samples: Samples) -> Estimate:
+        if reason := self._contradicted(samples):
+            return Estimate(t, Status.INVALID, reason, NOTHING_COVERED, len(samples))
         belief = self._given
         if self._before is not None:
             belief = belief + self._before.carry_over(t, self._config.load)
@@ -185,19 +207,23 @@ class Estimator:
             return Estimate(t, Status.UNESTIMATED, reason, coverage, held)
 
         reason = self._gate.is_calculable(fit, held, posterior.box(self._config.prior))
+        pulling = samples.P[samples.za > PULLING]
+        if fit is None and len(pulling) and np.median(pulling) <= 0:
+            return unestimated("power is not positive while the vehicle accelerates: check the sign of the torque")
         if fit is None or reason:
             common = self.rejected.most_common(1)
             return unestimated(reason + (f"; most others: {common[0][0]}" if common else ""))
         coverage = self._gate.coverage(self.window.counts, np.maximum(fit.theta[:3], 0.0), samples.P)
         if reason := self._gate.is_covered(fit, coverage):
             return unestimated(reason, coverage)
-        if reason := misfit(samples, fit):
+        if reason := self._scale.verdict() or misfit(samples, fit):
             return Estimate(t, Status.INVALID, reason, coverage, held, rms=fit.rms)
         draws = posterior.sample(posterior.target_of(samples, fit, self._config), self._config, self._rng)
         if not draws.has_converged:
             c = draws.convergence
             return unestimated(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
-        self._evidence = Evidence(samples, fit, draws, self.window.grid, self.window.counts)
+        lag = self._lag + float(fit.theta[moments.ROAD_LOAD])
+        self._evidence = Evidence(samples, fit, draws, lag, self.window.grid, self.window.counts)
         A, C, m = (draws.marginal(i) for i in range(3))
         road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, : moments.ROAD_LOAD]
         self._shown = Segment(road_load.mean(axis=0), np.cov(road_load.T), t)

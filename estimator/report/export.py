@@ -5,6 +5,7 @@ parameter, the paper's eigen-metrics raw and scaled by the posterior, and the dr
 """
 
 import csv
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from estimator.errors import RoadloadError
+from estimator.errors import ConfigError
 from estimator.estimation.estimator import Evidence
 from estimator.estimation.posterior import Posterior
 from estimator.report.files import check_suffix, whole
@@ -25,13 +26,25 @@ FORMATS = (".csv", ".json", ".nc")
 REFERENCE_DENSITY = 1.225  # kg/m^3, of air at sea level, ISO 2533
 
 
+def require_arviz() -> None:
+    """Complain early where NetCDF cannot be written.
+
+    Raises
+    ------
+    ConfigError
+        ArviZ is not installed.
+    """
+    if importlib.util.find_spec("arviz") is None:
+        raise ConfigError("a .nc file needs ArviZ: pip install 'roadload[arviz]', in a clone pip install -e '.[arviz]'")
+
+
 def write_draws(evidence: Evidence, path: Path) -> None:
     """Write the draws of A, C and m behind an estimate to ``path``; the suffix says how.
 
     Raises
     ------
     RoadloadError
-        The file cannot be written, or .nc is asked for without ArviZ.
+        The file cannot be written.
     """
     check_suffix(path, FORMATS)
     with whole(path) as temporary:
@@ -92,9 +105,7 @@ def _metrics(metrics: EigenMetrics) -> dict[str, Any]:
 
 
 def _netcdf(posterior: Posterior, path: Path) -> None:
-    try:
-        import arviz
-    except ImportError as error:
-        raise RoadloadError(f"{path.suffix} needs ArviZ: pip install 'roadload[arviz]'") from error
+    import arviz  # heavy, and an extra
+
     draws = {name: posterior.draws[:, :, i] for i, name in enumerate(NAMES)}
     arviz.from_dict(posterior=draws).to_netcdf(str(path))

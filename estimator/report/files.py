@@ -18,7 +18,9 @@ def check_suffix(path: Path, formats: tuple[str, ...]) -> None:
     if path.suffix.lower() not in formats:
         raise ConfigError(f"{path}: write it as one of {', '.join(formats)}")
     if not path.parent.is_dir():
-        raise ConfigError(f"{path}: there is no folder {path.parent}")
+        raise ConfigError(f"{path}: there is no folder {path.parent}; create it first")
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder; give the name of a file")
 
 
 @contextmanager

@@ -13,7 +13,7 @@ SPREAD = 3.0  # sd of the chains' starting points around the centre
 LEAST_ACCEPTANCE = 0.2  # of independence proposals that resemble the target
 LEAST_ESS = 0.05  # per draw, of the worst parameter
 WALK_BURN_IN = 1000  # iterations of the random walk that steps in
-WALK_DRAWS = 50  # of it, for every draw of the independence kernel
+WALK_DRAWS = 5000  # of it, the paper's number
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,12 @@ def run(target: Target, kernel: str, chains: int, burn_in: int, draws: int, rng:
     stay in different modes give a large R-hat.
     """
     starts = overdispersed(target, chains, rng)
-    first = _judged(kernel, KERNELS[kernel](target, starts, burn_in, draws, rng))
-    if kernel != "independence" or _resembles(first):
-        return first
-    walk = KERNELS["random_walk"](target, starts, max(burn_in, WALK_BURN_IN), WALK_DRAWS * draws, rng)
-    return _judged("random_walk", walk)
+    if kernel == "independence":
+        proposed = _judged(kernel, KERNELS[kernel](target, starts, burn_in, draws, rng))
+        if _resembles(proposed):
+            return proposed
+    burn_in, draws = max(burn_in, WALK_BURN_IN), max(draws, WALK_DRAWS)
+    return _judged("random_walk", KERNELS["random_walk"](target, starts, burn_in, draws, rng))
 
 
 def _judged(kernel: str, chains: Chains) -> Run:
