@@ -20,6 +20,7 @@ from rich.progress import Progress as Bar
 from estimator import __version__, config, inspection, replay, summary
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.recorder import WRITABLE, frames_of, write_log
+from estimator.cli_tables import print_inspection, print_run
 from estimator.config import Config
 from estimator.errors import ConfigError, RoadloadError
 from estimator.report import export
@@ -28,7 +29,6 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
-from estimator.tables import print_inspection, print_run
 
 WIDE = 140  # columns of tables that go to a file or a pipe
 METRES_PER_MINUTE = 2000.0  # of simulated road: nobody drives a truck faster, so the road never ends

@@ -9,13 +9,13 @@ from rich.console import Console
 
 from estimator.can_io.publisher import output_database
 from estimator.can_io.recorder import frames_of, write_log
+from estimator.cli_tables import print_run, say
 from estimator.config import Config
 from estimator.errors import RoadloadError
 from estimator.replay import Run, replay
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
-from estimator.tables import print_run, say
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the class-8 tractor of Miller, Konan and Duran
 HIDDEN = ("AliveCounter", "Checksum")
