@@ -13,6 +13,7 @@ from estimator.samples import STEP, Samples
 from estimator.signals import Floats, Role, Series
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
+from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import Truck
 
 WIDE = {"gate": {"relative_sd": [9.0, 9.0, 9.0], "coverage": 0.0}}
@@ -119,3 +120,15 @@ def test_a_belief_that_the_drive_contradicts_is_not_averaged_in():
     final = conclude(lambda signals: None, {"prior": {"mass_belief_kg": [10_000, 10]}})
     assert final.status == Status.INVALID
     assert "the configuration believes 1e+04" in final.reason
+
+
+def test_a_poor_speed_sensor_is_no_misfit():
+    rng = np.random.default_rng(11_001)
+    truck = Truck(mass=30_000.0, A=2000.0, C=3.7)
+    sensors = Sensors(speed_noise=0.1)
+    recording = record(truck, generate_route("highway", 60e3, rng), 1800.0, rng, sensors=sensors)
+    pipeline = Pipeline(from_dict(WIDE))
+    final = [*pipeline.feed(frames_of(recording.signals)), *pipeline.finish()][-1]
+    assert final.status == Status.ESTIMATED
+    assert final.mass is not None
+    assert abs(final.mass.mean - truck.mass) < 3 * final.mass.sd
