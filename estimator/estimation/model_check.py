@@ -97,7 +97,8 @@ def misfit(samples: Samples, fit: Fit) -> str:
 
 
 def _means(x: Floats) -> Floats:
-    return x[: len(x) // SLOW * SLOW].reshape(-1, SLOW).mean(axis=1)
+    means: Floats = x[: len(x) // SLOW * SLOW].reshape(-1, SLOW).mean(axis=1)
+    return means
 
 
 def _bias(residual: Floats, power: float, inflation: float) -> tuple[float, float]:
