@@ -13,7 +13,7 @@ from estimator.can_io.frames import EXTENDED
 from estimator.config import Config
 from estimator.errors import MissingInputsError
 from estimator.replay import Progress, estimate, read
-from estimator.signals import Floats
+from estimator.signals import Floats, Role
 
 GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
 SHORTEST_GAP = 1.0  # s
@@ -59,7 +59,13 @@ def inspect(path: Path, config: Config, progress: Progress) -> dict[str, Any]:
         The log cannot be read.
     """
     messages = bind(config, load_database(config.bus.dbc))
-    inputs = {s.role: Input(f"{m.name}.{s.signal.name}") for m in messages for s in m.signals}
+    bound = sorted((s.role, s.place, f"{m.name}.{s.signal.name}") for m in messages for s in m.signals)
+    several = {role for role, place, _ in bound if place > 0}
+    inputs = {(role, place): Input(name) for role, place, name in bound}
+
+    def label(role: Role, place: int) -> str:
+        return f"{role.value} {place + 1}" if role in several else role.value
+
     decoder, skipped = Decoder(messages), Counter[str]()
     idents: Counter[int] = Counter()
     start = end = 0.0
@@ -69,8 +75,10 @@ def inspect(path: Path, config: Config, progress: Progress) -> dict[str, Any]:
         ids, counts = np.unique(frames.ident, return_counts=True)
         idents.update(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
         for role, parts in decoder.decode(frames).items():
-            inputs[role].times += [part.t for part in parts]
-            inputs[role].values += [part.value for part in parts]
+            for place, part in enumerate(parts):
+                if len(part.t):
+                    inputs[role, place].times.append(part.t)
+                    inputs[role, place].values.append(part.value)
     try:
         final = estimate([path], config, progress).final
         verdict = {"status": final.status.value, "reason": final.reason, "coverage": final.coverage.fraction}
@@ -86,8 +94,8 @@ def inspect(path: Path, config: Config, progress: Progress) -> dict[str, Any]:
             "errors": dict(skipped + decoder.rejected + decoder.transport_rejected),
         },
         "sources": decoder.sources,
-        "inputs": {role.value: x.describe(end, start) for role, x in inputs.items() if x.times},
-        "missing": {role.value: x.name for role, x in inputs.items() if not x.times},
+        "inputs": {label(*key): x.describe(end, start) for key, x in inputs.items() if x.times},
+        "missing": {label(*key): x.name for key, x in inputs.items() if not x.times},
         "busiest": [
             {"id": f"{ident & ~EXTENDED:0{8 if ident & EXTENDED else 3}X}", "frames": count}
             for ident, count in idents.most_common(10)

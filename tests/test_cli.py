@@ -235,3 +235,16 @@ def test_databases_that_define_a_message_twice(cli: Cli, tmp_path: Path, log: Pa
     for name in ("a.dbc", "b.dbc"):
         (tmp_path / name).write_text(dbc)
     fails(cli("estimate", log, "--dbc", tmp_path / "a.dbc", "--dbc", tmp_path / "b.dbc"), "b.dbc", "'M'")
+
+
+def test_each_wheel_is_inspected_on_its_own(cli: Cli, tmp_path: Path, log: Path) -> None:
+    (tmp_path / "c.toml").write_text(
+        '[signals]\nwheel_speeds = ["CCVS1.WheelBasedVehicleSpeed", "EBC2.FrontAxleSpeed"]\n'
+        'torque_fraction = "EEC1.ActualEngPercentTorque"\nengine_speed = "EEC1.EngSpeed"\n'
+        'reference_torque = "EC1.EngReferenceTorque"\n'
+    )
+    _, out, _ = cli("inspect", log, "--config", tmp_path / "c.toml", "--json")
+    inputs = json.loads(out)["inputs"]
+    for name in ("wheel_speeds 1", "wheel_speeds 2"):
+        assert inputs[name]["rate_Hz"] == pytest.approx(10, rel=0.05)
+        assert inputs[name]["gaps_s"] == []

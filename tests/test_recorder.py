@@ -4,8 +4,9 @@ import can
 import numpy as np
 import pytest
 
+from estimator.can_io.binding import load_database
 from estimator.can_io.frames import EXTENDED, Frames
-from estimator.can_io.recorder import EPOCH, frames_of, shipped_database, write_log
+from estimator.can_io.recorder import EPOCH, frames_of, write_log
 from estimator.errors import LogError, RoadloadError
 from estimator.signals import Role, Series
 from estimator.simulation.recording import Recording, record
@@ -38,7 +39,7 @@ def sent(frames: Frames, pgn: int, source: int) -> Frames:
 
 def test_layouts_of_the_power_inputs():
     """Positions, lengths, scales and offsets by SAE J1939-71."""
-    database = shipped_database()
+    database = load_database([])
     layouts = {
         "WheelBasedVehicleSpeed": (0xFEF1, 8, 16, 1 / 256, 0, "km/h"),
         "ActualEngPercentTorque": (0xF004, 16, 8, 1, -125, "%"),
@@ -103,7 +104,7 @@ def test_rates_and_sources(frames, pgn, source, period, priority):
     ],
 )
 def test_cantools_reads_back_what_was_measured(recording, frames, message, source, signal, role):
-    layout = shipped_database().get_message_by_name(message)
+    layout = load_database([]).get_message_by_name(message)
     group = sent(frames, layout.frame_id >> 8 & 0x3FFFF, source)
     physical = np.array([layout.decode(row.tobytes())[signal] for row in group.data])
     conversion = conversion_of(layout.get_signal_by_name(signal).unit)
@@ -114,7 +115,7 @@ def test_cantools_reads_back_what_was_measured(recording, frames, message, sourc
 
 
 def test_grade_goes_out_as_pitch_angle(recording, frames):
-    layout = shipped_database().get_message_by_name("SSI")
+    layout = load_database([]).get_message_by_name("SSI")
     group = sent(frames, 0xF013, BRAKES)
     pitch = np.array([layout.decode(row.tobytes())["PitchAngle"] for row in group.data])
 
@@ -141,7 +142,7 @@ def test_reference_torque_comes_by_broadcast_in_39_bytes(recording, frames):
         np.testing.assert_array_equal(rows.data[:, 0], np.arange(1, 7))
         payload = rows.data[:, 1:].tobytes()
         assert payload[39:] == b"\xff" * 3
-        decoded = shipped_database().get_message_by_name("EC1").decode(payload[:39])
+        decoded = load_database([]).get_message_by_name("EC1").decode(payload[:39])
         assert decoded["EngReferenceTorque"] == TRUCK.reference_torque
 
 

@@ -7,14 +7,14 @@ transport protocol's broadcast: one announcement (TP.CM, BAM) and six data packe
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import can
 import numpy as np
-from cantools.database import Database, Message, Signal
+from cantools.database import Message, Signal
 from numpy.typing import NDArray
 
+from estimator.can_io.binding import load_database
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
 from estimator.errors import LogError, RoadloadError
 from estimator.signals import Floats, Role, Series, Signals
@@ -87,19 +87,12 @@ _TRAFFIC = (
 )
 
 
-def shipped_database() -> Database:
-    """Load the shipped J1939 layouts."""
-    database = Database()
-    database.add_dbc_string((files("estimator.dbc") / "j1939.dbc").read_text("ascii"))
-    return database
-
-
 WRITABLE = (".blf", ".asc", ".log", ".csv", ".trc")
 
 
 def frames_of(signals: Signals) -> Frames:
     """CAN frames of measured signals (times from the start of the drive [s]), in order of time from ``EPOCH``."""
-    database = shipped_database()
+    database = load_database([])
     parts = []
     for sent in _TRAFFIC:
         present = {name: signals[role] for name, role in sent.signals.items() if role in signals}

@@ -13,7 +13,7 @@ what the configuration believes holds for this vehicle.
 import numpy as np
 
 from estimator.config import Prior
-from estimator.estimation.moments import LAG_SD, ROAD_LOAD, Fit, columns
+from estimator.estimation.moments import LAG_SD, ROAD_LOAD, Fit, block_means, columns
 from estimator.samples import Rows, Samples
 from estimator.signals import Floats, Role
 
@@ -70,10 +70,10 @@ def contradiction(prior: Prior, drive: Fit) -> str:
 def misfit(samples: Samples, fit: Fit) -> str:
     """Empty when the fitted model describes ``samples``, else what it misses."""
     kept = samples[fit.kept]
-    X, Z = columns(kept)
+    X, Z = (part[fit.kept] for part in columns(samples))
     residual = kept.P - X @ fit.theta
     # Noise of dv/dt is most of the residual of a poor speed sensor; over seconds it is gone, and hills are not.
-    explained = 1 - float(_means(residual).var() / _means(kept.P).var())
+    explained = 1 - float(block_means(residual, SLOW).var() / block_means(kept.P, SLOW).var())
     if explained < LEAST_EXPLAINED:
         share = 100 * max(explained, 0.0)
         return f"the model explains {share:.0f} % of the power's variance: grade, or a wrong signal?"
@@ -94,11 +94,6 @@ def misfit(samples: Samples, fit: Fit) -> str:
                 place = f"{name} {edges[k]:.3g}..{edges[k + 1]:.3g} {unit}"
                 found = f"{100 * share:+.0f} % of the mean power is left at {place}"
     return found
-
-
-def _means(x: Floats) -> Floats:
-    means: Floats = x[: len(x) // SLOW * SLOW].reshape(-1, SLOW).mean(axis=1)
-    return means
 
 
 def _bias(residual: Floats, power: float, inflation: float) -> tuple[float, float]:

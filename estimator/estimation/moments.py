@@ -89,10 +89,15 @@ def autocorrelation_time(x: Floats) -> float:
     return max(float(tau[enough[0]] if len(enough) else tau[-1]), 1.0)
 
 
+def block_means(x: Floats, size: int) -> Floats:
+    """Means of each ``size`` values in a row; what is left over at the end is not used."""
+    means: Floats = x[: len(x) // size * size].reshape(-1, size).mean(axis=1)
+    return means
+
+
 def _slow_time(residual: Floats) -> float:
     """Autocorrelation time [samples] of means over SLOW, where noise of dv/dt, which hides slower noise, is gone."""
-    means = residual[: len(residual) // SLOW * SLOW].reshape(-1, SLOW).mean(axis=1)
-    return SLOW * autocorrelation_time(means)
+    return SLOW * autocorrelation_time(block_means(residual, SLOW))
 
 
 def long_run_covariance(scores: Floats, cosines: int) -> Floats:
