@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args
 
 import msgspec
 import numpy as np
@@ -20,14 +20,23 @@ from rich.progress import Progress as Bar
 from estimator import __version__, config, inspection, replay, summary
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.recorder import WRITABLE, frames_of, write_log
+from estimator.cli_daemon import add_commands as add_daemon_commands
+from estimator.cli_diagnosis_tables import print_diagnosis
 from estimator.cli_tables import print_inspection, print_run
 from estimator.config import Config
+from estimator.diagnosing import diagnose_logs
+from estimator.diagnosis_summary import of_diagnosis
+from estimator.effects import CATALOGUE
 from estimator.errors import ConfigError, RoadloadError
-from estimator.report import export
+from estimator.report import diagnosis_page, export
 from estimator.report.files import check_suffix
+from estimator.signals import Role
+from estimator.simulation.cycle import COLUMNS, cycle_route
+from estimator.simulation.effects.catalogue import KINDS, parse_effect
+from estimator.simulation.itinerary import Shape, shaped
 from estimator.simulation.recording import record
-from estimator.simulation.route import generate_route
-from estimator.simulation.sensors import Sensors
+from estimator.simulation.route import RoadKind, generate_route
+from estimator.simulation.sensors import OPTIONAL, Sensors
 from estimator.simulation.truck import draw_truck
 
 WIDE = 140  # columns of tables that go to a file or a pipe
@@ -100,22 +109,53 @@ def _parser() -> argparse.ArgumentParser:
     estimated.add_argument(
         "--plot", type=Path, metavar="OUT.png|.svg|.pdf|.html", help="posterior, fit, coverage, chains"
     )
+    beyond = f"add an effect to the model, again and again: {', '.join(e.name for e in CATALOGUE if e.streams)}"
+    estimated.add_argument("--effect", action="append", default=[], metavar="NAME", help=beyond)
     estimated.set_defaults(run=_estimate)
+
+    diagnosed = commands.add_parser("diagnose", parents=[common], help="where the model is wrong, why, and by how much")
+    diagnosed.add_argument("log", nargs="+", type=Path, metavar="LOG", help=f"drives of one vehicle; {logs}")
+    diagnosed.add_argument("--report", type=Path, metavar="OUT.html", help="one page with figures, opens offline")
+    diagnosed.add_argument("--effect", action="append", default=[], metavar="NAME", help=beyond)
+    diagnosed.add_argument("--seed", type=_seed, help="of the bootstrap, instead of the configuration's")
+    diagnosed.set_defaults(run=_diagnose)
 
     inspected = commands.add_parser("inspect", parents=[common], help="what is in a log")
     inspected.add_argument("log", type=Path, metavar="LOG", help=logs)
     inspected.set_defaults(run=_inspect)
 
+    add_daemon_commands(commands, common, shown)
+
     simulated = commands.add_parser("simulate", parents=[shown], help="drive a simulated truck and write a log")
     simulated.add_argument("output", type=Path, metavar="OUT.blf", help=f"the log: {' '.join(WRITABLE)}")
     simulated.add_argument("--minutes", type=_minutes, default=40.0, help="length of the drive (default: 40)")
-    roads = ["urban", "mixed", "highway"]
-    simulated.add_argument("--route", choices=roads, default="mixed", help="kind of road (default: mixed)")
+    simulated.add_argument("--route", choices=get_args(RoadKind), default="mixed", help="kind of road (default: mixed)")
+    simulated.add_argument("--cycle", type=Path, metavar="FILE.csv", help=f"road of a driving cycle instead: {COLUMNS}")
+    simulated.add_argument("--shape", choices=get_args(Shape), default="one-way", help="how the road is driven")
     simulated.add_argument("--seed", type=_seed, default=1, help="draws truck, route and noise (default: 1)")
     for name, unit, what in (("mass", "kg", "mass"), ("A", "N", "rolling force"), ("C", "N s2/m2", "drag coefficient")):
         simulated.add_argument(f"--{name}", type=_positive, metavar=unit, help=f"{what}, instead of the drawn one")
     noise = "sd of the wheel speed's noise (default: 0.01)"
     simulated.add_argument("--speed-noise", type=_not_negative, default=0.01, metavar="m/s", help=noise)
+    steps = "of the reference torque, in which torque is sent: 0.125 (default) or 1"
+    simulated.add_argument("--torque-resolution", type=float, choices=[0.125, 1.0], default=0.125, help=f"%% {steps}")
+    lag = "by which torque and engine speed are late (default: 0.03)"
+    simulated.add_argument("--torque-lag", type=_not_negative, default=0.03, metavar="s", help=lag)
+    simulated.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME[=SIZE][@START[-END]]",
+        help=f"make the world differ, again and again; sizes in SI, times in s: {', '.join(KINDS)}",
+    )
+    simulated.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        choices=[role.value for role in OPTIONAL],
+        metavar="SIGNAL",
+        help=f"leave a signal off the bus: {', '.join(OPTIONAL)}",
+    )
     simulated.set_defaults(run=_simulate)
     return parser
 
@@ -159,6 +199,8 @@ def _settings(options: argparse.Namespace) -> Config:
     settings = config.load(options.config)
     if options.dbc:
         settings = config.replace(settings, bus=msgspec.structs.replace(settings.bus, dbc=options.dbc))
+    if getattr(options, "effect", None):
+        settings = msgspec.structs.replace(settings, effects=[*settings.effects, *options.effect])
     if getattr(options, "seed", None) is not None:
         settings = config.replace(settings, sampler=msgspec.structs.replace(settings.sampler, seed=options.seed))
     return settings
@@ -231,6 +273,19 @@ def _plots() -> ModuleType:
         raise RoadloadError("--plot needs matplotlib: pip install 'roadload[plot]'") from error
 
 
+def _diagnose(options: argparse.Namespace) -> int:
+    _check_outputs(options, {options.report: diagnosis_page.FORMATS})
+    with _progress("diagnose") as progress:
+        diagnosis = diagnose_logs(options.log, _settings(options), progress)
+    if options.report is not None:
+        diagnosis_page.write_page(diagnosis, options.report)
+    if options.json:
+        _print_json(of_diagnosis(diagnosis))
+    else:
+        print_diagnosis(_console(), diagnosis)
+    return 0
+
+
 def _inspect(options: argparse.Namespace) -> int:
     with _progress("reading") as progress:
         content = inspection.inspect(options.log, _settings(options), progress)
@@ -243,25 +298,32 @@ def _inspect(options: argparse.Namespace) -> int:
 
 def _simulate(options: argparse.Namespace) -> int:
     check_suffix(options.output, WRITABLE)
+    effects = [parse_effect(text) for text in options.effect]
     rng = np.random.default_rng(options.seed)
     drawn = draw_truck(rng)
     chosen = {name: getattr(options, name) for name in ("mass", "A", "C") if getattr(options, name) is not None}
     truck = dataclasses.replace(drawn, **chosen)
     duration = options.minutes * 60
-    route = generate_route(options.route, options.minutes * METRES_PER_MINUTE, rng)
-    recording = record(truck, route, duration, rng, sensors=Sensors(speed_noise=options.speed_noise))
+    length = options.minutes * METRES_PER_MINUTE
+    road = cycle_route(options.cycle, length, rng) if options.cycle else generate_route(options.route, length, rng)
+    sensors = Sensors(
+        speed_noise=options.speed_noise,
+        torque_resolution=options.torque_resolution / 100,
+        torque_lag=options.torque_lag,
+        without=frozenset(Role(name) for name in options.without),
+    )
+    route = shaped(road, duration, options.shape)
+    recording = record(truck, route, duration, rng, sensors=sensors, effects=effects)
     frames = frames_of(recording.signals)
     write_log(frames, options.output)
-    truth = {
-        "log": str(options.output),
-        "frames": len(frames),
-        "duration_s": duration,
-        "truth": {"mass_kg": truck.mass, "A_N": truck.A, "C_N_s2_m2": truck.C},
-        "effects": [],
-    }
+    told = recording.describe()
     if options.json:
-        _print_json(truth)
+        _print_json({"log": str(options.output), "frames": len(frames), "duration_s": duration, **told})
     else:
-        print(f"{options.output}: {len(frames):,} frames, {options.minutes:g} min of {options.route} driving")
+        road_name = options.cycle.name if options.cycle else options.route
+        print(f"{options.output}: {len(frames):,} frames, {options.minutes:g} min of {road_name} driving")
         print(f"truth: mass {truck.mass:,.0f} kg, A {truck.A:,.0f} N, C {truck.C:.3f} N s²/m²")
+        for effect in told["effects"]:
+            size = f"{effect['magnitude']:g} {effect['unit']}".removesuffix(" 1")
+            print(f"effect: {effect['name']} {size}, {effect['rms_kW']:.1f} kW rms")
     return 0

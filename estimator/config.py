@@ -43,6 +43,9 @@ J1939_BINDING: dict[str, SignalPaths] = {
     Role.HEADING: "VDS.CompassBearing",
     Role.GPS_SPEED: "VDS.NavigationBasedVehicleSpeed",
     Role.COOLANT_TEMPERATURE: "ET1.EngCoolantTemperature",
+    Role.FAN_SPEED: "FD.FanSpeed",
+    Role.YAW_RATE: "VDC2.YawRate",
+    Role.LATERAL_ACCELERATION: "VDC2.LateralAcceleration",
     Role.PARASITIC_FRACTION: "EEC3.EstEngParasiticLossesPercentTorque",
 }
 
@@ -145,9 +148,54 @@ class Publish(Section, frozen=True):
     cvw: bool = False  # combination vehicle weight, PGN 65136
 
 
+class BusOptions(Section, frozen=True):
+    """Which bus, where the command line does not say it; what is missing here is looked up in can.conf."""
+
+    interface: str | None = None  # of python-can: "socketcan", "udp_multicast", ...
+    channel: str | None = None
+    bitrate: Count | None = None
+    context: str | None = None  # section of can.conf
+
+
+class Reception(BusOptions, frozen=True):
+    """How the daemon hears the bus."""
+
+    filter: bool = True  # have the kernel pass on the wanted messages only
+    buffer_bytes: Annotated[int, Meta(ge=4096, le=1 << 28)] = 4 << 20  # of the kernel, for the socket
+    queue_frames: Annotated[int, Meta(ge=1000, le=10_000_000)] = 200_000  # that may wait for the estimator
+    silence_s: Positive = 5.0  # without a frame: the ignition is off
+    reopen_s: NotNegative = 60.0  # of silence after which a bus without a network device is opened anew; 0: never
+
+
+class Transmit(BusOptions, frozen=True):
+    """Whether and how the daemon sends; without a bus of its own it sends on the one it hears."""
+
+    enabled: bool = False
+    frames_per_second: Positive = 10.0  # on average; three times as many at once
+    identity: Annotated[int, Meta(ge=0, lt=1 << 21)] = 1  # of the J1939 NAME: the number of this device
+    manufacturer: Annotated[int, Meta(ge=0, lt=1 << 11)] = 0x7FF  # assigned by SAE; none is assigned to this project
+    function: Annotated[int, Meta(ge=0, le=255)] = 255  # not available
+    function_instance: Annotated[int, Meta(ge=0, le=31)] = 0
+    ecu_instance: Annotated[int, Meta(ge=0, le=7)] = 0
+    vehicle_system: Annotated[int, Meta(ge=0, le=127)] = 0
+    vehicle_system_instance: Annotated[int, Meta(ge=0, le=15)] = 0
+    industry_group: Annotated[int, Meta(ge=0, le=7)] = 1  # on-highway
+    arbitrary_address: bool = True  # take another address when the preferred one is lost
+
+
+class Service(Section, frozen=True):
+    """Where the daemon keeps what it knows."""
+
+    state_directory: str | None = None  # default: that of systemd, else the user's own
+    runtime_directory: str | None = None  # of the status file; default: that of systemd, else the user's own
+    save_interval_s: Annotated[float, Meta(ge=10)] = 60.0  # at most that much is lost with the power
+    metrics: str | None = None  # file for the node exporter of Prometheus
+
+
 class Config(Section, frozen=True):
     """The whole file."""
 
+    effects: list[str] = []  # beyond the plain road load, by their names in the catalogue
     vehicle: Vehicle = Vehicle()
     bus: Bus = Bus()
     signals: dict[str, SignalPaths] = {}
@@ -159,6 +207,9 @@ class Config(Section, frozen=True):
     prior: Prior = Prior()
     sampler: Sampler = Sampler()
     publish: Publish = Publish()
+    reception: Reception = Reception()
+    transmit: Transmit = Transmit()
+    service: Service = Service()
 
     @property
     def binding(self) -> dict[str, SignalPaths]:
@@ -179,6 +230,10 @@ def _check(config: Config) -> None:
             raise ConfigError(f"prior.{name}: the box [{low}, {high}] excludes the belief {belief[0]}")
         if belief is not None and config.sampler.likelihood == "paper":
             raise ConfigError('sampler.likelihood: "paper" knows boxes only; take the beliefs out of [prior]')
+    if config.effects and config.sampler.likelihood == "paper":
+        raise ConfigError('sampler.likelihood: "paper" knows the plain road load only; take the effects out')
+    if "grade" in config.effects and config.kinematics.acceleration == "inertial":
+        raise ConfigError('kinematics.acceleration: "inertial" feels the grade already; take it out of the effects')
     known = {role.value for role in Role}
     for role, bound in config.signals.items():
         if role not in known:

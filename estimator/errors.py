@@ -25,5 +25,9 @@ class LogError(InputError):
     """A log is missing, empty, truncated, not a log at all, or its time steps back."""
 
 
+class StateError(InputError):
+    """A saved state is damaged, another vehicle's, or not to be trusted; it is discarded and the run starts afresh."""
+
+
 class MissingInputsError(InputError):
     """A log or bus does not carry the inputs that the model needs."""

@@ -1,6 +1,6 @@
 """What an update of the estimator concludes: the one object that is printed, broadcast and stored."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 PARAMETERS = ("A", "C", "m")  # order of every parameter vector: [N], [N s^2/m^2], [kg]
@@ -72,4 +72,5 @@ class Estimate:
     C: Marginal | None = None  # [N s^2/m^2]
     convergence: Convergence | None = None
     rms: float | None = None  # [W] of the power residual
+    effects: dict[str, Marginal] = field(default_factory=dict)  # magnitudes of effects in the model
     load: LoadChange | None = None  # against the load before the last long stop, where that was estimated

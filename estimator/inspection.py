@@ -1,4 +1,4 @@
-"""What is in a log: inputs found and missing, their rates and gaps, and how much was not available."""
+"""What is in a log or on a bus: inputs found and missing, their rates and gaps, and how much was not available."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -9,10 +9,13 @@ import numpy as np
 
 from estimator.can_io.binding import bind, load_database
 from estimator.can_io.decoder import Decoder
-from estimator.can_io.frames import EXTENDED
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.j1939 import pgn_of
 from estimator.config import Config
 from estimator.errors import MissingInputsError
-from estimator.replay import Progress, estimate, read
+from estimator.estimate import Estimate, Status
+from estimator.pipeline import Pipeline
+from estimator.replay import Progress, read
 from estimator.signals import Floats, Role
 
 GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
@@ -50,6 +53,88 @@ class Input:
         }
 
 
+class Inspection:
+    """Looks at traffic, batch by batch; `report` tells what was found."""
+
+    def __init__(self, config: Config) -> None:
+        messages = bind(config, load_database(config.bus.dbc))
+        bound = sorted((s.role, s.place, f"{m.name}.{s.signal.name}") for m in messages for s in m.signals)
+        self._several = {role for role, place, _ in bound if place > 0}
+        self._inputs = {(role, place): Input(name) for role, place, name in bound}
+        self._groups = {m.key: m.name for m in messages if m.by_pgn}
+        self._decoder, self._pipeline = Decoder(messages), Pipeline(config)
+        self._idents: Counter[int] = Counter()
+        self._start = self._end = 0.0
+        self._final: Estimate | None = None
+
+    def add(self, frames: Frames) -> None:
+        """Take the next frames, in order of arrival."""
+        if not len(frames):
+            return
+        self._start = self._start if self._idents else float(frames.t[0])
+        self._end = float(frames.t[-1])
+        ids, counts = np.unique(frames.ident, return_counts=True)
+        self._idents.update(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
+        for role, parts in self._decoder.decode(frames).items():
+            for place, part in enumerate(parts):
+                if len(part.t):
+                    self._inputs[role, place].times.append(part.t)
+                    self._inputs[role, place].values.append(part.value)
+        for update in self._pipeline.feed(frames):
+            self._final = update
+
+    def report(self, place: str, skipped: Counter[str]) -> dict[str, Any]:
+        """All that was found at ``place``, where frames were ``skipped`` for a reason; nothing can be added after."""
+        for update in self._pipeline.finish():
+            self._final = update
+        try:
+            self._pipeline.require_inputs(place)
+            final = self._final
+            verdict = {"status": Status.UNESTIMATED.value, "reason": "", "coverage": 0.0}
+            if final is not None:
+                verdict = {"status": final.status.value, "reason": final.reason, "coverage": final.coverage.fraction}
+        except MissingInputsError as error:
+            verdict = {"status": Status.UNESTIMATED.value, "reason": str(error), "coverage": 0.0}
+            usable = False
+        else:
+            usable = True
+        decoder = self._decoder
+        return {
+            "log": place,
+            "duration_s": round(self._end - self._start, 3),
+            "frames": {
+                "read": sum(self._idents.values()),
+                "ids": len(self._idents),
+                "used": decoder.used,
+                "errors": dict(skipped + decoder.rejected + decoder.transport_rejected),
+            },
+            "sources": decoder.sources,
+            "senders": self._senders(),
+            "inputs": {
+                self._label(*key): x.describe(self._end, self._start) for key, x in self._inputs.items() if x.times
+            },
+            "missing": {self._label(*key): x.name for key, x in self._inputs.items() if not x.times},
+            "busiest": [
+                {"id": f"{ident & ~EXTENDED:0{8 if ident & EXTENDED else 3}X}", "frames": count}
+                for ident, count in self._idents.most_common(10)
+            ],
+            "usable": usable,
+            **verdict,
+        }
+
+    def _label(self, role: Role, place: int) -> str:
+        return f"{role.value} {place + 1}" if role in self._several else role.value
+
+    def _senders(self) -> dict[str, list[int]]:
+        """Source addresses that send a bound message in single frames, by its name."""
+        idents = np.array([ident for ident in self._idents if ident & EXTENDED], dtype=np.uint32)
+        found: dict[str, list[int]] = {}
+        for ident, pgn in sorted(zip((idents & 0xFF).tolist(), pgn_of(idents).tolist(), strict=True)):
+            if pgn in self._groups and ident not in found.setdefault(self._groups[pgn], []):
+                found[self._groups[pgn]].append(ident)
+        return found
+
+
 def inspect(path: Path, config: Config, progress: Progress) -> dict[str, Any]:
     """Describe one log; never fails for what the log lacks, only for what cannot be read.
 
@@ -58,47 +143,7 @@ def inspect(path: Path, config: Config, progress: Progress) -> dict[str, Any]:
     LogError
         The log cannot be read.
     """
-    messages = bind(config, load_database(config.bus.dbc))
-    bound = sorted((s.role, s.place, f"{m.name}.{s.signal.name}") for m in messages for s in m.signals)
-    several = {role for role, place, _ in bound if place > 0}
-    inputs = {(role, place): Input(name) for role, place, name in bound}
-
-    def label(role: Role, place: int) -> str:
-        return f"{role.value} {place + 1}" if role in several else role.value
-
-    decoder, skipped = Decoder(messages), Counter[str]()
-    idents: Counter[int] = Counter()
-    start = end = 0.0
+    inspection, skipped = Inspection(config), Counter[str]()
     for frames in read([path], progress, skipped):
-        start = start if idents else float(frames.t[0])
-        end = float(frames.t[-1])
-        ids, counts = np.unique(frames.ident, return_counts=True)
-        idents.update(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-        for role, parts in decoder.decode(frames).items():
-            for place, part in enumerate(parts):
-                if len(part.t):
-                    inputs[role, place].times.append(part.t)
-                    inputs[role, place].values.append(part.value)
-    try:
-        final = estimate([path], config, progress).final
-        verdict = {"status": final.status.value, "reason": final.reason, "coverage": final.coverage.fraction}
-    except MissingInputsError as error:
-        verdict = {"status": "unestimated", "reason": str(error), "coverage": 0.0}
-    return {
-        "log": str(path),
-        "duration_s": round(end - start, 3),
-        "frames": {
-            "read": sum(idents.values()),
-            "ids": len(idents),
-            "used": decoder.used,
-            "errors": dict(skipped + decoder.rejected + decoder.transport_rejected),
-        },
-        "sources": decoder.sources,
-        "inputs": {label(*key): x.describe(end, start) for key, x in inputs.items() if x.times},
-        "missing": {label(*key): x.name for key, x in inputs.items() if not x.times},
-        "busiest": [
-            {"id": f"{ident & ~EXTENDED:0{8 if ident & EXTENDED else 3}X}", "frames": count}
-            for ident, count in idents.most_common(10)
-        ],
-        **verdict,
-    }
+        inspection.add(frames)
+    return inspection.report(str(path), skipped)

@@ -5,7 +5,8 @@ nothing that follows.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -19,31 +20,48 @@ from estimator.estimation.alignment import Aligner
 from estimator.estimation.estimator import Estimator
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
+from estimator.state import Count, State, read, substate
 
 BLOCK = 5.0  # s of traffic decoded at a time
 LONGEST_SILENCE = 30.0  # s without a frame after which the signals before and after are not joined
 NEW_DRIVE = 900.0  # s without a frame after which the load may be another one: a new window
 LONGEST_LIST = 1000  # gaps remembered
+CLOCK_SET = 1_577_836_800.0  # s, start of 2020: a clock before it was never set, and tells no time away
 BACKWARD = 0.1  # s a timestamp may step back, as gateways with several channels do
 
 
 class Pipeline:
-    """Decoder, aligner and estimator in a row, with the counts of what went through."""
+    """Decoder, aligner and estimator in a row, with the counts of what went through.
 
-    def __init__(self, config: Config) -> None:
-        messages = bind(config, load_database(config.bus.dbc))
-        self._names = {s.role: f"{m.name}.{s.signal.name}" for m in messages for s in m.signals}
-        self._decoder = Decoder(messages)
-        self._aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike)
-        self.estimator = Estimator(config, np.random.default_rng(config.sampler.seed))
+    ``tap`` is shown all rows on their way to the estimator.
+    """
+
+    def __init__(self, config: Config, tap: Callable[[Rows], object] | None = None) -> None:
+        self._messages = bind(config, load_database(config.bus.dbc))
+        self._names = {s.role: f"{m.name}.{s.signal.name}" for m in self._messages for s in m.signals}
         self._config = config
+        self._decoder, self._aligner, self.estimator = self._rooms()
+        self._tap = tap
         self.frames = 0
         self.valid_rows = 0  # with both speed and power
         self.seen: Counter[Role] = Counter()  # readings a role has given
+        self.newest: dict[Role, float] = {}  # time of the newest valid one [s]
         self.gaps: deque[tuple[float, float]] = deque(maxlen=LONGEST_LIST)  # without speed or power, from and to [s]
         self._waiting: list[Frames] = []
-        self._last: float | None = None
+        self._last: float | None = None  # time of the newest frame, None when all is finished with [s]
+        self._until: float | None = None  # time of the newest frame ever [s]
+        self._restored = False  # and not fed since
         self._block_end = 0.0
+
+    def _rooms(self) -> tuple[Decoder, Aligner, Estimator]:
+        config = self._config
+        aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike)
+        return Decoder(self._messages), aligner, Estimator(config, np.random.default_rng(config.sampler.seed))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(self._config.effects)
 
     @property
     def used(self) -> int:
@@ -64,6 +82,8 @@ class Pipeline:
         """Take the next frames in order of arrival; yields estimates as they fall due."""
         if not len(frames):
             return
+        if self._restored:
+            yield from self._resume(float(frames.t[0]))
         self.frames += len(frames)
         before = np.concatenate([[frames.t[0] if self._last is None else self._last], frames.t[:-1]])
         step = frames.t - before
@@ -85,6 +105,52 @@ class Pipeline:
         yield from self.estimator.finish()
         self._last = None
 
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from; to be taken between two calls of `feed`, and instead of `finish`.
+
+        Not in it are frames and readings that have not become rows yet, up to the last BLOCK + 3 s of traffic, nor
+        what traffic shows again in seconds: how often each sender speaks. Arrays are not copied, but never changed.
+        """
+        return {
+            "decoder": self._decoder.state(),
+            "aligner": self._aligner.state(),
+            "estimator": self.estimator.state(),
+            "frames": self.frames,
+            "valid_rows": self.valid_rows,
+            "seen": {role.value: count for role, count in self.seen.items()},
+            "gaps": list(self.gaps),
+            "until": self._until,
+        }
+
+    def restore(self, state: State) -> None:
+        """Go on where another pipeline with the same configuration was; before the first frame.
+
+        The next frame shows for how long it was away. Up to NEW_DRIVE is a gap. After a longer time, or when the
+        clock was set back or never set, the load may be another one: what was known of the vehicle is carried over
+        as after a long stop, and the sources of signals are found anew. Until then there is no estimate.
+
+        Raises
+        ------
+        StateError
+            The state does not fit; the pipeline is as it was before.
+        """
+        decoder, aligner, estimator = self._rooms()
+        decoder.restore(substate(state, "decoder"))
+        aligner.restore(substate(state, "aligner"))
+        estimator.restore(substate(state, "estimator"))
+        frames, valid_rows = read(state, "frames", Count), read(state, "valid_rows", Count)
+        seen, gaps = read(state, "seen", dict[Role, Count]), read(state, "gaps", list[tuple[float, float]])
+        self._until = read(state, "until", float | None)
+        self._decoder, self._aligner, self.estimator = decoder, aligner, estimator
+        self.frames, self.valid_rows, self.seen = frames, valid_rows, Counter(seen)
+        self.gaps = deque(gaps, maxlen=LONGEST_LIST)
+        self._restored = True
+
+    @property
+    def missing(self) -> list[str]:
+        """Inputs that the model needs and that never came, by MESSAGE.signal."""
+        return [self._names.get(role, role.value) for role in self._needed() if not self.seen[role]]
+
     def require_inputs(self, place: str) -> None:
         """Complain if the traffic so far cannot feed the model.
 
@@ -93,8 +159,7 @@ class Pipeline:
         MissingInputsError
             A needed signal never came, or never with a valid value.
         """
-        missing = [self._names.get(role, role.value) for role in self._needed() if not self.seen[role]]
-        if missing:
+        if missing := self.missing:
             there = sorted(self._names[role] for role in self.seen)
             raise MissingInputsError(
                 f"{place}: missing inputs: {', '.join(missing)}; found: {', '.join(there) or 'none'}; "
@@ -126,7 +191,7 @@ class Pipeline:
     def _continue(self, frames: Frames) -> Iterator[Estimate]:
         if self._last is None:
             self._block_end = float(frames.t[0]) + BLOCK
-        self._last = float(frames.t[-1])
+        self._last = self._until = float(frames.t[-1])
         while len(frames):
             beyond = np.flatnonzero(frames.t >= self._block_end)
             cut = int(beyond[0]) if len(beyond) else len(frames)
@@ -142,12 +207,17 @@ class Pipeline:
         readings = self._decoder.decode(block)
         for role, parts in readings.items():
             self.seen[role] += sum(len(part.t) for part in parts)
+            for part in parts:
+                if (valid := np.isfinite(part.value)).any():
+                    self.newest[role] = float(part.t[valid][-1])
         for rows in self._aligner.feed(readings, now):
             self._watch(rows)
             yield from self.estimator.feed(rows)
 
     def _watch(self, rows: Rows) -> None:
         """Count rows that could be used, and note for how long they could not."""
+        if self._tap is not None:
+            self._tap(rows)
         self.valid_rows += int((np.isfinite(rows.speed) & np.isfinite(rows.power)).sum())
         stale = np.concatenate([[False], ~rows.fresh.all(axis=1), [False]])
         edges = np.flatnonzero(np.diff(stale)).reshape(-1, 2)
@@ -165,3 +235,14 @@ class Pipeline:
         if not 0 <= t - last <= NEW_DRIVE:
             # Time that steps back is another recording, or the same one again.
             self.estimator.forget(vehicle=t < last)
+
+    def _resume(self, t: float) -> Iterator[Estimate]:
+        """Rows before and after the time away are not joined, however short it was."""
+        self._restored = False
+        if self._until is None:
+            return
+        self.gaps.append((self._until, t))
+        same_load = self._until >= CLOCK_SET and 0 <= t - self._until <= NEW_DRIVE
+        if not same_load:
+            self._decoder.release()
+        yield from self.estimator.resume(same_load)

@@ -1,12 +1,15 @@
 """The two arrays-of-everything that flow through the estimator: rows of the time grid, and admitted samples."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.signals import Floats, Mask, Role
+from estimator.errors import StateError
+from estimator.signals import Floats, Mask, Quantity, Role
+from estimator.state import State, array, names, substate, table
 
 STEP = 0.1  # s, the time grid: wheel speed comes at 10 Hz on nearly every bus
 HARDEST = 12.0  # m/s^2: no tyre holds more, so a speed that changes faster is not the vehicle's
@@ -33,6 +36,31 @@ class Rows:
         context = {role: values[part] for role, values in self.context.items()}
         return Rows(self.index[part], self.speed[part], self.power[part], self.fresh[part], context)
 
+    def state(self) -> dict[str, Any]:
+        """What `restore` makes the same rows from."""
+        return table(self)
+
+    @classmethod
+    def restore(cls, state: State) -> "Rows":
+        """Rows from their state.
+
+        Raises
+        ------
+        StateError
+            It is not that of consecutive rows.
+        """
+        index = array(state, "index", (-1,), np.int64)
+        n, context = len(index), substate(state, "context")
+        if not n or np.any(np.diff(index) != 1):
+            raise StateError("rows: are none, or have gaps")
+        return cls(
+            index,
+            array(state, "speed", (n,), finite=False),
+            array(state, "power", (n,), finite=False),
+            array(state, "fresh", (n, 2), np.bool_),
+            {role: array(context, role, (n,), finite=False) for role in names(context, Role)},
+        )
+
     @property
     def t(self) -> Floats:
         """Grid times [s]."""
@@ -48,16 +76,15 @@ class Rows:
         return np.where(np.append(jump, False) | np.insert(jump, 0, False), np.nan, self.speed)
 
     @classmethod
-    def concatenate(cls, a: "Rows", b: "Rows") -> "Rows":
-        """``a`` followed by ``b``; a role that only one of them has is NaN in the other."""
-        roles = [*a.context, *(role for role in b.context if role not in a.context)]
-        blank = {id(part): np.full(len(part), np.nan) for part in (a, b)}
+    def concatenate(cls, *parts: "Rows") -> "Rows":
+        """The parts in order; a role that only some of them have is NaN in the others."""
+        roles = dict.fromkeys(role for part in parts for role in part.context)
         return cls(
-            np.concatenate([a.index, b.index]),
-            np.concatenate([a.speed, b.speed]),
-            np.concatenate([a.power, b.power]),
-            np.concatenate([a.fresh, b.fresh]),
-            {r: np.concatenate([a.context.get(r, blank[id(a)]), b.context.get(r, blank[id(b)])]) for r in roles},
+            np.concatenate([part.index for part in parts]),
+            np.concatenate([part.speed for part in parts]),
+            np.concatenate([part.power for part in parts]),
+            np.concatenate([part.fresh for part in parts]),
+            {r: np.concatenate([part.context.get(r, np.full(len(part), np.nan)) for part in parts]) for r in roles},
         )
 
 
@@ -67,7 +94,8 @@ class Samples:
 
     Smoothed speed ``v`` [m/s], acceleration ``a`` [m/s^2] and power ``P`` [W] with its rate ``dP`` [W/s]; and their
     instruments ``zv``, ``za``, ``zdP``: the same quantities from readings around, but not at, the moment.
-    ``density`` of the air [kg/m^3], NaN where temperature or pressure is not known.
+    ``density`` of the air [kg/m^3], NaN where temperature or pressure is not known. ``context`` holds what effects
+    beyond the plain road load are computed from; blocks that are joined have the same.
     """
 
     t: Floats
@@ -79,6 +107,7 @@ class Samples:
     za: Floats
     zdP: Floats
     density: Floats
+    context: Mapping[Quantity, Floats] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -86,9 +115,34 @@ class Samples:
     @property
     def complete(self) -> Mask:
         """Where everything that the model needs is known; it can do without the density."""
-        needed = [getattr(self, field.name) for field in fields(self) if field.name != "density"]
-        known: Mask = np.all(np.isfinite(needed), axis=0)
+        needed = [values for name, values in self._arrays().items() if name != "density"]
+        known: Mask = np.all(np.isfinite([*needed, *self.context.values()]), axis=0)
         return known
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` makes the same samples from."""
+        return table(self)
+
+    @classmethod
+    def restore(cls, state: State) -> "Samples":
+        """Samples from their state.
+
+        Raises
+        ------
+        StateError
+            It is not that of samples, or not one that the model could use.
+        """
+        n, context = len(array(state, "t", (-1,))), substate(state, "context")
+        plain = [each.name for each in fields(cls) if each.name != "context"]
+        columns: dict[str, Any] = {name: array(state, name, (n,), finite=False) for name in plain}
+        columns["context"] = {quantity: array(context, quantity, (n,)) for quantity in names(context, Quantity)}
+        samples = cls(**columns)
+        if not samples.complete.all():
+            raise StateError("samples: are not all complete")
+        return samples
+
+    def _arrays(self) -> dict[str, Any]:
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "context"}
 
     @property
     def relative_density(self) -> Floats:
@@ -98,11 +152,19 @@ class Samples:
         return np.where(known, self.density / mean, 1.0)
 
     def __getitem__(self, part: slice | Mask | NDArray[np.intp]) -> "Samples":
-        return Samples(*(getattr(self, field.name)[part] for field in fields(self)))
+        context = {quantity: values[part] for quantity, values in self.context.items()}
+        return Samples(**{name: values[part] for name, values in self._arrays().items()}, context=context)
 
     @classmethod
     def concatenate(cls, parts: "list[Samples]") -> "Samples":
         """Join in order; no parts give no samples."""
         if not parts:
-            return cls(*(np.empty(0) for _ in fields(cls)))
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+            blank: dict[str, Any] = {each.name: np.empty(0) for each in fields(cls) if each.name != "context"}
+            return cls(**blank)
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in parts[0]._arrays()
+        }
+        context = {
+            quantity: np.concatenate([part.context[quantity] for part in parts]) for quantity in parts[0].context
+        }
+        return cls(**columns, context=context)

@@ -46,6 +46,24 @@ class Role(StrEnum):
     FAN_SPEED = "fan_speed"
 
 
+class Quantity(StrEnum):
+    """What is known about a moment besides speed and power: derived from roles, in SI."""
+
+    ENGINE_SPEED = "engine speed"  # [rad/s]
+    GEAR = "gear"
+    HEADING = "heading"  # [rad], clockwise from north
+    LATERAL_ACCELERATION = "lateral acceleration"  # [m/s^2]
+    FAN_SPEED = "fan speed"  # [rad/s]
+    CLIMB_BY_GRADE = "climb by grade"  # [m/s], vertical speed
+    CLIMB_BY_ALTITUDE = "climb by altitude"  # [m/s]
+    CLIMB_BY_ACCELEROMETER = "climb by accelerometer"  # [m/s]
+    TEMPERATURE = "temperature"  # [K], of the air
+    ELAPSED = "elapsed"  # [s] since the drive began
+    DISTANCE = "distance"  # [m] since the drive began
+    STOPS = "stops"  # standstills so far
+    SURROUNDING_POWER = "surrounding power"  # [W], power as readings around the moment give it
+
+
 STATE = "state"  # dimension of switches and gear numbers: taken as they are
 _DIMENSIONS: dict[str, tuple[Role, ...]] = {
     "m/s": (Role.SPEED, Role.WHEEL_SPEEDS, Role.GPS_SPEED),

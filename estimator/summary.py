@@ -21,7 +21,8 @@ def of_run(run: Run) -> dict[str, Any]:
         "rms_kW": None if final.rms is None else final.rms / 1e3,
         "samples": {"admitted": final.admitted, "rejected": dict(pipeline.estimator.rejected)},
         "frames": {"read": pipeline.frames, "used": pipeline.used, "errors": dict(run.skipped + pipeline.errors)},
-        "effects": [],
+        "effects": list(pipeline.effects),
+        "magnitudes": {name: _marginal(marginal) for name, marginal in final.effects.items()},
         "updates": [_update(update, run.start) for update in run.updates],
     }
 

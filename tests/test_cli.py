@@ -59,6 +59,7 @@ JSON_KEYS = {
     "samples",
     "frames",
     "effects",
+    "magnitudes",
     "updates",
 }
 

@@ -4,22 +4,24 @@ import numpy as np
 import pytest
 
 from estimator.signals import Role
-from estimator.simulation.drive import STEP, Disturbance, Truth, drive
+from estimator.simulation.drive import drive
 from estimator.simulation.driver import speeds_ahead
+from estimator.simulation.moment import STEP
 from estimator.simulation.recording import record
 from estimator.simulation.route import Route, generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import Truck, draw_truck
+from estimator.simulation.truth import Truth
 from estimator.units import STANDARD_GRAVITY
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the dyno truth of the paper
 WINDOW = 10  # steps of 0.1 s
 
 
-def drive_mixed(seed: int, duration: float, grade_sd: float = 0.0, disturbance: Disturbance | None = None) -> Truth:
+def drive_mixed(seed: int, duration: float, grade_sd: float = 0.0) -> Truth:
     rng = np.random.default_rng(seed)
     route = generate_route("mixed", 25.0 * duration, rng, grade_sd)
-    return drive(TRUCK, route, duration, rng, disturbance)
+    return drive(TRUCK, route, duration, rng)
 
 
 @pytest.fixture(scope="module")
@@ -73,16 +75,6 @@ def test_energy_balances_on_a_hilly_road():
     assert np.sqrt(np.mean((work - spent - climbing) ** 2)) < 1e-3 * np.sqrt(np.mean(work**2))
     assert np.ptp(truth.altitude) > 5.0
     np.testing.assert_allclose(truth.altitude, np.cumsum(sine * truth.v) * STEP, atol=0.05)
-
-
-def test_disturbances_cost_their_power():
-    fan, drag = 20e3, 300.0
-    truth = drive_mixed(1, 400.0, disturbance=Disturbance(lambda t, s, v: drag, lambda t, s, v, w: fan))
-    starts = driven(truth)
-    load = over_windows(starts, TRUCK.A * truth.v + TRUCK.C * truth.v**3) + kinetic_power(truth, starts)
-    left = over_windows(starts, truth.power) - load - drag * over_windows(starts, truth.v)
-
-    np.testing.assert_allclose(left, fan, atol=300.0)
 
 
 def test_driveline_losses_are_paid_by_the_engine():

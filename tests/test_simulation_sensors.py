@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from estimator.signals import DIMENSION, Role
-from estimator.simulation.drive import Truth, drive
+from estimator.simulation.drive import drive
+from estimator.simulation.effects.effect import Effect
 from estimator.simulation.route import generate_route
-from estimator.simulation.sensors import Sensors, measure
+from estimator.simulation.sensors import OPTIONAL, Sensors, measure
 from estimator.simulation.truck import Truck
+from estimator.simulation.truth import Truth
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 PERFECT = Sensors(speed_noise=0.0, torque_noise=0.0, torque_white_noise=0.0, torque_lag=0.0)
@@ -41,6 +43,9 @@ def net_torque(signals):
         (Role.AMBIENT_TEMPERATURE, 1.0),
         (Role.ALTITUDE, 1.0),
         (Role.GRADE, 0.1),
+        (Role.HEADING, 1.0),
+        (Role.FAN_SPEED, 1.0),
+        (Role.YAW_RATE, 0.1),
     ],
 )
 def test_rates(truth, role, period):
@@ -108,3 +113,59 @@ def test_torque_is_late_by_its_lag(truth):
     speed = measure(truth, late, np.random.default_rng(0))[Role.ENGINE_SPEED]
 
     np.testing.assert_allclose(speed.value, np.interp(speed.t - 0.2, truth.t, truth.engine_speed), atol=0.007)
+
+
+def test_a_bus_can_lack_what_is_optional(truth):
+    full = measure(truth, Sensors(), np.random.default_rng(0))
+    bare = measure(truth, Sensors(without=frozenset(OPTIONAL)), np.random.default_rng(0))
+
+    assert set(full) - set(bare) == set(OPTIONAL) - {Role.RETARDER_FRACTION}  # this truck has no retarder
+    for role, series in bare.items():
+        np.testing.assert_array_equal(series.value, full[role].value)
+
+
+def test_motion_sensors_tell_bends_and_hills():
+    rng = np.random.default_rng(5)
+    truth = drive(TRUCK, generate_route("mixed", 20e3, rng, grade_sd=0.01), 600.0, rng)
+    signals = measure(truth, Sensors(), np.random.default_rng(0))
+    yaw, lateral = signals[Role.YAW_RATE], signals[Role.LATERAL_ACCELERATION]
+    felt, heading = signals[Role.LONGITUDINAL_ACCELERATION], signals[Role.HEADING]
+    v = np.interp(yaw.t, truth.t, truth.v)
+
+    np.testing.assert_allclose(lateral.value, yaw.value * v, atol=0.3)
+    # to the left is anticlockwise: the compass bearing falls
+    turned = np.interp(heading.t[-1], truth.t, truth.heading) - np.interp(heading.t[0], truth.t, truth.heading)
+    assert np.sum(yaw.value) * 0.1 == pytest.approx(-turned, abs=0.15)
+    assert np.all((heading.value >= 0.0) & (heading.value < 2 * np.pi))
+    gravity = felt.value - np.interp(felt.t, truth.t, truth.a)
+    slope = np.interp(felt.t, truth.t, truth.grade)
+    assert np.polyfit(slope, gravity, 1)[0] == pytest.approx(9.8, rel=0.05)
+
+
+def test_grade_sensor_errs_as_asked(truth):
+    grade = measure(truth, Sensors(grade_noise=0.003, grade_offset=0.01), np.random.default_rng(0))[Role.GRADE]
+
+    assert np.mean(grade.value) == pytest.approx(0.01, abs=0.002)
+    assert np.std(grade.value) == pytest.approx(0.003, rel=0.4)
+
+
+def test_messages_drop_out_together_for_seconds(truth):
+    signals = measure(truth, Sensors(dropouts=0.1), np.random.default_rng(0))
+    torque, speed = signals[Role.TORQUE_FRACTION], signals[Role.SPEED]
+
+    np.testing.assert_array_equal(torque.t, signals[Role.ENGINE_SPEED].t)
+    assert 0.02 < 1.0 - len(torque.t) * 0.02 / truth.t[-1] < 0.25
+    assert np.diff(speed.t).max() > 1.0
+    assert np.diff(torque.t).max() > 1.0
+
+
+def test_retarder_torque_is_sent_where_there_is_a_retarder():
+    rng = np.random.default_rng(11)
+    route = generate_route("mixed", 20e3, rng)
+    truth = drive(TRUCK, route, 600.0, rng, [Effect("retarder_use", 8000.0)])
+    share = measure(truth, Sensors(), np.random.default_rng(0))[Role.RETARDER_FRACTION]
+    working = np.interp(share.t, truth.t, truth.retarder) > 500.0
+
+    assert share.value.min() == -1.0
+    assert np.all(share.value[working] < 0.0)
+    assert np.all(share.value <= 0.0)

@@ -6,15 +6,19 @@ not available, as an error, or that lies outside its declared range becomes NaN 
 
 from collections import Counter
 from itertools import pairwise
+from typing import Annotated, Any
 
 import numpy as np
 from cantools.database.can import Signal
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from estimator.can_io.binding import BoundMessage, BoundSignal
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import MultiPacket, Transport, classify, pgn_of
+from estimator.errors import StateError
 from estimator.signals import Floats, Mask, Role, Series
+from estimator.state import Count, State, read
 
 Raw = NDArray[np.uint64]
 
@@ -74,11 +78,8 @@ class Decoder:
     def __init__(self, messages: list[BoundMessage]) -> None:
         self.used = 0  # frames that gave at least one signal
         self.rejected: Counter[str] = Counter()
-        self.sources: dict[str, int] = {}  # by MESSAGE.signal
-        for message in messages:
-            if message.source is not None:
-                self.sources |= {_path(message, bound): message.source for bound in message.signals}
         self._messages = messages
+        self.sources = self._configured()  # by MESSAGE.signal
         self._places = Counter(bound.role for message in messages for bound in message.signals)
         self._needs = [max(last_byte(s) for b in m.signals for s in (b.signal, *b.multiplexers)) for m in messages]
         self._transport = Transport()
@@ -87,6 +88,40 @@ class Decoder:
     def transport_rejected(self) -> Counter[str]:
         """Broken multi-packet broadcasts, by reason."""
         return self._transport.rejected
+
+    def _configured(self) -> dict[str, int]:
+        """Sources that need not be found."""
+        given = [message for message in self._messages if message.source is not None]
+        return {_path(m, bound): m.source for m in given for bound in m.signals if m.source is not None}
+
+    def release(self) -> None:
+        """Let go of the sources that were found: another node may speak now."""
+        self.sources = self._configured()
+
+    def state(self) -> dict[str, Any]:
+        """Who sends what, and the counts; not the broadcasts that are under way."""
+        return {
+            "sources": dict(self.sources),
+            "used": self.used,
+            "rejected": dict(self.rejected),
+            "transport": dict(self.transport_rejected),
+        }
+
+    def restore(self, state: State) -> None:
+        """Go on where another decoder of the same messages was.
+
+        Raises
+        ------
+        StateError
+            The state is not that of such a decoder.
+        """
+        sources = read(state, "sources", dict[str, Annotated[int, Meta(ge=0, le=255)]])
+        if not set(sources) <= {_path(message, bound) for message in self._messages for bound in message.signals}:
+            raise StateError("sources: of signals that are not bound")
+        self.sources = sources | self._configured()
+        self.used = read(state, "used", Count)
+        self.rejected = Counter(read(state, "rejected", dict[str, Count]))
+        self.transport_rejected.update(read(state, "transport", dict[str, Count]))
 
     def decode(self, frames: Frames) -> dict[Role, list[Series]]:
         """Signals in a batch of frames, in SI; a role bound to several has a series for each, empty or not."""

@@ -32,6 +32,12 @@ def output_database() -> Database:
     return database
 
 
+def output_groups(cvw: bool = True) -> frozenset[int]:
+    """PGNs that a `Publisher` sends, with or without CVW."""
+    messages = output_database().messages
+    return frozenset((m.frame_id & _PGN_MASK) >> 8 for m in messages if cvw or m.name != _CVW)
+
+
 class Schedule:
     """Instants ``anchor + k * period`` [s]; those that were missed are skipped, not caught up."""
 
@@ -115,9 +121,7 @@ class Publisher:
         """
         renewed = estimate is not None and estimate.t != self._estimate_t
         stepped_back = self._advance(t, estimate)
-        age = nan if estimate is None else self._now + self._lost - estimate.t
-        if age < -self._slack:  # from a time to come, e.g. restored from before the clock was set: age unknown
-            age = nan
+        age = self._age(estimate)
         status = self._status_of(estimate, age)
         if stepped_back or renewed or status != self._status:
             self._status = status
@@ -128,6 +132,20 @@ class Publisher:
         contents = _contents(estimate, status, age) if due else {}
         frames = [self._frame(message, instant, contents) for instant, messages in due for message in messages]
         return sorted(frames, key=lambda frame: frame.timestamp)
+
+    def answer(self, pgn: int, estimate: Estimate | None) -> can.Message | None:
+        """One frame on request, as of the latest poll; None for a group that is not sent."""
+        age = self._age(estimate)
+        contents = _contents(estimate, self._status_of(estimate, age), age)
+        for message in (message for _, messages in self._groups for message in messages):
+            if message.frame_id & _PGN_MASK == pgn << 8:
+                return self._frame(message, self._now, contents)
+        return None
+
+    def _age(self, estimate: Estimate | None) -> float:
+        age = nan if estimate is None else self._now + self._lost - estimate.t
+        # From a time to come, e.g. restored from before the clock was set: its age is unknown.
+        return nan if age < -self._slack else age
 
     def _advance(self, t: float, estimate: Estimate | None) -> bool:
         """Move to ``t`` and tell whether the clock was set back."""

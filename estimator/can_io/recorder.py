@@ -35,7 +35,7 @@ Payload = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
-    """A message of a control unit; it goes out whenever its first role is measured."""
+    """A message of a control unit; it goes out whenever the first of its roles that is on the bus is measured."""
 
     message: str
     source: int
@@ -75,14 +75,30 @@ _TRAFFIC = (
         TRANSMISSION,
         {"TransDrivelineEngaged": Role.DRIVELINE_ENGAGED, "TransShiftInProcess": Role.SHIFT_IN_PROCESS},
     ),
+    _Sent("FD", ENGINE, {"FanSpeed": Role.FAN_SPEED}),
     _Sent("ETC2", TRANSMISSION, {"TransCurrentGear": Role.GEAR}),
     _Sent("EBC1", BRAKES, {"BrakePedalPosition": Role.BRAKE_PEDAL, "EBSBrakeSwitch": Role.BRAKE_SWITCH}),
     _Sent("EBC2", BRAKES, {"FrontAxleSpeed": Role.WHEEL_SPEEDS}),
+    _Sent("ERC1", BRAKES, {"ActualRetarderPercentTorque": Role.RETARDER_FRACTION}),
     _Sent("SSI", BRAKES, {"PitchAngle": Role.GRADE}),
+    _Sent(
+        "VDC2",
+        BRAKES,
+        {
+            "YawRate": Role.YAW_RATE,
+            "LateralAcceleration": Role.LATERAL_ACCELERATION,
+            "LongitudinalAcceleration": Role.LONGITUDINAL_ACCELERATION,
+        },
+    ),
     _Sent(
         "VDS",
         NAVIGATION,
-        {"Altitude": Role.ALTITUDE, "NavigationBasedVehicleSpeed": Role.GPS_SPEED, "Pitch": Role.GRADE},
+        {
+            "Altitude": Role.ALTITUDE,
+            "NavigationBasedVehicleSpeed": Role.GPS_SPEED,
+            "CompassBearing": Role.HEADING,
+            "Pitch": Role.GRADE,
+        },
     ),
 )
 
@@ -94,9 +110,12 @@ def frames_of(signals: Signals) -> Frames:
     """CAN frames of measured signals (times from the start of the drive [s]), in order of time from ``EPOCH``."""
     database = load_database([])
     parts = []
+    sent_before: set[Role] = set()  # roles whose own message has gone out, and that do not call for another
     for sent in _TRAFFIC:
         present = {name: signals[role] for name, role in sent.signals.items() if role in signals}
-        if next(iter(sent.signals)) in present:
+        own = {sent.signals[name] for name in present} - sent_before
+        sent_before |= own
+        if own:
             parts.append(_frames_of_message(database.get_message_by_name(sent.message), sent, present))
     frames = Frames.concatenate(parts)
     return frames[np.argsort(frames.t, kind="stable")]

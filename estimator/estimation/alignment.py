@@ -7,6 +7,7 @@ usual interval between readings: what is missing is NaN.
 """
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from estimator.config import Vehicle
 from estimator.estimation.friction import FrictionCurve
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Mask, Role, Series
+from estimator.state import State, read, substate
 
 FRESH_PERIODS = 3.0  # sender periods after which a reading is stale
 SHORTEST_FRESH = 0.3  # s, for senders whose rate follows the engine speed
@@ -136,6 +138,7 @@ class Aligner:
         self._power = _Track()
         self._powered_to = -np.inf
         self._friction = FrictionCurve()
+        self._reference: float | None = None  # [N m] from before the start, until the bus sends it
         self._next: int | None = None
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
@@ -160,6 +163,26 @@ class Aligner:
         """The rows still waiting at time ``now`` [s] when nothing more comes; the aligner then starts anew."""
         yield from self.feed({}, now + SETTLE)
         self._restart()
+
+    def state(self) -> dict[str, Any]:
+        """What the engine has shown of itself; not the readings of the last seconds."""
+        heard = self._track(Role.REFERENCE_TORQUE).value
+        known = heard[np.isfinite(heard)]
+        return {
+            "friction": self._friction.state(),
+            "reference": float(known[-1]) if len(known) else self._reference,
+        }
+
+    def restore(self, state: State) -> None:
+        """Know of the engine what another aligner knew; for one that has not been fed.
+
+        Raises
+        ------
+        StateError
+            The state is not that of an aligner.
+        """
+        self._friction.restore(substate(state, "friction"))
+        self._reference = read(state, "reference", float | None)
 
     def _track(self, role: Role) -> _Track:
         return self._tracks.get((role, 0), _Track())
@@ -203,7 +226,11 @@ class Aligner:
         if self._vehicle.reference_torque_Nm is not None:
             return np.full(len(t), self._vehicle.reference_torque_Nm)
         # A constant of the engine, sent every few seconds: once heard it holds.
-        return self._track(Role.REFERENCE_TORQUE).held(t, FOR_EVER)
+        track = self._track(Role.REFERENCE_TORQUE)
+        held = track.held(t, FOR_EVER)
+        if self._reference is None:
+            return held
+        return np.where(np.isnan(track.time_of_held(t)), self._reference, held)
 
     def _rows(self, index: NDArray[np.int64]) -> Rows:
         edges = (np.append(index, index[-1] + 1) - 0.5) * STEP
@@ -213,7 +240,7 @@ class Aligner:
         context: dict[Role, Floats] = {}
         for (role, i), track in self._tracks.items():
             if i == 0 and role not in (Role.SPEED, Role.WHEEL_SPEEDS, Role.ENGINE_POWER, *TORQUE_ROLES):
-                if role == Role.LONGITUDINAL_ACCELERATION:
+                if role in (Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE):
                     context[role] = cell_means(track.t, track.value, edges, track.limit)[0]
                 else:
                     context[role] = track.held(at)

@@ -6,14 +6,19 @@ It owns the window and nothing else that moves: no clock, no bus, no thread. Fed
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.config import Config
+from estimator.effects import named
+from estimator.errors import StateError
 from estimator.estimate import Coverage, Estimate, Status
 from estimator.estimation import kinematics, moments, posterior
 from estimator.estimation.admission import Reason, admit, row_reasons
+from estimator.estimation.columns import wanted_by
 from estimator.estimation.gate import Gate
 from estimator.estimation.load import Segment, Standstill, load_change
 from estimator.estimation.model_check import SpeedScale, contradiction, misfit
@@ -21,11 +26,14 @@ from estimator.estimation.moments import SMALL_LAG, Fit
 from estimator.estimation.posterior import Posterior
 from estimator.estimation.window import Grid, Window
 from estimator.samples import STEP, Rows, Samples
+from estimator.signals import Quantity
+from estimator.state import Count, State, generator_state, optional, read, set_generator, substate
 
 BLOCK = 200  # rows turned into samples at a time: 20 s
 CALIBRATION = 1800  # moving rows after which the smoother and the lag are settled: 3 min
 LONGEST_WAIT = 18_000  # rows kept waiting for that: 30 min
 PULLING = 0.1  # m/s^2
+HEARD = 0.5  # share of the time that a quantity must be known to be used
 NOTHING_COVERED = Coverage(0, 0)
 
 
@@ -63,6 +71,9 @@ class Estimator:
         self._pending: Rows | None = None
         self._smoother: kinematics.Kernels | None = None
         self._lag = 0.0
+        self._effects = named(config.effects)
+        self._wanted: frozenset[Quantity] | None = None  # context that the effects need, once it is known what there is
+        self._start: float | None = None  # [s] of the drive
         self._moving = 0
         self._next: int | None = None  # index of the row that would follow without a gap
         self._due: int | None = None
@@ -75,11 +86,12 @@ class Estimator:
         self._before: Segment | None = None  # and the one before
         self._evidence: Evidence | None = None
         self._scale = SpeedScale()
+        self._resting = False  # restored, and nobody knows yet for how long it was away
 
     @property
     def latest(self) -> Estimate | None:
-        """The newest conclusion; None before the first."""
-        return self._latest
+        """The newest conclusion; None before the first, and between `restore` and `resume`."""
+        return None if self._resting else self._latest
 
     @property
     def evidence(self) -> Evidence | None:
@@ -124,21 +136,89 @@ class Estimator:
         whether it is the same one once more.
         """
         self._pending, self._due, self._next = None, None, None
+        self._wanted, self._start = None, None
         self._start_segment()
         if vehicle:
             self._before = None
             self._scale = SpeedScale()
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from: all but the evidence, which the next update makes anew."""
+        return {
+            "window": self.window.state(),
+            "rejected": dict(self._rejected),
+            "generator": generator_state(self._rng),
+            "pending": None if self._pending is None else self._pending.state(),
+            "smoother": None if self._smoother is None else self._smoother.state(),
+            "lag": self._lag,
+            "wanted": None if self._wanted is None else sorted(self._wanted),
+            "start": self._start,
+            "moving": self._moving,
+            "next": self._next,
+            "due": self._due,
+            "at_last": self._at_last,
+            "below": self._below,
+            "latest": msgspec.to_builtins(self._latest),
+            "standstill": self._standstill.state(),
+            "shown": None if self._shown is None else self._shown.state(),
+            "before": None if self._before is None else self._before.state(),
+            "scale": self._scale.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Know what another estimator knew; then `resume`. To be discarded when it fails.
+
+        Raises
+        ------
+        StateError
+            The state is not that of an estimator with this configuration.
+        """
+        self.window.restore(substate(state, "window"))
+        self._rejected = Counter(read(state, "rejected", dict[str, Count]))
+        set_generator(self._rng, state, "generator")
+        self._pending = optional(state, "pending", Rows.restore)
+        self._smoother = optional(state, "smoother", kinematics.Kernels.restore)
+        self._lag, self._moving = read(state, "lag", float), read(state, "moving", Count)
+        wanted = read(state, "wanted", list[Quantity] | None)
+        self._wanted, self._start = None if wanted is None else frozenset(wanted), read(state, "start", float | None)
+        self._next, self._due = read(state, "next", int | None), read(state, "due", int | None)
+        self._at_last, self._below = read(state, "at_last", Count), read(state, "below", Count)
+        self._latest = read(state, "latest", Estimate | None)
+        self._standstill.restore(substate(state, "standstill"))
+        self._shown = optional(state, "shown", Segment.restore)
+        self._before = optional(state, "before", Segment.restore)
+        self._scale.restore(substate(state, "scale"))
+        if self._at_last > self.window.added or abs(self._lag) > kinematics.LONGEST_LAG:
+            raise StateError("counts or lag: are out of range")
+        self._resting = True
+
+    def resume(self, same_load: bool) -> Iterator[Estimate]:
+        """Go on after `restore`: use what was waiting, and keep the window if the load is the ``same_load``."""
+        self._resting = False
+        yield from self.finish()
+        if not same_load:
+            self.forget()
 
     def _calibrate(self, rows: Rows) -> kinematics.Kernels:
         speed = rows.plausible_speed
         self._lag = kinematics.fit_lag(speed, rows.power, STEP, self._config.kinematics.maximum_lag_s)
         return kinematics.smoother_kernels(kinematics.fit_ratio(speed, STEP), STEP)
 
+    def _context_of(self, rows: Rows) -> frozenset[Quantity]:
+        """What the effects are to be computed from, of what the bus carries."""
+        if not self._effects:
+            return frozenset()
+        there = kinematics.quantities(rows, 0.0).items()
+        return wanted_by(self._effects, {q for q, values in there if np.isfinite(values).mean() > HEARD})
+
     def _consume(self, least: int) -> Iterator[Estimate]:
         assert self._pending is not None
         margin = self._margin
         if self._smoother is None:
             self._smoother = self._calibrate(self._pending)
+        if self._wanted is None:
+            self._start = float(self._pending.t[0])
+            self._wanted = self._context_of(self._pending)
         while len(self._pending) >= least + 2 * margin:
             core = min(BLOCK, len(self._pending) - 2 * margin)
             yield from self._take(self._pending[: core + 2 * margin])
@@ -149,10 +229,13 @@ class Estimator:
 
     def _take(self, rows: Rows) -> Iterator[Estimate]:
         assert self._smoother is not None
+        assert self._wanted is not None
+        assert self._start is not None
         margin = self._margin
         inertial = self._config.kinematics.acceleration == "inertial"
         spare = margin - kinematics.margin(STEP)
-        samples = kinematics.to_samples(rows[spare : len(rows) - spare], self._smoother, self._lag, inertial)
+        part = rows[spare : len(rows) - spare]
+        samples = kinematics.to_samples(part, self._smoother, self._lag, inertial, self._wanted, self._start)
         if self._standstill.drives_off(rows.speed[margin : len(rows) - margin]):
             self._start_segment()
         self._scale.add(rows[margin : len(rows) - margin])
@@ -188,7 +271,7 @@ class Estimator:
         """Which belief of the configuration the drive contradicts, if any."""
         if self._given is SMALL_LAG:
             return ""
-        drive = moments.fit(samples, self._config.admission.power_sigmas)
+        drive = moments.fit(samples, self._config.admission.power_sigmas, SMALL_LAG, self._effects)
         if drive is None or drive.kept.sum() < self._config.gate.minimum_samples:
             return ""
         return contradiction(self._config.prior, drive)
@@ -199,7 +282,12 @@ class Estimator:
         belief = self._given
         if self._before is not None:
             belief = belief + self._before.carry_over(t, self._config.load)
-        fit = moments.fit(samples, self._config.admission.power_sigmas, belief)
+        for effect in self._effects:
+            if not effect.usable_shapes(self._wanted or frozenset()):
+                needs = " or ".join(role.value for role in effect.wanted)
+                reason = f"the effect {effect.name} needs {needs}, which the bus does not carry"
+                return Estimate(t, Status.UNESTIMATED, reason, NOTHING_COVERED, len(samples))
+        fit = moments.fit(samples, self._config.admission.power_sigmas, belief, self._effects)
         held = int(fit.kept.sum()) if fit else len(samples)
         self._below = len(samples) - held
 
@@ -227,5 +315,7 @@ class Estimator:
         A, C, m = (draws.marginal(i) for i in range(3))
         road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, : moments.ROAD_LOAD]
         self._shown = Segment(road_load.mean(axis=0), np.cov(road_load.T), t)
+        own = enumerate(fit.own_terms, start=moments.PARAMETERS)
+        effects = {term.effect.name: draws.marginal(i) for i, term in own}
         change = None if self._before is None else load_change(self._before, self._shown)
-        return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms, change)
+        return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms, effects, change)

@@ -10,9 +10,13 @@ which would otherwise draw the curve to itself just where it is needed. And a re
 was sent at: what is held until the next one, a quarter of a second later, is by how much the curve misses its interval.
 """
 
+from typing import Any
+
 import numpy as np
 
+from estimator.errors import StateError
 from estimator.signals import Floats
+from estimator.state import State, array
 
 DEGREE = 3  # of the curve in engine speed
 SPEED_SCALE = 150.0  # rad/s, to keep powers of the speed near one
@@ -52,6 +56,23 @@ class FrictionCurve:
         missed = np.clip(then, value - half_step, value + half_step) - then
         refined[known] = self._curve(engine_speed[known]) + missed
         return refined
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` makes the same curve from."""
+        return {"sums": self._sums, "levels": self._levels}
+
+    def restore(self, state: State) -> None:
+        """Know what another curve knew.
+
+        Raises
+        ------
+        StateError
+            The state is not that of a curve.
+        """
+        sums, levels = array(state, "sums", (3, BINS)), array(state, "levels", (-1,))
+        if np.any(sums[0] < 0) or np.any(np.diff(levels) <= 0):
+            raise StateError("friction: counts below zero, or levels out of order")
+        self._sums, self._levels = sums, levels
 
     def _curve(self, engine_speed: Floats) -> Floats:
         count, speeds, values = self._sums[:, self._sums[0] > 0]

@@ -15,8 +15,10 @@ moment that leaves out its surroundings, so that their noise is independent of t
 References: Rauch, Tung, Striebel 1965; Bar-Shalom, Li, Kirubarajan 2001, section 6.2.
 """
 
+from collections.abc import Set
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -25,7 +27,9 @@ from scipy.signal import lfilter
 
 from estimator.road_load import design
 from estimator.samples import STEP, Rows, Samples
-from estimator.signals import Floats, Role
+from estimator.signals import Floats, Quantity, Role
+from estimator.state import State, array, table
+from estimator.units import STANDARD_GRAVITY
 
 HALF_WIDTH = 1.2  # s, of the smoother's kernel; shorter than HOLE, which keeps instruments independent
 HOLE = 1.5  # s, half width of the surroundings that instruments leave out
@@ -53,6 +57,22 @@ class Kernels:
     def half(self) -> int:
         """K, the samples needed on either side."""
         return len(self.value) // 2
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` makes the same kernels from."""
+        return table(self)
+
+    @classmethod
+    def restore(cls, state: State) -> "Kernels":
+        """A smoother's kernels from their state.
+
+        Raises
+        ------
+        StateError
+            They are not as wide as a smoother on the grid has them.
+        """
+        width = (2 * round(HALF_WIDTH / STEP) + 1,)
+        return cls(array(state, "value", width), array(state, "slope", width))
 
 
 def _model(ratio: float, dt: float) -> KalmanFilter:
@@ -183,12 +203,15 @@ def fit_lag(speed: Floats, power: Floats, dt: float, longest: float) -> float:
     return float(np.clip((best - reach + offset) * dt, -longest, longest))
 
 
-def to_samples(rows: Rows, kernels: Kernels, lag: float, inertial: bool) -> Samples:
+def to_samples(
+    rows: Rows, kernels: Kernels, lag: float, inertial: bool, wanted: Set[Quantity] = frozenset(), start: float = 0.0
+) -> Samples:
     """Samples for the rows that have REACH on either side, one each; NaN where anything needed is missing.
 
     ``lag`` [s] is how far power comes behind speed; ``inertial`` adds the slow part of the longitudinal
     accelerometer's difference from dv/dt, which is gravity along the grade: m (dv/dt + g sin) is what the engine
-    feels. The fast part is left out: it is pitch on the suspension and vibration.
+    feels. The fast part is left out: it is pitch on the suspension and vibration. ``wanted`` context that the bus
+    does not carry is NaN; time elapsed counts from ``start`` [s].
     """
     ring = instrument_kernels(STEP)
     step = int(np.floor(lag / STEP))
@@ -201,6 +224,10 @@ def to_samples(rows: Rows, kernels: Kernels, lag: float, inertial: bool) -> Samp
         sensed = rows.context.get(Role.LONGITUDINAL_ACCELERATION, np.full(len(rows), np.nan))
         gravity = convolve(sensed - np.gradient(speed, STEP), slow_kernel(STEP))
         a, za = a + gravity, za + gravity
+    context = {quantity: values for quantity, values in quantities(rows, start).items() if quantity in wanted}
+    if Quantity.SURROUNDING_POWER in wanted:
+        context[Quantity.SURROUNDING_POWER] = convolve(power, ring.value)
+    blank = np.full(len(rows), np.nan)
     samples = Samples(
         rows.t,
         convolve(speed, kernels.value),
@@ -211,8 +238,40 @@ def to_samples(rows: Rows, kernels: Kernels, lag: float, inertial: bool) -> Samp
         za,
         convolve(power, ring.slope),
         air_density(rows),
+        {quantity: context.get(quantity, blank) for quantity in sorted(wanted)},
     )
     return samples[margin(STEP) : len(rows) - margin(STEP)]
+
+
+def quantities(rows: Rows, start: float) -> dict[Quantity, Floats]:
+    """What the rows tell besides speed and power, each (n,); time elapsed counts from ``start`` [s].
+
+    Gravity along the road is low-passed as wide as the ring: what an altimeter or accelerometer adds on top of it
+    faster than that is noise and pitch. An altitude's rate is its convolution with the derivative of that low-pass.
+    """
+    found = {Quantity.ELAPSED: rows.t - start}
+    same = {
+        Quantity.ENGINE_SPEED: Role.ENGINE_SPEED,
+        Quantity.GEAR: Role.GEAR,
+        Quantity.HEADING: Role.HEADING,
+        Quantity.LATERAL_ACCELERATION: Role.LATERAL_ACCELERATION,
+        Quantity.FAN_SPEED: Role.FAN_SPEED,
+        Quantity.TEMPERATURE: Role.AMBIENT_TEMPERATURE,
+    }
+    found |= {quantity: rows.context[role] for quantity, role in same.items() if role in rows.context}
+    speed = rows.plausible_speed
+    if Role.YAW_RATE in rows.context and Quantity.LATERAL_ACCELERATION not in found:
+        found[Quantity.LATERAL_ACCELERATION] = rows.context[Role.YAW_RATE] * speed
+    slow = slow_kernel(STEP)
+    if Role.GRADE in rows.context:
+        grade = convolve(rows.context[Role.GRADE], slow)
+        found[Quantity.CLIMB_BY_GRADE] = speed * grade / np.hypot(1.0, grade)
+    if Role.ALTITUDE in rows.context:
+        found[Quantity.CLIMB_BY_ALTITUDE] = convolve(rows.context[Role.ALTITUDE], np.gradient(slow, STEP))
+    if Role.LONGITUDINAL_ACCELERATION in rows.context:
+        gravity = convolve(rows.context[Role.LONGITUDINAL_ACCELERATION] - np.gradient(speed, STEP), slow)
+        found[Quantity.CLIMB_BY_ACCELEROMETER] = speed * gravity / STANDARD_GRAVITY
+    return found
 
 
 def air_density(rows: Rows) -> Floats:

@@ -7,14 +7,17 @@ rolling coefficient A / m, for rolling resistance goes with the load.
 
 from dataclasses import dataclass
 from math import exp, log, sqrt
+from typing import Any
 
 import numpy as np
 
 from estimator.config import Load
+from estimator.errors import StateError
 from estimator.estimate import LoadChange
-from estimator.estimation.moments import PARAMETERS, Belief
+from estimator.estimation.moments import PARAMETERS, ROAD_LOAD, Belief
 from estimator.samples import STEP
 from estimator.signals import Floats
+from estimator.state import Count, State, array, read
 
 HOUR = 3600.0  # s
 OTHER_LOAD = 0.5  # sd of a new load's mass, as a share of the old: empty to full doubles a truck's weight
@@ -46,6 +49,20 @@ class Standstill:
         """Count a silence of the bus as standing: nobody saw what was loaded."""
         self._standing += rows
 
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from."""
+        return {"standing": self._standing}
+
+    def restore(self, state: State) -> None:
+        """Have stood for as long as another.
+
+        Raises
+        ------
+        StateError
+            The state is not that of a standstill.
+        """
+        self._standing = read(state, "standing", Count)
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -54,6 +71,25 @@ class Segment:
     mean: Floats
     covariance: Floats
     t: float
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` makes the same segment from."""
+        return {"mean": self.mean, "covariance": self.covariance, "t": self.t}
+
+    @classmethod
+    def restore(cls, state: State) -> "Segment":
+        """A segment from its state.
+
+        Raises
+        ------
+        StateError
+            It is not that of a segment.
+        """
+        mean, covariance = array(state, "mean", (ROAD_LOAD,)), array(state, "covariance", (ROAD_LOAD, ROAD_LOAD))
+        variance = np.diag(covariance)
+        if mean[2] <= 0 or np.any(variance <= 0) or np.any(covariance**2 > 1.001 * np.outer(variance, variance)):
+            raise StateError("segment: no mass, or no covariance")
+        return cls(mean, covariance, read(state, "t", float))
 
     def carry_over(self, t: float, load: Load) -> Belief:
         """Belief about the next load at time ``t`` [s]: C and A / m as they were, give or take the drift."""

@@ -10,12 +10,15 @@ A speed in the wrong unit fits perfectly, with a wrong mass: only another speed 
 what the configuration believes holds for this vehicle.
 """
 
+from typing import Any
+
 import numpy as np
 
 from estimator.config import Prior
-from estimator.estimation.moments import LAG_SD, ROAD_LOAD, Fit, block_means, columns
+from estimator.estimation.moments import LAG_SD, ROAD_LOAD, Fit, block_means
 from estimator.samples import Rows, Samples
 from estimator.signals import Floats, Role
+from estimator.state import Count, State, read
 
 PARTS = 8  # quantile bins along each axis
 CERTAIN = 5.0  # standard errors
@@ -45,6 +48,21 @@ class SpeedScale:
         self._wheel += float(rows.speed[both].sum())
         self._gps += float(gps[both].sum())
 
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from."""
+        return {"rows": self._rows, "wheel": self._wheel, "gps": self._gps}
+
+    def restore(self, state: State) -> None:
+        """Have seen what another has seen.
+
+        Raises
+        ------
+        StateError
+            The state is not that of a comparison.
+        """
+        self._rows = read(state, "rows", Count)
+        self._wheel, self._gps = read(state, "wheel", float), read(state, "gps", float)
+
     def verdict(self) -> str:
         """Empty while they agree or cannot be compared, else by how much they differ."""
         if self._rows < SCALE_ROWS or abs(self._wheel - self._gps) <= SPEED_SCALE * self._gps:
@@ -70,7 +88,7 @@ def contradiction(prior: Prior, drive: Fit) -> str:
 def misfit(samples: Samples, fit: Fit) -> str:
     """Empty when the fitted model describes ``samples``, else what it misses."""
     kept = samples[fit.kept]
-    X, Z = (part[fit.kept] for part in columns(samples))
+    X, Z = (part[fit.kept] for part in fit.columns(samples))
     residual = kept.P - X @ fit.theta
     # Noise of dv/dt is most of the residual of a poor speed sensor; over seconds it is gone, and hills are not.
     explained = 1 - float(block_means(residual, SLOW).var() / block_means(kept.P, SLOW).var())
@@ -79,7 +97,7 @@ def misfit(samples: Samples, fit: Fit) -> str:
         return f"the model explains {share:.0f} % of the power's variance: grade, or a wrong signal?"
     if abs(fit.theta[ROAD_LOAD]) - fit.sd[ROAD_LOAD] > LONGEST_LAG_LEFT:
         return f"power and speed are {fit.theta[ROAD_LOAD]:+.1f} s apart even after alignment: check their time stamps"
-    model = Z[:, :ROAD_LOAD] @ fit.theta[:ROAD_LOAD]
+    model = Z @ np.where(np.arange(Z.shape[1]) == ROAD_LOAD, 0.0, fit.theta)
     # One residual counts for as much less as there are correlated ones around it.
     inflation = len(residual) / fit.effective
     axes = (("speed", "m/s", kept.zv), ("acceleration", "m/s²", kept.za), ("model power", "kW", model / 1e3))

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct, irfft, next_fast_len, rfft
 
-from estimator.road_load import design
+from estimator.effects import Effect
+from estimator.estimation.columns import Term, best_terms, columns
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 
@@ -34,6 +35,9 @@ TIMES_PER_COSINE = 4.0  # autocorrelation times that one cosine transform must s
 LAG_SD = 0.1  # s, prior of what the coarse alignment leaves
 ROAD_LOAD = 3  # the first parameters
 PARAMETERS = 4  # with the lag
+USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
+EFFECT_PASSES = 3
+FEWEST_FOR_EFFECTS = 600  # samples
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,16 @@ class Belief:
 
     def __add__(self, other: "Belief") -> "Belief":
         return Belief(self.precision + other.precision, self.moment + other.moment)
+
+    def beside(self, terms: tuple[Term, ...], road_load: Floats) -> "Belief":
+        """The same, and that each term with a magnitude of its own is of the usual order."""
+        own = [term.effect for term in terms if not term.joins_mass]
+        n = len(self.moment)
+        precision = np.zeros((n + len(own), n + len(own)))
+        precision[:n, :n] = self.precision
+        for i, effect in enumerate(own, start=n):
+            precision[i, i] = (USUAL_SDS * effect.usual(road_load)) ** -2
+        return Belief(precision, np.concatenate([self.moment, np.zeros(len(own))]))
 
     @classmethod
     def about(cls, i: int, mean: float, sd: float) -> "Belief":
@@ -69,6 +83,17 @@ class Fit:
     kept: Mask  # samples that count
     rms: float  # [W] residual
     effective: float  # number of independent residuals
+    terms: tuple[Term, ...] = ()  # effects in the model
+    road_load: Floats | None = None  # A, C, m with which their columns were scaled
+
+    def columns(self, samples: Samples) -> tuple[Floats, Floats]:
+        """Regressors and instruments of this model for ``samples``."""
+        return columns(samples, self.terms, self.road_load)
+
+    @property
+    def own_terms(self) -> tuple[Term, ...]:
+        """Those that have a parameter of their own, in the order of theta."""
+        return tuple(term for term in self.terms if not term.joins_mass)
 
     @property
     def sd(self) -> Floats:
@@ -106,21 +131,29 @@ def long_run_covariance(scores: Floats, cosines: int) -> Floats:
     return len(scores) * transform.T @ transform / len(transform)
 
 
-def columns(samples: Samples) -> tuple[Floats, Floats]:
-    """Regressors X and instruments Z, both (n, 4)."""
-    density = samples.relative_density
-    X = np.column_stack([design(samples.v, samples.a, density), -samples.dP])
-    Z = np.column_stack([design(samples.zv, samples.za, density), -samples.zdP])
-    return X, Z
-
-
-def fit(samples: Samples, power_sigmas: float, belief: Belief = SMALL_LAG) -> Fit | None:
+def fit(
+    samples: Samples, power_sigmas: float, belief: Belief = SMALL_LAG, effects: tuple[Effect, ...] = ()
+) -> Fit | None:
     """Fit all samples whose predicted power exceeds ``power_sigmas`` residual sd, given a prior ``belief``.
 
-    Returns None where the moments do not determine the parameters: too few samples, or a drive so uniform that the
-    columns are not independent.
+    Effects beyond the plain road load scale with it, so it is fitted without them first. Returns None where the
+    moments do not determine the parameters: too few samples, or a drive so uniform that the columns are not
+    independent.
     """
-    X, Z = columns(samples)
+    found = _fit(samples, power_sigmas, belief, (), None)
+    for _ in range(EFFECT_PASSES if effects else 0):
+        if found is None or len(samples) < FEWEST_FOR_EFFECTS:
+            return None
+        road_load = found.theta[:ROAD_LOAD]
+        terms = best_terms(effects, samples[found.kept], road_load)
+        found = _fit(samples, power_sigmas, belief.beside(terms, road_load), terms, road_load)
+    return found
+
+
+def _fit(
+    samples: Samples, power_sigmas: float, belief: Belief, terms: tuple[Term, ...], road_load: Floats | None
+) -> Fit | None:
+    X, Z = columns(samples, terms, road_load)
     if len(X) < 20 * X.shape[1]:
         return None
     # Columns of order one: v^3 is 10^4 times v, and the equations would look singular for that alone.
@@ -130,6 +163,7 @@ def fit(samples: Samples, power_sigmas: float, belief: Belief = SMALL_LAG) -> Fi
     X, Z = X / scale, Z / scale
     prior = Belief(belief.precision / np.outer(scale, scale), belief.moment / scale)
     kept = np.ones(len(X), dtype=bool)
+    driving = np.arange(X.shape[1]) != ROAD_LOAD  # all but the lag
     spread: Floats | None = None
     for _ in range(SELECTIONS):
         if kept.sum() < 20 * X.shape[1]:
@@ -143,8 +177,8 @@ def fit(samples: Samples, power_sigmas: float, belief: Belief = SMALL_LAG) -> Fi
         time = autocorrelation_time(residual)
         cosines = _cosines(len(Pk), _slow_time(residual))
         # The fit has taken from the residual what its parameters can follow, as in n / (n - p).
-        spread = long_run_covariance(Zk * residual[:, None], cosines) * cosines / (cosines - PARAMETERS)
-        previous, kept = kept, Z[:, :ROAD_LOAD] @ theta[:ROAD_LOAD] > power_sigmas * residual.std()
+        spread = long_run_covariance(Zk * residual[:, None], cosines) * cosines / (cosines - X.shape[1])
+        previous, kept = kept, Z @ (theta * driving) > power_sigmas * residual.std()
         if np.array_equal(kept, previous):
             break
     # Once more, with the spread that belongs to the final choice.
@@ -154,7 +188,7 @@ def fit(samples: Samples, power_sigmas: float, belief: Belief = SMALL_LAG) -> Fi
     theta, covariance = final
     rms = float(np.sqrt(np.mean((Pk - Xk @ theta) ** 2)))
     covariance = covariance / np.outer(scale, scale)
-    return Fit(theta / scale, covariance, float(cosines), previous, rms, len(Pk) / time)
+    return Fit(theta / scale, covariance, float(cosines), previous, rms, len(Pk) / time, terms, road_load)
 
 
 def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Belief) -> tuple[Floats, Floats] | None:

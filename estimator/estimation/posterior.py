@@ -16,6 +16,7 @@ from estimator.signals import Floats
 
 LARGEST_R_HAT = 1.05
 SMALLEST_ESS = 100.0
+WIDEST = 20.0  # usual magnitudes that an effect may have
 LAG_BOX = (-1.0, 1.0)  # s, far wider than the prior of the lag
 
 
@@ -57,6 +58,9 @@ def belief_of(prior: Prior) -> Belief:
 def target_of(samples: Samples, fit: Fit, config: Config) -> Target:
     """The density to sample: the moment objective, or the paper's likelihood of all samples with power above 0."""
     lower, upper = box(config.prior)
+    widest = [WIDEST * term.effect.usual(fit.theta) for term in fit.own_terms]
+    lowest = [0.0 if term.effect.positive else -size for term, size in zip(fit.own_terms, widest, strict=True)]
+    lower, upper = np.append(lower, lowest), np.append(upper, widest)
     if config.sampler.likelihood == "instruments":
         return StudentTarget(fit.theta, fit.covariance, fit.dof, lower, upper)
     positive = samples[samples.P > 0]

@@ -1,13 +1,16 @@
 """The bounded memory of admitted samples: blocks of consecutive driving, rare cells kept longest."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.config import Config
+from estimator.errors import StateError
 from estimator.samples import Samples
 from estimator.signals import Floats
+from estimator.state import Count, State, array, read, substate
 
 LOWEST_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins
 SPEED_CELLS = 64
@@ -93,3 +96,30 @@ class Window:
         """Forget everything, as after a change of vehicle or an unexplained step in time."""
         self._blocks, self._cells = [], []
         self._counts[:] = 0
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` makes the same window from."""
+        lengths = np.array([len(block) for block in self._blocks], dtype=np.int64)
+        return {
+            "samples": self.samples.state(),
+            "lengths": lengths,
+            "added": self.added,
+            "evicted": self.evicted,
+        }
+
+    def restore(self, state: State) -> None:
+        """Hold what another window held.
+
+        Raises
+        ------
+        StateError
+            The state is not one that a window with this configuration can have.
+        """
+        samples, lengths = Samples.restore(substate(state, "samples")), array(state, "lengths", (-1,), np.int64)
+        ends = np.cumsum(lengths)
+        if np.any(lengths <= 0) or len(samples) != lengths.sum() or len(samples) > self._capacity:
+            raise StateError(f"window: {len(samples)} samples in {len(lengths)} blocks cannot be")
+        self._blocks = [samples[end - length : end] for end, length in zip(ends, lengths, strict=True)]
+        self._cells = [self.grid.cell(block.v, block.a) for block in self._blocks]
+        self._counts = np.bincount(self.grid.cell(samples.v, samples.a), minlength=self.grid.size)
+        self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)

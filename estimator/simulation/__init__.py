@@ -1,0 +1,23 @@
+"""A truck simulated forward in time, and the world it drives in, as its control units would tell of them.
+
+A drive obeys ``P = A v + C v^3 + m v a`` exactly until something is asked to go differently::
+
+    from estimator.simulation.recording import simulate
+    from estimator.simulation.sensors import Sensors
+    from estimator.simulation.truck import draw_truck
+
+    recording = simulate(
+        draw_truck(rng), "highway", 4500.0, rng,                        # kind of road, duration [s]
+        shape="out-and-back",                                           # or "one-way", "loop"
+        effects={"grade": 0.012, "auxiliary_cycling": None},            # None: the usual magnitude
+        sensors=Sensors(speed_noise=0.008, torque_resolution=0.01, without=frozenset({Role.HEADING})),
+    )
+    frames = frames_of(recording.signals)                               # of estimator.can_io.recorder, as is write_log
+    recording.truth.effect_power["grade"]                               # [W], on recording.truth.t
+    recording.describe()                                                # the truth in plain values, for JSON
+
+`effects.catalogue.KINDS` lists the effects with unit, usual magnitude, plausible range, and the name a right diagnosis
+gives them (``known_as``; None: outside every catalogue). `effects.effect.Effect` also says when, or from where.
+`truth.Truth` says what really happened, and how the effects add up. `sensors.Sensors` holds the nuisances, and
+`sensors.OPTIONAL` the signals a bus may lack. Nothing here uses the formulas of the model under test.
+"""

@@ -1,14 +1,20 @@
 """A recorded drive: what the bus would tell, beside what really happened."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from estimator.signals import Signals
-from estimator.simulation.drive import Disturbance, Truth, drive
-from estimator.simulation.route import Route
+from estimator.simulation.drive import drive
+from estimator.simulation.effects.catalogue import effects_from, kind_of
+from estimator.simulation.effects.effect import Effect
+from estimator.simulation.itinerary import Shape, plan_route
+from estimator.simulation.route import RoadKind, Route
 from estimator.simulation.sensors import Sensors, measure
 from estimator.simulation.truck import Truck
+from estimator.simulation.truth import Truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +24,26 @@ class Recording:
     signals: Signals
     truth: Truth
 
+    def describe(self) -> dict[str, Any]:
+        """The truth in a few plain values: the truck, the effects asked for, and the power of whatever else acted."""
+        truth, truck = self.truth, self.truth.truck
+        names = [effect.name for effect in truth.effects]
+        return {
+            "truth": {"mass_kg": truck.mass, "A_N": truck.A, "C_N_s2_m2": truck.C},
+            "effects": [
+                {
+                    "name": effect.name,
+                    "known_as": kind_of(effect.name).known_as,
+                    "magnitude": effect.magnitude,
+                    "unit": kind_of(effect.name).unit,
+                    "rms_kW": truth.rms_power(effect.name) / 1e3,
+                    "active_s": [list(span) for span in truth.active.get(effect.name, [])],
+                }
+                for effect in truth.effects
+            ],
+            "also_acting_kW": {name: truth.rms_power(name) / 1e3 for name in truth.effect_power if name not in names},
+        }
+
 
 def record(
     truck: Truck,
@@ -26,7 +52,7 @@ def record(
     rng: np.random.Generator,
     *,
     sensors: Sensors | None = None,
-    disturbance: Disturbance | None = None,
+    effects: Iterable[Effect] = (),
 ) -> Recording:
     """Drive and measure; the drive does not depend on the sensors.
 
@@ -40,9 +66,30 @@ def record(
         Source of randomness.
     sensors
         How well the truck measures; an ordinary truck by default.
-    disturbance
-        Physics beyond the plain truck; none by default.
+    effects
+        Physics and errors beyond the plain truck; none by default.
+
+    Raises
+    ------
+    InputError
+        There is no such effect, or none of that magnitude.
     """
     drive_rng, sensor_rng = rng.spawn(2)
-    truth = drive(truck, route, duration, drive_rng, disturbance)
+    truth = drive(truck, route, duration, drive_rng, effects)
     return Recording(measure(truth, sensors or Sensors(), sensor_rng), truth)
+
+
+def simulate(
+    truck: Truck,
+    kind: RoadKind,
+    duration: float,
+    rng: np.random.Generator,
+    *,
+    shape: Shape = "one-way",
+    effects: Mapping[str, float | None] | Iterable[Effect] = (),
+    sensors: Sensors | None = None,
+) -> Recording:
+    """Plan a road of a kind and shape, then `record`; ``effects`` by name and magnitude, or as `Effect`."""
+    route = plan_route(kind, duration, rng, shape)
+    asked = effects_from(effects) if isinstance(effects, Mapping) else effects
+    return record(truck, route, duration, rng, sensors=sensors, effects=asked)

@@ -1,13 +1,14 @@
-"""Roads by distance: sections with a speed to drive, stops with a dwell time, and grade."""
+"""Roads by distance: sections with a speed to drive, stops with a dwell time, grade and bends."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import cycle
 from typing import Literal
 
 import numpy as np
 
 from estimator.signals import Floats
+from estimator.simulation.bends import CURVE_SPACING, Bend, curvature_of
 from estimator.simulation.noise import smooth
 
 KMH = 1 / 3.6  # m/s
@@ -22,7 +23,10 @@ class Route:
     """A road to follow.
 
     ``section_start`` (k,) [m] begins at 0 and rises; ``section_speed`` (k,) [m/s]; ``stop_position`` (j,) [m] rises
-    and ends at the road's end; ``stop_dwell`` (j,) [s]; ``grade`` (n,) rise over run every ``GRADE_SPACING`` [1].
+    and ends at the road's end; ``stop_dwell`` (j,) [s]; ``grade`` (n,) rise over run every ``GRADE_SPACING`` [1];
+    ``curvature`` (c,) every ``CURVE_SPACING``, positive to the left [1/m], straight where empty; ``start_heading``
+    clockwise from north [rad]. A road driven more than once, or there and back, has ``place`` (n,): the position
+    along the ground [m] at the points of ``grade``; and the length of a ``lap`` [m].
     """
 
     section_start: Floats
@@ -30,6 +34,10 @@ class Route:
     stop_position: Floats
     stop_dwell: Floats
     grade: Floats
+    curvature: Floats = field(default_factory=lambda: np.zeros(2))
+    start_heading: float = 0.0
+    place: Floats | None = None
+    lap: float | None = None
 
     @property
     def length(self) -> float:
@@ -42,6 +50,12 @@ class Route:
         sine = self.grade / np.hypot(1.0, self.grade)
         return np.concatenate([[0.0], np.cumsum(0.5 * GRADE_SPACING * (sine[1:] + sine[:-1]))])
 
+    @property
+    def heading(self) -> Floats:
+        """Heading [rad], clockwise from north and not wrapped, at the points of ``curvature``."""
+        turned = np.cumsum(0.5 * CURVE_SPACING * (self.curvature[1:] + self.curvature[:-1]))
+        return self.start_heading - np.concatenate([[0.0], turned])
+
 
 @dataclass(frozen=True, slots=True)
 class _Road:
@@ -51,11 +65,16 @@ class _Road:
     bend: float  # probability of a slow bend or slow zone after a section
     bend_speed: float  # km/h
     bend_length: float  # m
+    bend_angle: tuple[float, float]  # rad, smallest and largest change of heading in a bend
 
 
-_URBAN = _Road((30, 40, 50, 50, 60), (150, 700), stop=0.5, bend=0.15, bend_speed=18, bend_length=25)
-_RURAL = _Road((60, 70, 80), (600, 2500), stop=0.2, bend=0.25, bend_speed=35, bend_length=80)
-_HIGHWAY = _Road((80, 85, 85, 90), (2000, 7000), stop=0.0, bend=0.2, bend_speed=60, bend_length=800)
+_URBAN = _Road(
+    (30, 40, 50, 50, 60), (150, 700), stop=0.5, bend=0.15, bend_speed=18, bend_length=25, bend_angle=(1.2, 1.8)
+)
+_RURAL = _Road((60, 70, 80), (600, 2500), stop=0.2, bend=0.25, bend_speed=35, bend_length=80, bend_angle=(0.5, 1.5))
+_HIGHWAY = _Road(
+    (80, 85, 85, 90), (2000, 7000), stop=0.0, bend=0.2, bend_speed=60, bend_length=800, bend_angle=(0.6, 2.4)
+)
 _BLOCKS: dict[RoadKind, tuple[tuple[_Road, float], ...]] = {  # kind of road, length of a block [m]
     "urban": ((_URBAN, 10e3),),
     "mixed": ((_URBAN, 5e3), (_RURAL, 6e3), (_HIGHWAY, 12e3), (_RURAL, 5e3)),
@@ -81,6 +100,7 @@ def generate_route(kind: RoadKind, length: float, rng: np.random.Generator, grad
     speeds: list[float] = []
     stops: list[float] = []
     dwells: list[float] = []
+    bends: list[Bend] = []
     position = 0.0
     for road in _roads(kind):
         if position >= length:
@@ -92,16 +112,20 @@ def generate_route(kind: RoadKind, length: float, rng: np.random.Generator, grad
             starts.append(position)
             speeds.append(road.bend_speed * rng.uniform(0.85, 1.15) * KMH)
             position += road.bend_length * rng.uniform(0.7, 1.5)
+            bends.append(Bend(starts[-1], position, speeds[-1], road.bend_angle))
         if rng.random() < road.stop and position < length:
             stops.append(position)
             dwells.append(3.0 + rng.exponential(16.0))
     points = int(length / GRADE_SPACING) + 2
+    grade = smooth(points, grade_sd, HILL_LENGTH / GRADE_SPACING / 2, rng)
     return Route(
         np.array(starts),
         np.array(speeds),
         np.array([*stops, length]),
         np.array([*dwells, np.inf]),
-        smooth(points, grade_sd, HILL_LENGTH / GRADE_SPACING / 2, rng),
+        grade,
+        curvature_of(np.array(starts), np.array(speeds), bends, length, rng),
+        rng.uniform(0.0, 2 * np.pi),
     )
 
 

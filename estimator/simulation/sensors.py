@@ -5,25 +5,44 @@ SPN 513 and 4154 do; the nominal friction comes apart and slower, as SPN 514 doe
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.signals import Floats, Role, Series, Signals
-from estimator.simulation.drive import STEP, Truth
+from estimator.signals import Floats, Mask, Role, Series, Signals
+from estimator.simulation.moment import STEP
 from estimator.simulation.noise import correlated, smooth
+from estimator.simulation.truth import Truth
+from estimator.units import STANDARD_GRAVITY
 
 SPEED_RESOLUTION = 1 / 256 / 3.6  # m/s
 ENGINE_SPEED_RESOLUTION = 0.125 * 2 * pi / 60  # rad/s
 PERCENT = 0.01
 PEDAL_RESOLUTION = 0.004  # of full travel
 FULL_BRAKING = 6.0  # m/s^2 at full travel of the brake pedal
+HEADING_NOISE = 0.01  # rad
+YAW_NOISE = 0.002  # rad/s
+ACCELERATION_NOISE = 0.03  # m/s^2
+DROPOUT = 1.0, 8.0  # s, shortest and longest
 TORQUE_PERIOD = 0.02  # s, engine torque and speed
 
-SEA_LEVEL_PRESSURE = 101_325.0  # Pa
-LAPSE = 2.25577e-5, 5.25588  # 1/m and exponent of the standard atmosphere
+OPTIONAL = (
+    Role.ALTITUDE,
+    Role.GRADE,
+    Role.HEADING,
+    Role.GPS_SPEED,
+    Role.AMBIENT_TEMPERATURE,
+    Role.AIR_PRESSURE,
+    Role.COOLANT_TEMPERATURE,
+    Role.FAN_SPEED,
+    Role.YAW_RATE,
+    Role.LATERAL_ACCELERATION,
+    Role.LONGITUDINAL_ACCELERATION,
+    Role.RETARDER_FRACTION,
+    Role.GEAR,
+)  # what a bus may lack and still tell speed and power
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +64,14 @@ class Sensors:
         How much later torque and engine speed are measured than vehicle speed [s].
     jitter
         Standard deviation of sending times [s].
-    ambient_temperature
-        Mean temperature of the air [K].
+    grade_noise, grade_offset
+        Standard deviation of the slow error of the grade, and its offset, rise over run [1].
+    altitude_noise
+        Standard deviation of the slow error of the altitude [m].
+    dropouts
+        Share of the time in which a message is lost for seconds [1].
+    without
+        Signals that are not on this bus, of ``OPTIONAL``.
     """
 
     speed_noise: float = 0.01
@@ -56,39 +81,47 @@ class Sensors:
     torque_resolution: float = 0.00125
     torque_lag: float = 0.03
     jitter: float = 0.0005
-    ambient_temperature: float = 288.15
+    grade_noise: float = 0.0
+    grade_offset: float = 0.0
+    altitude_noise: float = 1.0
+    dropouts: float = 0.0
+    without: frozenset[Role] = field(default_factory=frozenset)
 
 
 def measure(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Signals:
     """Signals of a drive as the control units send them; roles of one message share their times."""
-    return dict(
-        series
-        for control_unit in (_engine, _vehicle_speed, _transmission, _brakes, _surroundings)
-        for series in control_unit(truth, sensors, rng)
-    )
+    control_units = (_engine, _vehicle_speed, _transmission, _brakes, _surroundings, _stability, _accessories)
+    signals = {
+        role: series
+        for control_unit in control_units
+        for role, series in control_unit(truth, sensors, rng)
+        if role not in sensors.without
+    }
+    return _with_dropouts(signals, sensors.dropouts, rng) if sensors.dropouts > 0.0 else signals
 
 
 def _engine(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
-    truck = truth.truck
+    truck, reading = truth.truck, truth.reading
     reference = truck.reference_torque
+    resolution = max(sensors.torque_resolution, reading.torque_step / reference)
 
     t = _times(truth, TORQUE_PERIOD, sensors, rng)
     seen = t - sensors.torque_lag
-    speed = np.interp(seen, truth.t, truth.engine_speed)
-    indicated = np.interp(seen, truth.t, truth.torque + truck.friction_torque(truth.engine_speed)) / reference
+    speed = np.interp(seen, truth.t, reading.engine_speed)
+    indicated = np.interp(seen, truth.t, reading.torque + truck.friction_torque(reading.engine_speed)) / reference
     indicated += correlated(len(t), sensors.torque_noise, sensors.torque_correlation / TORQUE_PERIOD, rng)
     indicated += rng.normal(0.0, sensors.torque_white_noise, len(t))
-    indicated = np.clip(_quantise(indicated, sensors.torque_resolution), -1.25, 1.25)
+    indicated = np.clip(_quantise(indicated, resolution), -1.25, 1.25)
     yield Role.ENGINE_SPEED, Series(t, _quantise(speed, ENGINE_SPEED_RESOLUTION))
-    if sensors.torque_resolution < PERCENT:
+    if resolution < 0.99 * PERCENT:
         whole = np.floor(indicated / PERCENT + 1e-6) * PERCENT
         yield Role.TORQUE_FRACTION, Series(t, whole)
-        yield Role.TORQUE_FRACTION_FINE, Series(t, _quantise(indicated - whole, sensors.torque_resolution))
+        yield Role.TORQUE_FRACTION_FINE, Series(t, _quantise(indicated - whole, resolution))
     else:
         yield Role.TORQUE_FRACTION, Series(t, indicated)
 
     t = _times(truth, 0.25, sensors, rng)
-    friction = truck.friction_torque(np.interp(t - sensors.torque_lag, truth.t, truth.engine_speed)) / reference
+    friction = truck.friction_torque(np.interp(t - sensors.torque_lag, truth.t, reading.engine_speed)) / reference
     yield Role.FRICTION_FRACTION, Series(t, _quantise(friction, PERCENT))
     t = _times(truth, 5.0, sensors, rng)
     yield Role.REFERENCE_TORQUE, Series(t, np.full(len(t), reference))
@@ -118,23 +151,66 @@ def _brakes(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterato
     pressed = _state(truth, t, truth.braking).value > 0.0
     yield Role.BRAKE_PEDAL, Series(t, np.where(pressed, np.clip(_quantise(pedal, PEDAL_RESOLUTION), 0.0, 1.0), 0.0))
     t = _times(truth, 0.1, sensors, rng)
-    yield Role.GRADE, Series(t, np.interp(t, truth.t, truth.grade))
+    grade = np.interp(t, truth.t, truth.grade) + sensors.grade_offset
+    if sensors.grade_noise > 0.0:
+        grade += smooth(len(t), sensors.grade_noise, 20.0 / 0.1, rng)
+    yield Role.GRADE, Series(t, grade)
+    if truth.retarder.any():
+        strength = np.interp(t, truth.t, truth.retarder) / truth.retarder.max()
+        yield Role.RETARDER_FRACTION, Series(t, -_quantise(strength, PERCENT))
 
 
 def _surroundings(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
     t = _times(truth, 1.0, sensors, rng)
-    altitude = np.interp(t, truth.t, truth.altitude)
-    lapse, exponent = LAPSE
-    air = sensors.ambient_temperature + smooth(len(t), 0.5, 600.0, rng)
+    air = np.interp(t, truth.t, truth.ambient_temperature) + smooth(len(t), 0.5, 600.0, rng)
     yield Role.AMBIENT_TEMPERATURE, Series(t, _quantise(air, 1 / 32, 273.15))
-    yield Role.AIR_PRESSURE, Series(t, _quantise(SEA_LEVEL_PRESSURE * (1.0 - lapse * altitude) ** exponent, 500.0))
+    yield Role.AIR_PRESSURE, Series(t, _quantise(np.interp(t, truth.t, truth.pressure), 500.0))
     t = _times(truth, 1.0, sensors, rng)
-    yield Role.COOLANT_TEMPERATURE, Series(t, _quantise(358.15 + smooth(len(t), 2.0, 120.0, rng), 1.0, 273.15))
+    coolant = np.interp(t, truth.t, truth.coolant_temperature) + smooth(len(t), 0.5, 120.0, rng)
+    yield Role.COOLANT_TEMPERATURE, Series(t, _quantise(coolant, 1.0, 273.15))
     t = _times(truth, 1.0, sensors, rng)
     satellites = np.interp(t, truth.t, truth.v) + rng.normal(0.0, 0.05, len(t))
-    altitude = np.interp(t, truth.t, truth.altitude) + smooth(len(t), 1.0, 30.0, rng)
+    altitude = np.interp(t, truth.t, truth.altitude) + smooth(len(t), sensors.altitude_noise, 30.0, rng)
+    heading = np.interp(t, truth.t, truth.heading) + rng.normal(0.0, HEADING_NOISE, len(t))
     yield Role.ALTITUDE, Series(t, _quantise(altitude, 0.125))
     yield Role.GPS_SPEED, Series(t, _quantise(np.maximum(satellites, 0.0), SPEED_RESOLUTION))
+    yield Role.HEADING, Series(t, _quantise(heading % (2 * pi), pi / 180 / 128) % (2 * pi))
+
+
+def _stability(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    t = _times(truth, 0.1, sensors, rng)
+    felt = truth.a + STANDARD_GRAVITY * truth.grade / np.hypot(1.0, truth.grade)
+    for role, true, noise in (
+        (Role.YAW_RATE, truth.yaw_rate, YAW_NOISE),
+        (Role.LATERAL_ACCELERATION, truth.lateral_acceleration, ACCELERATION_NOISE),
+        (Role.LONGITUDINAL_ACCELERATION, felt, ACCELERATION_NOISE),
+    ):
+        yield role, Series(t, np.interp(t, truth.t, true) + rng.normal(0.0, noise, len(t)))
+
+
+def _accessories(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    t = _times(truth, 1.0, sensors, rng)
+    yield Role.FAN_SPEED, Series(t, _quantise(np.interp(t, truth.t, truth.fan_speed), ENGINE_SPEED_RESOLUTION))
+
+
+def _with_dropouts(signals: Signals, share: float, rng: np.random.Generator) -> Signals:
+    """Lose messages for a few seconds at a time; signals of one message share their times, and are lost together."""
+    kept: dict[int, Mask] = {}
+    for series in signals.values():
+        if id(series.t) not in kept:
+            kept[id(series.t)] = _received(series.t, share, rng)
+    return {
+        role: Series(series.t[kept[id(series.t)]], series.value[kept[id(series.t)]]) for role, series in signals.items()
+    }
+
+
+def _received(t: Floats, share: float, rng: np.random.Generator) -> Mask:
+    count = rng.poisson(share * (t[-1] - t[0]) / np.mean(DROPOUT))
+    received = np.ones(len(t), bool)
+    for start, length in zip(rng.uniform(t[0], t[-1], count), rng.uniform(*DROPOUT, count), strict=True):
+        received &= (t < start) | (t > start + length)
+    received[0] = True
+    return received
 
 
 def _times(truth: Truth, period: float, sensors: Sensors, rng: np.random.Generator) -> Floats:
@@ -146,7 +222,7 @@ def _times(truth: Truth, period: float, sensors: Sensors, rng: np.random.Generat
 
 
 def _wheel_speed(truth: Truth, t: Floats, sensors: Sensors, rng: np.random.Generator) -> Floats:
-    v = np.interp(t, truth.t, truth.v)
+    v = np.interp(t, truth.t, truth.reading.v)
     noisy = v + rng.normal(0.0, 1.0, len(t)) * sensors.speed_noise
     return _quantise(np.where(v > 0.0, np.maximum(noisy, 0.0), 0.0), SPEED_RESOLUTION)
 

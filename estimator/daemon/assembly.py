@@ -1,0 +1,158 @@
+"""From a configuration to a daemon: checked as a whole before anything is opened."""
+
+import argparse
+import logging
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from estimator import config as configuration
+from estimator.can_io.binding import BoundMessage, bind, load_database
+from estimator.can_io.publisher import output_groups
+from estimator.config import Config
+from estimator.daemon import folders, trust
+from estimator.daemon.buses import BusSpec, spec_of, with_bus
+from estimator.daemon.filters import input_filters, node_filters
+from estimator.daemon.link import Link
+from estimator.daemon.loop import Daemon
+from estimator.daemon.service import Notifier
+from estimator.daemon.transmitter import Transmitter
+from estimator.daemon.worker import Worker
+from estimator.errors import ConfigError, RoadloadError
+from estimator.pipeline import Pipeline
+from estimator.state_store import StateStore
+
+log = logging.getLogger(__name__)
+
+DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that a daemon needs, checked: settings, bound messages, buses, and whose state may be restored."""
+
+    config: Config
+    messages: list[BoundMessage]
+    source: BusSpec
+    target: BusSpec | None
+    key: str
+
+
+def settle(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) -> Config:
+    """The configuration file, with what the command line puts in its place.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong, or anybody may write it.
+    """
+    settings = configuration.load(path)
+    if dbc:
+        settings = configuration.replace(settings, bus=msgspec.structs.replace(settings.bus, dbc=dbc))
+    transmit = with_bus(settings.transmit, options, "output_")
+    if getattr(options, "transmit", False):
+        transmit = msgspec.structs.replace(transmit, enabled=True)
+    settings = configuration.replace(settings, reception=with_bus(settings.reception, options), transmit=transmit)
+    trust.check_files(path, settings)
+    return settings
+
+
+def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) -> Plan:
+    """Check everything that can be checked before a bus is opened.
+
+    Raises
+    ------
+    InputError
+        Configuration, databases or the choice of buses are wrong.
+    """
+    settings = settle(path, dbc, options)
+    messages = bind(settings, load_database(settings.bus.dbc))
+    source = spec_of(options, settings.reception)
+    source.resolved()
+    target: BusSpec | None = None
+    if settings.transmit.enabled:
+        _check_groups(messages, settings)
+        named = spec_of(options, settings.transmit, "output_")
+        if (named.options or named.context is not None) and named.resolved() != source.resolved():
+            target = named
+    elif any(name.startswith("output_") for name in vars(options)):
+        raise ConfigError("an output bus is named, but transmission is off; give --transmit or leave the bus out")
+    return Plan(settings, messages, source, target, estimation_key(settings))
+
+
+def _check_groups(messages: list[BoundMessage], settings: Config) -> None:
+    ours = output_groups(settings.publish.cvw)
+    for message in messages:
+        if message.by_pgn and message.key in ours:
+            raise ConfigError(
+                f"{message.name}: PGN {message.key:05X} is an input here and is broadcast by roadload too; "
+                "bind another message, or switch transmission off"
+            )
+
+
+def estimation_key(settings: Config) -> str:
+    """Digest of everything that the meaning of a saved state depends on: vehicle, databases, settings."""
+    relevant = {name: getattr(settings, name) for name in settings.__struct_fields__ if name not in DAEMON_TABLES}
+    relevant["bus"] = msgspec.structs.replace(settings.bus, dbc=[])
+    digest = blake2b(msgspec.json.encode(relevant, order="sorted"), digest_size=16)
+    for name in settings.bus.dbc:
+        digest.update(Path(name).read_bytes())
+    return digest.hexdigest()
+
+
+def restored(settings: Config, store: StateStore, key: str) -> Pipeline:
+    """A pipeline that goes on where the last one stopped, as far as that is known."""
+    state, reason = store.load(key)
+    if reason:
+        log.info("saved state: %s", reason)
+    if state is not None:
+        pipeline = Pipeline(settings)
+        try:
+            pipeline.restore(state)
+        except RoadloadError as error:
+            log.warning("saved state discarded: %s", error)
+        else:
+            return pipeline
+    return Pipeline(settings)
+
+
+def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | None = None) -> Daemon:
+    """A daemon, not yet started; ``pipeline`` is one that goes on, instead of the saved state.
+
+    Raises
+    ------
+    ConfigError
+        A folder cannot be made or used.
+    """
+    settings = plan.config
+    reception, service = settings.reception, settings.service
+    store = StateStore(folders.make(folders.state_directory(service), 0o700))
+    runtime = folders.make(folders.runtime_directory(service), 0o755)
+    filters, own = input_filters(plan.messages), node_filters(settings.publish.source_address)
+    wanted = [*filters, *own] if settings.transmit.enabled else filters
+    source = Link(plan.source, wanted if reception.filter else None, reception)
+    target = None if plan.target is None else Link(plan.target, own if reception.filter else None, reception)
+    transmitter = None
+    if settings.transmit.enabled:
+        output = target or source
+        transmitter = Transmitter(settings.publish, settings.transmit, output.send, np.random.default_rng())
+    worker = Worker(
+        pipeline or restored(settings, store, plan.key),
+        reception.queue_frames,
+        store,
+        plan.key,
+        service.save_interval_s,
+    )
+    return Daemon(
+        source,
+        target,
+        worker,
+        transmitter,
+        reception.silence_s,
+        runtime / folders.STATUS_FILE,
+        Path(service.metrics) if service.metrics else None,
+        notifier,
+    )

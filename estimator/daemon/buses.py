@@ -1,0 +1,152 @@
+"""Opening a bus as python-can users know it, and telling what waiting can mend from what it cannot."""
+
+import argparse
+import errno
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import can
+import msgspec
+from can.typechecking import CanFilter
+
+from estimator.config import BusOptions
+from estimator.errors import ConfigError, RoadloadError
+
+CONFIGURABLE = ("interface", "channel", "bitrate")
+OPTIONS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")  # of `can.cli.add_bus_arguments`
+NEVER = {  # errors of opening a socket that no waiting mends
+    errno.EPERM: "no permission; let the service run as a user who may open it",
+    errno.EACCES: "no permission; let the service run as a user who may open it",
+    errno.EAFNOSUPPORT: "this kernel has no SocketCAN; load the module can",
+    errno.EPROTONOSUPPORT: "this kernel has no raw CAN sockets; load the module can_raw",
+}
+INTERFACES = Path("/sys/class/net")
+ARPHRD_CAN = 280  # type of a CAN network device (linux/if_arp.h)
+B = TypeVar("B", bound=BusOptions)
+LONGEST_NAME = 15  # characters of a network device's name (IFNAMSIZ - 1)
+
+
+class NotThereError(RoadloadError):
+    """A bus cannot be opened now; later it may."""
+
+
+@dataclass(frozen=True)
+class BusSpec:
+    """Which bus: keyword arguments of `can.Bus`, completed by python-can from can.conf and the environment."""
+
+    options: dict[str, Any] = field(default_factory=dict)
+    context: str | None = None
+
+    def resolved(self) -> dict[str, Any]:
+        """All arguments, as `can.Bus` will see them.
+
+        Raises
+        ------
+        ConfigError
+            No interface is named, or none that python-can knows, or a device name that cannot exist.
+        """
+        try:
+            found: dict[str, Any] = dict(can.util.load_config(config=dict(self.options), context=self.context))
+        except (can.CanError, ValueError, TypeError) as error:
+            reason = "no interface is named" if "interface" not in self.options else error
+            raise ConfigError(f"bus: {reason}; give -i INTERFACE and -c CHANNEL, or write them in can.conf") from error
+        if found["channel"] is None:
+            raise ConfigError(f"bus: no channel of {found['interface']}; give -c CHANNEL, or write it in can.conf")
+        if found["interface"] == "socketcan":
+            name = str(found["channel"])
+            if not 0 < len(name) <= LONGEST_NAME or "/" in name or any(c.isspace() for c in name) or name in ".":
+                raise ConfigError(f"bus: {name!r} cannot be the name of an interface; give one such as can0")
+        return found
+
+    @property
+    def label(self) -> str:
+        """What to call the bus in a message."""
+        found = self.resolved()
+        return f"{found['interface']} {found['channel']}"
+
+
+def spec_of(namespace: argparse.Namespace, table: BusOptions, prefix: str = "") -> BusSpec:
+    """Bus from the command line, completed by a table of the configuration."""
+    options = {name: getattr(table, name) for name in CONFIGURABLE if getattr(table, name) is not None}
+    options |= _given(namespace, OPTIONS, prefix)
+    return BusSpec(options | getattr(namespace, f"{prefix}bus_kwargs", {}), table.context)
+
+
+def with_bus(table: B, namespace: argparse.Namespace, prefix: str = "") -> B:
+    """A table of the configuration with the bus that the command line names in its place."""
+    return msgspec.structs.replace(table, **_given(namespace, CONFIGURABLE, prefix))
+
+
+def _given(namespace: argparse.Namespace, names: tuple[str, ...], prefix: str) -> dict[str, Any]:
+    return {name: getattr(namespace, prefix + name) for name in names if hasattr(namespace, prefix + name)}
+
+
+def open_bus(spec: BusSpec, filters: list[CanFilter] | None) -> can.BusABC:
+    """Open a bus.
+
+    Raises
+    ------
+    NotThereError
+        Now it cannot be opened; waiting can help.
+    ConfigError
+        It never will be.
+    """
+    found = spec.resolved()
+    if found["interface"] == "socketcan":
+        _check_type(str(found["channel"]))
+    try:
+        return can.Bus(**spec.options, config_context=spec.context, can_filters=filters)
+    except can.CanInterfaceNotImplementedError as error:
+        raise ConfigError(f"{spec.label}: {error}") from error
+    except OSError as error:
+        if error.errno in NEVER:
+            raise ConfigError(f"{spec.label}: {NEVER[error.errno]}") from error
+        raise NotThereError(error.strerror or str(error)) from error
+    except can.CanError as error:
+        raise NotThereError(str(error)) from error
+    except (ImportError, NotImplementedError, AttributeError, TypeError, ValueError) as error:
+        raise ConfigError(f"{spec.label}: {error}") from error
+
+
+def _check_type(name: str) -> None:
+    try:
+        kind = int((INTERFACES / name / "type").read_text())
+    except (OSError, ValueError):
+        return
+    if kind != ARPHRD_CAN:
+        raise ConfigError(f"socketcan {name}: is not a CAN interface; CAN interfaces are listed by: ip link")
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """State of a network device: its number changes when it is made anew; ``received`` counts all its frames."""
+
+    index: int
+    is_up: bool
+    received: int
+
+
+Probe = Callable[[], "Device | bool | None"]
+
+
+def probe_of(spec: BusSpec) -> Probe:
+    """How to look at the device behind a bus: a `Device`, None while it is gone, True where it has none."""
+    found = spec.resolved()
+    if found["interface"] != "socketcan" or not hasattr(socket, "AF_CAN") or not INTERFACES.is_dir():
+        return lambda: True
+    folder = INTERFACES / str(found["channel"])
+
+    def look() -> "Device | bool | None":
+        try:
+            return Device(
+                int((folder / "ifindex").read_text()),
+                bool(int((folder / "flags").read_text(), 16) & 1),
+                int((folder / "statistics" / "rx_packets").read_text()),
+            )
+        except (OSError, ValueError):
+            return None
+
+    return look

@@ -1,0 +1,163 @@
+"""The only room that sends: as a node with an address, nothing that others send, never more than is allowed.
+
+Whatever keeps a frame back is counted by name; a frame that was kept back is not sent later, for then it would be old.
+"""
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+
+import can
+import numpy as np
+
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.j1939 import pgn_of
+from estimator.can_io.name import Name
+from estimator.can_io.neighbours import CVW, Neighbours
+from estimator.can_io.node import ADDRESS_CLAIMED, REQUEST, Node, TokenBucket
+from estimator.can_io.publisher import output_groups
+from estimator.config import Publish, Transmit
+from estimator.estimate import Estimate
+from estimator.gateway import publisher_of
+
+log = logging.getLogger(__name__)
+
+BURST = 3.0  # seconds' worth of frames that may go out at once
+NEW_CLAIM = 1.0  # s after a claim that could not be sent
+
+
+class Transmitter:
+    """Broadcasts the estimate on one bus.
+
+    Parameters
+    ----------
+    publish, transmit
+        What is sent, and as whom.
+    send
+        Puts a message on the bus; raises OSError or `can.CanError`.
+    rng
+        Source of the random delays of address claim.
+    """
+
+    def __init__(
+        self, publish: Publish, transmit: Transmit, send: Callable[[can.Message], None], rng: np.random.Generator
+    ) -> None:
+        self.published = 0
+        self.withheld: Counter[str] = Counter()  # frames, by reason
+        self.failed = 0
+        self._send, self._rng = send, rng
+        self._preferred = publish.source_address
+        self._name = _name_of(transmit)
+        self._publisher = publisher_of(publish)
+        self._neighbours = Neighbours(output_groups())
+        self._bucket = TokenBucket(transmit.frames_per_second, max(1, round(BURST * transmit.frames_per_second)))
+        self._estimate: Estimate | None = None
+        self._t = 0.0  # message time [s] of the latest turn
+        self._foreign: list[int] = []
+        self._quiet_until = -np.inf
+        self.restart()
+
+    @property
+    def address(self) -> int | None:
+        """Address we may send from, None while there is none."""
+        return self.node.address
+
+    @property
+    def foreign_weights(self) -> list[int]:
+        """Source addresses from which others send the combination vehicle weight."""
+        return self._foreign
+
+    def restart(self) -> None:
+        """Claim an address anew, as after the bus has been away."""
+        self.node = Node(self._name, self._preferred, self._rng, self._answer)
+
+    def hear(self, frames: Frames, now: float) -> None:
+        """Take what others sent, by the monotonic time ``now`` [s]; answer what is asked."""
+        self._neighbours.watch(frames)
+        if now < self._quiet_until:
+            return
+        pgn = pgn_of(frames.ident)
+        own = frames.ident & 0xFF == (-1 if self.address is None else self.address)
+        concerned = (frames.ident & EXTENDED != 0) & ((pgn == ADDRESS_CLAIMED) | (pgn == REQUEST) | own)
+        for message in frames[concerned].messages():
+            self._put(self.node.hear(message, now), now)
+
+    def turn(self, now: float, t: float, estimate: Estimate | None, is_receiving: bool) -> None:
+        """Send what is due at monotonic time ``now`` and message time ``t`` [s].
+
+        Unless ``is_receiving``, nothing is: a vehicle asleep is not to be woken, and values of then are not of now.
+        """
+        self._estimate, self._t = estimate, t
+        self._foreign = self._neighbours.senders(CVW, t)
+        if now < self._quiet_until or not is_receiving:
+            return
+        self._put(self.node.poll(now), now)
+        address = self.node.address
+        if address is None:
+            return
+        self._publisher.source_address = address
+        for message in self._publisher.poll(t, estimate):
+            self._broadcast(message, now, t)
+
+    def bid_farewell(self, now: float, t: float) -> None:
+        """Tell receivers that from now on nothing is known."""
+        if self.node.address is not None:
+            for message in self._publisher.poll(t, None):
+                self._broadcast(message, now, t)
+
+    def _answer(self, pgn: int) -> can.Message | None:
+        if self.node.address is not None:
+            self._publisher.source_address = self.node.address
+        message = self._publisher.answer(pgn, self._estimate)
+        return None if message is None or self._reason_to_withhold(message, self._t) else message
+
+    def _broadcast(self, message: can.Message, now: float, t: float) -> None:
+        reason = self._reason_to_withhold(message, t)
+        if not reason and not self._bucket.take(now):
+            reason = "too many frames"
+        if reason:
+            self.withheld[reason] += 1
+            log.warning("frame withheld: %s", reason)
+            return
+        try:
+            self._send(message)
+        except (OSError, can.CanError) as error:
+            self.failed += 1
+            log.warning("sending failed: %s", error)
+        else:
+            self.published += 1
+
+    def _reason_to_withhold(self, message: can.Message, t: float) -> str:
+        group, source = message.arbitration_id >> 8 & 0x3FFFF, message.arbitration_id & 0xFF
+        if not self._neighbours.occupied(group, source, t):
+            return ""
+        what = "CVW" if group == CVW else f"PGN {group:05X} from address {source:02X}"
+        senders = ", ".join(f"{address:02X}" for address in self._neighbours.senders(group, t))
+        return f"{what} is sent by another node (address {senders})"
+
+    def _put(self, messages: list[can.Message], now: float) -> None:
+        """Send what the node says; a claim that nobody heard is none."""
+        for message in messages:
+            try:
+                self._send(message)
+            except (OSError, can.CanError) as error:
+                self.failed += 1
+                log.warning("sending failed: %s", error)
+                if message.arbitration_id >> 8 & 0x3FF00 == ADDRESS_CLAIMED:
+                    self._quiet_until = now + NEW_CLAIM
+                    self.restart()
+                    return
+
+
+def _name_of(transmit: Transmit) -> Name:
+    return Name(
+        identity=transmit.identity,
+        manufacturer=transmit.manufacturer,
+        ecu_instance=transmit.ecu_instance,
+        function_instance=transmit.function_instance,
+        function=transmit.function,
+        vehicle_system=transmit.vehicle_system,
+        vehicle_system_instance=transmit.vehicle_system_instance,
+        industry_group=transmit.industry_group,
+        arbitrary_address_capable=int(transmit.arbitrary_address),
+    )

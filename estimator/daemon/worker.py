@@ -1,0 +1,196 @@
+"""The thread that estimates: it takes what the loop hands over, and keeps what it has learnt through a power loss.
+
+Only this thread touches the pipeline; others read the `Knowledge` it leaves. A slow conclusion delays what waits
+here, not the reception of what follows.
+"""
+
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from estimator.can_io.frames import Frames
+from estimator.errors import RoadloadError
+from estimator.estimate import Estimate
+from estimator.pipeline import Pipeline
+
+log = logging.getLogger(__name__)
+
+SURVEY_PERIOD = 1.0  # s between refreshed `Knowledge`
+IDLE = 0.05  # s
+
+
+class Store(Protocol):
+    """What outlives the power; see `estimator.state_store`."""
+
+    def save(self, state: Mapping[str, Any], key: str) -> None:
+        """Keep a state."""
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the pipeline knew at message time ``t`` [s]; counts are since the start."""
+
+    t: float | None = None
+    estimate: Estimate | None = None
+    frames: int = 0
+    used: int = 0
+    readings: Mapping[str, int] = field(default_factory=dict)  # by role
+    newest: Mapping[str, float] = field(default_factory=dict)  # message time [s] of the newest valid one, by role
+    missing: tuple[str, ...] = ()  # inputs that the model needs and that never came
+    refused: Mapping[str, int] = field(default_factory=dict)  # frames and values, by message, signal and reason
+    rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by reason
+    sources: Mapping[str, int] = field(default_factory=dict)
+
+
+class Worker:
+    """Feeds a pipeline from a bounded queue.
+
+    Parameters
+    ----------
+    pipeline
+        Already restored, where there was something to restore.
+    most
+        Frames that may wait; newer ones are dropped and counted.
+    store, key, save_interval
+        Where the state is kept, for which vehicle and configuration, and how often [s]; no store, no state.
+    clock
+        Monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        most: int,
+        store: Store | None = None,
+        key: str = "",
+        save_interval: float = 60.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.pipeline = pipeline
+        self.knowledge = Knowledge(estimate=pipeline.estimator.latest)
+        self.drops = 0
+        self.longest = self.last_conclusion = 0.0  # [s] that a batch with a conclusion took
+        self.saves: Counter[str] = Counter()
+        self.saved_at: float | None = None  # [s] monotonic
+        self.failure: Exception | None = None
+        self._most, self._store, self._key, self._interval, self._clock = most, store, key, save_interval, clock
+        self._queue: deque[Frames] = deque()
+        self._waiting = 0
+        self._condition = threading.Condition()
+        self._busy_since: float | None = None
+        self._survey_due = -float("inf")
+        self._save_due = clock() + save_interval
+        self._fed = False  # anything new since the last save
+        self._stop = False
+        self._thread: threading.Thread | None = None
+        self._t: float | None = None
+
+    @property
+    def backlog(self) -> int:
+        """Frames that wait."""
+        return self._waiting
+
+    def stuck_for(self, now: float) -> float:
+        """For how long [s] the work at hand has taken so far."""
+        since = self._busy_since
+        return 0.0 if since is None else now - since
+
+    def offer(self, frames: Frames) -> None:
+        """Hand over frames; what does not fit is dropped, whole batches at a time."""
+        with self._condition:
+            if self._waiting + len(frames) > self._most:
+                self.drops += len(frames)
+                return
+            self._queue.append(frames)
+            self._waiting += len(frames)
+            self._condition.notify()
+
+    def start(self) -> None:
+        """Work in a thread from now on."""
+        self._thread = threading.Thread(target=self._run, name="estimator", daemon=True)
+        self._thread.start()
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Finish what waits, as far as time allows, and save."""
+        with self._condition:
+            self._stop = True
+            self._condition.notify()
+        if self._thread is not None:
+            self._thread.join(timeout)
+            if self._thread.is_alive():
+                log.warning("%s", "the estimator did not finish in time; what it did since the last save is lost")
+                return
+        if self.failure is None:  # else what there is may be broken, and is not kept
+            self.turn()
+            self.save()
+
+    def turn(self) -> None:
+        """Work through all that waits; then save and survey when due."""
+        with self._condition:
+            waiting, self._waiting = list(self._queue), 0
+            self._queue.clear()
+        began = self._busy_since = self._clock()
+        if waiting:
+            self._feed(Frames.concatenate(waiting), began)
+        now = self._clock()
+        if now >= self._save_due:
+            self.save()
+        if now >= self._survey_due:
+            self._survey_due = now + SURVEY_PERIOD
+            self.knowledge = self._survey()
+        self._busy_since = None
+
+    def save(self) -> None:
+        """Keep the state, if there is news and a place to keep it."""
+        self._save_due = self._clock() + self._interval
+        if self._store is None or not self._fed:
+            return
+        try:
+            self._store.save(self.pipeline.state(), self._key)
+        except (OSError, RoadloadError) as error:
+            self.saves["failed"] += 1
+            log.warning("state not saved: %s", error)
+            return
+        self._fed = False
+        self.saves["saved"] += 1
+        self.saved_at = self._clock()
+
+    def _run(self) -> None:
+        try:
+            while not self._stop:
+                with self._condition:
+                    if not self._queue and not self._stop:
+                        self._condition.wait(SURVEY_PERIOD)
+                self.turn()
+                time.sleep(IDLE)  # so that little batches gather into larger ones
+        except Exception as error:  # whatever it is: the main thread is told, and ends the process
+            self.failure = error
+
+    def _feed(self, frames: Frames, began: float) -> None:
+        self._t, self._fed = float(frames.t[-1]), True
+        concluded = None
+        for concluded in self.pipeline.feed(frames):
+            log.info("estimate: %s%s", concluded.status.value, f": {concluded.reason}" if concluded.reason else "")
+        if concluded is not None:
+            self.last_conclusion = self._clock() - began
+            self.longest = max(self.longest, self.last_conclusion)
+            self._survey_due = began
+
+    def _survey(self) -> Knowledge:
+        pipeline = self.pipeline
+        return Knowledge(
+            t=self._t,
+            estimate=pipeline.estimator.latest,
+            frames=pipeline.frames,
+            used=pipeline.used,
+            readings={role.value: count for role, count in pipeline.seen.items()},
+            newest={role.value: t for role, t in pipeline.newest.items()},
+            missing=tuple(pipeline.missing),
+            refused=dict(pipeline.errors),
+            rejected=dict(pipeline.estimator.rejected),
+            sources=pipeline.sources,
+        )

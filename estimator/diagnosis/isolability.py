@@ -1,0 +1,65 @@
+"""What this drive could tell at all: which effects leave the same trace, and which leave none."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.diagnosis.candidates import Candidate
+from estimator.diagnosis.model import Model
+from estimator.diagnosis.result import Invisible, Isolability, NotTestable, Shift
+from estimator.effects import Effect, Timing
+from estimator.signals import Quantity
+
+VISIBLE = 5.0  # log Bayes factor to be expected of an effect of usual size that this drive can show
+ALIKE = 0.95  # |correlation| of traces beyond which two effects are one class
+
+
+def isolability(candidates: Sequence[Candidate], model: Model) -> Isolability:
+    """Correlation of the traces of all candidates, and the evidence to expect of each."""
+    ordered = sorted(candidates, key=lambda candidate: candidate.name)
+    traces = np.array([candidate.trace for candidate in ordered]).reshape(len(ordered), -1)
+    expected = np.array([expected_evidence(candidate, model) for candidate in ordered])
+    return Isolability(tuple(c.name for c in ordered), np.abs(traces @ traces.T), expected)
+
+
+def expected_evidence(candidate: Candidate, model: Model) -> float:
+    """Log Bayes factor to be expected of an effect of usual size: Gaussian likelihood, Laplace's approximation."""
+    strength = candidate.term.effect.usual(model.road_load) / candidate.sd
+    return float(0.5 * strength**2 - np.log(max(strength, 1.0)) - candidate.cost)
+
+
+def classes(candidates: Sequence[Candidate], first: Candidate) -> tuple[str, ...]:
+    """Names of what cannot be told apart from ``first``: declared so, or alike on this drive."""
+    alike = [c.name for c in candidates if c is not first and abs(float(c.trace @ first.trace)) > ALIKE]
+    return tuple(sorted({*alike, *first.term.effect.equivalent}))
+
+
+def invisible(
+    effects: Sequence[Effect], candidates: Sequence[Candidate], model: Model, known: frozenset[Quantity]
+) -> list[Invisible]:
+    """Effects that could be there at their usual size unseen, and what A, C and m would take up of them."""
+    judged = {candidate.name: candidate for candidate in candidates}
+    present = {term.effect.name for term in model.terms}
+    found = []
+    for effect in effects:
+        if effect.name in present or not effect.usable_shapes(known):
+            continue
+        candidate = judged.get(effect.name)
+        expected = expected_evidence(candidate, model) if candidate else 0.0
+        if (effect.absorbed or effect.timing is Timing.ALWAYS) and expected < VISIBLE:
+            found.append(Invisible(effect.name, expected, _shift(effect, model, known), effect.breaks))
+    return found
+
+
+def _shift(effect: Effect, model: Model, known: frozenset[Quantity]) -> Shift:
+    """What ignoring the effect at its usual size does to the parameters."""
+    own, _ = model.views()
+    power = effect.power(own, effect.usable_shapes(known)[0])
+    change = effect.usual(model.road_load) * (model.base.inverse @ (model.base.Z.T @ power))
+    return Shift(mass=float(change[2]), A=float(change[0]), C=float(change[1]))
+
+
+def not_testable(effects: Sequence[Effect], known: frozenset[Quantity]) -> list[NotTestable]:
+    """Effects whose signals this bus does not carry."""
+    missing = [effect for effect in effects if not effect.usable_shapes(known)]
+    return [NotTestable(effect.name, " or ".join(role.value for role in effect.wanted)) for effect in missing]

@@ -1,0 +1,101 @@
+"""The road load with effects added, fitted to a drive."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.diagnosis.evidence import Base, Blocks, blocks_of, fit_base
+from estimator.effects import View
+from estimator.estimation.columns import MASS, PLAIN, Term, columns, views
+from estimator.estimation.moments import block_means
+from estimator.samples import Samples
+from estimator.signals import Floats, Mask
+
+SELECTIONS = 6  # passes that settle which samples count
+SIGMAS = 3.0  # model power must exceed this many sd of the slow residual
+SHARE = 0.25  # and need not exceed this share of the mean power
+SLOW = 20  # samples, 2 s: noise of dv/dt is gone from means over them
+FEWEST = 600  # samples that a fit can rest on
+MAD_TO_SD = 1.4826
+
+
+@dataclass(frozen=True)
+class Model:
+    """Samples that count, the terms in the model, and its fit.
+
+    Columns are those of the plain road load with the lag, [A, C, m, tau], then one for each term that does not join
+    the mass.
+    """
+
+    samples: Samples
+    terms: tuple[Term, ...]
+    base: Base
+
+    @property
+    def road_load(self) -> Floats:
+        """A [N], C [N s^2/m^2], m [kg] (3,)."""
+        return self.base.theta[:3]
+
+    @property
+    def magnitudes(self) -> list[float]:
+        """Of each term, in its own unit."""
+        own = iter(self.base.theta[PLAIN:].tolist())
+        return [float(self.base.theta[MASS]) if term.joins_mass else next(own) for term in self.terms]
+
+    def views(self) -> tuple[View, View]:
+        """The samples as measured, and as their instruments see them."""
+        return views(self.samples, self.road_load)
+
+    def columns_of(self, term: Term) -> tuple[Floats, Floats]:
+        """Column and instrument (n,) of a term."""
+        own, ring = self.views()
+        return term.column(own), term.column(ring)
+
+    @property
+    def slow_rms(self) -> float:
+        """Root mean square [W] of the residual over 2 s."""
+        return float(np.sqrt(np.mean(block_means(self.base.residual, SLOW) ** 2)))
+
+
+def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
+    """Which samples count: model power, as the instruments see it, clearly above 0; None where there are too few."""
+    kept = np.ones(len(samples), dtype=bool)
+    road_load: Floats = np.zeros(3)
+    for _ in range(SELECTIONS):
+        if kept.sum() < FEWEST:
+            return None
+        fitted = _fit(samples[kept], terms, road_load)
+        if fitted is None:
+            return None
+        road_load = fitted.theta[:3]
+        _, Z = columns(samples, terms, road_load)
+        predicted = Z @ fitted.theta
+        slow = MAD_TO_SD * float(np.median(np.abs(block_means(fitted.residual, SLOW))))
+        previous, kept = kept, predicted > min(SIGMAS * slow, SHARE * float(np.abs(samples.P).mean()))
+        if np.array_equal(kept, previous):
+            break
+    return kept if kept.sum() >= FEWEST else None
+
+
+def fit(samples: Samples, terms: tuple[Term, ...] = ()) -> Model | None:
+    """Fit the model with ``terms`` to ``samples``; None where they do not determine it."""
+    if len(samples) < FEWEST:
+        return None
+    base = _fit(samples, terms, np.zeros(3))
+    for _ in terms:  # they scale with the road load
+        base = base and _fit(samples, terms, base.theta[:3])
+    return None if base is None else Model(samples, terms, base)
+
+
+def _fit(samples: Samples, terms: tuple[Term, ...], road_load: Floats) -> Base | None:
+    if terms and not road_load.any():
+        plain = _fit(samples, (), road_load)
+        if plain is None:
+            return None
+        road_load = plain.theta[:3]
+    X, Z = columns(samples, terms, road_load)
+    return fit_base(X, Z, samples.P, _blocks(samples))
+
+
+def _blocks(samples: Samples) -> Blocks:
+    return blocks_of(samples.t)

@@ -1,0 +1,217 @@
+"""What is left, with no name: Gaussian processes that any unmodelled effect would excite.
+
+The residual is averaged over GRAIN of admitted driving, where noise of dv/dt is gone and what remains of the sensors'
+noise is a first-order autoregression. A process adds the covariance s^2 g_i k(x_i, x_j) g_j: a force, power or drag g
+that wanders over time or distance x, or goes with gear, speed or power alone. Its evidence is the marginal likelihood
+of the averaged residual with A, C, m refitted (diffuse), averaged over its scales, divided by that of noise alone.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.special import log_ndtr, logsumexp
+
+from estimator.diagnosis.model import Model
+from estimator.estimation.moments import ROAD_LOAD
+from estimator.signals import Floats, Mask, Quantity
+
+GRAIN = 80  # samples, 8 s
+CORRELATIONS = (0.0, 0.25, 0.5)  # of the noise, from one grain to the next
+STRENGTHS = (0.1, 0.3, 1.0, 3.0)  # variance of the process over that of the residual
+DIFFUSE = 1e4  # variance of the refitted base, over that of the residual
+LEVELS = 12  # parts of an axis that a function of it is made of
+
+
+@dataclass(frozen=True)
+class Grains:
+    """The residual and the columns of the model, averaged; all with n rows."""
+
+    residual: Floats  # [W]
+    columns: Floats  # (n, p)
+    t: Floats
+    distance: Floats
+    v: Floats
+    power: Floats  # [W], as the instruments see it
+    gear: Floats | None
+    starts: NDArray[np.int64]  # first sample of each, of those left out too
+    full: Mask  # which of them are long enough
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+    def mean(self, x: Floats) -> Floats:
+        """Averages of ``x`` (samples, ...) over the grains."""
+        count = np.diff(np.append(self.starts, len(x)))
+        averaged: Floats = (np.add.reduceat(x, self.starts, axis=0).T / count).T[self.full]
+        return averaged
+
+
+@dataclass(frozen=True)
+class Process:
+    """A class of unknown effects: what it is proportional to, and what it wanders over."""
+
+    name: str
+    gain: Callable[[Grains], Floats]
+    kernels: Callable[[Grains], list[Floats]]
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """Evidence of a process on a residual: log Bayes factor, variance it explains [W^2], smoothed estimate [W] (n,)."""
+
+    name: str
+    log_bayes_factor: float
+    variance: float
+    smooth: Floats
+
+
+def _wander(x: Callable[[Grains], Floats], lengths: tuple[float, ...]) -> Callable[[Grains], list[Floats]]:
+    def kernels(grains: Grains) -> list[Floats]:
+        distance = np.abs(np.subtract.outer(x(grains), x(grains)))
+        return [np.exp(-distance / length) for length in lengths]
+
+    return kernels
+
+
+def _levels(x: Callable[[Grains], Floats]) -> Callable[[Grains], list[Floats]]:
+    """Independent value for each of LEVELS parts with as many samples."""
+
+    def kernels(grains: Grains) -> list[Floats]:
+        edges = np.quantile(x(grains), np.linspace(0, 1, LEVELS + 1)[1:-1])
+        part = np.searchsorted(edges, x(grains))
+        return [np.equal.outer(part, part).astype(float)]
+
+    return kernels
+
+
+def _gears(grains: Grains) -> list[Floats]:
+    if grains.gear is None:
+        return []
+    return [np.equal.outer(grains.gear, grains.gear).astype(float)]
+
+
+MINUTES = (60.0, 300.0, 1200.0)  # s
+HILLS = (150.0, 400.0, 1000.0)  # m
+UNMEASURED_GRADE = "force over distance"
+PROCESSES: tuple[Process, ...] = (
+    Process("power over time", lambda g: np.ones(len(g)), _wander(lambda g: g.t, MINUTES)),
+    Process("force over time", lambda g: g.v, _wander(lambda g: g.t, MINUTES)),
+    Process("drag over time", lambda g: g.v**3, _wander(lambda g: g.t, MINUTES)),
+    Process(UNMEASURED_GRADE, lambda g: g.v, _wander(lambda g: g.distance, HILLS)),
+    Process("gain over time", lambda g: g.power, _wander(lambda g: g.t, MINUTES)),
+    Process("gear", lambda g: np.ones(len(g)), _gears),
+    Process("speed", lambda g: np.ones(len(g)), _levels(lambda g: g.v)),
+    Process("power", lambda g: np.ones(len(g)), _levels(lambda g: g.power)),
+)
+
+
+def grains_of(model: Model) -> Grains:
+    """Average the residual of ``model``; grains do not reach across gaps of the admitted driving."""
+    s = model.samples
+    piece = np.concatenate([[0], np.cumsum(np.diff(s.t) > 3.0)])
+    position = np.arange(len(s)) - np.searchsorted(piece, piece)
+    label = piece * (len(s) // GRAIN + 1) + position // GRAIN
+    starts = np.flatnonzero(np.diff(label, prepend=label[0] - 1))
+    count = np.diff(np.append(starts, len(s)))
+    full = count >= GRAIN // 2
+
+    def mean(x: Floats) -> Floats:
+        averaged: Floats = (np.add.reduceat(x, starts, axis=0).T / count).T[full]
+        return averaged
+
+    gear = s.context.get(Quantity.GEAR)
+    power = model.base.Z[:, :ROAD_LOAD] @ model.base.theta[:ROAD_LOAD]
+    return Grains(
+        mean(model.base.residual),
+        mean(model.base.X),
+        mean(s.t),
+        mean(s.context[Quantity.DISTANCE]),
+        mean(s.v),
+        mean(power),
+        None if gear is None else np.round(mean(gear)),
+        starts,
+        full,
+    )
+
+
+@dataclass(frozen=True)
+class Weight:
+    """What a drive says about the magnitude of one more column: log Bayes factor, value, sd."""
+
+    log_bayes_factor: float
+    value: float
+    sd: float
+
+
+def column_evidence(grains: Grains, column: Floats, usual: float, positive: bool) -> Weight:
+    """Evidence of a ``column`` (n,) [W] on the averaged residual; Gaussian prior of sd ``usual``, or half of one."""
+    n = len(grains)
+    y, scale = grains.residual, float(np.mean(grains.residual**2))
+    best = Weight(-np.inf, 0.0, np.inf)
+    if not column.any():
+        return best
+    none, some = [], []
+    for noise in noise_covariances(grains):
+        factor = np.linalg.cholesky(noise)
+        a, c = solve_triangular(factor, np.column_stack([y, column]), lower=True, check_finite=False).T
+        # The noise's variance as the column leaves it.
+        left = max(float(a @ a - (a @ c) ** 2 / (c @ c)), 1e-9 * scale) / n
+        precision = float(c @ c) / left + 1.0 / usual**2
+        value, sd = float(c @ a) / left / precision, precision**-0.5
+        explained = value**2 * precision * left
+        determinant = -float(np.log(np.diag(factor)).sum())
+        none.append(determinant - 0.5 * n * float(np.log(a @ a)))
+        log = determinant - 0.5 * n * float(np.log(a @ a - explained)) - 0.5 * float(np.log(precision * usual**2))
+        some.append(log + (float(log_ndtr(value / sd)) + float(np.log(2)) if positive else 0.0))
+        if some[-1] >= max(some):
+            best = Weight(0.0, value, sd)
+    return Weight(float(logsumexp(some) - logsumexp(none)), best.value, best.sd)
+
+
+def noise_covariances(grains: Grains) -> list[Floats]:
+    """Covariance (n, n) of the averaged residual without a process, up to scale, for each correlation of its noise."""
+    order = np.abs(np.subtract.outer(np.arange(len(grains)), np.arange(len(grains))))
+    columns = grains.columns / np.sqrt((grains.columns**2).mean(axis=0))
+    diffuse = DIFFUSE * columns @ columns.T
+    return [(rho**order if rho else np.eye(len(grains))) + diffuse for rho in CORRELATIONS]
+
+
+def leftovers(grains: Grains) -> list[Leftover]:
+    """All processes on a residual, most evidence first."""
+    n = len(grains)
+    y = grains.residual
+    scale = float(y.var())
+    noises = noise_covariances(grains)
+    plain = [_log_likelihood(y / np.sqrt(scale), noise)[0] for noise in noises]
+    none = float(logsumexp(plain)) - np.log(len(noises))
+    found = []
+    for process in PROCESSES:
+        gain = process.gain(grains)
+        gain = gain / np.sqrt(np.mean(gain**2))
+        kernels = process.kernels(grains)
+        if not kernels:
+            continue
+        best, total = (-np.inf, 0.0, np.zeros(n)), []
+        for kernel in kernels:
+            shape = np.outer(gain, gain) * kernel
+            for strength in STRENGTHS:
+                for noise in noises:
+                    value, weights = _log_likelihood(y / np.sqrt(scale), noise + strength * shape)
+                    total.append(value)
+                    if value > best[0]:
+                        smooth = strength * shape @ weights
+                        best = (value, float(np.mean(smooth**2)), smooth)
+        lbf = float(logsumexp(total)) - np.log(len(total)) - none
+        found.append(Leftover(process.name, lbf, best[1] * scale, best[2] * np.sqrt(scale)))
+    return sorted(found, key=lambda leftover: -leftover.log_bayes_factor)
+
+
+def _log_likelihood(y: Floats, covariance: Floats) -> tuple[float, Floats]:
+    """Gaussian log likelihood with the overall variance integrated out (prior 1 / s^2), and covariance^-1 y."""
+    factor = cho_factor(covariance, lower=True, check_finite=False)
+    weights = cho_solve(factor, y, check_finite=False)
+    log_determinant = 2 * float(np.log(np.diag(factor[0])).sum())
+    return -0.5 * log_determinant - 0.5 * len(y) * float(np.log(y @ weights)), weights

@@ -1,0 +1,110 @@
+"""A whole drive as the diagnosis sees it: every admitted sample, in order, with all the context the bus offers."""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.config import Config
+from estimator.estimation import kinematics
+from estimator.estimation.admission import admit, row_reasons
+from estimator.samples import STEP, Rows, Samples
+from estimator.signals import Floats, Quantity, Role
+
+STOPPED = 0.5  # m/s
+SHORTEST_STOP = 10.0  # s, in which a load could change
+BREAK = 10.0  # s of NaN put between pieces of a drive where only their own order matters
+HEARD = 0.5  # share of the drive for which a quantity must be known to be used
+
+
+@dataclass(frozen=True)
+class Record:
+    """Admitted samples of one drive, the lag [s] that was taken out, and rows not used by reason.
+
+    ``idle`` holds the power [W] of rows at rest, ``idle_speed`` the engine speed [rad/s] then.
+    """
+
+    samples: Samples
+    start: float  # [s] time of the first row
+    lag: float
+    rejected: Counter[str]
+    idle: Floats
+    idle_speed: Floats
+
+    @property
+    def known(self) -> frozenset[Quantity]:
+        """The context there is."""
+        return frozenset(self.samples.context)
+
+
+def record(pieces: list[Rows], config: Config) -> Record:
+    """Samples of a drive from its ``pieces``, each without a gap, in order."""
+    rejected: Counter[str] = Counter()
+    if not pieces:
+        return Record(Samples.concatenate([]), 0.0, 0.0, rejected, np.empty(0), np.empty(0))
+    gap = np.full(round(BREAK / STEP), np.nan)
+    speed = np.concatenate([part for piece in pieces for part in (piece.plausible_speed, gap)])
+    power = np.concatenate([part for piece in pieces for part in (piece.power, gap)])
+    lag = kinematics.fit_lag(speed, power, STEP, config.kinematics.maximum_lag_s)
+    smoother = kinematics.smoother_kernels(kinematics.fit_ratio(speed, STEP), STEP)
+    inertial = config.kinematics.acceleration == "inertial"
+    start = float(pieces[0].t[0])
+    heard = _heard(pieces, start)
+    found: list[Samples] = []
+    distance, stops = 0.0, 0.0
+    margin = kinematics.margin(STEP)
+    for piece in pieces:
+        travelled = distance + np.cumsum(np.nan_to_num(piece.plausible_speed)) * STEP
+        halts = stops + _halts(piece.speed)
+        distance, stops = float(travelled[-1]), float(halts[-1])
+        if len(piece) <= 2 * margin:
+            rejected["surroundings incomplete"] += len(piece)
+            continue
+        inner = slice(margin, len(piece) - margin)
+        samples = kinematics.to_samples(piece, smoother, lag, inertial, heard, start)
+        whole = {Quantity.DISTANCE: travelled[inner], Quantity.STOPS: halts[inner]}
+        samples = replace(samples, context={**samples.context, **whole})
+        for values in samples.context.values():
+            _bridge(values)
+        found.append(admit(samples, row_reasons(piece, config.admission)[inner], rejected))
+    idle, idle_speed = _idle(pieces)
+    return Record(Samples.concatenate(found), start, lag, rejected, idle, idle_speed)
+
+
+def _heard(pieces: list[Rows], start: float) -> frozenset[Quantity]:
+    """Quantities that are known for most of the drive."""
+    known: Counter[Quantity] = Counter()
+    for piece in pieces:
+        known.update({q: int(np.isfinite(x).sum()) for q, x in kinematics.quantities(piece, start).items()})
+    least = HEARD * sum(len(piece) for piece in pieces)
+    return frozenset(q for q, count in known.items() if count > least) | {Quantity.SURROUNDING_POWER}
+
+
+def _bridge(values: Floats) -> None:
+    """Fill what is not known by straight lines between what is, in place."""
+    known = np.isfinite(values)
+    if known.any() and not known.all():
+        values[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
+
+
+def _halts(speed: Floats) -> Floats:
+    """How many standstills of at least SHORTEST_STOP have ended before or at each row (n,)."""
+    standing = np.concatenate([[False], speed < STOPPED, [False]])
+    starts, ends = (
+        np.flatnonzero(np.diff(standing.astype(int)) == 1),
+        np.flatnonzero(np.diff(standing.astype(int)) == -1),
+    )
+    long = ends[(ends - starts) >= SHORTEST_STOP / STEP]
+    count: Floats = np.searchsorted(long, np.arange(len(speed)), side="right").astype(float)
+    return count
+
+
+def _idle(pieces: list[Rows]) -> tuple[Floats, Floats]:
+    """Power [W] and engine speed [rad/s] of rows at rest with the engine running."""
+    power, engine = [], []
+    for piece in pieces:
+        speed = piece.context.get(Role.ENGINE_SPEED, np.full(len(piece), np.nan))
+        rest = (piece.speed == 0) & np.isfinite(piece.power) & (speed > 0)
+        power.append(piece.power[rest])
+        engine.append(speed[rest])
+    return np.concatenate(power), np.concatenate(engine)

@@ -1,0 +1,149 @@
+"""What a diagnosis says: the verdict and everything it rests on, ready for a table, JSON or a page."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from estimator.signals import Floats
+
+
+class Verdict(StrEnum):
+    """The answer in two words."""
+
+    NO_GAP = "no gap"
+    EFFECT = "effect"
+    UNKNOWN = "unknown effect"
+    CANNOT_TELL = "cannot tell"
+
+
+@dataclass(frozen=True, slots=True)
+class Magnitude:
+    """Size of an effect, e.g. ``wind 6.1 +- 0.4 m/s``."""
+
+    name: str
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class GapClosed:
+    """Share of the mean squared residual above the noise floor that an effect takes away, on held-out blocks."""
+
+    fraction: float
+    q05: float
+    q95: float
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """Change of the road-load parameters when an effect is added."""
+
+    mass: float  # [kg]
+    A: float  # [N]
+    C: float  # [N s^2/m^2]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One candidate effect, judged on the log."""
+
+    name: str
+    probability: float
+    log_bayes_factor: float  # against the model without it; natural logarithm
+    equivalent: tuple[str, ...]  # what it cannot be told apart from
+    magnitude: Magnitude
+    gap_closed: GapClosed | None  # None where it was not worth computing
+    rms_before: float  # [W], of held-out residuals
+    rms_after: float  # [W]
+    shift: Shift | None
+    span: tuple[tuple[float, float], ...] = ()  # when it acts, from and to [s]; empty: always
+    detail: str = ""  # shape found, e.g. "from 31 deg", "two levels, 14 % of the time"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A part of an axis where the residual is not zero."""
+
+    axis: str
+    start: float
+    end: float
+    unit: str
+    bias: float  # [W]
+    share: float  # of the squared residual beyond noise
+    q_value: float  # false discovery rate at which it is found
+
+
+@dataclass(frozen=True, slots=True)
+class NotTestable:
+    """An effect that this log cannot speak about, and the signal that would let it."""
+
+    name: str
+    needs: str
+
+
+@dataclass(frozen=True, slots=True)
+class Invisible:
+    """An effect that could be there at its usual size unseen, and what it would do to the parameters."""
+
+    name: str
+    expected_log_bayes_factor: float
+    shift: Shift
+    breaks: str  # the signal or manoeuvre that would show it
+
+
+@dataclass(frozen=True, slots=True)
+class Isolability:
+    """How alike the traces are that candidates leave on this log: |correlation| (k, k), 1 = cannot be told apart."""
+
+    names: tuple[str, ...]
+    correlation: Floats
+    expected_log_bayes_factor: Floats  # (k,), at the usual magnitude
+
+
+@dataclass(frozen=True, slots=True)
+class GapMap:
+    """Mean residual [W] in cells of speed x acceleration (rows, columns), NaN where there is little data."""
+
+    speed_edges: Floats  # [m/s]
+    acceleration_edges: Floats  # [m/s^2]
+    before: Floats
+    after: Floats
+    samples: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Traces:
+    """Seconds of admitted driving, oldest first; all arrays (n,)."""
+
+    t: Floats  # [s] from the first frame
+    distance: Floats  # [m]
+    speed: Floats  # [m/s]
+    measured: Floats  # [W]
+    base: Floats  # [W], model without effects
+    extended: Floats  # [W], model with the chosen effects
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The whole answer. Without a fit (log too short, standing, no power) only verdict and reason are meaningful."""
+
+    verdict: Verdict
+    reason: str  # one or two sentences a person can act on
+    effects: tuple[Finding, ...] = ()  # the chosen set, in order of adding
+    candidates: tuple[Finding, ...] = ()  # the whole ranking against the plain model, best first
+    remaining_verdict: Verdict = Verdict.CANNOT_TELL
+    remaining_log_bayes_factor: float | None = None
+    noise_floor: float | None = None  # [W]
+    rms_base: float | None = None  # [W]
+    rms_final: float | None = None  # [W]
+    base: Shift | None = None  # A, C, m of the plain model
+    final: Shift | None = None  # and with the effects
+    where: tuple[Place, ...] = ()
+    isolability: Isolability | None = None
+    not_testable: tuple[NotTestable, ...] = ()
+    invisible: tuple[Invisible, ...] = ()
+    advice: tuple[str, ...] = ()  # what signal or manoeuvre would separate the rest
+    configuration: str = ""  # the line to add, e.g. effects = ["grade"]
+    gap_map: GapMap | None = None
+    traces: Traces | None = None
+    logs: tuple[str, ...] = field(default=())

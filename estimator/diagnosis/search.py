@@ -1,0 +1,183 @@
+"""Which effects: the one with most evidence first, those chosen tried again after each, until nothing is left to name.
+
+Several drives of one vehicle are searched together. An effect of the vehicle has to hold in all of them: its evidence
+adds up. An event, bounded in time, may be in one drive only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from scipy.special import logsumexp
+
+from estimator.diagnosis.candidates import ALIKE, Candidate, assess
+from estimator.diagnosis.model import Model, fit, select
+from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover, grains_of, leftovers
+from estimator.diagnosis.record import Record
+from estimator.effects import Effect, Timing
+from estimator.estimation.columns import Term
+
+NAMED = 5.0  # log Bayes factor over none that names an effect
+AHEAD = 3.0  # and over the next that is not of its class
+UNEXPLAINED = 20.0  # evidence of a process, on what is left, beyond which something is there that has no name
+MOST = 4  # effects that are looked for
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One record with its model so far."""
+
+    record: Record
+    model: Model
+
+    def having(self, terms: tuple[Term, ...]) -> "Drive":
+        """The same drive with other effects; the same as before where they cannot be fitted."""
+        kept = select(self.record.samples, terms)
+        model = None if kept is None else fit(self.record.samples[kept], terms)
+        return self if model is None else Drive(self.record, model)
+
+    def without(self, name: str) -> "Drive":
+        """The same drive less one effect."""
+        return self.having(tuple(term for term in self.model.terms if term.effect.name != name))
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One effect over all drives: its candidate in each, None where it cannot be tested there."""
+
+    effect: Effect
+    each: tuple[Candidate | None, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
+
+    @property
+    def log_bayes_factor(self) -> float:
+        """Over all drives."""
+        values = [candidate.log_bayes_factor for candidate in self.each if candidate is not None]
+        return max(values) if self.is_event else sum(values)
+
+    @property
+    def is_event(self) -> bool:
+        """Whether it may be there in one drive and not in another."""
+        return self.effect.timing is not Timing.ALWAYS
+
+    @property
+    def best(self) -> tuple[int, Candidate]:
+        """The drive that says most, and what it says."""
+        found = [(i, candidate) for i, candidate in enumerate(self.each) if candidate is not None]
+        return max(found, key=lambda pair: pair[1].log_bayes_factor)
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect as it was chosen: among which others, and on top of what."""
+
+    joint: Joint
+    ranking: tuple[Joint, ...]
+    before: tuple[Drive, ...]
+
+
+@dataclass(frozen=True)
+class Search:
+    """Where the search ended: what was chosen, the first ranking, processes before and after, the final models."""
+
+    chosen: tuple[Found, ...]
+    ranking: tuple[Joint, ...]
+    at_first: tuple[Leftover, ...]
+    at_last: tuple[Leftover, ...]
+    drives: tuple[Drive, ...]
+
+
+def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
+    """Choose effects for the drives."""
+    drives, chosen = plain, list[Found]()
+    first = ranked(plain, effects)
+    while len(chosen) < MOST:
+        ranking = first if not chosen else ranked(drives, effects)
+        if not ranking or ranking[0].log_bayes_factor < NAMED:
+            break
+        chosen.append(Found(ranking[0], ranking, drives))
+        drives = _add(drives, ranking[0])
+        if len(chosen) > 1:
+            chosen, drives = _exchange(plain, chosen, drives, effects)
+    at_last = _leftovers(drives)
+    return Search(tuple(chosen), first, _leftovers(plain) if chosen else at_last, at_last, drives)
+
+
+def ranked(drives: tuple[Drive, ...], effects: Sequence[Effect]) -> tuple[Joint, ...]:
+    """All effects that some drive can test, most evidence first."""
+    judged = [
+        {c.name: c for c in assess(drive.model, grains_of(drive.model), effects, drive.record.known)}
+        for drive in drives
+    ]
+    joints = [Joint(effect, tuple(found.get(effect.name) for found in judged)) for effect in effects]
+    tested = [joint for joint in joints if any(joint.each)]
+    return tuple(sorted(tested, key=lambda joint: -joint.log_bayes_factor))
+
+
+def same_class(one: Joint, other: Joint) -> bool:
+    """Whether the drives cannot tell the two apart."""
+    if other.name in one.effect.equivalent or one.name in other.effect.equivalent:
+        return True
+    pairs = [(a, b) for a, b in zip(one.each, other.each, strict=True) if a is not None and b is not None]
+    return bool(pairs) and all(abs(float(a.trace @ b.trace)) > ALIKE for a, b in pairs)
+
+
+def _add(drives: tuple[Drive, ...], joint: Joint) -> tuple[Drive, ...]:
+    grown = []
+    for drive, candidate in zip(drives, joint.each, strict=True):
+        if candidate is None or (joint.is_event and candidate.log_bayes_factor < NAMED):
+            grown.append(drive)
+        else:
+            grown.append(drive.having((*drive.model.terms, candidate.term)))
+    return tuple(grown)
+
+
+def _exchange(
+    plain: tuple[Drive, ...], chosen: list[Found], drives: tuple[Drive, ...], effects: Sequence[Effect]
+) -> tuple[list[Found], tuple[Drive, ...]]:
+    """Let each effect but the newest stand once more against all others, given the rest."""
+    for i, found in enumerate(chosen[:-1]):
+        rest = tuple(drive.without(found.joint.name) for drive in drives)
+        ranking = ranked(rest, effects)
+        if not ranking or ranking[0].log_bayes_factor < NAMED:
+            return [*chosen[:i], *chosen[i + 1 :]], rest
+        chosen[i] = Found(ranking[0], ranking, found.before)
+        drives = _add(rest, ranking[0])
+    return chosen, drives
+
+
+def _leftovers(drives: tuple[Drive, ...]) -> tuple[Leftover, ...]:
+    """Processes over all drives: evidence adds up."""
+    each = [{left.name: left for left in leftovers(grains_of(drive.model))} for drive in drives]
+    samples = [len(drive.model.samples) for drive in drives]
+    joined = []
+    for name in each[0]:
+        found = [left[name] for left in each if name in left]
+        variance = sum(left[name].variance * n for left, n in zip(each, samples, strict=True) if name in left)
+        joined.append(
+            replace(
+                found[0],
+                log_bayes_factor=sum(left.log_bayes_factor for left in found),
+                variance=variance / sum(samples),
+            )
+        )
+    return tuple(sorted(joined, key=lambda left: -left.log_bayes_factor))
+
+
+def is_unmeasured_grade(search: Search) -> bool:
+    """Whether what is left is a force that goes with the place: a grade that no signal shows."""
+    measured = any(joint.effect.is_gravity for joint in search.ranking)
+    processes = search.at_last
+    if measured or processes[0].name != UNMEASURED_GRADE or processes[0].log_bayes_factor < UNEXPLAINED:
+        return False
+    return processes[0].log_bayes_factor - processes[1].log_bayes_factor > AHEAD
+
+
+def probabilities(log_bayes_factors: Sequence[float], temper: float) -> list[float]:
+    """Of each, and last of none; what is left to the noise model's own errors by tempering."""
+    tempered = [value / temper for value in (*log_bayes_factors, 0.0)]
+    total = float(logsumexp(tempered))
+    return [float(pow(2.718281828459045, value - total)) for value in tempered]

@@ -1,0 +1,113 @@
+"""Where the model and the vehicle disagree: the residual by parts of each axis.
+
+The mean of a part is judged against the long-run noise of its own stretches: residuals that stay on one side for
+seconds count once. False discoveries are held at LEVEL over all parts of all axes (Benjamini & Hochberg 1995).
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import false_discovery_control
+from scipy.stats import t as student
+
+from estimator.diagnosis.evidence import block_sums
+from estimator.diagnosis.model import Model
+from estimator.diagnosis.result import GapMap, Place
+from estimator.signals import Floats, Quantity
+
+PARTS = 8
+LEVEL = 0.05
+FEWEST = 200  # samples in a part
+LEAST_BLOCKS = 8
+SPEED_CELL, ACCELERATION_CELL = 2.5, 0.1  # m/s, m/s^2
+CELL_SAMPLES = 30
+
+
+def places(model: Model) -> list[Place]:
+    """Parts of all axes where the residual is not zero, largest share of it first."""
+    residual, block = model.base.residual, model.base.block
+    total = float(residual @ residual)
+    found: list[tuple[str, str, float, float, float, float, float]] = []
+    for name, unit, values, edges in _axes(model):
+        for start, end in pairwise(edges):
+            part = (values >= start) & (values < end)
+            if part.sum() < FEWEST:
+                continue
+            sums = block_sums((residual * part)[:, None], block)[:, 0]
+            used = sums[sums != 0]
+            if len(used) < LEAST_BLOCKS:
+                continue
+            count = int(part.sum())
+            bias = float(sums.sum()) / count
+            each = block_sums(part.astype(float)[:, None], block)[:, 0]
+            spread = float(np.sqrt(((sums - bias * each) ** 2).sum()))
+            p = 2 * float(student.sf(abs(sums.sum()) / spread, len(used) - 1))
+            found.append((name, unit, float(start), float(end), bias, count * bias**2 / total, p))
+    if not found:
+        return []
+    q = false_discovery_control([row[-1] for row in found])
+    chosen = [
+        Place(name, start, end, unit, bias, share, float(value))
+        for (name, unit, start, end, bias, share, _), value in zip(found, q, strict=True)
+        if value < LEVEL
+    ]
+    return sorted(chosen, key=lambda place: -place.share)
+
+
+def _axes(model: Model) -> list[tuple[str, str, Floats, Floats]]:
+    """Name, unit, value of each sample and edges of the parts."""
+    s = model.samples
+    context = s.context
+    power = model.base.Z @ model.base.theta
+    axes = [
+        ("speed", "m/s", s.zv, _quantiles(s.zv)),
+        ("acceleration", "m/s^2", s.za, _quantiles(s.za)),
+        ("power", "kW", power / 1e3, _quantiles(power / 1e3)),
+    ]
+    elapsed = s.t - s.t[0]
+    axes.append(("time", "s", elapsed, _equal(elapsed)))
+    if Quantity.DISTANCE in context:
+        distance = context[Quantity.DISTANCE] / 1e3
+        axes.append(("distance", "km", distance, _equal(distance)))
+    if Quantity.GEAR in context:
+        gear = np.round(context[Quantity.GEAR])
+        axes.append(("gear", "", gear, np.arange(gear.min(), gear.max() + 2)))
+    if Quantity.HEADING in context:
+        heading = np.degrees(context[Quantity.HEADING]) % 360
+        axes.append(("heading", "deg", heading, np.linspace(0, 360, PARTS + 1)))
+    if Quantity.TEMPERATURE in context:
+        temperature = context[Quantity.TEMPERATURE] - 273.15
+        axes.append(("temperature", "degC", temperature, _equal(temperature)))
+    return axes
+
+
+def _quantiles(x: Floats) -> Floats:
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, PARTS + 1)))
+    edges[-1] = np.nextafter(edges[-1], np.inf)
+    return edges
+
+
+def _equal(x: Floats) -> Floats:
+    edges = np.linspace(float(x.min()), float(x.max()), PARTS + 1)
+    edges[-1] = np.nextafter(edges[-1], np.inf)
+    return edges
+
+
+def gap_map(before: Model, after: Model) -> GapMap:
+    """Mean residual in cells of speed and acceleration, of the plain and of the extended model."""
+    s = before.samples
+    speed = np.arange(0.0, float(s.zv.max()) + SPEED_CELL, SPEED_CELL)
+    low, high = np.quantile(s.za, [0.001, 0.999])
+    acceleration = np.arange(
+        np.floor(low / ACCELERATION_CELL) * ACCELERATION_CELL, high + ACCELERATION_CELL, ACCELERATION_CELL
+    )
+    bins = [speed, acceleration]
+
+    def mean(model: Model) -> tuple[Floats, Floats]:
+        samples = model.samples
+        count = np.histogram2d(samples.zv, samples.za, bins)[0]
+        total = np.histogram2d(samples.zv, samples.za, bins, weights=model.base.residual)[0]
+        return np.where(count >= CELL_SAMPLES, total / np.maximum(count, 1), np.nan), count
+
+    (first, count), (second, _) = mean(before), mean(after)
+    return GapMap(speed, acceleration, first, second, count)

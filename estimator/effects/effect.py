@@ -1,0 +1,135 @@
+"""What an unmodelled effect is: the power it adds to the road load, as a function of what was measured.
+
+One object serves the diagnosis (is it there?), the streaming estimator (add it to the model) and the documentation.
+"""
+
+from collections.abc import Callable, Mapping, Set
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from estimator.signals import Floats, Quantity, Role
+
+Shape = Any  # what an effect is non-linear in: a time constant [s], a direction [rad], a source, None
+
+
+SOURCES: dict[Quantity, tuple[Role, ...]] = {  # any one of the roles will do
+    Quantity.ENGINE_SPEED: (Role.ENGINE_SPEED,),
+    Quantity.GEAR: (Role.GEAR,),
+    Quantity.HEADING: (Role.HEADING,),
+    Quantity.LATERAL_ACCELERATION: (Role.LATERAL_ACCELERATION, Role.YAW_RATE),
+    Quantity.FAN_SPEED: (Role.FAN_SPEED,),
+    Quantity.CLIMB_BY_GRADE: (Role.GRADE,),
+    Quantity.CLIMB_BY_ALTITUDE: (Role.ALTITUDE,),
+    Quantity.CLIMB_BY_ACCELEROMETER: (Role.LONGITUDINAL_ACCELERATION,),
+}
+
+Context = Mapping[Quantity, Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One side of the samples, as measured or as instruments see them; all arrays (n,).
+
+    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` [W], ``density`` relative to its mean [1]; ``road_load`` = [A, C, m]
+    as far as it is known, for effects that scale with it.
+    """
+
+    t: Floats
+    v: Floats
+    a: Floats
+    P: Floats
+    density: Floats
+    context: Context
+    road_load: Floats
+
+    @property
+    def A(self) -> float:
+        """Rolling and friction force [N]."""
+        return float(self.road_load[0])
+
+    @property
+    def C(self) -> float:
+        """Aerodynamic coefficient [N s^2/m^2]."""
+        return float(self.road_load[1])
+
+    @property
+    def m(self) -> float:
+        """Mass [kg]."""
+        return float(self.road_load[2])
+
+
+class Timing(StrEnum):
+    """When an effect acts, where no signal says so."""
+
+    ALWAYS = "always"
+    WINDOW = "window"  # once, from some time to another
+    SWITCHING = "switching"  # on and off, again and again
+    STEP = "step"  # from some standstill onwards
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that the plain road load leaves out.
+
+    Parameters
+    ----------
+    name
+        Its name in the configuration.
+    equation, source
+        What it adds to P, and where that is from.
+    symbol, unit
+        Of its magnitude.
+    power
+        Power [W] (n,) per unit of magnitude, given a `View` and one of the ``shapes``.
+    usual
+        Magnitude that is usual for a vehicle with ``road_load`` = [A, C, m]: scale of its prior.
+    positive
+        Whether a negative magnitude makes no sense.
+    needs
+        Context without which it cannot be computed.
+    shapes
+        What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
+    timing
+        When it acts.
+    is_gravity
+        Its magnitude is the mass: in the model it joins m instead of adding a parameter.
+    absorbed
+        A, C and m take it up whole: no drive shows it, whatever its size.
+    breaks
+        Signal or manoeuvre that would show it.
+    """
+
+    name: str
+    equation: str
+    source: str
+    symbol: str
+    unit: str
+    power: Callable[[View, Shape], Floats]
+    usual: Callable[[Floats], float]
+    positive: bool = True
+    needs: tuple[Quantity, ...] = ()
+    shapes: tuple[Shape, ...] = (None,)
+    timing: Timing = Timing.ALWAYS
+    is_gravity: bool = False
+    absorbed: bool = False
+    equivalent: tuple[str, ...] = ()
+    breaks: str = ""
+
+    def usable_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:
+        """The shapes that can be computed from what is ``known``; none if it cannot be tested."""
+        if not known >= set(self.needs):
+            return ()
+        return tuple(shape for shape in self.shapes if not isinstance(shape, Quantity) or shape in known)
+
+    @property
+    def wanted(self) -> tuple[Role, ...]:
+        """Roles of which at least one is needed, for a message."""
+        quantities = [*self.needs, *(shape for shape in self.shapes if isinstance(shape, Quantity))]
+        return tuple(role for quantity in quantities for role in SOURCES.get(quantity, ()))
+
+    @property
+    def streams(self) -> bool:
+        """Whether it can be part of the streaming model: not if its times have to be found, or nothing shows it."""
+        signalled = any(isinstance(shape, Quantity) for shape in self.shapes)
+        return not self.absorbed and (self.timing is Timing.ALWAYS or signalled)

@@ -1,0 +1,163 @@
+"""A diagnosis as one page that opens offline: no script, nothing from a network, light or dark as the reader likes."""
+
+import html
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from estimator.diagnosis.result import Diagnosis, Traces, Verdict
+from estimator.report import wording
+from estimator.report.files import check_suffix, whole
+from estimator.report.page import figures, tables
+
+FORMATS = (".html",)
+POLICY = "default-src 'none'; style-src 'unsafe-inline'"  # the page may not load anything, whatever a log is called
+LEFT = {
+    Verdict.NO_GAP: "Nothing beyond noise is left.",
+    Verdict.EFFECT: "Another effect of the catalogue may still act, but not clearly enough to be added.",
+    Verdict.UNKNOWN: "Something is left that no effect of the catalogue explains.",
+    Verdict.CANNOT_TELL: "Whether anything is left cannot be told.",
+}
+TERMS = (
+    ("residual", "measured power minus the model's; above zero, the vehicle needs more power than the model says"),
+    ("noise floor", "residual that no road-load model can take away: noise of torque and speed"),
+    ("gap closed", "share of the mean squared residual above the noise floor that goes away, on held-out stretches"),
+    (
+        "log Bayes factor",
+        "natural logarithm of how much more probable the log is with the effect than without; 5 decides",
+    ),
+    ("q value", "share of false places to be expected among those listed down to this one"),
+    (
+        "isolability",
+        "how alike the traces of two effects are on this log, in per cent: at 95 they cannot be told apart",
+    ),
+    ("visible?", "log Bayes factor expected of the effect at its usual size; below 5 it would go unnoticed"),
+)
+
+
+def write_page(diagnosis: Diagnosis, path: Path) -> None:
+    """Write the page to ``path``, whole or not at all.
+
+    Raises
+    ------
+    ConfigError
+        The name does not end in ``.html``, or its folder is missing.
+    RoadloadError
+        The file cannot be written.
+    """
+    check_suffix(path, FORMATS)
+    with whole(path) as temporary:
+        # File names may hold bytes that are no text; they become question marks.
+        temporary.write_bytes(page(diagnosis).encode("utf-8", "replace"))
+
+
+def page(d: Diagnosis) -> str:
+    """The whole document."""
+    sections = [(name, title, body) for name, title, body in _sections(d) if body]
+    links = "".join(f'<a href="#{name}">{title}</a>' for name, title, _ in sections)
+    content = "".join(f'<section id="{name}"><h2>{title}</h2>{body}</section>' for name, title, body in sections)
+    style = resources.files("estimator.report.page").joinpath("page.css").read_text(encoding="utf-8")
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" '
+        f'content="light dark"><title>{html.escape(wording.headline(d))}</title><style>{style}</style></head>'
+        f"<body><main>{_verdict(d)}<nav aria-label='Sections'>{links}</nav>{content}</main></body></html>\n"
+    )
+
+
+def _verdict(d: Diagnosis) -> str:
+    logs = html.escape(", ".join(d.logs))
+    line = ""
+    if d.configuration:
+        line = (
+            '<div class="add"><p>Add to the configuration</p>'
+            f"<pre><code>{html.escape(d.configuration)}</code></pre></div>"
+        )
+    return (
+        f'<header class="{d.verdict.value.replace(" ", "-")}"><p class="logs">Sim-to-real gap <span>{logs}</span></p>'
+        f'<p class="verdict">{d.verdict.value}</p><h1>{html.escape(wording.headline(d))}</h1>'
+        f'<p class="reason">{html.escape(d.reason)}</p>{line}</header>'
+    )
+
+
+def _sections(d: Diagnosis) -> list[tuple[str, str, str]]:
+    return [
+        ("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
+        ("power", "Power, measured and modelled", _power(d)),
+        ("where", "Where does it lie?", _where(d)),
+        ("which", "Which effect?", tables.ranking(d.candidates)),
+        ("apart", "What can be told apart here?", "" if d.isolability is None else tables.isolability(d.isolability)),
+        ("unseen", "What this log cannot say", _unseen(d)),
+        ("left", "What is left?", _left(d)),
+        ("terms", "Terms", _terms() if d.rms_base is not None else ""),
+    ]
+
+
+def _how_far(d: Diagnosis) -> str:
+    bars = figures.bars(d)
+    held = '<p class="soft">Residual, root mean square over held-out stretches; grey is noise, colour is gap.</p>'
+    return (
+        f'<div class="columns"><div>{bars}{held}</div>{tables.chosen(d)}</div>' if bars else ""
+    ) + tables.parameters(d)
+
+
+def _power(d: Diagnosis) -> str:
+    traces = _complete(d.traces)
+    if traces is None:
+        return ""
+    most = "the effects change most" if d.effects else "the model misses most"
+    return f'<p class="soft">The five minutes in which {most}.</p>{figures.power(traces, bool(d.effects))}'
+
+
+def _where(d: Diagnosis) -> str:
+    parts = []
+    if d.gap_map is not None:
+        parts.append("<h3>Over speed and acceleration</h3>" + figures.gap_map(d.gap_map, bool(d.effects)))
+    traces = _complete(d.traces)
+    if traces is not None:
+        parts.append("<h3>In time</h3>" + figures.in_time(traces, d))
+        parts.append("<h3>Along the road</h3>" + figures.along_the_road(traces, d))
+    if d.where:
+        parts.append("<h3>Places that stand out of the noise</h3>" + tables.where(d.where))
+    return "".join(parts)
+
+
+def _complete(traces: Traces | None) -> Traces | None:
+    """The seconds in which everything is known; None where they make no line."""
+    if traces is None:
+        return None
+    columns = np.array([getattr(traces, column.name) for column in fields(Traces)])
+    columns = columns[:, np.isfinite(columns).all(axis=0)]
+    return Traces(*columns) if columns.shape[1] >= 2 else None
+
+
+def _unseen(d: Diagnosis) -> str:
+    parts = []
+    if d.invisible:
+        parts.append("<h3>Could be there unseen</h3>" + tables.invisible(d.invisible))
+    if d.not_testable:
+        parts.append("<h3>Not testable without another signal</h3>" + tables.not_testable(d.not_testable))
+    if d.advice:
+        items = "".join(f"<li>{html.escape(a)}</li>" for a in d.advice)
+        parts.append(f'<h3>What would tell</h3><ul class="advice">{items}</ul>')
+    return "".join(parts)
+
+
+def _left(d: Diagnosis) -> str:
+    if d.rms_base is None:
+        return ""
+    strength = ""
+    if d.remaining_log_bayes_factor is not None:
+        strength = f" Log Bayes factor of the best further explanation: {wording.bayes(d.remaining_log_bayes_factor)}."
+    final = d.rms_base if d.rms_final is None else d.rms_final
+    return (
+        f"<p>{LEFT[d.remaining_verdict]}{strength} The residual is {wording.kilowatts(final)}; the noise floor is "
+        f"{wording.kilowatts(d.noise_floor)}.</p>"
+    )
+
+
+def _terms() -> str:
+    return "<dl>" + "".join(f"<dt>{name}</dt><dd>{meaning}</dd>" for name, meaning in TERMS) + "</dl>"

@@ -1,0 +1,1 @@
+"""The rooms of the page: plots, figures, tables, and its style sheet."""

@@ -1,0 +1,175 @@
+"""The figures of the page: gap map, residual in time and along the road, power, bars of the residual."""
+
+import html
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis.result import Diagnosis, GapMap, Traces
+from estimator.report import wording
+from estimator.report.page.plot import SIDE, Axis, axis, band, bar, cell, line, plot
+from estimator.report.wording import MINUS
+from estimator.signals import Floats
+
+BINS = 600  # of an overview: each shows its least, greatest and, in blocks, its mean residual
+BLOCKS = 200  # of the mean line
+LONGEST_BREAK = 900.0  # s; longer ones, as between two logs, are cut out of the overview
+CUT = 60.0  # s, what is left of them
+DETAIL = 300.0  # s of the power trace shown
+
+
+def gap_map(cells: GapMap, changed: bool) -> str:
+    """Mean residual by speed and acceleration, before and after on one scale."""
+    shown = [("plain model", cells.before)] + ([("with the effects", cells.after)] if changed else [])
+    scale = _scale(np.concatenate([values.ravel() for _, values in shown]) / 1e3)
+    seen = np.isfinite(cells.before) | np.isfinite(cells.after)
+    x = _covered(cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [m/s]")
+    y = _covered(cells.acceleration_edges, np.flatnonzero(seen.any(axis=0)), "acceleration [m/s²]")
+    maps = "".join(
+        plot(_cells(cells, values / 1e3, x, y, scale), x, y, _map_words(name, values), name, "map")
+        for name, values in shown
+    )
+    legend = f'<p class="scale"><span>{MINUS}{scale:g} kW</span><i></i><span>+{scale:g} kW</span></p>'
+    return f'<div class="pair">{maps}</div>{legend}'
+
+
+def _cells(cells: GapMap, kilowatts: Floats, x: Axis, y: Axis, scale: float) -> str:
+    v, a = cells.speed_edges.tolist(), cells.acceleration_edges.tolist()
+    shapes = []
+    for i, j in np.argwhere(np.isfinite(kilowatts)).tolist():
+        value, count = float(kilowatts[i, j]), float(cells.samples[i, j])
+        words = (
+            f"{v[i]:g} to {v[i + 1]:g} m/s, {a[j]:.2g} to {a[j + 1]:.2g} m/s²: {value:+.1f} kW, {count:,.0f} samples"
+        )
+        strength = 0.04 + 0.96 * min(abs(value) / scale, 1)
+        shapes.append(cell(x, y, (v[i], v[i + 1], a[j], a[j + 1]), "high" if value > 0 else "low", strength, words))
+    return "".join(shapes)
+
+
+def _map_words(name: str, values: Floats) -> str:
+    finite = values[np.isfinite(values)] / 1e3
+    if not len(finite):
+        return f"Gap map, {name}: no cell has enough data"
+    return f"Gap map, {name}: mean residual from {finite.min():.1f} to {finite.max():.1f} kW over {len(finite)} cells"
+
+
+def _covered(edges: Floats, seen: NDArray[np.intp], label: str) -> Axis:
+    kept = edges[seen[0] : seen[-1] + 2] if len(seen) else edges
+    return axis(kept.tolist(), label)
+
+
+def in_time(traces: Traces, d: Diagnosis) -> str:
+    """Residual over the drive, before and after, with the times in which effects act."""
+    minutes = _without_long_breaks(traces.t)
+    order = np.argsort(traces.t)
+    acting = np.array([span for effect in d.effects for span in effect.span]).reshape(-1, 2)
+    spans = np.interp(acting, traces.t[order], minutes[order])
+    cut = minutes[-1] * 60 < (traces.t[-1] - traces.t[0]) - 1 if len(minutes) else False
+    label = "driving time [min], long breaks left out" if cut else "time since the first frame [min]"
+    note = '<p class="soft">Shaded: when an effect acts.</p>' if len(spans) else ""
+    return note + _residuals(minutes, traces, bool(d.effects), label, spans)
+
+
+def along_the_road(traces: Traces, d: Diagnosis) -> str:
+    """Residual over the distance driven, before and after."""
+    return _residuals(traces.distance / 1e3, traces, bool(d.effects), "distance [km]", np.empty((0, 2)))
+
+
+def _without_long_breaks(t: Floats) -> Floats:
+    steps = np.diff(t, prepend=t[:1])
+    steps[steps > LONGEST_BREAK] = CUT
+    return (float(t[0]) + np.cumsum(steps)) / 60 if len(t) else t
+
+
+def _residuals(position: Floats, traces: Traces, changed: bool, label: str, spans: Floats) -> str:
+    residuals = [("plain model", "before", (traces.measured - traces.base) / 1e3)]
+    if changed:
+        residuals.append(("with the effects", "after", (traces.measured - traces.extended) / 1e3))
+    x = axis(position.tolist(), label)
+    binned = [
+        (name, kind, _binned(x, position, r, BINS), _binned(x, position, r, BLOCKS)) for name, kind, r in residuals
+    ]
+    y = axis(
+        np.nanpercentile(residuals[0][2], [0.5, 99.5]).tolist(), f"measured {MINUS} model [kW]", zero=True, margin=0.1
+    )
+    marks = "".join(bar(x, start, end, "span") for start, end in spans.tolist())
+    panels = []
+    for name, kind, (at, low, high, _), (centre, _, _, mean) in binned:
+        shapes = marks + band(x, y, at, low, high, f"band {kind}") + line(x, y, centre, mean, f"line {kind}")
+        words = (
+            f"Residual of the {name} over {label}: block means from {np.nanmin(mean):.1f} to {np.nanmax(mean):.1f} kW"
+        )
+        panels.append(plot(shapes, x, y, words, name, "strip"))
+    return "".join(panels)
+
+
+def _binned(x: Axis, position: Floats, values: Floats, count: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Centres, least, greatest and mean value of equal bins; NaN where a bin is empty."""
+    there = np.isfinite(position) & np.isfinite(values)
+    values = values[there]
+    index = np.minimum((x.at(position[there]) / SIDE * count).astype(int), count - 1)
+    n = np.bincount(index, minlength=count)
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(low, index, values)
+    np.maximum.at(high, index, values)
+    mean = np.bincount(index, values, minlength=count) / np.maximum(n, 1)
+    low[n == 0] = high[n == 0] = mean[n == 0] = np.nan
+    centres = x.low + (np.arange(count) + 0.5) * (x.high - x.low) / count
+    return centres, low, high, mean
+
+
+def power(traces: Traces, changed: bool) -> str:
+    """Power as measured and by the models in the five minutes that say most; empty without data."""
+    squared = (traces.measured - traces.base) ** 2
+    worth = np.nan_to_num(squared - (traces.measured - traces.extended) ** 2 if changed else squared)
+    ends = np.searchsorted(traces.t, traces.t + DETAIL, side="right")
+    total = np.concatenate([[0.0], np.cumsum(worth)])
+    start = int(np.argmax(total[ends] - total[:-1]))
+    window = slice(start, int(ends[start]))
+    t = traces.t[window]
+    late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(traces.t))  # no line across a stop
+    x = axis((t / 60).tolist(), "time since the first frame [min]")
+    curves = [("measured", traces.measured), ("before", traces.base)] + (
+        [("after", traces.extended)] if changed else []
+    )
+    values = {kind: np.where(late, np.nan, curve[window] / 1e3) for kind, curve in curves}
+    y = axis(np.concatenate(list(values.values())).tolist(), "power [kW]", zero=True, margin=0.04)
+    shapes = "".join(line(x, y, t / 60, v, f"line {kind}") for kind, v in values.items())
+    names = {"measured": "measured", "before": "plain model", "after": "with the effects"}
+    key = "".join(f'<span class="{kind}">{names[kind]}</span>' for kind in values)
+    words = f"Power from {wording.number(x.low)} to {wording.number(x.high)} min: " + ", ".join(
+        names[k] for k in values
+    )
+    return f'<p class="key">{key}</p>' + plot(shapes, x, y, words, kind="trace")
+
+
+def bars(d: Diagnosis) -> str:
+    """The residual from the plain model down to the noise floor, one bar an effect."""
+    rows = [(name, rms) for name, rms in wording.ladder(d) if math.isfinite(rms)]
+    floor = d.noise_floor if d.noise_floor is not None and math.isfinite(d.noise_floor) else 0.0
+    greatest = max([floor, *(rms for _, rms in rows)], default=0.0)
+    if not greatest > 0:
+        return ""
+    lines = []
+    for i, (name, rms) in enumerate(rows):
+        noise, gap = min(rms, floor) / greatest, max(rms - floor, 0) / greatest
+        lines.append(
+            f'<li><span>{html.escape(name)}</span><b class="bar"><i class="noise" style="width:{noise:.1%}"></i>'
+            f'<i class="{"after" if i else "before"}" style="width:{gap:.1%}"></i></b>'
+            f"<span>{wording.kilowatts(rms)}</span></li>"
+        )
+    if floor:
+        lines.append(
+            f'<li><span>noise floor</span><b class="bar"><i class="noise" style="width:{floor / greatest:.1%}"></i></b>'
+            f"<span>{wording.kilowatts(floor)}</span></li>"
+        )
+    return f'<ul class="bars" aria-label="Residual, root mean square">{"".join(lines)}</ul>'
+
+
+def _scale(kilowatts: Floats) -> float:
+    """A round value that few cells exceed."""
+    finite = np.abs(kilowatts[np.isfinite(kilowatts)])
+    wanted = max(float(np.percentile(finite, 95)) if len(finite) else 1.0, 0.1)
+    power = 10.0 ** math.floor(math.log10(wanted))
+    return next(power * s for s in (1.0, 2.0, 5.0, 10.0) if power * s >= wanted)

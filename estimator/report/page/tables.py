@@ -1,0 +1,184 @@
+"""The tables of the page; a narrow screen shows each row as a card, so that no column is lost."""
+
+import html
+import math
+from collections.abc import Sequence
+
+from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Invisible, Isolability, NotTestable, Place
+from estimator.report import wording
+
+SHOWN = 8  # candidates; the others are folded away
+ALIKE = 0.95  # |correlation| from which two effects cannot be told apart
+VISIBLE = 5.0  # expected log Bayes factor from which an effect would be named
+
+
+def ranking(candidates: Sequence[Finding]) -> str:
+    """Candidates with their probabilities, best first."""
+    headings = ("effect", "probability", "log Bayes factor", "size", "gap closed", "acts", "not told apart from")
+    rows = [
+        (
+            _name(f.name),
+            _meter(f.probability, html.escape(wording.percent(f.probability))),
+            wording.bayes(f.log_bayes_factor),
+            html.escape(wording.size(f.magnitude)),
+            html.escape(wording.interval(f.gap_closed)),
+            html.escape(f.detail or wording.times(f.span) or wording.NOTHING),
+            html.escape(", ".join(wording.label(e) for e in f.equivalent) or wording.NOTHING),
+        )
+        for f in candidates
+    ]
+    first, rest = table(headings, rows[:SHOWN], "ranking"), rows[SHOWN:]
+    if not rest:
+        return first
+    folded = f"<summary>{len(rest)} less probable</summary>{table(headings, rest, 'ranking')}"
+    return f"{first}<details>{folded}</details>"
+
+
+def chosen(d: Diagnosis) -> str:
+    """What was found: size, action, share of the gap closed with its interval."""
+    blocks = []
+    for f in d.effects:
+        share = _interval_bar(f.gap_closed)
+        blocks.append(
+            f"<li><h3>{_name(f.name)}</h3><p>{html.escape(wording.size(f.magnitude))}, "
+            f"<span class='whole'>probability {html.escape(wording.percent(f.probability))}</span></p>"
+            f"<p class='soft'>{html.escape(wording.action(f))}</p>"
+            f"<p>gap closed {html.escape(wording.interval(f.gap_closed))}</p>{share}</li>"
+        )
+    return f'<ul class="chosen">{"".join(blocks)}</ul>' if blocks else ""
+
+
+def parameters(d: Diagnosis) -> str:
+    """A, C and m of the plain model and with the effects."""
+    if d.base is None:
+        return ""
+    rows = []
+    for attribute, (name, unit, step) in zip(("mass", "A", "C"), wording.PARAMETERS, strict=True):
+        before = getattr(d.base, attribute)
+        row = [f"{name} [{unit}]", wording.parameter(before, step)]
+        if d.final is not None and d.effects:
+            after = getattr(d.final, attribute)
+            relative = (after - before) / before if before else math.nan
+            share = f" ({wording.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
+            row += [wording.parameter(after, step), wording.parameter(after - before, step, "+") + share]
+        rows.append(row)
+    headings = ("parameter", "plain model", "with the effects", "shift")
+    title = "What it does to the parameters" if d.effects else "Parameters of the plain model"
+    return f"<h3>{title}</h3>" + table(headings[: len(rows[0])], rows, "parameters")
+
+
+def where(places: Sequence[Place]) -> str:
+    """Parts of the axes where the residual is not zero."""
+    headings = ("along", "from", "to", "mean residual", "share of the gap", "q value")
+    rows = [
+        (
+            html.escape(wording.label(p.axis)),
+            *(html.escape(f"{wording.number(at)} {p.unit}".replace(" °", "°")) for at in (p.start, p.end)),
+            wording.kilowatts(p.bias),
+            _meter(p.share, html.escape(wording.percent(p.share))),
+            "&lt; 0.001" if p.q_value < 0.001 else wording.number(p.q_value),
+        )
+        for p in places
+    ]
+    return table(headings, rows, "where")
+
+
+def not_testable(effects: Sequence[NotTestable]) -> str:
+    """Effects that the log cannot speak about."""
+    rows = [(_name(n.name), html.escape(n.needs)) for n in effects]
+    return table(("effect", "needs"), rows, "needs")
+
+
+def invisible(effects: Sequence[Invisible]) -> str:
+    """Effects that could be there unseen, and what they would do to the parameters."""
+    headings = ("effect", "expected log Bayes factor", "would shift", "what would show it")
+    rows = [
+        (
+            _name(i.name),
+            wording.bayes(i.expected_log_bayes_factor),
+            html.escape(wording.shift(i.shift)),
+            html.escape(i.breaks),
+        )
+        for i in effects
+    ]
+    return table(headings, rows, "invisible")
+
+
+def isolability(of: Isolability) -> str:
+    """Matrix of |correlation|, the visibility of each effect, and in words which cannot be told apart."""
+    head = "".join(f'<th scope="col" title="{_name(name)}">{i}</th>' for i, name in enumerate(of.names, 1))
+    rows = []
+    for i, name in enumerate(of.names):
+        cells = "".join(_correlation(of, i, j) for j in range(len(of.names)))
+        expected = float(of.expected_log_bayes_factor[i])
+        seen = "seen" if expected >= VISIBLE else "unseen"
+        rows.append(
+            f'<tr><th scope="row"><small>{i + 1}</small> {_name(name)}</th>'
+            f'<td class="{seen}">{wording.bayes(expected)}</td>{cells}</tr>'
+        )
+    matrix = (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="Isolability matrix"><table class="matrix">'
+        f'<thead><tr><td></td><th scope="col">visible?</th>{head}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
+    )
+    pairs = [
+        f"{wording.label(of.names[i])} and {wording.label(of.names[j])}"
+        for i in range(len(of.names))
+        for j in range(i)
+        if abs(of.correlation[i, j]) >= ALIKE
+    ]
+    words = f"Cannot be told apart: {'; '.join(pairs)}." if pairs else "No two effects look alike on this log."
+    return f"{matrix}<p>{html.escape(words)}</p>"
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> str:
+    """A table of cells that are HTML already, without columns that say nothing; empty without rows."""
+    if not rows:
+        return ""
+    said = [i for i in range(len(headings)) if any(row[i] != wording.NOTHING for row in rows)]
+    headings, rows = [headings[i] for i in said], [[row[i] for i in said] for row in rows]
+    head = "".join(f'<th scope="col">{h}</th>' for h in headings)
+    body = "".join(
+        "<tr>"
+        + f'<th scope="row">{row[0]}</th>'
+        + "".join(f'<td data-label="{h}"{_none(c)}>{c}</td>' for h, c in zip(headings[1:], row[1:], strict=True))
+        + "</tr>"
+        for row in rows
+    )
+    return f'<table class="data {kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def _correlation(of: Isolability, i: int, j: int) -> str:
+    r = abs(float(of.correlation[i, j]))
+    if i == j or not math.isfinite(r):
+        return '<td class="self"></td>'
+    words = html.escape(f"{wording.label(of.names[i])} and {wording.label(of.names[j])}: {r:.2f}")
+    alike = " alike" if r >= ALIKE else ""
+    text = f"<span>{100 * r:.0f}</span>"
+    return f'<td class="r{alike}" style="--r:{100 * min(r, 1) ** 2:.0f}%" title="{words}">{text}</td>'
+
+
+def _none(content: str) -> str:
+    return ' class="none"' if content == wording.NOTHING else ""
+
+
+def _name(name: str) -> str:
+    return html.escape(wording.label(name))
+
+
+def _meter(share: float, text: str) -> str:
+    width = 100 * min(max(share, 0.0), 1.0) if math.isfinite(share) else 0.0
+    return f'<span class="meter"><b class="bar"><i class="after" style="width:{width:.1f}%"></i></b>{text}</span>'
+
+
+def _interval_bar(closed: GapClosed | None) -> str:
+    if closed is None:
+        return ""
+    low, value, high = (100 * min(max(q, 0.0), 1.0) for q in (closed.q05, closed.fraction, closed.q95))
+    if not all(map(math.isfinite, (low, value, high))):
+        return ""
+    return (
+        f'<b class="bar" role="img" aria-label="gap closed {html.escape(wording.interval(closed))}">'
+        f'<i class="after" style="width:{value:.1f}%"></i>'
+        f'<i class="whisker" style="left:{low:.1f}%;width:{max(high - low, 0.5):.1f}%"></i></b>'
+    )

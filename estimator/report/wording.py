@@ -1,0 +1,168 @@
+"""A diagnosis in words and rounded numbers, the same on the terminal and on the page."""
+
+import math
+
+from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Magnitude, Shift, Verdict
+
+NOTHING = "\N{EN DASH}"
+MINUS = "\N{MINUS SIGN}"
+PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
+
+
+def label(name: str) -> str:
+    """Name of an effect in a sentence; the configuration keeps its underscores."""
+    return name.replace("_", " ")
+
+
+def headline(d: Diagnosis) -> str:
+    """The verdict as one sentence; `Diagnosis.reason` is the next one."""
+    named = listed([_with_equivalents(effect) for effect in d.effects])
+    match d.verdict:
+        case Verdict.EFFECT:
+            closed = gap_closed(d)
+            share = "part" if closed is None else percent(closed)
+            return f"{_capital(named)} account{'s' if len(d.effects) == 1 else ''} for {share} of the gap."
+        case Verdict.UNKNOWN:
+            beside = f"Beside {named}, an" if named else "An"
+            return f"{beside} effect outside the catalogue acts on this drive."
+        case Verdict.NO_GAP:
+            return "No gap: the model explains this drive down to its noise."
+        case Verdict.CANNOT_TELL:
+            return "This log cannot tell what separates the model from the engine."
+
+
+def gap_closed(d: Diagnosis) -> float | None:
+    """Share of the gap that all chosen effects close together; None where it is not known or there was no gap."""
+    if len(d.effects) == 1:
+        only = d.effects[0].gap_closed
+        return None if only is None else only.fraction
+    if d.rms_base is None or d.rms_final is None or d.noise_floor is None or d.rms_base <= d.noise_floor:
+        return None
+    floor = d.noise_floor**2
+    return 1 - (d.rms_final**2 - floor) / (d.rms_base**2 - floor) if d.effects else None
+
+
+def ladder(d: Diagnosis) -> list[tuple[str, float]]:
+    """The residual [W] of the plain model and after each effect added to it."""
+    if d.rms_base is None:
+        return []
+    after = [effect.rms_after for effect in d.effects]
+    if after and d.rms_final is not None:
+        after[-1] = d.rms_final
+    return [
+        ("plain model", d.rms_base),
+        *((f"+ {label(f.name)}", rms) for f, rms in zip(d.effects, after, strict=True)),
+    ]
+
+
+def percent(fraction: float) -> str:
+    """``0.914`` as ``91 %``; what rounds to certain or impossible is said with more digits, or as a bound."""
+    if not math.isfinite(100 * fraction):
+        return NOTHING
+    for digits in (0, 1):
+        if not 0 < fraction < 1 or 0 < float(f"{100 * fraction:.{digits}f}") < 100:
+            return signed(f"{100 * fraction:.{digits}f} %")
+    return "> 99.9 %" if fraction > 0.5 else "< 0.1 %"
+
+
+def interval(closed: GapClosed | None) -> str:
+    """``91 % (88 to 93 %)``."""
+    if closed is None or not math.isfinite(closed.fraction):
+        return NOTHING
+    low, high = (signed(f"{100 * q:.0f}") for q in (closed.q05, closed.q95))
+    return f"{percent(closed.fraction)} ({low} to {high} %)"
+
+
+def kilowatts(watts: float | None) -> str:
+    """``14.2 kW``."""
+    return NOTHING if watts is None or not math.isfinite(watts) else signed(f"{watts / 1e3:.1f} kW")
+
+
+def size(magnitude: Magnitude) -> str:
+    """``wind 6.1 ± 0.4 m/s``, with as many digits as its standard deviation deserves."""
+    if not math.isfinite(magnitude.value):
+        return NOTHING
+    known = math.isfinite(magnitude.sd) and magnitude.sd > 0
+    digits = 1 - math.floor(math.log10(magnitude.sd)) if known else 2 - _exponent(magnitude.value)
+    digits = min(max(digits, 0), 12)
+    spread = f" ± {magnitude.sd:,.{digits}f}" if known else ""
+    value = signed(f"{magnitude.value:,.{digits}f}")
+    return f"{label(magnitude.name)} {value}{spread} {magnitude.unit}".strip()
+
+
+def number(x: float) -> str:
+    """Three or four significant digits, no exponent where a person would write none."""
+    if not math.isfinite(x):
+        return NOTHING
+    if x != 0 and not 1e-3 <= abs(x) < 1e7:
+        return signed(f"{x:.2e}")
+    return signed(f"{x:,.0f}" if abs(x) >= 1000 else f"{x:.3g}")
+
+
+def bayes(x: float | None) -> str:
+    """A log Bayes factor: one decimal where it decides, none where it is large."""
+    if x is None or not math.isfinite(x):
+        return NOTHING
+    return signed(f"{x:+.1f}" if abs(x) < 10 else f"{x:+,.0f}")
+
+
+def shift(change: Shift | None) -> str:
+    """``mass +120 kg, A -35 N, C +0.104``; the unit of C is left out, it is always the same."""
+    if change is None:
+        return NOTHING
+    values = (change.mass, change.A, change.C)
+    parts = [
+        f"{name} {parameter(value, step, '+')} {unit if name != 'C' else ''}".strip()
+        for value, (name, unit, step) in zip(values, PARAMETERS, strict=True)
+    ]
+    return ", ".join(part for part in parts if any(digit in part for digit in "123456789")) or "nothing worth showing"
+
+
+def parameter(value: float, step: float, sign: str = "") -> str:
+    """A road-load parameter to the step worth showing."""
+    return signed(f"{value:{sign},.{0 if step >= 1 else 3}f}") if math.isfinite(value) else NOTHING
+
+
+def times(spans: tuple[tuple[float, float], ...]) -> str:
+    """``12:30 to 14:05 min``, at most three of them; empty for an effect that acts always."""
+    if not spans:
+        return ""
+    shown = ", ".join(f"{_clock(start)} to {_clock(end)}" for start, end in spans[:3])
+    return f"{shown} min" + (f" and {len(spans) - 3} more" if len(spans) > 3 else "")
+
+
+def action(finding: Finding) -> str:
+    """How and when an effect acts, as far as the log shows it."""
+    return "; ".join(filter(None, (finding.detail, times(finding.span)))) or NOTHING
+
+
+def signed(text: str) -> str:
+    """A true minus sign, none before a number that is all zeros."""
+    if text.startswith("-"):
+        return text[1:] if not any(c in "123456789" for c in text) else MINUS + text[1:]
+    return text
+
+
+def listed(names: list[str]) -> str:
+    """``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1]))) if names else ""
+
+
+def _with_equivalents(effect: Finding) -> str:
+    others = " or ".join(label(name) for name in effect.equivalent)
+    return label(effect.name) + (f" (or {others})" if others else "")
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _clock(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return NOTHING
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+def _exponent(x: float) -> int:
+    return math.floor(math.log10(abs(x))) if x else 0

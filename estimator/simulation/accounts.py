@@ -1,0 +1,152 @@
+"""The accounts after a drive: where the truck was, what its control units read, and what each effect cost."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimator.signals import Floats, Mask
+from estimator.simulation.atmosphere import STANDARD_TEMPERATURE, pressure_at
+from estimator.simulation.bends import CURVE_SPACING
+from estimator.simulation.effects.effect import Effect
+from estimator.simulation.effects.powertrain import COOL_DAY_RISE, COOLANT_TIME, THERMOSTAT, cruise_power
+from estimator.simulation.gearbox import Phase
+from estimator.simulation.moment import STEP, Action, Reading
+from estimator.simulation.route import GRADE_SPACING, Route
+from estimator.simulation.truck import Truck
+from estimator.simulation.truth import Truth
+from estimator.units import STANDARD_GRAVITY
+
+FAN_RATIO = 1.1  # fan turns per engine turn
+FAN_SLIP = 0.2  # share of that a released fan clutch passes on
+RETARDER_SPEED = 4.0  # m/s, below which the service brake does all
+
+Ledgers = Mapping[tuple[str, str], Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """The truck's course as integrated, every ``STEP``; arrays (n,) as in `Truth`; ``phase`` of the gearbox."""
+
+    t: Floats
+    s: Floats
+    v: Floats
+    a: Floats
+    torque: Floats
+    engine_speed: Floats
+    brake: Floats
+    gear: NDArray[np.int64]
+    phase: NDArray[np.str_]
+    braking: Mask
+    parked: Mask
+
+
+def settle(
+    truck: Truck,
+    route: Route,
+    course: Course,
+    effects: tuple[Effect, ...],
+    actions: Mapping[str, Action],
+    ledgers: Ledgers,
+) -> Truth:
+    """Put together what is known of a drive.
+
+    Parameters
+    ----------
+    truck, route, course
+        What was driven, where, and how.
+    effects, actions
+        What was asked for, and what was at work, by name.
+    ledgers
+        Force [N], power [W] or inertia [kg] of each effect at every step, by (name, kind).
+    """
+    s, v, engine_speed = course.s, course.v, course.engine_speed
+    along_road = np.arange(len(route.grade)) * GRADE_SPACING
+    along_bends = np.arange(len(route.curvature)) * CURVE_SPACING
+    curvature = np.interp(s, along_bends, route.curvature)
+    altitude = np.interp(s, along_road, route.altitude)
+    limit = sum(action.retarder for action in actions.values())
+    retarder = np.where(v > RETARDER_SPEED, np.minimum(course.brake, limit), 0.0)
+    brake = course.brake - retarder
+    braking = course.braking & ((retarder == 0.0) | (brake > 0.0))
+
+    power = _wheel_powers(truck, route, course, ledgers)
+    if limit:
+        power["retarder_use"] = retarder * v
+    reading = Reading(course.t, v, course.a, course.torque, engine_speed)
+    for name, action in actions.items():
+        if action.reading is not None:
+            read = action.reading(reading)
+            power[name] = _gap(truck, read) - _gap(truck, reading)
+            reading = read
+    temperature = [action.temperature(course.t) for action in actions.values() if action.temperature is not None]
+    fans = [action.fan for action in actions.values() if action.fan]
+    runs = np.array(fans[0]) if fans else np.zeros(len(s), bool)
+    return Truth(
+        truck=truck,
+        t=course.t,
+        s=s,
+        v=v,
+        a=course.a,
+        torque=course.torque,
+        engine_speed=engine_speed,
+        brake=brake,
+        retarder=retarder,
+        gear=course.gear,
+        engaged=(course.phase == Phase.DRIVE.value) | (course.phase == Phase.UNLOAD.value),
+        shifting=(course.phase == Phase.UNLOAD.value) | (course.phase == Phase.NEUTRAL.value),
+        braking=braking,
+        parked=course.parked,
+        grade=np.interp(s, along_road, route.grade),
+        altitude=altitude,
+        heading=np.interp(s, along_bends, route.heading),
+        yaw_rate=v * curvature,
+        lateral_acceleration=v * v * curvature,
+        ambient_temperature=temperature[0] if temperature else np.full(len(s), STANDARD_TEMPERATURE),
+        coolant_temperature=_coolant(truck, course, actions),
+        pressure=pressure_at(altitude),
+        fan_speed=FAN_RATIO * engine_speed * np.where(runs, 1.0, FAN_SLIP),
+        reading=reading,
+        effects=effects,
+        active={name: action.active for name, action in actions.items() if action.active},
+        effect_power=power,
+    )
+
+
+def _gap(truck: Truck, read: Reading) -> Floats:
+    """Power read beyond the road load of the plain truck [W]."""
+    return read.power - (truck.A + truck.C * read.v**2 + truck.mass * read.a) * read.v
+
+
+def _wheel_powers(truck: Truck, route: Route, course: Course, ledgers: Ledgers) -> dict[str, Floats]:
+    """What the physical effects make the crank deliver [W], by name."""
+    v = course.v
+    per_unit = {"force": v, "power": np.ones(len(v)), "inertia": course.a * v}
+    powers: dict[str, Floats] = {}
+    for (name, kind), ledger in ledgers.items():
+        powers[name] = powers.get(name, 0.0) + ledger * per_unit[kind]
+    slope = truck.mass * STANDARD_GRAVITY * route.grade / np.hypot(1.0, route.grade)
+    if slope.any():
+        powers["grade"] = np.interp(course.s, np.arange(len(slope)) * GRADE_SPACING, slope) * v
+    if truck.efficiency != 1.0:
+        crank = course.torque * course.engine_speed
+        accessories = sum(ledger for (_, kind), ledger in ledgers.items() if kind == "power")
+        traction = crank - accessories
+        powers["driveline_efficiency"] = np.where(
+            traction > 0.0, traction * (1.0 - truck.efficiency), traction * (1.0 - 1.0 / truck.efficiency)
+        )
+    return powers
+
+
+def _coolant(truck: Truck, course: Course, actions: Mapping[str, Action]) -> Floats:
+    """Temperature of the coolant [K]: as it switched a fan, else that of a clean radiator on a cool day."""
+    for action in actions.values():
+        if action.coolant:
+            return np.array(action.coolant)
+    load = np.maximum(course.torque * course.engine_speed, 0.0) / cruise_power(truck)
+    keep = exp(-STEP / COOLANT_TIME)
+    rise: Floats = lfilter([1.0 - keep], [1.0, -keep], COOL_DAY_RISE * load)
+    return THERMOSTAT + rise

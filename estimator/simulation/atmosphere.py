@@ -1,0 +1,22 @@
+"""The air: standard atmosphere over altitude, and its density.
+
+p = 101325 Pa (1 - 2.25577e-5 h)^5.25588,      rho = p / (R T)           ISO 2533
+"""
+
+from estimator.signals import Floats
+
+SEA_LEVEL_PRESSURE = 101_325.0  # Pa
+STANDARD_TEMPERATURE = 288.15  # K
+LAPSE = 2.25577e-5, 5.25588  # 1/m and exponent
+
+
+def pressure_at(altitude: Floats) -> Floats:
+    """Pressure [Pa] at altitudes [m]."""
+    lapse, exponent = LAPSE
+    pressure: Floats = SEA_LEVEL_PRESSURE * (1.0 - lapse * altitude) ** exponent
+    return pressure
+
+
+def relative_density(pressure: Floats, temperature: Floats) -> Floats:
+    """Density over that of the air a truck's C holds for, at sea level and 15 degrees Celsius [1]."""
+    return pressure / SEA_LEVEL_PRESSURE * STANDARD_TEMPERATURE / temperature

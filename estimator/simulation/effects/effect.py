@@ -1,0 +1,56 @@
+"""An effect asked for: its name, how strong, and where bounded when; and draws of what was left open."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.simulation.moment import Scene
+
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One thing to go differently in the simulated world.
+
+    ``magnitude`` in the unit of the effect's kind; ``start`` and ``end`` [s] of an effect that is bounded in time,
+    ``direction`` [rad] that a wind comes from, clockwise from north; what is None is drawn.
+    """
+
+    name: str
+    magnitude: float
+    start: float | None = None
+    end: float | None = None
+    direction: float | None = None
+
+
+def window(scene: Scene, effect: Effect, shortest: float = 0.12, longest: float = 0.3) -> Span:
+    """One stretch of time [s], its length a share of the drive where not given."""
+    if effect.start is not None:
+        return effect.start, scene.duration if effect.end is None else effect.end
+    length = scene.rng.uniform(shortest, longest) * scene.duration
+    start = scene.rng.uniform(0.1 * scene.duration, 0.9 * scene.duration - length)
+    return start, start + length
+
+
+def episodes(scene: Scene, effect: Effect, off: Span, on: Span) -> list[Span]:
+    """Stretches of time [s] that come and go at random, shortest and longest durations [s]; or the one given."""
+    if effect.start is not None:
+        return [window(scene, effect)]
+    rng, found = scene.rng, []
+    t = float(rng.uniform(0.0, off[1]))
+    while t < scene.duration:
+        end = min(t + float(rng.uniform(*on)), scene.duration)
+        found.append((t, end))
+        t = end + float(rng.uniform(*off))
+    return found
+
+
+def switched(spans: list[Span], duration: float, spacing: float) -> list[bool]:
+    """Whether each moment, ``spacing`` [s] apart, lies in one of the stretches."""
+    t = spacing * np.arange(round(duration / spacing) + 2)
+    inside = np.zeros(len(t), bool)
+    for start, end in spans:
+        inside |= (t >= start) & (t < end)
+    states: list[bool] = inside.tolist()
+    return states

@@ -1,0 +1,131 @@
+"""Effects that hold the truck back where it rolls: tyres, bends, brakes, loads. Forces [N] at the wheels."""
+
+from math import exp
+
+from estimator.simulation.bends import CURVE_SPACING
+from estimator.simulation.effects.effect import Effect, episodes, switched, window
+from estimator.simulation.moment import STEP, Action, Moment, Scene, along
+
+CRUISE = 22.0  # m/s, speed at which warm tyres have their nominal resistance
+CRUISE_RISE = 35.0  # K, warm tyres at cruise above ambient
+SOFTENING = 20.0  # K over which the rubber's loss falls to 1/e
+REFERENCE_FORCE = 20e3  # N
+
+
+def warm_up(scene: Scene, effect: Effect) -> Action:
+    """Cold tyres roll harder; rolling heats them, the wind cools them, faster when driving than when standing."""
+    A = scene.truck.A
+    time_constant = float(scene.rng.uniform(900.0, 2400.0))
+    warm = exp(-CRUISE_RISE / SOFTENING)
+    rise = 0.0
+
+    def force(now: Moment) -> float:
+        nonlocal rise
+        excess = effect.magnitude * (exp(-rise / SOFTENING) - warm) / (1.0 - warm)
+        heating = CRUISE_RISE * (1.0 + excess) * now.v / CRUISE
+        rise += STEP / time_constant * (heating - rise * (0.35 + 0.65 * now.v / CRUISE))
+        return A * excess
+
+    return Action(force)
+
+
+def viscous_drag(scene: Scene, effect: Effect) -> Action:
+    """Lubricants resist in proportion to speed: a share of A at 20 m/s."""
+    slope = effect.magnitude * scene.truck.A / 20.0
+    return Action(lambda now: slope * now.v)
+
+
+def resistance_segment(scene: Scene, effect: Effect) -> Action:
+    """A wet road or a soft tyre for a while: a share of A more."""
+    start, end = window(scene, effect)
+    more = effect.magnitude * scene.truck.A
+    return Action(lambda now: more if start <= now.t < end else 0.0, active=[(start, end)])
+
+
+def cornering(scene: Scene, effect: Effect) -> Action:
+    """Side-slipping tyres in a bend hold back with the square of the lateral acceleration."""
+    curvature = along(scene.route.curvature, CURVE_SPACING)
+
+    def force(now: Moment) -> float:
+        lateral = now.v * now.v * curvature(now.s)
+        return effect.magnitude * lateral * lateral
+
+    return Action(force)
+
+
+def load_loss(scene: Scene, effect: Effect) -> Action:
+    """Slip and gear teeth cost a share of the tractive force that grows with it, ``magnitude`` at 20 kN."""
+    share = effect.magnitude / REFERENCE_FORCE
+    return Action(lambda now: share * now.force * now.force)
+
+
+def brake_use(scene: Scene, effect: Effect, shown: bool = False) -> Action:
+    """A service brake that drags now and then while the engine pulls."""
+    spans = episodes(scene, effect, off=(60.0, 240.0), on=(4.0, 25.0))
+    on = switched(spans, scene.duration, 0.1)
+    applied = 0.0
+
+    def force(now: Moment) -> float:
+        nonlocal applied
+        drags = on[int(10.0 * now.t)] and now.v > 3.0 and now.force > 0.0
+        applied += STEP / 0.25 * ((effect.magnitude if drags else 0.0) - applied)
+        now.brake_light |= shown and drags
+        return applied
+
+    return Action(force, active=spans)
+
+
+def brake_use_shown(scene: Scene, effect: Effect) -> Action:
+    """The same, by the driver's foot: the brake switch tells."""
+    return brake_use(scene, effect, shown=True)
+
+
+def retarder_use(scene: Scene, effect: Effect) -> Action:
+    """A retarder brakes instead of the service brake as far as it can; the brake switch stays off."""
+    return Action(retarder=effect.magnitude)
+
+
+def snow_plough(scene: Scene, effect: Effect) -> Action:
+    """Pushes snow at low speed only."""
+
+    def force(now: Moment) -> float:
+        return effect.magnitude * max(0.0, min(1.0, now.v - 1.0, (12.0 - now.v) / 2.0))
+
+    return Action(force)
+
+
+def gear_loss(scene: Scene, effect: Effect) -> Action:
+    """A bad bearing in one gear: torque lost at the crank."""
+    gear = int(scene.rng.integers(9, 12))
+    return Action(lambda now: effect.magnitude * now.gearing if now.closed and now.gear == gear else 0.0)
+
+
+def oil_drag(scene: Scene, effect: Effect) -> Action:
+    """Cold axle and gearbox oil: a share of A at the start, until the power that flows has warmed it."""
+    truck = scene.truck
+    usual = (truck.A + truck.C * CRUISE**2) * CRUISE
+    time_constant = float(scene.rng.uniform(1200.0, 2400.0))
+    rise = 0.0
+
+    def force(now: Moment) -> float:
+        nonlocal rise
+        rise += STEP / time_constant * (55.0 * abs(now.force) * now.v / usual - rise)
+        return effect.magnitude * truck.A * exp(-rise / 22.0) * (0.4 + 0.6 * now.v / CRUISE)
+
+    return Action(force)
+
+
+def liquid_surge(scene: Scene, effect: Effect) -> Action:
+    """A share of the mass is liquid that sloshes back and forth, a damped pendulum of its own."""
+    liquid = effect.magnitude * scene.truck.mass
+    omega = float(scene.rng.uniform(1.5, 3.5))  # rad/s
+    damping = 2.0 * float(scene.rng.uniform(0.04, 0.12)) * omega
+    x = u = 0.0
+
+    def force(now: Moment) -> float:
+        nonlocal x, u
+        u += STEP * (-now.a - damping * u - omega * omega * x)
+        x += STEP * u
+        return -liquid * (damping * u + omega * omega * x)
+
+    return Action(force, inertia=lambda now: -liquid)

@@ -1,0 +1,119 @@
+"""Ways to drive a road: straight on, there and back, in laps; how long it takes; where to stop for loading."""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from estimator.signals import Floats
+from estimator.simulation.bends import CURVE_SPACING
+from estimator.simulation.driver import GRID, speeds_ahead
+from estimator.simulation.route import GRADE_SPACING, RoadKind, Route, generate_route
+
+Shape = Literal["one-way", "out-and-back", "loop"]
+
+METRES_PER_SECOND = 2000.0 / 60.0  # nobody drives a truck faster, so a road of this length per time never ends
+LAP_TIME = 1200.0  # s, of a loop
+TURN_LENGTH, TURN_SPEED, TURN_DWELL = 40.0, 4.0, 20.0  # m, m/s, s: a U-turn on a yard
+HALF_WAY = 0.48  # of the time when to turn round: hills and loads make a drive longer than planned
+MOVING_OFF = 20.0  # s lost by gaining speed after a stop
+NEAR = 1500.0  # m, a stop this close will do
+
+
+def plan_route(kind: RoadKind, duration: float, rng: np.random.Generator, shape: Shape = "one-way") -> Route:
+    """A road of a kind that lasts for ``duration`` [s], driven in a shape."""
+    return shaped(generate_route(kind, duration * METRES_PER_SECOND, rng), duration, shape)
+
+
+def shaped(road: Route, duration: float, shape: Shape) -> Route:
+    """The road driven straight on; or there and back, home at about ``duration`` [s]; or its first part in laps."""
+    if shape == "out-and-back":
+        return out_and_back(road, place_at(road, HALF_WAY * duration))
+    if shape == "loop":
+        return laps(road, place_at(road, min(LAP_TIME, 0.4 * duration)), road.length)
+    return road
+
+
+def place_at(route: Route, time: float) -> float:
+    """Where a driver is about ``time`` [s] after the start [m]."""
+    place = np.arange(0.0, route.length, GRID)
+    seen = np.maximum(0.95 * speeds_ahead(route, 0.17, 0.55)[: len(place)], 1.5)
+    seconds = np.cumsum(GRID / seen)
+    for stop, dwell in zip(route.stop_position[:-1], route.stop_dwell[:-1], strict=True):
+        seconds[place >= stop] += dwell + MOVING_OFF
+    return float(np.interp(time, seconds, place))
+
+
+def out_and_back(route: Route, turn: float) -> Route:
+    """Drive to ``turn`` [m], turn round, and come back the same way: grades and bends the other way round."""
+    turn = GRADE_SPACING * round(turn / GRADE_SPACING)
+    home = 2 * turn + TURN_LENGTH
+    there = route.section_start < turn
+    start, speed = route.section_start[there], route.section_speed[there]
+    section_end = np.append(start[1:], turn)
+    stops = (route.stop_position > 100.0) & (route.stop_position < turn - 100.0)
+    stop, dwell = route.stop_position[stops], route.stop_dwell[stops]
+    grade = route.grade[: round(turn / GRADE_SPACING) + 1]
+    curvature = route.curvature[: round(turn / CURVE_SPACING) + 1]
+    place = GRADE_SPACING * np.arange(len(grade))
+    yard, curved_yard = round(TURN_LENGTH / GRADE_SPACING) - 1, round(TURN_LENGTH / CURVE_SPACING) - 1
+    u_turn = np.full(curved_yard, np.pi / (curved_yard * CURVE_SPACING))
+    return Route(
+        np.concatenate([start, [turn], (home - section_end)[::-1]]),
+        np.concatenate([speed, [TURN_SPEED], speed[::-1]]),
+        np.concatenate([stop, [turn], (home - stop)[::-1], [home]]),
+        np.concatenate([dwell, [TURN_DWELL], dwell[::-1], [np.inf]]),
+        np.concatenate([grade, np.zeros(yard), -grade[::-1], [0.0]]),
+        np.concatenate([curvature, u_turn, -curvature[::-1], [0.0]]),
+        route.start_heading,
+        np.concatenate([place, np.full(yard, turn), place[::-1], [0.0]]),
+    )
+
+
+def laps(route: Route, lap: float, length: float) -> Route:
+    """Drive the first ``lap`` [m] of a road as a closed loop, again and again for ``length`` [m].
+
+    The loop closes: over a lap the heading turns by a whole circle and the road comes back to its altitude.
+    """
+    lap = GRADE_SPACING * round(lap / GRADE_SPACING)
+    rounds = int(np.ceil(length / lap))
+    sections = route.section_start < lap
+    stops = (route.stop_position > 100.0) & (route.stop_position < lap - 100.0)
+    grade = route.grade[: round(lap / GRADE_SPACING)]
+    curvature = route.curvature[: round(lap / CURVE_SPACING)]
+    curvature = curvature + (2 * np.pi / lap - curvature.mean())
+    start = np.tile(route.section_start[sections], rounds) + lap * np.repeat(np.arange(rounds), sections.sum())
+    stop = np.tile(route.stop_position[stops], rounds) + lap * np.repeat(np.arange(rounds), stops.sum())
+    return Route(
+        start,
+        np.tile(route.section_speed[sections], rounds),
+        np.append(stop, rounds * lap),
+        np.append(np.tile(route.stop_dwell[stops], rounds), np.inf),
+        np.concatenate([np.tile(grade - grade.mean(), rounds), [0.0, 0.0]]),
+        np.concatenate([np.tile(curvature, rounds), [0.0, 0.0]]),
+        route.start_heading,
+        np.concatenate([np.tile(GRADE_SPACING * np.arange(len(grade)), rounds), [0.0, 0.0]]),
+        lap,
+    )
+
+
+def with_stop(route: Route, time: float, dwell: float) -> tuple[Route, float]:
+    """The road with a stop of ``dwell`` [s] about ``time`` [s] after the start, and where that stop is [m]."""
+    wanted = GRID * round(place_at(route, time) / GRID)
+    stops, dwells = route.stop_position, route.stop_dwell.copy()
+    nearest = int(np.argmin(np.abs(stops[:-1] - wanted))) if len(stops) > 1 else -1
+    if nearest >= 0 and abs(stops[nearest] - wanted) < NEAR:
+        dwells[nearest] = dwell
+        return replace(route, stop_dwell=dwells), float(stops[nearest])
+    i = int(np.searchsorted(stops, wanted))
+    longer = replace(route, stop_position=np.insert(stops, i, wanted), stop_dwell=np.insert(dwells, i, dwell))
+    return longer, wanted
+
+
+def on_the_ground(route: Route, profile: Floats) -> tuple[Floats, Floats]:
+    """A profile every ``GRADE_SPACING`` of the ground, as met on the way; and the sense of driving there (+-1)."""
+    if route.place is None:
+        return profile[: len(route.grade)], np.ones(len(route.grade))
+    met = profile[np.round(route.place / GRADE_SPACING).astype(int)]
+    step = np.diff(route.place, prepend=0.0)
+    return met, np.where((step < 0.0) & (step > -2 * GRADE_SPACING), -1.0, 1.0)

@@ -1,0 +1,120 @@
+"""What passes between the drive and the effects: the moment, the scene, the readings, and an effect at work."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimator.signals import Floats
+from estimator.simulation.route import Route
+from estimator.simulation.truck import Truck
+
+STEP = 0.01  # s, of the simulation
+
+
+@dataclass(slots=True)
+class Moment:
+    """One step of the drive, as the physics of an effect sees it.
+
+    Time ``t`` [s], position ``s`` [m], speed ``v`` [m/s], acceleration ``a`` of the step before [m/s^2], ``force`` of
+    the engine at the wheels [N], ``engine_speed`` [rad/s], ``gearing`` [rad/m], ``gear``; ``closed``: the clutch
+    joins engine and wheels. An effect may set ``brake_light``.
+    """
+
+    t: float = 0.0
+    s: float = 0.0
+    v: float = 0.0
+    a: float = 0.0
+    force: float = 0.0
+    engine_speed: float = 0.0
+    gearing: float = 0.0
+    gear: int = 0
+    closed: bool = False
+    brake_light: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Who drives where and how long [s], and the effect's own source of randomness."""
+
+    truck: Truck
+    route: Route
+    duration: float
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the control units would send without noise; arrays (n,).
+
+    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2] of the wheels, net engine ``torque`` [N.m] and ``engine_speed`` [rad/s];
+    ``torque_step`` [N.m] is the coarsest resolution on the torque's way, 0 if only the bus rounds.
+    """
+
+    t: Floats
+    v: Floats
+    a: Floats
+    torque: Floats
+    engine_speed: Floats
+    torque_step: float = 0.0
+
+    @property
+    def power(self) -> Floats:
+        """Power as read [W]."""
+        torque = self.torque
+        if self.torque_step > 0.0:
+            torque = np.round(torque / self.torque_step) * self.torque_step
+        return torque * self.engine_speed
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """One effect at work in one drive; what is None does nothing. Functions are called once a step, in order of time.
+
+    Parameters
+    ----------
+    force
+        Holds the truck back [N].
+    power
+        Taken from the crank before the clutch [W].
+    inertia
+        Adds to the moving mass [kg].
+    reading
+        Turns what the control units would read into what they read with the effect.
+    temperature
+        Ambient temperature [K] of times [s].
+    route
+        The road as the effect changes it.
+    retarder
+        Greatest force of a retarder that works before the service brake [N].
+    fan, coolant
+        Filled by the effect, step by step: whether a fan runs, and the temperature that switches it [K].
+    active
+        Where the effect is bounded in time: its stretches [s], filled in at the latest when they begin.
+    """
+
+    force: Callable[[Moment], float] | None = None
+    power: Callable[[Moment], float] | None = None
+    inertia: Callable[[Moment], float] | None = None
+    reading: Callable[[Reading], Reading] | None = None
+    temperature: Callable[[Floats], Floats] | None = None
+    route: Route | None = None
+    retarder: float = 0.0
+    fan: list[bool] = field(default_factory=list)
+    coolant: list[float] = field(default_factory=list)
+    active: list[tuple[float, float]] = field(default_factory=list)
+
+
+def along(values: Floats, spacing: float) -> Callable[[float], float]:
+    """Linear interpolation in ``values``, equally spaced from 0, as a quick function; the last value holds on."""
+    table: list[float] = [*values.tolist(), float(values[-1])]
+    last = len(values) - 1
+
+    def at(x: float) -> float:
+        cell = x / spacing
+        i = int(cell)
+        if i >= last:
+            return table[last]
+        return table[i] + (cell - i) * (table[i + 1] - table[i])
+
+    return at

@@ -1,0 +1,77 @@
+"""What really happened on a drive, and what each effect adds to the power that is read."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.signals import Floats, Mask
+from estimator.simulation.effects.effect import Effect, Span
+from estimator.simulation.moment import Reading
+from estimator.simulation.truck import Truck
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The drive as it was, every ``STEP``; all arrays (n,).
+
+    ``t`` [s], ``s`` [m], ``v`` [m/s], ``a`` [m/s^2], net engine ``torque`` [N.m] and ``engine_speed`` [rad/s] at the
+    crank, ``brake`` and ``retarder`` force [N], ``gear``; ``engaged``: clutch closed in a gear; ``shifting``: a gear
+    change is under way; ``braking``: the brake switch; ``parked``: parking brake on; ``grade`` rise over run [1],
+    ``altitude`` [m], ``heading`` clockwise from north, not wrapped [rad], ``yaw_rate`` [rad/s] and
+    ``lateral_acceleration`` [m/s^2] to the left, ``ambient_temperature`` and ``coolant_temperature`` [K],
+    ``pressure`` [Pa], ``fan_speed`` [rad/s].
+
+    ``reading`` is what the control units would send without noise. ``effects`` were asked for; ``active`` are the
+    stretches [s] of those that come and go; ``effect_power`` [W] is what each adds to the power read, such that where
+    the clutch is closed and the service brake released
+
+        reading.power = A v + C v^3 + m v a + sum of effect_power,      v, a = reading.v, reading.a
+
+    with A, C, m of the ``truck``. Beside those asked for it holds ``air_density`` on a road that is not level,
+    ``grade`` where the road itself has it, and ``driveline_efficiency`` of a truck that has losses there.
+    """
+
+    truck: Truck
+    t: Floats
+    s: Floats
+    v: Floats
+    a: Floats
+    torque: Floats
+    engine_speed: Floats
+    brake: Floats
+    retarder: Floats
+    gear: NDArray[np.int64]
+    engaged: Mask
+    shifting: Mask
+    braking: Mask
+    parked: Mask
+    grade: Floats
+    altitude: Floats
+    heading: Floats
+    yaw_rate: Floats
+    lateral_acceleration: Floats
+    ambient_temperature: Floats
+    coolant_temperature: Floats
+    pressure: Floats
+    fan_speed: Floats
+    reading: Reading
+    effects: tuple[Effect, ...]
+    active: Mapping[str, list[Span]]
+    effect_power: Mapping[str, Floats]
+
+    @property
+    def power(self) -> Floats:
+        """Net power at the crank [W]."""
+        return self.torque * self.engine_speed
+
+    @property
+    def driven(self) -> Mask:
+        """Where the engine alone, by a closed clutch, moves or holds back the rolling truck."""
+        free: Mask = self.engaged & ~self.shifting & (self.brake < 1.0) & (self.v > 0.0)
+        return free
+
+    def rms_power(self, name: str) -> float:
+        """Root mean square [W] of what an effect adds to the power read, while driving."""
+        return float(np.sqrt(np.mean(self.effect_power[name][self.driven] ** 2))) if self.driven.any() else 0.0

@@ -1,0 +1,136 @@
+"""A daemon on a bench: bus, clock and device are played by the test, and every thread is turned by hand."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import can
+import numpy as np
+
+from estimator.can_io.frames import Frames
+from estimator.config import Config
+from estimator.daemon.buses import BusSpec, Device
+from estimator.daemon.link import Link
+from estimator.daemon.loop import Daemon
+from estimator.daemon.reader import Batch
+from estimator.daemon.transmitter import Transmitter
+from estimator.daemon.worker import Worker
+from estimator.pipeline import Pipeline
+
+EPOCH = 1_700_000_000.0  # s, wall time when the monotonic clock shows 0
+
+
+@dataclass
+class FakeBus:
+    """Takes what is sent; keeps what a test puts on it until it is read."""
+
+    sent: list[can.Message] = field(default_factory=list)
+    waiting: list[Batch] = field(default_factory=list)
+    failures: list[Exception] = field(default_factory=list)  # raised by the next reads
+    send_failures: list[Exception] = field(default_factory=list)
+    drops: int = 0
+    closed: bool = False
+
+    def send(self, message: can.Message) -> None:
+        if self.send_failures:
+            raise self.send_failures.pop(0)
+        self.sent.append(message)
+
+    def shutdown(self) -> None:
+        self.closed = True
+
+    def read(self, timeout: float) -> Batch:
+        if self.failures:
+            raise self.failures.pop(0)
+        return self.waiting.pop(0) if self.waiting else Batch()
+
+    def kernel_drops(self) -> int:
+        return self.drops
+
+    def buffer_bytes(self) -> int | None:
+        return 4096
+
+
+class Bench:
+    """A daemon with one bus. ``now`` [s] is its clock; ``device`` what the probe sees."""
+
+    def __init__(
+        self,
+        folder: Path | None = None,
+        config: Config | None = None,
+        transmit: bool = False,
+        opener: Callable[[BusSpec, object], can.BusABC] | None = None,
+    ) -> None:
+        self.now = 100.0
+        self.ahead = EPOCH
+        self.device: Device | bool | None = True
+        self.buses: list[FakeBus] = []
+        self.absent = 0  # times the bus cannot be opened
+        settings = config or Config()
+        self.link = Link(
+            BusSpec({"interface": "virtual", "channel": "bench"}),
+            None,
+            settings.reception,
+            clock=lambda: self.now,
+            opener=opener or self._open,
+            probe=lambda: self.device,
+            make_reader=lambda bus, size: bus,  # type: ignore[arg-type, return-value]
+        )
+        self.worker = Worker(Pipeline(settings), settings.reception.queue_frames, clock=lambda: self.now)
+        self.transmitter = None
+        if transmit:
+            rng = np.random.default_rng(1)
+            self.transmitter = Transmitter(settings.publish, settings.transmit, self.link.send, rng)
+        status = None if folder is None else folder / "status.json"
+        metrics = None if folder is None else folder / "metrics.prom"
+        self.daemon = Daemon(
+            self.link,
+            None,
+            self.worker,
+            self.transmitter,
+            settings.reception.silence_s,
+            status,
+            metrics,
+            clock=lambda: self.now,
+            wall=lambda: self.now + self.ahead,
+        )
+
+    @property
+    def bus(self) -> FakeBus:
+        """The bus that was opened last."""
+        return self.buses[-1]
+
+    def _open(self, spec: BusSpec, filters: object) -> can.BusABC:
+        from estimator.daemon.buses import NotThereError
+
+        if self.absent:
+            self.absent -= 1
+            raise NotThereError("No such device")
+        self.buses.append(FakeBus())
+        return self.buses[-1]  # type: ignore[return-value]
+
+    def turn(self, seconds: float = 0.0, step: float = 0.1) -> None:
+        """Let time pass, turning link, loop and estimator."""
+        for _ in range(max(1, round(seconds / step))):
+            self.now += step if seconds else 0.0
+            self.link.step(0)
+            self.daemon.turn()
+            self.worker.turn()
+
+    def put(self, *messages: can.Message) -> None:
+        """Have others put messages on the bus, now."""
+        for message in messages:
+            message.timestamp = self.now + self.ahead
+        self.bus.waiting.append(Batch(Frames.from_messages(messages)))
+
+    def traffic(self, seconds: float, *messages: can.Message) -> None:
+        """Have others send some messages every 0.1 s."""
+        for _ in range(round(seconds / 0.1)):
+            self.now += 0.1
+            self.put(*(messages or (frame(0x18FEF100),)))
+            self.turn()
+
+
+def frame(ident: int, data: bytes = b"\xff" * 8) -> can.Message:
+    """A frame with a 29-bit id."""
+    return can.Message(arbitration_id=ident, data=data, is_extended_id=True)

@@ -1,0 +1,148 @@
+"""Diagnoses made by hand, for what shows them."""
+
+import numpy as np
+
+from estimator.diagnosis.result import (
+    Diagnosis,
+    Finding,
+    GapClosed,
+    GapMap,
+    Invisible,
+    Isolability,
+    Magnitude,
+    NotTestable,
+    Place,
+    Shift,
+    Traces,
+    Verdict,
+)
+
+NAMES = ("headwind", "grade", "warm_up", "auxiliary_cycling", "auxiliary_load", "viscous_drag", "torque_bias")
+MORE = ("load_loss", "rotating_inertia", "time_lag", "mass_step", "resistance_segment", "cornering", "sensor_drift")
+
+
+def finding(name: str, probability: float, **changes: object) -> Finding:
+    values: dict[str, object] = {
+        "name": name,
+        "probability": probability,
+        "log_bayes_factor": 130.0 * probability - 1.3,
+        "equivalent": (),
+        "magnitude": Magnitude("size", 1.0, 0.21, "kW"),
+        "gap_closed": None,
+        "rms_before": 13_400.0,
+        "rms_after": 13_300.0,
+        "shift": None,
+    }
+    return Finding(**(values | changes))  # type: ignore[arg-type]
+
+
+def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
+    """A drive with wind that turns with the road and a fan, and its maps."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(60.0 * minutes)
+    v = 16 + 7 * np.sin(t / 310) + 2.5 * np.sin(t / 37) + np.cumsum(rng.normal(0, 0.02, len(t)))
+    a = np.gradient(v)
+    base = (1700 + 3.7 * v**2 + 27_000 * a) * v
+    fan = 24_000.0 * ((t % 700 > 420) & (t % 700 < 520))
+    wind = 2 * 3.7 * 5.2 * v**2 * np.cos(t / 800)
+    noise = np.convolve(rng.normal(0, 6500, len(t)), np.ones(4) / 4, "same")
+    driving = (base > 0) & (t % 1500 > 90)
+    v, a, t = v[driving], a[driving], t[driving]
+    measured, extended = (base + wind + fan + noise)[driving], (base + 0.96 * wind + 0.97 * fan)[driving]
+    traces = Traces(t, np.cumsum(v), v, measured, base[driving], extended)
+    speeds, accelerations = np.linspace(0, 28, 15), np.linspace(-0.6, 0.6, 13)
+    count = np.histogram2d(v, a, [speeds, accelerations])[0]
+
+    def mean(residual: np.ndarray) -> np.ndarray:
+        total = np.histogram2d(v, a, [speeds, accelerations], weights=residual)[0]
+        return np.where(count >= 5, total / np.maximum(count, 1), np.nan)
+
+    maps = GapMap(speeds, accelerations, mean(measured - base[driving]), mean(measured - extended), count)
+    return traces, maps
+
+
+def rich() -> Diagnosis:
+    """Two effects found, everything filled."""
+    traces, maps = drive()
+    names = NAMES + MORE
+    factors = np.random.default_rng(1).normal(size=(len(names), 6))
+    factors[5] = 1.02 * factors[4] + 0.05 * factors[5]
+    correlation = np.corrcoef(factors)
+    wind = finding(
+        "headwind",
+        0.9996,
+        magnitude=Magnitude("wind", 5.21, 0.32, "m/s"),
+        gap_closed=GapClosed(0.712, 0.66, 0.755),
+        rms_after=7_600.0,
+        shift=Shift(-120.0, 85.0, -0.21),
+        detail="from 31°",
+    )
+    fan = finding(
+        "auxiliary_cycling",
+        0.983,
+        equivalent=("resistance_segment",),
+        magnitude=Magnitude("power", 23.4, 1.1, "kW"),
+        gap_closed=GapClosed(0.913, 0.882, 0.937),
+        rms_before=7_600.0,
+        rms_after=3_600.0,
+        shift=Shift(35.0, -60.0, 0.02),
+        span=tuple((700.0 * i + 420, 700.0 * i + 520) for i in range(6)),
+        detail="two levels, 14 % of the time",
+    )
+    others = [finding(n, 0.02 * 0.5**i) for i, n in enumerate(n for n in names if n not in (wind.name, fan.name))]
+    return Diagnosis(
+        verdict=Verdict.EFFECT,
+        reason="The wind came from 31° at about 5 m/s, and a fan of about 23 kW ran one seventh of the time. A return "
+        "leg would tell the fan from a segment of wet road.",
+        effects=(wind, fan),
+        candidates=(wind, fan, *others),
+        remaining_verdict=Verdict.NO_GAP,
+        remaining_log_bayes_factor=1.2,
+        noise_floor=3_300.0,
+        rms_base=13_400.0,
+        rms_final=3_600.0,
+        base=Shift(27_310.0, 1_712.0, 3.93),
+        final=Shift(27_225.0, 1_737.0, 3.74),
+        where=(
+            Place("heading", 10.0, 75.0, "°", 14_200.0, 0.41, 1e-9),
+            Place("speed", 20.0, 26.0, "m/s", 9_100.0, 0.33, 4e-6),
+            Place("time", 420.0, 520.0, "s", 22_800.0, 0.09, 0.0007),
+            Place("coolant_temperature", 364.0, 371.0, "K", -3_100.0, 0.02, 0.031),
+        ),
+        isolability=Isolability(names, correlation, np.linspace(60, -1, len(names))),
+        not_testable=(NotTestable("cornering", "yaw_rate or lateral_acceleration"), NotTestable("slip", "gps_speed")),
+        invisible=(
+            Invisible("viscous_drag", 0.8, Shift(0.0, -310.0, -0.4), "a coast-down from 25 to 5 m/s"),
+            Invisible("auxiliary_load", 2.1, Shift(12.0, -260.0, 0.0), "two minutes of idling"),
+        ),
+        advice=("Drive the same road back: wind changes its sign, a dragging brake does not.", "A weigh ticket."),
+        configuration='effects = ["headwind", "auxiliary_cycling"]',
+        gap_map=maps,
+        traces=traces,
+        logs=("monday/drive_0412.blf",),
+    )
+
+
+def unknown() -> Diagnosis:
+    """Something outside the catalogue acts: no effect chosen, traces without change."""
+    traces, maps = drive(30, seed=5)
+    traces = Traces(traces.t, traces.distance, traces.speed, traces.measured, traces.base, traces.base)
+    return Diagnosis(
+        verdict=Verdict.UNKNOWN,
+        reason="The residual follows time and no effect of the catalogue follows it as well.",
+        candidates=(finding("unknown_time", 0.97), finding("headwind", 0.03)),
+        remaining_verdict=Verdict.UNKNOWN,
+        remaining_log_bayes_factor=74.0,
+        noise_floor=3_300.0,
+        rms_base=9_100.0,
+        rms_final=9_100.0,
+        base=Shift(27_310.0, 1_712.0, 3.93),
+        gap_map=GapMap(maps.speed_edges, maps.acceleration_edges, maps.before, maps.before, maps.samples),
+        traces=traces,
+        logs=("a.blf", "b.blf"),
+    )
+
+
+def empty() -> Diagnosis:
+    """Nothing could be fitted."""
+    return Diagnosis(Verdict.CANNOT_TELL, "The log holds 40 s of driving; ten minutes are needed.", logs=("short.log",))

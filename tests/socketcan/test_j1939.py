@@ -1,0 +1,35 @@
+"""What we send, as other J1939 software hears it: the kernel's own stack."""
+
+import socket
+
+import can
+import pytest
+
+from estimator.can_io.protection import verify
+from estimator.can_io.publisher import Publisher, output_database
+from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
+
+MASS = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
+ESTIMATE = Estimate(0.0, Status.ESTIMATED, "", Coverage(30, 40), 12345, MASS, MASS, MASS, Convergence(1, 1, 1, 1, 3))
+PGN_MASS = 0xFF61
+
+
+def test_the_kernels_j1939_stack_hears_what_we_broadcast(buses):
+    with (
+        socket.socket(socket.PF_CAN, socket.SOCK_DGRAM, socket.CAN_J1939) as peer,
+        can.Bus(interface="socketcan", channel=buses[0], ignore_config=True) as bus,
+    ):
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        peer.bind((buses[0], socket.J1939_NO_NAME, socket.J1939_NO_PGN, socket.J1939_NO_ADDR))
+        peer.settimeout(5.0)
+        sent = Publisher(cvw=True).poll(0.0, ESTIMATE)
+        heard = {}
+        for message in sent:
+            bus.send(message)
+            data, (_, _, pgn, source) = peer.recvfrom(64)
+            heard[pgn, source] = data
+    assert heard == {(m.arbitration_id >> 8 & 0x3FFFF, m.arbitration_id & 0xFF): bytes(m.data) for m in sent}
+    assert len(heard) == 6
+    layout = output_database().get_message_by_name("RoadloadMass")
+    assert layout.decode(heard[PGN_MASS, 0xFB])["MassMean"] == pytest.approx(MASS.mean, abs=1.01)
+    assert all(verify(message) for message in sent if message.arbitration_id >> 8 & 0x3FFFF != 0xFE70)

@@ -1,0 +1,182 @@
+"""A bus that comes and goes: what the daemon does then, and what it calls it."""
+
+import errno
+import itertools
+import logging
+
+import can
+import pytest
+from daemon_bench import Bench, frame
+
+from estimator import config
+from estimator.daemon.buses import BusSpec, Device, open_bus
+from estimator.daemon.reader import Batch
+from estimator.daemon.status import State
+from estimator.errors import ConfigError
+
+GONE = can.CanOperationError("Failed to receive: No such device", errno.ENODEV)
+
+
+def test_an_absent_interface_is_tried_again_with_growing_pauses() -> None:
+    bench = Bench()
+    bench.absent = 7
+    began = bench.now
+    attempts = []
+    while not bench.buses:
+        before = bench.absent
+        bench.turn(0.1)
+        if bench.absent != before or bench.buses:
+            attempts.append(bench.now - began)
+        if len(attempts) < 8 and not bench.buses:
+            assert bench.daemon.state == State.WAITING
+            assert "No such device" in bench.daemon.detail
+    pauses = [round(b - a) for a, b in itertools.pairwise(attempts)]
+    assert pauses == [1, 2, 4, 8, 16, 30, 30]
+    assert bench.link.counts.attempts_failed == 7
+    assert bench.link.counts.reopened == 0
+
+
+def test_a_removed_interface_is_opened_anew_and_reception_goes_on() -> None:
+    bench = Bench()
+    bench.turn()
+    bench.traffic(1.0)
+    assert bench.daemon.state == State.RECEIVING
+    bench.bus.failures.append(GONE)
+    first = bench.bus
+    bench.turn(0.1)
+    assert first.closed
+    assert bench.daemon.state == State.WAITING
+    bench.turn(2.0)
+    bench.traffic(1.0)
+    assert bench.daemon.state == State.RECEIVING
+    assert bench.link.counts.reopened == 1
+    assert bench.link.counts.frames == 20
+
+
+def test_an_interface_made_anew_is_noticed_although_its_old_socket_only_falls_silent() -> None:
+    bench = Bench()
+    bench.device = Device(3, True, 0)
+    bench.turn()
+    bench.traffic(1.0)
+    bench.device = Device(4, True, 0)
+    bench.turn(4.0)
+    assert bench.link.counts.reopened == 1
+    bench.device = None
+    bench.turn(2.0)
+    assert bench.daemon.state == State.WAITING
+
+
+def test_a_silent_bus_is_no_fault_and_is_not_opened_anew_while_its_device_is_the_same() -> None:
+    bench = Bench()
+    bench.device = Device(3, True, 0)
+    bench.turn()
+    bench.traffic(1.0)
+    bench.turn(300.0, step=0.5)
+    assert bench.daemon.state == State.SILENT
+    assert bench.link.counts.reopened == 0
+    assert bench.link.problem == ""
+
+
+def test_without_a_device_to_look_at_a_silent_bus_is_opened_anew() -> None:
+    bench = Bench(config=config.from_dict({"reception": {"reopen_s": 20}}))
+    bench.turn()
+    bench.turn(30.0)
+    assert bench.link.counts.reopened == 1
+    assert bench.daemon.state == State.SILENT
+
+
+def test_a_link_that_is_down_is_waited_for() -> None:
+    bench = Bench()
+    bench.device = Device(3, False, 0)
+    bench.turn(2.0)
+    assert bench.daemon.state == State.WAITING
+    assert "down" in bench.daemon.detail
+
+
+def test_error_frames_only_are_named_as_a_wrong_bit_rate() -> None:
+    bench = Bench()
+    bench.turn()
+    for _ in range(50):
+        bench.bus.waiting.append(Batch(errors=10))
+        bench.turn(0.1)
+    assert bench.daemon.state == State.FAULT
+    assert "bit rate" in bench.daemon.detail
+    assert bench.link.counts.errors == 500
+
+
+def test_after_bus_off_the_bus_is_opened_anew() -> None:
+    bench = Bench()
+    bench.turn()
+    bench.bus.waiting.append(Batch(errors=1, bus_off=1))
+    bench.turn(6.0)
+    assert bench.link.counts.bus_off == 1
+    assert bench.link.counts.reopened == 1
+    bench.traffic(0.5)
+    assert bench.daemon.state == State.RECEIVING
+
+
+def test_traffic_of_which_nothing_is_wanted_is_a_fault() -> None:
+    bench = Bench()
+    for i in range(200):
+        bench.device = Device(3, True, 1000 * i)
+        bench.turn(1.0)
+    assert bench.daemon.state == State.FAULT
+    assert "roadload check" in bench.daemon.detail
+
+
+def test_kernel_drops_are_counted_over_all_sockets() -> None:
+    bench = Bench()
+    bench.turn()
+    bench.bus.drops = 5
+    bench.turn(1.5)
+    bench.bus.failures.append(GONE)
+    bench.turn(2.0)
+    bench.bus.drops = 3
+    bench.turn(2.0)
+    assert bench.link.counts.kernel_drops == 8
+
+
+def test_a_full_queue_drops_the_newest_and_counts_them() -> None:
+    bench = Bench(config=config.from_dict({"reception": {"queue_frames": 1000}}))
+    bench.turn()
+    for _ in range(11):
+        bench.put(*(frame(0x18FEF100) for _ in range(100)))
+        bench.link.step(0)
+    assert bench.link.counts.queue_drops == 100
+    assert sum(len(batch.frames) for _, batch in bench.link.take()) == 1000
+
+
+@pytest.mark.parametrize(
+    ("options", "fragment"),
+    [
+        ({"interface": "nonsense", "channel": "x"}, "nonsense"),
+        ({"interface": "socketcan", "channel": "can/0"}, "cannot be the name"),
+        ({"interface": "socketcan", "channel": "a-name-that-is-too-long"}, "cannot be the name"),
+        ({"interface": "socketcan", "channel": "lo"}, "not a CAN interface"),
+        ({"interface": "virtual", "channel": "x", "port": "a"}, "Port"),
+    ],
+)
+def test_a_bus_that_can_never_be_opened_is_refused(options: dict[str, object], fragment: str) -> None:
+    with pytest.raises(ConfigError, match=fragment):
+        open_bus(BusSpec(options), None)
+
+
+def test_what_can_never_be_opened_ends_the_daemon_at_the_start_only() -> None:
+    def refuse(spec: BusSpec, filters: object) -> can.BusABC:
+        raise ConfigError("no permission")
+
+    bench = Bench(opener=refuse)
+    bench.link.run_once()
+    with pytest.raises(ConfigError, match="no permission"):
+        bench.daemon.turn()
+
+
+def test_messages_do_not_repeat_without_end(caplog: pytest.LogCaptureFixture) -> None:
+    from estimator.daemon.journal import Once
+
+    once = Once()
+    logger = logging.getLogger("estimator.daemon.link")
+    caplog.set_level(logging.INFO, logger="estimator.daemon.link")
+    record = logger.makeRecord(logger.name, logging.WARNING, __file__, 1, "%s: gone", ("can0",), None)
+    passed = [once.filter(record) for _ in range(1000)]
+    assert passed == [True] + [False] * 999

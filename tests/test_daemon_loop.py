@@ -1,0 +1,380 @@
+"""The loop: what it sends and keeps back, what it says of itself, and that nothing on a bus breaks it."""
+
+import json
+import socket
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from daemon_bench import EPOCH, Bench, frame
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator import config
+from estimator.can_io.frames import Frames
+from estimator.can_io.name import Name
+from estimator.can_io.protection import verify
+from estimator.can_io.publisher import output_database, output_groups
+from estimator.can_io.recorder import frames_of
+from estimator.config import Config, Reception
+from estimator.daemon import status
+from estimator.daemon.reader import Batch
+from estimator.daemon.service import Notifier
+from estimator.daemon.status import State
+from estimator.errors import RoadloadError
+from estimator.replay import estimate
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+
+CLAIM, REQUEST = 0x18EEFF00, 0x18EAFF00
+TRANSMIT = config.from_dict({"transmit": {"enabled": True}, "publish": {"cvw": True}})
+
+
+def groups(messages: list[can.Message]) -> list[int]:
+    return [message.arbitration_id >> 8 & 0x3FFFF for message in messages]
+
+
+def broadcast(bench: Bench) -> list[can.Message]:
+    return [message for message in bench.bus.sent if message.arbitration_id >> 8 & 0x3FFFF in output_groups()]
+
+
+@pytest.fixture
+def sending() -> Bench:
+    """A daemon that has an address and broadcasts."""
+    bench = Bench(config=TRANSMIT, transmit=True)
+    bench.turn()
+    bench.traffic(2.0)
+    assert bench.transmitter is not None
+    assert bench.transmitter.address == 0xFB
+    return bench
+
+
+def test_a_listener_sends_nothing() -> None:
+    bench = Bench()
+    bench.turn()
+    bench.traffic(30.0, frame(0x18FEF100), frame(REQUEST | 0xFE, bytes([0, 0xEE, 0])))
+    assert bench.bus.sent == []
+
+
+def test_nothing_is_broadcast_before_the_address_is_claimed(sending: Bench) -> None:
+    claimed = groups(sending.bus.sent).index(0xEEFF)
+    first = groups(sending.bus.sent).index(0xFF60)
+    assert claimed < first
+    waited = sending.bus.sent[first].timestamp - (100.0 + EPOCH)
+    assert waited >= 0.25
+    assert all(verify(m) for m in broadcast(sending) if m.arbitration_id >> 8 & 0xFFFF != 0xFE70)
+
+
+def test_before_the_first_estimate_all_values_are_not_available(sending: Bench) -> None:
+    for message in broadcast(sending):
+        if message.arbitration_id >> 8 & 0xFFFF != 0xFF60:
+            assert message.data[:6] == b"\xff" * 6
+
+
+def test_who_loses_the_address_goes_on_under_another(sending: Bench) -> None:
+    lower = bytes(Name(identity=0, manufacturer=0, function=0, industry_group=0, arbitrary_address_capable=0))
+    sending.put(frame(CLAIM | 0xFB, lower))
+    before = len(sending.bus.sent)
+    sending.turn(0.2, step=0.05)
+    assert not [m for m in sending.bus.sent[before:] if m.arbitration_id >> 8 & 0x3FFFF in output_groups()]
+    sending.traffic(3.0)
+    assert sending.transmitter is not None
+    assert sending.transmitter.address not in (None, 0xFB)
+    assert broadcast(sending)[-1].arbitration_id & 0xFF == sending.transmitter.address
+
+
+def test_an_id_that_another_node_sends_is_withheld_and_said(sending: Bench) -> None:
+    before = groups(sending.bus.sent).count(0xFF60)
+    sending.put(frame(0x18FF60FB))
+    sending.traffic(5.0)
+    assert groups(sending.bus.sent).count(0xFF60) == before
+    assert sending.transmitter is not None
+    assert any("FF60" in reason and count >= 4 for reason, count in sending.transmitter.withheld.items())
+
+
+def test_a_foreign_weight_keeps_ours_back(sending: Bench) -> None:
+    assert 0xFE70 in groups(sending.bus.sent)
+    before = groups(sending.bus.sent).count(0xFE70)
+    sending.traffic(25.0, frame(0x18FE7031))
+    assert groups(sending.bus.sent).count(0xFE70) == before
+    content = sending.daemon.content(sending.now)
+    assert content["transmit"]["foreign_weights"] == [0x31]
+    assert any("CVW" in reason for reason in content["transmit"]["withheld"])
+
+
+def test_a_sleeping_vehicle_is_left_asleep(sending: Bench) -> None:
+    sending.turn(6.0)
+    before = sum(len(bus.sent) for bus in sending.buses)
+    sending.turn(200.0)
+    assert sum(len(bus.sent) for bus in sending.buses) == before
+    assert sending.daemon.state == State.SILENT
+    sending.traffic(2.0)
+    assert broadcast(sending)
+
+
+def test_requests_are_answered_and_refused(sending: Bench) -> None:
+    sending.put(frame(0x18EAFB21, bytes([0x61, 0xFF, 0x00])), frame(0x18EAFB21, bytes([0x65, 0xFE, 0x00])))
+    before = len(sending.bus.sent)
+    sending.turn(0.1)
+    answers = sending.bus.sent[before:]
+    assert 0xFF61 in groups(answers)
+    assert 0xE8FF in groups(answers)
+
+
+def test_a_flood_of_requests_does_not_become_a_flood_of_answers(sending: Bench) -> None:
+    before = len(sending.bus.sent)
+    for _ in range(100):
+        sending.put(*(frame(REQUEST | source, bytes([0x61, 0xFF, 0x00])) for source in range(30)))
+        sending.turn(0.1)
+    assert len(sending.bus.sent) - before < 20 * 10
+
+
+def test_a_first_failure_to_send_is_tolerated_and_later_ones_are_counted(sending: Bench) -> None:
+    assert sending.transmitter is not None
+    sending.bus.send_failures = [can.CanOperationError("Network is down")]
+    sending.traffic(1.5)
+    assert sending.transmitter.failed == 0
+    sending.bus.send_failures = [can.CanOperationError("Network is down")] * 2
+    sending.traffic(1.5)
+    assert sending.transmitter.failed == 1
+
+
+def test_a_reopened_bus_is_claimed_again(sending: Bench) -> None:
+    sending.bus.failures.append(OSError(19, "No such device"))
+    sending.turn(2.0)
+    assert groups(sending.bus.sent)[:2] == [0xEAFF, 0xEEFF]
+    sending.traffic(2.0)
+    assert 0xFF60 in groups(sending.bus.sent)
+
+
+def test_on_leaving_receivers_are_told_that_nothing_is_known(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, TRANSMIT, transmit=True)
+    bench.turn()
+    bench.traffic(2.0)
+    assert (tmp_path / "status.json").exists()
+    bench.daemon.close()
+    assert bench.buses[-1].closed
+    assert not (tmp_path / "status.json").exists()
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Frames:
+    rng = np.random.default_rng(3)
+    truck = Truck(mass=20_000.0, A=1200.0, C=3.5)
+    return frames_of(record(truck, generate_route("mixed", 20e3, rng), 900.0, rng).signals)
+
+
+def play(bench: Bench, frames: Frames, ahead: float = 0.0) -> None:
+    """Put a recorded drive on the bus, now, with stamps ``ahead`` [s]."""
+    t = frames.t - frames.t[0]
+    began = bench.now
+    edges = np.searchsorted(t, np.arange(0.2, t[-1] + 0.2, 0.2))
+    for first, last in zip([0, *edges[:-1].tolist()], edges.tolist(), strict=True):
+        bench.now += 0.2
+        stamps = t[first:last] + began + bench.ahead + ahead
+        batch = frames[first:last]
+        bench.bus.waiting.append(Batch(Frames(stamps, batch.ident, batch.length, batch.data)))
+        bench.link.step(0)
+        bench.daemon.turn()
+        bench.worker.turn()
+
+
+LENIENT = config.from_dict(
+    {
+        "gate": {"coverage": 0.02, "minimum_cells": 4, "interval_s": 60.0, "relative_sd": [5.0, 5.0, 1.0]},
+        "transmit": {"enabled": True},
+    }
+)
+
+
+def test_a_drive_on_the_bus_is_estimated_as_from_its_log_and_broadcast(drive: Frames, tmp_path: Path) -> None:
+    from estimator.can_io.recorder import write_log
+
+    write_log(drive, tmp_path / "drive.blf")
+    expected = estimate([tmp_path / "drive.blf"], LENIENT, lambda share: None)
+    assert expected.updates[-2].mass is not None
+    bench = Bench(tmp_path, LENIENT, transmit=True)
+    bench.turn()
+    play(bench, drive)
+    shown = bench.worker.knowledge.estimate
+    assert shown is not None
+    assert shown.mass is not None
+    assert shown.mass.mean == pytest.approx(expected.updates[-2].mass.mean, rel=0.01)
+    masses = [m for m in broadcast(bench) if m.arbitration_id >> 8 & 0xFFFF == 0xFF61]
+    decoded = output_database().decode_message("RoadloadMass", masses[-1].data)
+    assert decoded["MassMean"] == pytest.approx(shown.mass.mean, abs=2.0)
+    content = json.loads((tmp_path / "status.json").read_text())
+    assert content["estimate"]["parameters"]["mass_kg"]["mean"] == pytest.approx(shown.mass.mean)
+    assert content["signals"]["speed"]["age_s"] < 10
+    assert 'roadload_mass_kg{moment="mean"}' in (tmp_path / "metrics.prom").read_text()
+    bench.daemon.close()
+    last = output_database().decode_message("RoadloadMass", broadcast(bench)[-1].data, decode_choices=True)
+    assert str(last["MassMean"]) == "not available"
+
+
+def test_a_clock_set_by_an_hour_in_mid_drive_does_not_harm_the_estimate(drive: Frames) -> None:
+    results = []
+    for step in (0.0, 3600.0, -3600.0):
+        bench = Bench(config=LENIENT)
+        bench.turn()
+        half = len(drive) // 2
+        play(bench, drive[:half])
+        play(bench, drive[half:], ahead=step)
+        assert bench.daemon.content(bench.now)["clock_steps"] == (step != 0)
+        shown = bench.worker.knowledge.estimate
+        assert shown is not None
+        assert shown.mass is not None
+        results.append(shown.mass.mean)
+    assert results[1:] == pytest.approx([results[0]] * 2, rel=0.01)
+
+
+def test_the_watchdog_is_fed_only_while_frames_are_drained_and_the_estimator_lives(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.turn()
+    assert bench.daemon.is_healthy(bench.now)
+    assert not bench.daemon.is_healthy(bench.now + 30.0)
+    bench.turn(1.0)
+    bench.worker.turn()
+    assert bench.daemon.is_healthy(bench.now)
+
+
+def test_a_hung_estimator_is_noticed() -> None:
+    bench = Bench()
+    bench.turn()
+    bench.traffic(1.0)
+    seen = []
+
+    class Hanging:
+        def feed(self, frames: Frames) -> list[object]:
+            bench.now += 60.0
+            bench.link.step(0)
+            seen.append(bench.daemon.is_healthy(bench.now))
+            return []
+
+    bench.worker._feed = lambda frames, began: Hanging().feed(frames)  # type: ignore[method-assign]
+    bench.put(frame(0x18FEF100))
+    bench.link.step(0)
+    bench.daemon.turn()
+    bench.worker.turn()
+    assert seen == [False]
+
+
+def test_an_estimator_that_died_ends_the_daemon() -> None:
+    bench = Bench()
+    bench.worker.failure = ValueError("broken")
+    with pytest.raises(RoadloadError, match="broken"):
+        bench.turn()
+
+
+def test_systemd_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(tmp_path / "notify"))
+    manager.settimeout(5.0)
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    bench = Bench()
+    bench.daemon._notifier = Notifier()
+    bench.absent = 100
+    bench.turn(1.0)
+    told = manager.recv(4096).decode().splitlines()
+    assert "READY=1" in told
+    assert "WATCHDOG=1" in told
+    assert any(line.startswith("STATUS=waiting for interface") for line in told)
+    Notifier().reloading()
+    while not told[0].startswith("RELOADING"):
+        told = manager.recv(4096).decode().splitlines()
+    assert told[0] == "RELOADING=1"
+    assert told[1].startswith("MONOTONIC_USEC=")
+    manager.close()
+
+
+def test_a_status_is_only_that_of_a_living_and_recent_daemon(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.turn()
+    content = json.loads((tmp_path / "status.json").read_text())
+    assert status.verdict(content, bench.now) == ""
+    assert "ago" in status.verdict(content, bench.now + 60)
+    assert "machine" in status.verdict(content, bench.now - 60)
+    assert "ended" in status.verdict(content | {"pid": 2**22 + 1}, bench.now)
+
+
+def test_metrics_can_be_read_by_prometheus(sending: Bench) -> None:
+    sending.worker.knowledge = status.Knowledge(refused={'odd "name"\nwith \\': 2})
+    text = status.metrics(sending.daemon.content(sending.now))
+    for line in text.splitlines():
+        assert line.startswith("# TYPE roadload_") or line.startswith("roadload_")
+        if not line.startswith("#"):
+            float(line.rsplit(" ", 1)[1])
+    assert r'roadload_refused_total{reason="odd \"name\"\nwith \\"} 2' in text
+
+
+KNOWN = [0x18FEF100, 0x0CF00400, 0x18FEDF00, 0x1CECFF00, 0x1CEBFF00, 0x18EEFFFB, 0x18EAFFFE, 0x18FF60FB, 0x18FE7031]
+MESSAGES = st.builds(
+    lambda ident, extended, data, stamp, kind: can.Message(
+        arbitration_id=ident if extended else ident & 0x7FF,
+        is_extended_id=extended,
+        data=data,
+        timestamp=stamp,
+        is_fd=len(data) > 8,
+        is_error_frame=kind == 1,
+        is_remote_frame=kind == 2,
+        check=False,
+    ),
+    st.sampled_from(KNOWN) | st.integers(0, 0x3FFFFFFF),
+    st.booleans(),
+    st.binary(max_size=8) | st.binary(min_size=8, max_size=8) | st.binary(max_size=70),
+    st.floats() | st.floats(EPOCH, EPOCH + 1000),
+    st.sampled_from([0, 0, 0, 0, 1, 2]),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 50), st.lists(MESSAGES, max_size=20)), max_size=12))
+def test_nothing_on_a_bus_breaks_the_loop(turns: list[tuple[float, list[can.Message]]]) -> None:
+    from estimator.daemon.reader import pack
+
+    bench = Bench(config=config.replace(TRANSMIT, reception=Reception(reopen_s=0)), transmit=True)
+    bench.turn()
+    put = 0
+    for wait, messages in turns:
+        bench.now += wait
+        bench.bus.waiting.append(pack(messages))
+        put += len(messages)
+        bench.link.step(0)
+        bench.daemon.turn()
+        bench.worker.turn()
+    bench.turn()
+    counts = bench.link.counts
+    assert counts.frames + counts.errors + counts.remote + counts.malformed == put
+    assert bench.worker.pipeline.frames == counts.frames
+    assert bench.worker.drops == counts.queue_drops == 0
+    shown = bench.worker.knowledge.estimate
+    assert shown is None or shown.mass is None
+    text = json.dumps(bench.daemon.content(bench.now), allow_nan=False)
+    assert len(text) < 50_000
+    assert status.metrics(json.loads(text))
+    assert len(bench.bus.sent) <= 40 + 20 * (bench.now - 100.0)
+
+
+def test_the_configuration_without_a_bus_of_its_own_is_the_default() -> None:
+    assert Config().transmit.enabled is False
+    assert Config().publish.cvw is False
+
+
+def test_attacks_recorded_on_a_truck_are_survived(recordings: Path) -> None:
+    from estimator.can_io.logs import open_log
+
+    logs = sorted((recordings / "j1939_trucks/kenworth_t270").glob("*.log"))
+    assert logs
+    for path in logs:
+        bench = Bench(config=TRANSMIT, transmit=True)
+        bench.turn()
+        for frames in open_log(path):
+            play(bench, frames[:20_000])
+            break
+        assert bench.worker.knowledge.frames > 0
+        shown = bench.worker.knowledge.estimate
+        assert shown is None or shown.mass is None
+        assert all(verify(m) for m in broadcast(bench) if m.arbitration_id >> 8 & 0xFFFF != 0xFE70)
+        assert len(bench.bus.sent) < 20 * (bench.now - 99.0)

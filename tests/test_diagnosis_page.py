@@ -1,0 +1,322 @@
+"""A diagnosis as a page, as JSON and on the terminal."""
+
+import dataclasses
+import io
+import json
+import shutil
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnoses import empty, finding, rich, unknown
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+
+from estimator.cli_diagnosis_tables import print_diagnosis
+from estimator.diagnosis.result import Diagnosis, GapClosed, Isolability, Magnitude, NotTestable, Traces, Verdict
+from estimator.diagnosis_summary import of_diagnosis
+from estimator.errors import ConfigError, RoadloadError
+from estimator.report import wording
+from estimator.report.diagnosis_page import page, write_page
+
+DIAGNOSES = {"rich": rich, "unknown": unknown, "empty": empty}
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FINDING_KEYS = {
+    "name", "probability", "log_bayes_factor", "equivalent", "magnitude", "gap_closed", "rms_before_kW",
+    "rms_after_kW", "parameter_shift",
+}  # fmt: skip
+CONTRACT = {
+    "verdict", "effects", "candidates", "remaining", "noise_floor_kW", "rms_base_kW", "rms_final_kW", "where",
+    "isolability", "not_testable",
+}  # fmt: skip
+
+
+# JSON
+
+
+@pytest.mark.parametrize("name", DIAGNOSES)
+def test_json_keeps_the_contract(name: str) -> None:
+    content = json.loads(json.dumps(of_diagnosis(DIAGNOSES[name]()), allow_nan=False))
+    assert content.keys() >= CONTRACT
+    assert content["remaining"].keys() == {"verdict", "log_bayes_factor"}
+    for effect in content["effects"] + content["candidates"]:
+        assert effect.keys() >= FINDING_KEYS
+        assert effect["magnitude"].keys() == {"name", "value", "sd", "unit"}
+    for place in content["where"]:
+        assert place.keys() == {"axis", "from", "to", "unit", "bias_kW", "share", "q_value"}
+    for pair in content["isolability"]["pairs"]:
+        assert pair.keys() >= {"a", "b", "distance"}
+
+
+def test_json_gives_kilowatts_and_distances() -> None:
+    d = rich()
+    content = of_diagnosis(d)
+    wind = content["effects"][0]
+    assert (content["rms_base_kW"], content["noise_floor_kW"], wind["rms_after_kW"]) == (13.4, 3.3, 7.6)
+    assert wind["gap_closed"] == {"fraction": 0.712, "q05": 0.66, "q95": 0.755}
+    assert wind["parameter_shift"] == {"mass_kg": -120.0, "A_N": 85.0, "C_N_s2_m2": -0.21}
+    assert content["where"][0]["bias_kW"] == pytest.approx(14.2)
+    names = len(d.isolability.names)
+    assert len(content["isolability"]["pairs"]) == names * (names - 1) / 2
+    same = dataclasses.replace(
+        d, isolability=Isolability(("a", "b", "c"), np.array([[1, -1, 0], [-1, 1, 0], [0, 0, 1]]), np.zeros(3))
+    )
+    assert [p["distance"] for p in of_diagnosis(same)["isolability"]["pairs"]] == [0, 1, 1]
+
+
+def test_json_says_null_for_what_is_not_known() -> None:
+    odd = finding("fan", np.nan, magnitude=Magnitude("x", np.inf, np.nan, ""), gap_closed=GapClosed(np.nan, 0.1, 0.2))
+    d = Diagnosis(Verdict.EFFECT, "", effects=(odd,), noise_floor=np.nan, rms_base=np.float64(2000.0))
+    content = json.loads(json.dumps(of_diagnosis(d), allow_nan=False))
+    assert content["effects"][0]["probability"] is None
+    assert content["effects"][0]["magnitude"]["value"] is None
+    assert content["effects"][0]["gap_closed"]["fraction"] is None
+    assert (content["noise_floor_kW"], content["rms_base_kW"], content["rms_final_kW"]) == (None, 2.0, None)
+
+
+# page
+
+
+class Skeleton(HTMLParser):
+    """Tags with the names of their attributes, and the text between them."""
+
+    def __init__(self, document: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, tuple[str, ...]]] = []
+        self.texts: list[str] = []
+        self.feed(document)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, tuple(name for name, _ in attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+def named(text: str) -> Diagnosis:
+    """A diagnosis in which everything that can come from outside is ``text``."""
+    d, places = rich(), rich().where[:1]
+    effect = dataclasses.replace(d.effects[0], name=text, detail=text, equivalent=(text,))
+    effect = dataclasses.replace(effect, magnitude=Magnitude(text, 1.0, 0.1, text))
+    return dataclasses.replace(
+        d,
+        reason=text,
+        effects=(effect,),
+        candidates=(effect,),
+        where=(dataclasses.replace(places[0], axis=text, unit=text),),
+        isolability=Isolability((text, text), np.ones((2, 2)), np.ones(2)),
+        not_testable=(NotTestable(text, text),),
+        invisible=(dataclasses.replace(d.invisible[0], name=text, breaks=text),),
+        advice=(text,),
+        configuration=text,
+        traces=None,
+        logs=(text,),
+    )
+
+
+BENIGN = Skeleton(page(named("benign"))).tags
+
+
+@given(
+    st.text(min_size=1).filter(lambda text: text != wording.NOTHING)
+    | st.sampled_from(
+        [
+            "</style><script>alert(1)</script>",
+            '"><img src=x onerror=alert(1)>',
+            "' onload='x",
+            "&lt;b&gt;",
+            "<!--",
+            "]]>",
+        ]
+    )
+)
+@settings(deadline=None, max_examples=60)
+def test_no_name_changes_the_page(text: str) -> None:
+    skeleton = Skeleton(page(named(text)))
+    assert skeleton.tags == BENIGN
+    assert skeleton.texts.count(text) >= 2  # reason, configuration
+
+
+def test_bytes_that_are_no_text_are_written(tmp_path: Path) -> None:
+    write_page(dataclasses.replace(empty(), logs=("drive\udcff.blf",)), tmp_path / "a.html")
+    assert "drive?.blf" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_page_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match=r"a\.pdf: write it as one of \.html"):
+        write_page(rich(), tmp_path / "a.pdf")
+    with pytest.raises(ConfigError, match="no folder"):
+        write_page(rich(), tmp_path / "missing" / "a.html")
+    (tmp_path / "a.html").write_text("an older page")
+
+    def full(path: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(RoadloadError, match=r"a\.html: No space left on device"):
+        write_page(rich(), tmp_path / "a.html")
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a.html", "an older page")]
+
+
+def test_page_is_small_and_the_same_twice() -> None:
+    assert len(page(rich()).encode()) < 300_000
+    assert page(rich()) == page(rich())
+
+
+def test_gap_map_tells_each_cell() -> None:
+    d = rich()
+    cells = np.isfinite(d.gap_map.before).sum() + np.isfinite(d.gap_map.after).sum()
+    assert page(d).count('<rect class="cell') == cells
+    worst = np.unravel_index(np.nanargmax(d.gap_map.before), d.gap_map.before.shape)
+    assert f": {d.gap_map.before[worst] / 1e3:+.1f} kW, {d.gap_map.samples[worst]:,.0f} samples" in page(d)
+
+
+def test_power_shows_the_minutes_that_say_most() -> None:
+    t = np.arange(3600.0)
+    flat = np.full(3600, 50e3)
+    measured = flat + 20e3 * ((t > 2400) & (t < 2640))
+    traces = Traces(t, 20 * t, flat / 2500, measured, flat, measured)
+    d = dataclasses.replace(rich(), traces=traces, gap_map=None)
+    assert 'aria-label="Power from 39 to 44 min' in page(d) or 'aria-label="Power from 40 to 45 min' in page(d)
+
+
+def test_a_break_between_two_logs_is_cut_out() -> None:
+    d = rich()
+    t = np.concatenate([d.traces.t, d.traces.t + 3 * 86_400])
+    twice = Traces(t, *(np.tile(getattr(d.traces, f.name), 2) for f in dataclasses.fields(Traces)[1:]))
+    document = page(dataclasses.replace(d, traces=twice))
+    assert "driving time [min], long breaks left out" in document
+    assert "driving time" not in page(d)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 50])
+@pytest.mark.parametrize("value", [0.0, 5.0, np.nan])
+def test_traces_without_extent_leave_a_page(count: int, value: float) -> None:
+    traces = Traces(np.arange(count) * 1.0, *np.full((5, count), value))
+    document = page(dataclasses.replace(rich(), traces=traces, noise_floor=value))
+    assert ("Power, measured" in document) == (count >= 2 and np.isfinite(value))
+    assert "Which effect?" in document
+
+
+@pytest.mark.parametrize("name", DIAGNOSES)
+def test_headline_and_reason_come_first(name: str) -> None:
+    d = DIAGNOSES[name]()
+    texts = Skeleton(page(d)).texts
+    first = texts.index(d.verdict.value)
+    assert texts[first : first + 3] == [d.verdict.value, wording.headline(d), d.reason]
+
+
+# in a browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[object]:
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        running = driver.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-background-networking"]
+        )
+        yield running
+        running.close()
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("name", DIAGNOSES)
+def test_page_opens_in_a_browser(browser: object, tmp_path: Path, name: str, width: int) -> None:
+    d, path, said, asked = DIAGNOSES[name](), tmp_path / "report.html", [], []
+    write_page(d, path)
+    tab = browser.new_page(viewport={"width": width, "height": 900})
+    tab.on("console", lambda message: said.append(message.text))
+    tab.on("pageerror", lambda error: said.append(str(error)))
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.goto(path.as_uri())
+    assert said == []
+    assert asked == [path.as_uri()]
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    assert tab.locator("h1").inner_text() == wording.headline(d)
+    plots = tab.locator(".plot").all()
+    assert len(plots) == {"rich": 7, "unknown": 4, "empty": 0}[name]
+    for plot in plots:
+        box = plot.locator("svg").bounding_box()
+        assert box["width"] > 250
+        assert box["height"] > 150
+        assert plot.get_by_role("img").get_attribute("aria-label")
+        assert plot.locator(".area span").count() >= 4
+    # Every drawn line has an extent, and no text is too small to read or runs out of its box.
+    assert tab.evaluate("[...document.querySelectorAll('.line')].every(l => l.getBoundingClientRect().width > 50)")
+    tiny = "[...document.querySelectorAll('p, td, li, dd, .area span')].filter(e => e.innerText && "
+    assert tab.evaluate(tiny + "parseFloat(getComputedStyle(e).fontSize) < 10.5).map(e => e.innerText)") == []
+    outside = "[...document.querySelectorAll('main *')].filter(e => !e.closest('.scroll, thead, svg') && "
+    assert tab.evaluate(outside + f"e.getBoundingClientRect().right > {width}).map(e => e.className)") == []
+    tab.close()
+
+
+# terminal
+
+
+def printed(d: Diagnosis, width: int = 120) -> str:
+    stream = io.StringIO()
+    print_diagnosis(Console(file=stream, width=width), d)
+    return stream.getvalue()
+
+
+def test_terminal_says_all_in_a_screenful() -> None:
+    text = printed(rich())
+    assert text.startswith("Headwind and auxiliary cycling (or resistance segment) account for 99 % of the gap.\n")
+    assert len(text.splitlines()) <= 30
+    for part in ("wind 5.21 ± 0.32 m/s", "71 % (66 to 76 %)", "noise floor 3.3 kW", "coolant temperature", "gps_speed"):
+        assert part in text
+    assert text.endswith('add to the configuration: effects = ["headwind", "auxiliary_cycling"]\n')
+
+
+def test_terminal_of_a_log_that_cannot_tell() -> None:
+    assert printed(empty()).splitlines() == [wording.headline(empty()), empty().reason]
+
+
+@pytest.mark.parametrize("text", ["[bold]x[/bold]", "[/]", "[link=x]"])
+def test_terminal_prints_names_as_they_are(text: str) -> None:
+    assert printed(named(text), 400).count(text) >= 8
+
+
+# words
+
+
+@pytest.mark.parametrize(
+    ("fraction", "words"),
+    [(0.914, "91 %"), (1.0, "100 %"), (0.0, "0 %"), (0.9962, "99.6 %"), (0.99999, "> 99.9 %"), (0.004, "0.4 %"),
+     (1e-7, "< 0.1 %"), (-0.123, "\N{MINUS SIGN}12 %"), (np.nan, wording.NOTHING)],
+)  # fmt: skip
+def test_percent(fraction: float, words: str) -> None:
+    assert wording.percent(fraction) == words
+
+
+@pytest.mark.parametrize(
+    ("magnitude", "words"),
+    [(Magnitude("wind", 6.123, 0.41, "m/s"), "wind 6.12 ± 0.41 m/s"),
+     (Magnitude("loss", 0.0123, 0.0021, ""), "loss 0.0123 ± 0.0021"),
+     (Magnitude("mass", -4512.3, 120.0, "kg"), "mass \N{MINUS SIGN}4,512 ± 120 kg"),
+     (Magnitude("lag", 0.25, np.nan, "s"), "lag 0.250 s")],
+)  # fmt: skip
+def test_size_has_the_digits_it_deserves(magnitude: Magnitude, words: str) -> None:
+    assert wording.size(magnitude) == words
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True))
+def test_any_number_can_be_written(x: float) -> None:
+    for text in (wording.number(x), wording.percent(x), wording.kilowatts(x), wording.bayes(x)):
+        assert text
+        assert "nan" not in text
+        assert "inf" not in text
+        assert not text.startswith("-")
+
+
+def test_gap_closed_of_several_effects_is_that_of_the_residuals() -> None:
+    expected = 1 - (3.6**2 - 3.3**2) / (13.4**2 - 3.3**2)
+    assert wording.gap_closed(rich()) == pytest.approx(expected)
+    assert wording.gap_closed(dataclasses.replace(rich(), effects=rich().effects[:1])) == 0.712
+    assert wording.gap_closed(unknown()) is None

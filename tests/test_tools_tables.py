@@ -1,0 +1,400 @@
+"""Tables become logs that say the same; another simulator's drives and real recordings are judged as they should be."""
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import can
+import cantools
+import numpy as np
+import pytest
+
+from estimator import config
+from estimator.can_io.binding import load_database
+from estimator.can_io.recorder import EPOCH, frames_of, write_log
+from estimator.errors import RoadloadError
+from estimator.replay import estimate
+from estimator.road_load import design
+from estimator.signals import Role
+from estimator.units import STANDARD_GRAVITY
+
+TOOLS = Path(__file__).parents[1] / "tools"
+ROOMS = ("table", "table_to_log", "real_recordings", "second_world", "fastsim_world")
+CAR = """VERSION ""
+NS_ :
+BS_:
+BU_:
+BO_ 256 MOTION: 3 Vector__XXX
+ SG_ Speed : 7|16@0+ (0.01,0) [0|300] "km/h" Vector__XXX
+ SG_ Mode : 16|4@1+ (1,0) [0|15] "" Vector__XXX
+BO_ 257 MOTOR: 8 Vector__XXX
+ SG_ Torque : 0|16@1- (0.5,0) [-400|400] "Nm" Vector__XXX
+"""
+TABLE = "t,v km/h,torque,car\n0.0,36,100,1\n1.0,,-20.5,1\n2.0,54.25,900,1\n3.0,60,0,2\n"
+
+
+@pytest.fixture
+def tools(monkeypatch):
+    monkeypatch.syspath_prepend(TOOLS)
+    import fastsim_world.bus
+    import fastsim_world.roads
+    import fastsim_world.truck
+    import real_recordings
+    import second_world
+    import table
+    import table_to_log
+
+    world = fastsim_world
+    yield SimpleNamespace(
+        table=table,
+        to_log=table_to_log,
+        recordings=real_recordings,
+        second=second_world,
+        roads=world.roads,
+        truck=world.truck,
+        bus=world.bus,
+    )
+    for name in [name for name in sys.modules if name.partition(".")[0] in ROOMS]:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "car.dbc").write_text(CAR)
+    (tmp_path / "drive.csv").write_text(TABLE)
+    return tmp_path
+
+
+def run(tools, files, *arguments, table="drive.csv", log="drive.log"):
+    command = [str(files / table), str(files / log), "--dbc", str(files / "car.dbc"), *arguments]
+    return tools.to_log.main(command)
+
+
+def messages(path):
+    """Frames of a log as (time since EPOCH, id, payload), by python-can's own reader."""
+    with can.LogReader(path) as log:
+        return [(m.timestamp - EPOCH, m.arbitration_id, bytes(m.data)) for m in log]
+
+
+def test_another_decoder_reads_the_table_back(tools, files, capsys):
+    mapped = ("--map", "MOTION.Speed=v km/h", "--map", "MOTOR.Torque=torque", "--time", "t")
+    assert run(tools, files, *mapped) == 0
+    car = cantools.database.load_file(files / "car.dbc")
+    seen = {"MOTION": {}, "MOTOR": {}}
+    for t, ident, data in messages(files / "drive.log"):
+        message = car.get_message_by_frame_id(ident)
+        seen[message.name][round(t, 3)] = message.decode(data)
+    # What is empty or out of range cannot be said by these messages, so the frame is not there.
+    assert {t: content["Speed"] for t, content in seen["MOTION"].items()} == {0.0: 36.0, 2.0: 54.25, 3.0: 60.0}
+    assert {t: content["Torque"] for t, content in seen["MOTOR"].items()} == {0.0: 100.0, 1.0: -20.5, 3.0: 0.0}
+    said = capsys.readouterr().out
+    assert "MOTION.Speed: 1 empty, 0 out of range: frame left out" in said
+    assert "MOTOR.Torque: 0 empty, 1 out of range: frame left out" in said
+    assert "nothing is mapped to Mode" in said
+
+
+def test_j1939_says_not_available_and_keeps_the_rest_of_the_frame(tools, files):
+    (files / "drive.csv").write_text("n,T,v\n1000,50,40\n1200,,50\n99999,60,\n")
+    log = files / "drive.blf"
+    table = tools.table.read_table(files / "drive.csv")
+    mapping = ["EEC1.EngSpeed=n", "EEC1.ActualEngPercentTorque=T", "CCVS1.WheelBasedVehicleSpeed=v"]
+    count, span, remarks = tools.to_log.convert(table, log, [], mapping, None, 10.0, [])
+    assert (count, round(span, 6)) == (5, 0.2)
+    engine = [data for _, ident, data in messages(log) if ident >> 8 & 0xFFFF == 0xF004]
+    raw = [(int.from_bytes(data[3:5], "little"), data[2]) for data in engine]
+    assert raw == [(8000, 175), (9600, 0xFF), (0xFFFF, 185)]
+    assert all(data[0] == data[1] == data[7] == 0xFF for data in engine)
+    assert remarks == [
+        "EEC1.EngSpeed: 0 empty, 1 out of range: not available",
+        "EEC1.ActualEngPercentTorque: 1 empty, 0 out of range: not available",
+        "CCVS1.WheelBasedVehicleSpeed: 1 empty, 0 out of range: not available",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [("a", 3.0), ("a*2", 6.0), ("a*-2.5e1", -75.0), ("a+1", 4.0), ("a*2-0.5", 5.5), ("a-1", 7.0), ("b (x/y)*2", 10.0)],
+)
+def test_columns_are_scaled(tools, tmp_path, expression, expected):
+    (tmp_path / "x.csv").write_text("a,a-1,b (x/y)\n3,7,5\n")
+    assert tools.table.read_table(tmp_path / "x.csv").scaled(expression).tolist() == [expected]
+
+
+def test_rows_are_selected_and_keep_their_times(tools, files):
+    assert run(tools, files, "--map", "MOTION.Speed=v km/h", "--rate", "2", "--select", "car=2.0") == 0
+    assert [round(t, 6) for t, _, _ in messages(files / "drive.log")] == [1.5]
+
+
+@pytest.mark.parametrize(
+    ("table", "arguments", "words"),
+    [
+        ("t,v\n0,1\n1,fast\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 3, column 'v': 'fast' is not a number"),
+        ("t,v\n0,1\n2,1\n1,2\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 4: time 1 after 2"),
+        ("t,v\n0,1\n,1\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 3: time nan"),
+        ("t,v\n0,1\n1\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 3 has 1 cells, the header has 2"),
+        ("v,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=v"], "two columns are called 'v'"),
+        ("t,v\n", ["--rate", "1", "--map", "MOTION.Speed=v"], "holds no rows"),
+        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=w"], "no column 'w'; the columns are 't', 'v'"),
+        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Velocity=v"], "no such signal; it has Speed, Mode"),
+        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOVE.Speed=v"], "no such message; it has MOTION, MOTOR"),
+        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION=v"], "is not of the form"),
+        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=v", "--map", "MOTION.Speed=t"], "is mapped twice"),
+        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=v", "--select", "v=2"], "'v' holds 1"),
+        ("t,v\n0,-1\n", ["--rate", "1", "--map", "MOTION.Speed=v"], "no frame is left; MOTION.Speed: 0 empty, 1 out"),
+    ],
+)
+def test_bad_tables_are_one_line_and_no_log(tools, files, capsys, table, arguments, words):
+    (files / "drive.csv").write_text(table)
+    assert run(tools, files, *arguments) == 2
+    assert not (files / "drive.log").exists()
+    complaint = capsys.readouterr().err
+    assert complaint.count("\n") == 1
+    assert words in complaint
+
+
+def test_a_message_of_many_frames_is_refused(tools, files):
+    table = tools.table.read_table(files / "drive.csv")
+    with pytest.raises(RoadloadError, match="39 bytes do not fit into one frame"):
+        tools.to_log.frames_of_table(table, np.arange(4.0), load_database([]), ["EC1.EngReferenceTorque=torque"])
+
+
+def test_parquet_reads_like_csv(tools, files):
+    pyarrow = pytest.importorskip("pyarrow", reason="Parquet tables need pyarrow")
+    from pyarrow import csv, parquet
+
+    parquet.write_table(csv.read_csv(files / "drive.csv"), files / "drive.parquet")
+    assert pyarrow is not None
+    mapped = ("--map", "MOTION.Speed=v km/h", "--time", "t")
+    assert run(tools, files, *mapped) == run(tools, files, *mapped, table="drive.parquet", log="other.log") == 0
+    assert (files / "drive.log").read_text() == (files / "other.log").read_text()
+
+
+@pytest.mark.skipif(find_spec("pyarrow") is not None, reason="pyarrow is installed")
+def test_parquet_without_its_library_says_what_to_install(tools, files):
+    with pytest.raises(RoadloadError, match="pip install pyarrow"):
+        tools.table.read_table(files / "drive.parquet")
+
+
+def test_a_table_at_one_hertz_is_enough_for_the_estimator(tools, tmp_path):
+    t = np.arange(3600.0)
+    waves = [(5.0, 97.0), (3.0, 41.0), (2.0, 211.0)]
+    v = 16 + sum(size * np.sin(2 * np.pi * t / period) for size, period in waves)
+    a = sum(size * 2 * np.pi / period * np.cos(2 * np.pi * t / period) for size, period in waves)
+    truth = np.array([1500.0, 3.5, 22_000.0])
+    noise = np.random.default_rng(1).normal(0.0, 3e3, len(t))
+    power = np.maximum(design(v, a) @ truth + noise, 0.0) / 1e3
+    rows = zip((v / 0.44704).tolist(), power.tolist(), strict=True)
+    (tmp_path / "truck.csv").write_text("mph,kW\n" + "\n".join(f"{x:.4f},{y:.4f}" for x, y in rows))
+    table = tools.table.read_table(tmp_path / "truck.csv")
+    mapping = ["MOTION.Speed=mph", "ENGINE.Power=kW"]
+    tools.to_log.convert(table, tmp_path / "truck.blf", [str(TOOLS / "vt_truck.dbc")], mapping, None, 1.0, [])
+    final = estimate([tmp_path / "truck.blf"], config.load(TOOLS / "vt_truck.toml"), lambda share: None).final
+    assert final.mass.mean == pytest.approx(truth[2], rel=0.02)
+    assert final.A.mean == pytest.approx(truth[0], rel=0.1)
+    assert final.C.mean == pytest.approx(truth[1], rel=0.1)
+
+
+def test_flat_roads_of_a_real_truck_weigh_it(tools, recordings, tmp_path):
+    table = tools.table.read_table(recordings / "vt_hd_trucks" / "veh002_all.csv")
+    log, dbc = tmp_path / "truck.blf", [str(TOOLS / "vt_truck.dbc")]
+    tools.to_log.convert(table, log, dbc, tools.recordings.VT_MAP, None, 1.0, ["phase_num=10"])
+    final = estimate([log], config.load(TOOLS / "vt_truck.toml"), lambda share: None).final
+    assert 28e3 < final.mass.mean < 37e3  # it is about 32 t
+
+
+@pytest.fixture
+def truck(tools):
+    return tools.truck.draw_vehicle(np.random.default_rng(1))
+
+
+@pytest.fixture
+def hilly(tools):
+    """Half an hour of changing speeds over hills, with a stop."""
+    t = np.arange(0.0, 1800.0)
+    speed = np.where(abs(t - 900) < 30, 0.0, 17 + 5 * np.sin(t / 13) + 4 * np.sin(t / 37))
+    return tools.roads.road_of(np.column_stack([t, speed, 0.02 * np.sin(t / 60)]))
+
+
+def test_roads_have_no_corners_and_stops_stay_stops(tools, hilly):
+    step = tools.roads.STEP
+    assert np.diff(hilly.v).min() > -1.01 * tools.roads.BRAKING * step
+    launch = slice(round(925 / step), round(935 / step))  # the table jumps there from rest to 20 m/s
+    assert 5 < np.diff(hilly.v[launch]).max() / step < 10
+    standing = (hilly.v == 0).sum() * step
+    assert 50 < standing < 59
+
+
+def test_a_weak_truck_takes_longer_over_the_same_ground(tools, truck, hilly):
+    weak = tools.truck.Vehicle(**{**vars(truck), "rated_power": 150e3})
+    step = tools.roads.STEP
+    asked, driven = hilly, tools.truck.followed(weak, hilly)
+    assert len(driven.v) > len(asked.v)
+    assert driven.v.sum() * step == pytest.approx(asked.v.sum() * step, rel=0.01)
+    climb = [(road.v * np.maximum(road.grade, 0)).sum() * step for road in (asked, driven)]
+    assert climb[1] == pytest.approx(climb[0], rel=0.03)
+
+
+def drive_by_hand(tools, vehicle, road):
+    """What a simulator would say of a truck that obeys the road-load equation on a road."""
+    driven = tools.truck.followed(vehicle, road)
+    step = tools.roads.STEP
+    t = np.arange(len(driven.v)) * step
+    v, a = (driven.v[1:] + driven.v[:-1]) / 2, np.diff(driven.v) / step
+    C = 3.6
+    inertia = vehicle.mass + vehicle.wheels * vehicle.wheel_inertia / vehicle.wheel_radius**2
+    rolling = vehicle.mass * STANDARD_GRAVITY * vehicle.rolling_coefficient
+    wheels = design(v, a) @ [rolling, C, inertia]
+    power = np.maximum(wheels, 0.0) / vehicle.driveline_efficiency + vehicle.auxiliary_power
+    altitude = np.concatenate([[0.0], np.cumsum(v * driven.grade[1:] * step)])
+    braking = np.append(wheels < -500, False)
+    return tools.truck.Drive(t, driven.v, driven.grade, altitude, t[1:] - step / 2, power, braking, C)
+
+
+def test_the_bus_of_the_second_world_tells_the_truth(tools, truck, hilly, tmp_path):
+    truck = tools.truck.Vehicle(**{**vars(truck), "auxiliary_power": 0.0})
+    drive = drive_by_hand(tools, truck, hilly)
+    signals = tools.bus.signals_of(drive, np.random.default_rng(2), False, 0.01, tools.bus.FINE)
+    write_log(frames_of(signals), tmp_path / "drive.blf")
+    final = estimate([tmp_path / "drive.blf"], config.Config(), lambda share: None).final
+    seen = tools.second.truth_of(truck, drive)["at_crank"]
+    assert final.mass.mean == pytest.approx(seen["mass_kg"], abs=4 * final.mass.sd)
+    assert final.mass.sd < 0.02 * seen["mass_kg"]
+    assert final.A.mean == pytest.approx(seen["A_N"], abs=4 * final.A.sd)
+    assert final.C.mean == pytest.approx(seen["C_N_s2_m2"], abs=4 * final.C.sd)
+
+
+def test_withholding_grade_changes_nothing_else(tools, truck, hilly):
+    drive = drive_by_hand(tools, truck, hilly)
+    shown, withheld = (
+        tools.bus.signals_of(drive, np.random.default_rng(3), grade, 0.01, tools.bus.PERCENT) for grade in (True, False)
+    )
+    assert set(shown) - set(withheld) == {Role.GRADE, Role.ALTITUDE}
+    for role, series in withheld.items():
+        np.testing.assert_array_equal(series.value, shown[role].value)
+    assert Role.TORQUE_FRACTION_FINE not in shown
+
+
+def test_torque_that_a_bus_cannot_say_is_an_error(tools, truck, hilly):
+    drive = drive_by_hand(tools, tools.truck.Vehicle(**{**vars(truck), "auxiliary_power": 600e3}), hilly)
+    with pytest.raises(RoadloadError, match="of its reference torque"):
+        tools.bus.signals_of(drive, np.random.default_rng(4), False, 0.01, tools.bus.FINE)
+
+
+def test_fastsim_obeys_the_truth_that_is_written(tools, truck, hilly):
+    pytest.importorskip("fastsim", reason="fastsim has an environment of its own: tools/second_world.txt")
+    drive = tools.truck.simulate(truck, tools.truck.followed(truck, hilly))
+    seen = tools.second.truth_of(truck, drive)["at_crank"]
+    v, a = (drive.v[1:] + drive.v[:-1]) / 2, np.diff(drive.v) / tools.roads.STEP
+    climb = truck.mass / truck.driveline_efficiency * STANDARD_GRAVITY * drive.grade[1:] * v
+    power = design(v, a) @ [seen["A_N"], seen["C_N_s2_m2"], seen["mass_kg"]] + climb
+    pulling = power > 1e3
+    np.testing.assert_allclose(drive.power[pulling], power[pulling] + truck.auxiliary_power, atol=500.0)
+
+
+@pytest.mark.skipif(find_spec("fastsim") is not None, reason="fastsim is installed")
+def test_without_fastsim_the_second_world_says_what_to_install(tools, truck, hilly):
+    with pytest.raises(RoadloadError, match=r"pip install -r tools/second_world.txt"):
+        tools.truck.simulate(truck, hilly)
+
+
+def answer(*names, verdict="effect", base=40.0, final=10.0, equivalent=()):
+    """What `roadload diagnose --json` says, in its own keys."""
+    closed = {"fraction": 0.9, "q05": 0.85, "q95": 0.95}
+    effects = [
+        {"name": name, "probability": 0.99, "equivalent": list(equivalent), "gap_closed": closed} for name in names
+    ]
+    return {
+        "verdict": verdict,
+        "effects": effects,
+        "rms_base_kW": base,
+        "rms_final_kW": final,
+        "noise_floor_kW": 5.0,
+    }
+
+
+def test_share_reached_is_measured_above_the_noise_floor(tools):
+    said = tools.recordings.Diagnosis.of(answer("grade"))
+    assert said.promised == (0.9, 0.85, 0.95)
+    assert said.reached(5.0) == 1.0
+    assert said.reached(40.0) == 0.0
+    assert said.reached(10.0) == pytest.approx(1 - 75 / 1575)
+    assert said.reached(None) is None
+
+
+@pytest.mark.parametrize(
+    ("grade", "said", "right", "invented"),
+    [
+        ("withheld", answer("grade"), "yes", "-"),
+        ("withheld", answer("headwind", equivalent=["grade"]), "NO", "headwind"),
+        ("withheld", answer(verdict="no gap"), "NO", "-"),
+        ("withheld", answer("grade", "load_loss"), "NO", "load_loss"),
+        ("shown", answer(verdict="no gap"), "yes", "-"),
+        ("shown", answer(verdict="cannot tell"), "yes", "-"),
+        ("shown", answer("auxiliary_cycling"), "NO", "auxiliary_cycling"),
+    ],
+)
+def test_the_second_world_is_judged(tools, truck, hilly, grade, said, right, invented):
+    truth = tools.second.truth_of(truck, drive_by_hand(tools, truck, hilly))
+    row = tools.second.judge(truth, grade, tools.recordings.Diagnosis.of(said))
+    assert (row["as it should"], row["invented"]) == (right, invented)
+
+
+def test_on_a_flat_road_grade_is_an_invention(tools, truck):
+    flat = drive_by_hand(tools, truck, tools.roads.Road(np.full(600, 20.0), np.zeros(600)))
+    row = tools.second.judge(
+        tools.second.truth_of(truck, flat), "withheld", tools.recordings.Diagnosis.of(answer("grade"))
+    )
+    assert row["invented"] == "grade"
+
+
+def test_roles_are_withheld_by_configuration(tools, tmp_path):
+    text = (TOOLS.parent / "dbc" / "bmw_i3.toml").read_text()
+    (tmp_path / "x.toml").write_text(tools.recordings.without(text, "longitudinal_acceleration", "altitude"))
+    settings = config.load(tmp_path / "x.toml")
+    assert {"speed", "engine_torque", "engine_speed"} < set(settings.signals)
+    assert not {"longitudinal_acceleration", "altitude"} & set(settings.signals)
+    assert settings.kinematics.acceleration == "wheel_speed"
+    assert settings.prior == config.load(TOOLS.parent / "dbc" / "bmw_i3.toml").prior
+
+
+def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
+    folder = tmp_path / "bmw_i3"
+    folder.mkdir()
+    (folder / "TripA02.blf").touch()
+
+    def roadload(command, log, *arguments):
+        signals = config.load(Path(arguments[1])).signals
+        if Role.LONGITUDINAL_ACCELERATION in signals:
+            return answer(verdict="no gap", base=12.0, final=12.0)
+        return answer("grade", final=38.0 if Role.ALTITUDE in signals else 10.0)
+
+    monkeypatch.setattr(tools.recordings, "roadload", roadload)
+    (row,) = tools.recordings.bmw(tmp_path, tmp_path, [])
+    assert row == {
+        "trip": "TripA02",
+        "named, withheld": "grade (99 %)",
+        "promised": "90 % (85 % .. 95 %)",
+        "kW before": "40.00",
+        "kW promised": "10.00",
+        "kW, accelerometer": "12.00",
+        "reached": "92 %",
+        "named, GPS elevation": "grade (99 %)",
+        "kW, GPS elevation": "38.00",
+    }
+    with pytest.raises(RoadloadError, match="no such trip; there are TripA02"):
+        list(tools.recordings.bmw(tmp_path, tmp_path, ["TripZ99"]))
+
+
+def test_without_recordings_there_is_one_line(tools, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("ROADLOAD_DATA", str(tmp_path / "nowhere"))
+    assert tools.recordings.main(["--json"]) == 2
+    assert tools.second.main([str(tmp_path / "out")]) == 2
+    complaints = capsys.readouterr().err.splitlines()
+    assert len(complaints) == 2
+    assert all("set ROADLOAD_DATA" in line for line in complaints)
+
+
+def test_a_command_that_fails_says_why(tools, tmp_path):
+    with pytest.raises(RoadloadError, match=r"none\.blf"):
+        tools.recordings.roadload("estimate", tmp_path / "none.blf")

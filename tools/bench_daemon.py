@@ -1,0 +1,183 @@
+"""What the daemon costs on a full bus, how late it is and what it loses, beside what a user would write instead.
+
+    python tools/bench_daemon.py [--seconds 60] [--loss-seconds 600] [--soak-hours 24] [--warm-minutes 60]
+
+A second process sends simulated driving, padded with unknown messages to the load of a full bus, at the pace of the
+bus, over a stand-in for SocketCAN (`daemon_bench/loopback.py`). "Filtered": only what the daemon's kernel filters let
+through is sent. The daemon starts with the state of an hour's driving, so its window is full and the sampler has its
+full work; its gate is asked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
+start not counted; "peak" is the memory of the whole process, installed without extras. "Processed" is when a frame is handed to the pipeline, which
+decodes in blocks of five seconds of traffic.
+
+The soak is another run: traffic of a day as fast as the machine can, through the daemon's link, loop and estimator on
+a clock that the traffic sets.
+"""
+
+import argparse
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from daemon_bench import soak, traffic
+from daemon_bench.loopback import HOST
+from rich.console import Console
+from rich.table import Table
+
+from estimator import config as configuration
+from estimator.can_io.binding import bind, load_database
+from estimator.config import Config
+from estimator.daemon.assembly import estimation_key
+from estimator.daemon.filters import input_filters
+from estimator.pipeline import Pipeline
+from estimator.state_store import StateStore
+
+TOOLS = Path(__file__).parent
+SETTINGS = "[gate]\ninterval_s = 10.0\n[service]\nstate_directory = '{folder}'\nruntime_directory = '{folder}'\n"
+PROGRAMS = {"by hand": "daemon_bench.by_hand", "roadload": "daemon_bench.ours"}
+WIDE = 140  # columns where standard output is no terminal
+START = 60.0  # s in which a program has to open its socket
+TICKS = os.sysconf("SC_CLK_TCK")  # per second, of CPU times in /proc
+
+
+def child_environment() -> dict[str, str]:
+    """One thread for linear algebra, as in the service file."""
+    return {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(TOOLS)}
+
+
+def cpu_seconds(pid: int) -> float:
+    """CPU time of a process and all its threads so far [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+def memory_MiB(pid: int, what: str) -> float:
+    """``VmHWM`` (peak) or ``VmRSS`` of a process."""
+    lines = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    return int(lines[what].split()[0]) / 1024
+
+
+def free_port() -> int:
+    """A UDP port nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def is_bound(port: int) -> bool:
+    """Whether somebody listens there."""
+    return any(
+        int(line.split()[1].split(":")[1], 16) == port for line in Path("/proc/net/udp").open() if ":" in line[6:]
+    )
+
+
+def write_state(folder: Path, minutes: float) -> None:
+    """Leave the daemon the state of so many minutes of driving that ended just now."""
+    settings = folder / "roadload.toml"
+    settings.write_text(SETTINGS.format(folder=folder))
+    config = configuration.load(settings)
+    pipeline = Pipeline(config)
+    if minutes:
+        frames = traffic.drive(60 * minutes, seed=1)
+        for _ in pipeline.feed(replace(frames, t=frames.t - frames.t[-1] + time.time())):
+            pass
+    StateStore(folder).save(pipeline.state(), estimation_key(config))
+
+
+def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float) -> dict:
+    """Run one program under one load; CPU share, memory, delays and losses."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        load = traffic.padded(traffic.drive(seconds, seed=2), rate, np.random.default_rng(3))
+        if filtered:
+            load = traffic.passed(load, input_filters(bind(Config(), load_database([]))))
+        np.savez(folder / "load.npz", t=load.t, ident=load.ident, length=load.length, data=load.data)
+        options = []
+        if name == "roadload":
+            write_state(folder, warm_minutes)
+            options = ["--config", str(folder / "roadload.toml")]
+        port = free_port()
+        command = [sys.executable, "-m", PROGRAMS[name], str(port), str(folder), *options]
+        environment = child_environment()
+        with (folder / "log").open("w") as log, subprocess.Popen(command, env=environment, stderr=log) as subject:
+            try:
+                wait_until_bound(port, subject, folder)
+                before = cpu_seconds(subject.pid)
+                sender = [sys.executable, "-m", "daemon_bench.traffic", str(folder / "load.npz"), str(port)]
+                done = subprocess.run(sender, env=environment, check=True, capture_output=True, text=True)
+                sent = json.loads(done.stdout)
+                used = cpu_seconds(subject.pid) - before
+                time.sleep(2.0)  # for the last status
+                peak = memory_MiB(subject.pid, "VmHWM")
+            finally:
+                subject.send_signal(signal.SIGTERM)
+        result = json.loads((folder / "result.json").read_text())
+    return {
+        **result,
+        "sent": sent["frames"],
+        "cpu": used / sent["seconds"],
+        "rate": sent["frames"] / sent["seconds"],
+        "peak_MiB": peak,
+    }
+
+
+def wait_until_bound(port: int, subject: subprocess.Popen, folder: Path) -> None:
+    """Wait for a program to have opened its socket and to have come to rest."""
+    deadline = time.monotonic() + START
+    while not is_bound(port):
+        if subject.poll() is not None or time.monotonic() > deadline:
+            raise SystemExit(f"the program did not start:\n{(folder / 'log').read_text()}")
+        time.sleep(0.1)
+    time.sleep(1.0)
+
+
+def show(console: Console, options: argparse.Namespace) -> None:
+    """The table of loads."""
+    table = Table("bus", "", "program", "frames/s", "CPU", "ratio", "peak MiB", "p50 ms", "p99 ms", "max ms", "lost")
+    runs = [(kbits, filtered, options.seconds) for kbits in traffic.BUS_LOAD for filtered in (True, False)]
+    if options.loss_seconds:
+        runs.append((500, False, options.loss_seconds))
+    for kbits, filtered, seconds in runs:
+        rows = {}
+        for name in PROGRAMS:
+            rows[name] = measure(name, traffic.BUS_LOAD[kbits], filtered, seconds, options.warm_minutes)
+        for name, row in rows.items():
+            delays = [f"{row['processed'][key]:.1f}" for key in ("p50_ms", "p99_ms", "max_ms")]
+            ratio = row["cpu"] / rows["by hand"]["cpu"]
+            what = f"{'filtered' if filtered else 'all'}, {seconds:g} s"
+            cells = [f"{kbits} kbit/s", what, name, f"{row['rate']:.0f}", f"{row['cpu']:.1%}", f"{ratio:.2f}"]
+            table.add_row(*cells, f"{row['peak_MiB']:.0f}", *delays, f"{row['sent'] - row['frames']}")
+        ours = rows["roadload"]
+        drained = ", ".join(f"{key[:3]} {value:.1f}" for key, value in ours["drained"].items())
+        drops = f"dropped by the kernel {ours['kernel_drops']}, by queues {ours['queue_drops']}"
+        console.print(
+            f"{kbits} kbit/s {what}: drained after {drained} ms; {drops}; longest conclusion {ours['conclusion_s']:.2f} s"
+        )
+    console.print(table)
+
+
+def main() -> int:
+    """Measure what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each load; 0: none (default 60)")
+    parser.add_argument("--loss-seconds", type=float, default=600.0, help="of full load; 0: none (default 600)")
+    parser.add_argument("--warm-minutes", type=float, default=60.0, help="of driving known at the start (default 60)")
+    parser.add_argument("--soak-hours", type=float, default=24.0, help="of traffic; 0: none (default 24)")
+    options = parser.parse_args()
+    console = Console() if sys.stdout.isatty() else Console(width=WIDE)
+    if options.seconds:
+        show(console, options)
+    if options.soak_hours:
+        soak.show(console, options.soak_hours)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,140 @@
+"""What the diagnosis said of a log, and whether that is right."""
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from blind.truth import Truth
+
+Spans = tuple[tuple[float, float], ...]  # from, to [s]
+
+CREDIBLE = 0.9
+CLASSES = (  # what no single drive tells apart, as printed beside the catalogue
+    frozenset({"torque_gain", "speed_scale"}),
+    frozenset({"slip", "load_loss"}),
+    frozenset({"time_lag", "speed_filter"}),
+    frozenset({"grade", "grade_measured", "grade_unmeasured"}),
+)
+NONE, UNKNOWN = "none", "unknown"  # candidates that are no effects of the catalogue
+
+
+class GapClosed(msgspec.Struct, frozen=True):
+    """Promised share of the gap, with its 90 % interval."""
+
+    fraction: float | None = None
+    q05: float | None = None
+    q95: float | None = None
+
+
+class Magnitude(msgspec.Struct, frozen=True):
+    """Size of an effect."""
+
+    name: str = ""
+    value: float | None = None
+    sd: float | None = None
+    unit: str = ""
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """One effect or candidate."""
+
+    name: str
+    probability: float | None = None
+    log_bayes_factor: float | None = None
+    equivalent: tuple[str, ...] = ()
+    magnitude: Magnitude | None = None
+    gap_closed: GapClosed | None = None
+    span: Spans = msgspec.field(default=(), name="span_s")
+
+    def means(self, name: str) -> bool:
+        """Whether it says ``name``, or that it cannot be told from it."""
+        return name == self.name or name in self.equivalent or any({name, self.name} <= group for group in CLASSES)
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """The part of ``diagnose --json`` that is judged."""
+
+    verdict: str
+    reason: str = ""
+    effects: tuple[Finding, ...] = ()
+    candidates: tuple[Finding, ...] = ()
+
+
+class Run(msgspec.Struct, frozen=True):
+    """One diagnosis: the answer, or why there is none, and what it cost."""
+
+    drive: str
+    seconds: float
+    processor_seconds: float
+    peak_MB: float
+    answer: Answer | None
+    error: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """What was said; a failed run says ``error``."""
+        return "error" if self.answer is None else self.answer.verdict
+
+    @property
+    def named(self) -> tuple[Finding, ...]:
+        """The effects claimed; none unless the verdict is one."""
+        return self.answer.effects if self.answer is not None and self.answer.verdict == "effect" else ()
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing was claimed."""
+        return self.verdict in ("no gap", "cannot tell")
+
+
+def first_is_right(truth: Truth, run: Run) -> bool:
+    """Whether the effect named first is one of the drive's, or cannot be told from one."""
+    return bool(run.named) and any(run.named[0].means(effect.name) for effect in truth.effects)
+
+
+def found(truth: Truth, run: Run) -> list[bool]:
+    """Which of the drive's effects are among those named."""
+    return [any(finding.means(effect.name) for finding in run.named) for effect in truth.effects]
+
+
+def invented(truth: Truth, run: Run) -> list[str]:
+    """Names that stand for none of the drive's effects, nor for physics that comes along with them."""
+    real = [*(effect.name for effect in truth.effects), *truth.companions]
+    return [f.name for f in run.named if not any(f.means(name) for name in real)]
+
+
+def credible_set(run: Run) -> tuple[Finding, ...] | None:
+    """The fewest candidates that hold CREDIBLE of the probability; None if the answer ranks nothing.
+
+    What the ranking leaves over to 1 belongs to "none", unless that is ranked itself.
+    """
+    ranked = () if run.answer is None else run.answer.candidates
+    if not ranked:
+        return None
+    listed = [f for f in ranked if f.probability is not None]
+    rest = 1.0 - sum(f.probability or 0.0 for f in listed)
+    if rest > 1e-6 and all(f.name != NONE for f in listed):
+        listed.append(Finding(NONE, rest))
+    chosen: list[Finding] = []
+    held = 0.0
+    for finding in sorted(listed, key=lambda f: -(f.probability or 0.0)):
+        if held >= CREDIBLE:
+            break
+        chosen.append(finding)
+        held += finding.probability or 0.0
+    return tuple(chosen)
+
+
+def overlap(a: Spans, b: Spans, where: Spans) -> float:
+    """Intersection over union of two unions of intervals, within a third; 0 if both are empty there."""
+    edges = np.unique(np.concatenate([np.ravel(x) for x in (a, b, where)]))
+    middle, length = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    in_a, in_b, counts = (_inside(middle, spans) for spans in (a, b, where))
+    union = float(length[(in_a | in_b) & counts].sum())
+    return float(length[in_a & in_b & counts].sum()) / union if union > 0 else 0.0
+
+
+def _inside(t: NDArray[np.float64], spans: Spans) -> NDArray[np.bool_]:
+    found = np.zeros(len(t), dtype=bool)
+    for start, end in spans:
+        found |= (t >= start) & (t < end)
+    return found

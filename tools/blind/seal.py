@@ -1,0 +1,88 @@
+"""The seal: a commitment, not a secret.
+
+Truths lie as plain JSON in OUT/sealed, logs in OUT/logs. The manifest beside the logs holds the SHA-256 of every log
+and of every truth, made when both were written; a truth starts with a random nonce, so that its hash tells nothing.
+The diagnosis is a process of its own that is given one log and works in a folder without the truths. Scoring refuses
+truths or logs that are not those of the manifest: nothing has been changed after the answers were known. Nobody is
+kept by force from opening OUT/sealed; for that, keep the folder on another machine until the score.
+"""
+
+import hashlib
+from pathlib import Path
+
+import msgspec
+
+from blind.truth import Truth
+
+MANIFEST = "manifest.json"
+
+
+class SealError(Exception):
+    """A log or truth is missing or is not the one that was sealed, e.g. edited after the answers were known."""
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """Hashes of one drive."""
+
+    log: str
+    truth: str
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def log_of(folder: Path, drive: str) -> Path:
+    """Where the log of a drive lies."""
+    return folder / "logs" / f"{drive}.blf"
+
+
+def truth_of(folder: Path, drive: str) -> Path:
+    """Where the truth of a drive lies."""
+    return folder / "sealed" / f"{drive}.json"
+
+
+def seal(folder: Path, truth: Truth) -> Entry:
+    """Write the truth of a drive whose log is written; returns what the manifest says of both."""
+    path = truth_of(folder, truth.drive)
+    path.write_bytes(msgspec.json.encode(truth))
+    return Entry(digest(log_of(folder, truth.drive)), digest(path))
+
+
+def publish(folder: Path, entries: dict[str, Entry]) -> None:
+    """Write the manifest of all drives."""
+    content = msgspec.json.format(msgspec.json.encode(entries), indent=1)
+    (folder / "logs" / MANIFEST).write_bytes(content)
+
+
+def drives(folder: Path) -> dict[str, Entry]:
+    """What the manifest lists.
+
+    Raises
+    ------
+    SealError
+        There is no manifest.
+    """
+    path = folder / "logs" / MANIFEST
+    if not path.is_file():
+        raise SealError(f"{path}: missing; generate drives into {folder} first")
+    return msgspec.json.decode(path.read_bytes(), type=dict[str, Entry])
+
+
+def unseal(folder: Path) -> dict[str, Truth]:
+    """All truths, by drive, if they and the logs are those of the manifest.
+
+    Raises
+    ------
+    SealError
+        Something is missing or differs.
+    """
+    truths = {}
+    for drive, entry in drives(folder).items():
+        for path, sealed in ((log_of(folder, drive), entry.log), (truth_of(folder, drive), entry.truth)):
+            if not path.is_file() or digest(path) != sealed:
+                raise SealError(f"{path}: is not what the manifest sealed")
+        truths[drive] = msgspec.json.decode(truth_of(folder, drive).read_bytes(), type=Truth)
+    return truths

@@ -1,0 +1,57 @@
+"""``roadload run`` on the stand-in; its last status is left beside the delays to its reader and to its pipeline."""
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
+
+from daemon_bench import loopback
+from daemon_bench.latency import Delays
+from estimator.can_io.frames import Frames
+from estimator.cli import main as roadload
+from estimator.daemon import status
+from estimator.daemon.reader import Batch, SocketReader
+from estimator.estimate import Estimate
+from estimator.pipeline import Pipeline
+
+
+def main(port: str, folder: str, *options: str) -> None:
+    """Run until SIGTERM; leave counts and delays in the folder."""
+    loopback.register()
+    drained, taken = Delays(), Delays()
+    last: dict[str, Any] = {}
+    read, feed, write = SocketReader.read, Pipeline.feed, status.write
+
+    def timed_read(self: SocketReader, timeout: float) -> Batch:
+        batch = read(self, timeout)
+        drained.add(time.time() - batch.frames.t)
+        return batch
+
+    def timed_feed(self: Pipeline, frames: Frames) -> Iterator[Estimate]:
+        taken.add(time.time() - frames.t)
+        return feed(self, frames)
+
+    def noted_write(path: Path, content: dict[str, Any]) -> None:
+        last.update(content)
+        write(path, content)
+
+    SocketReader.read, Pipeline.feed, status.write = timed_read, timed_feed, noted_write
+    roadload(["run", "-i", loopback.NAME, "-c", port, *options])
+    received, estimator = last["input"], last["estimator"]
+    result = {
+        "frames": received["frames"],
+        "kernel_drops": received["kernel_drops"],
+        "queue_drops": received["queue_drops"] + estimator["queue_drops"],
+        "conclusion_s": estimator["longest_conclusion_s"],
+        "drained": drained.summary(),
+        "processed": taken.summary(),
+    }
+    (Path(folder) / "result.json").write_text(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,174 @@
+"""A day of traffic through the daemon's link, loop and estimator, on a clock that the traffic sets.
+
+The threads are turned by hand, one after the other, so that a day passes as fast as the machine computes. Every hour is
+another drive of one truck, made in a process of its own; between two drives the bus is silent for a minute.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
+import can
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from daemon_bench import traffic
+from estimator.can_io.frames import Frames
+from estimator.config import Config, Reception
+from estimator.daemon.buses import BusSpec
+from estimator.daemon.link import Link
+from estimator.daemon.loop import Daemon
+from estimator.daemon.reader import Batch
+from estimator.daemon.worker import Worker
+from estimator.pipeline import Pipeline
+from estimator.state_store import StateStore
+
+HOUR, PARKED = 3600.0, 60.0  # s
+PIECE = 1.0  # s of traffic that arrive at once
+NOTHING = Frames.from_messages([])
+EPOCH = 1_700_000_000.0  # s, wall time of the start
+ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
+
+
+class Day:
+    """The day's clock and reader: every reading brings the next piece of traffic, and its time."""
+
+    def __init__(self, hours: int, folder: Path) -> None:
+        self.now = 0.0  # s
+        self.sent = 0  # frames
+        self.hour = 0  # that is over
+        self._pieces = self._traffic(hours, folder)
+
+    def clock(self) -> float:
+        """Monotonic time [s]."""
+        return self.now
+
+    def wall(self) -> float:
+        """Wall time [s]."""
+        return EPOCH + self.now
+
+    def read(self, timeout: float) -> Batch:
+        """The next piece, or nothing when the day is over."""
+        self.now += PIECE
+        return Batch(next(self._pieces, NOTHING))
+
+    def kernel_drops(self) -> int:
+        """None are lost here."""
+        return 0
+
+    def buffer_bytes(self) -> int | None:
+        """There is no buffer."""
+        return None
+
+    def _traffic(self, hours: int, folder: Path) -> Iterator[Frames]:
+        for hour in range(hours):
+            frames = one_drive(hour, folder)
+            frames = replace(frames, t=self.wall() - PIECE + frames.t)
+            self.sent += len(frames)
+            for end in self.now + PIECE * np.arange(round(HOUR / PIECE)):
+                cut = int(np.searchsorted(frames.t, EPOCH + end))
+                piece, frames = frames[:cut], frames[cut:]
+                yield piece
+            yield frames
+            for _ in range(round(PARKED / PIECE)):
+                yield NOTHING
+            self.hour += 1
+
+
+def one_drive(seed: int, folder: Path) -> Frames:
+    """An hour of driving, simulated in another process so that this one's memory is the daemon's."""
+    path = folder / "drive.npz"
+    command = [sys.executable, "-m", "daemon_bench.soak", "--drive", str(seed), str(path)]
+    subprocess.run(command, env=os.environ | ENVIRONMENT, check=True)
+    with np.load(path) as file:
+        return Frames(**file)
+
+
+def run(hours: int) -> None:
+    """Run the day; prints one JSON object an hour."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        day = Day(hours, folder)
+        link = Link(
+            BusSpec({"interface": "virtual", "channel": "soak"}),
+            None,
+            Reception(),
+            day.clock,
+            lambda *_: can.Bus(interface="virtual", channel="soak", ignore_config=True),
+            lambda: True,
+            lambda *_: day,
+        )
+        worker = Worker(Pipeline(Config()), Reception().queue_frames, StateStore(folder), "soak", 60.0, day.clock)
+        files = (folder / "status.json", folder / "metrics")
+        daemon = Daemon(link, None, worker, None, 5.0, *files, clock=day.clock, wall=day.wall)
+        begun, reported = time.monotonic(), 0
+        while reported < hours:
+            link.step()
+            daemon.turn()
+            worker.turn()
+            if day.hour > reported:
+                reported = day.hour
+                print(json.dumps(report(day, worker) | {"seconds": time.monotonic() - begun}), flush=True)
+        daemon.close()
+
+
+def report(day: Day, worker: Worker) -> dict[str, Any]:
+    """How things stand at the end of an hour."""
+    latest = worker.knowledge.estimate
+    estimates = [latest.mass, latest.A, latest.C] if latest else [None] * 3
+    return {
+        "hour": day.hour,
+        "frames": worker.pipeline.frames,
+        "lost": day.sent - worker.pipeline.frames,
+        "saves": worker.saves["saved"],
+        "rss_MiB": resident_memory(),
+        "estimates": [[x.mean, x.sd] if x else None for x in estimates],
+    }
+
+
+def resident_memory() -> float:
+    """Resident memory of this process [MiB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def show(console: Console, hours: float) -> None:
+    """Run the day in a process of its own and print a line for every hour."""
+    table = Table("hour", "frames", "lost", "saves", "times real time", "RSS MiB", "mass kg", "A N", "C N s2/m2")
+    command = [sys.executable, "-m", "daemon_bench.soak", "--day", str(round(hours))]
+    with subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdout=subprocess.PIPE, text=True) as day:
+        assert day.stdout is not None
+        for line in day.stdout:
+            row = json.loads(line)
+            shown = [f"{x[0]:,.4g} ± {x[1]:.2g}" if x else "-" for x in row["estimates"]]
+            pace = f"{row['hour'] * (HOUR + PARKED) / row['seconds']:.0f}"
+            memory = f"{row['rss_MiB']:.1f}"
+            table.add_row(
+                str(row["hour"]), f"{row['frames']:,}", str(row["lost"]), str(row["saves"]), pace, memory, *shown
+            )
+    console.print(table)
+    truth = traffic.TRUCK
+    console.print(f"truth: mass {truth.mass:,g} kg, A {truth.A:,g} N, C {truth.C:g} N s2/m2")
+
+
+def main(what: str, *arguments: str) -> None:
+    """Either the day, or one of its drives."""
+    if what == "--day":
+        run(int(arguments[0]))
+    else:
+        seed, path = arguments
+        frames = traffic.drive(HOUR, int(seed))
+        np.savez(path, t=frames.t, ident=frames.ident, length=frames.length, data=frames.data)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,1 @@
+"""A virtual machine with SocketCAN, for hosts whose kernel has none."""
