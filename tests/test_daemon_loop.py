@@ -329,7 +329,7 @@ MESSAGES = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.floats(0, 50), st.lists(MESSAGES, max_size=20)), max_size=12))
 def test_nothing_on_a_bus_breaks_the_loop(turns: list[tuple[float, list[can.Message]]]) -> None:
     from estimator.daemon.reader import pack
@@ -339,8 +339,9 @@ def test_nothing_on_a_bus_breaks_the_loop(turns: list[tuple[float, list[can.Mess
     put = 0
     for wait, messages in turns:
         bench.now += wait
-        bench.bus.waiting.append(pack(messages))
-        put += len(messages)
+        if bench.link.is_open:  # after "bus off" it is closed for a while
+            bench.bus.waiting.append(pack(messages))
+            put += len(messages)
         bench.link.step(0)
         bench.daemon.turn()
         bench.worker.turn()

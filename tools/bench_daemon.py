@@ -6,10 +6,10 @@ A second process sends simulated driving, padded with unknown messages to the lo
 bus, over a stand-in for SocketCAN (`daemon_bench/loopback.py`). "Filtered": only what the daemon's kernel filters let
 through is sent. The daemon starts with the state of an hour's driving, so its window is full and the sampler has its
 full work; its gate is asked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
-start not counted; "peak" is the memory of the whole process, installed without extras. "Processed" is when a frame is handed to the pipeline, which
-decodes in blocks of five seconds of traffic.
+start not counted; "peak" is the memory of the whole process, as installed without extras. Delays are those until a
+frame is handed to the pipeline, which decodes in blocks of five seconds of traffic.
 
-The soak is another run: traffic of a day as fast as the machine can, through the daemon's link, loop and estimator on
+The soak is another run: a day of traffic, as fast as the machine can, through the daemon's link, loop and estimator on
 a clock that the traffic sets.
 """
 
@@ -58,10 +58,10 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
-def memory_MiB(pid: int, what: str) -> float:
-    """``VmHWM`` (peak) or ``VmRSS`` of a process."""
+def peak_memory(pid: int) -> float:
+    """Largest resident memory of a process so far [MiB]."""
     lines = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
-    return int(lines[what].split()[0]) / 1024
+    return int(lines["VmHWM"].split()[0]) / 1024
 
 
 def free_port() -> int:
@@ -73,9 +73,8 @@ def free_port() -> int:
 
 def is_bound(port: int) -> bool:
     """Whether somebody listens there."""
-    return any(
-        int(line.split()[1].split(":")[1], 16) == port for line in Path("/proc/net/udp").open() if ":" in line[6:]
-    )
+    sockets = Path("/proc/net/udp").read_text().splitlines()[1:]
+    return any(int(line.split()[1].split(":")[1], 16) == port for line in sockets)
 
 
 def write_state(folder: Path, minutes: float) -> None:
@@ -115,17 +114,12 @@ def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes
                 sent = json.loads(done.stdout)
                 used = cpu_seconds(subject.pid) - before
                 time.sleep(2.0)  # for the last status
-                peak = memory_MiB(subject.pid, "VmHWM")
+                peak = peak_memory(subject.pid)
             finally:
                 subject.send_signal(signal.SIGTERM)
         result = json.loads((folder / "result.json").read_text())
-    return {
-        **result,
-        "sent": sent["frames"],
-        "cpu": used / sent["seconds"],
-        "rate": sent["frames"] / sent["seconds"],
-        "peak_MiB": peak,
-    }
+    rates = {"cpu": used / sent["seconds"], "rate": sent["frames"] / sent["seconds"]}
+    return {**result, **rates, "sent": sent["frames"], "peak_MiB": peak}
 
 
 def wait_until_bound(port: int, subject: subprocess.Popen, folder: Path) -> None:
@@ -142,8 +136,7 @@ def show(console: Console, options: argparse.Namespace) -> None:
     """The table of loads."""
     table = Table("bus", "", "program", "frames/s", "CPU", "ratio", "peak MiB", "p50 ms", "p99 ms", "max ms", "lost")
     runs = [(kbits, filtered, options.seconds) for kbits in traffic.BUS_LOAD for filtered in (True, False)]
-    if options.loss_seconds:
-        runs.append((500, False, options.loss_seconds))
+    runs = [run for run in [*runs, (500, False, options.loss_seconds)] if run[2]]
     for kbits, filtered, seconds in runs:
         rows = {}
         for name in PROGRAMS:
@@ -156,10 +149,9 @@ def show(console: Console, options: argparse.Namespace) -> None:
             table.add_row(*cells, f"{row['peak_MiB']:.0f}", *delays, f"{row['sent'] - row['frames']}")
         ours = rows["roadload"]
         drained = ", ".join(f"{key[:3]} {value:.1f}" for key, value in ours["drained"].items())
-        drops = f"dropped by the kernel {ours['kernel_drops']}, by queues {ours['queue_drops']}"
-        console.print(
-            f"{kbits} kbit/s {what}: drained after {drained} ms; {drops}; longest conclusion {ours['conclusion_s']:.2f} s"
-        )
+        console.print(f"{kbits} kbit/s {what}: taken from the socket after {drained} ms;", end=" ")
+        console.print(f"dropped by the kernel {ours['kernel_drops']}, by queues {ours['queue_drops']};", end=" ")
+        console.print(f"longest conclusion {ours['conclusion_s']:.2f} s")
     console.print(table)
 
 
@@ -172,7 +164,7 @@ def main() -> int:
     parser.add_argument("--soak-hours", type=float, default=24.0, help="of traffic; 0: none (default 24)")
     options = parser.parse_args()
     console = Console() if sys.stdout.isatty() else Console(width=WIDE)
-    if options.seconds:
+    if options.seconds or options.loss_seconds:
         show(console, options)
     if options.soak_hours:
         soak.show(console, options.soak_hours)

@@ -10,11 +10,12 @@ How the truths are sealed is said in `blind/seal.py`, what an oracle sees of an 
 """
 
 import argparse
+import importlib
 import json
 import sys
 from pathlib import Path
 
-from blind import diagnose, draw, peers, score, seal, tables, world
+from blind import diagnose, draw, score, seal, tables, world
 from rich.console import Console
 from rich.progress import track
 
@@ -93,6 +94,11 @@ def _score(options: argparse.Namespace) -> int:
 
 
 def _peers(options: argparse.Namespace) -> int:
+    try:
+        peers = importlib.import_module("blind.peers")
+    except ImportError as error:
+        print(f"error: {error.name} is missing; install tools/blind_peers.txt", file=sys.stderr)
+        return 2
     figures = peers.compare(seal.unseal(options.folder), options.folder, options.workers)
     if options.json:
         print(json.dumps(peers.as_json(figures), indent=2))

@@ -9,12 +9,13 @@ from scipy.special import logsumexp
 from estimator.diagnosis import timing
 from estimator.diagnosis.evidence import log_bayes_factor, score
 from estimator.diagnosis.model import Model
-from estimator.diagnosis.processes import Grains, column_evidence
+from estimator.diagnosis.processes import Grains, weigh
 from estimator.effects import Effect, Timing
 from estimator.estimation.columns import Term, inside
 from estimator.signals import Floats, Quantity
 
 ALIKE = 0.95  # |correlation| of traces beyond which two effects are one class
+CERTAIN = 5.0  # log Bayes factor at which instruments are taken to have found an effect
 NEVER = -50.0  # log Bayes factor of what cannot be: a magnitude of the wrong sign in every shape
 
 
@@ -47,53 +48,60 @@ def _judge(model: Model, grains: Grains, effect: Effect, known: frozenset[Quanti
     shapes = effect.usable_shapes(known)
     if not shapes:
         return None
-    if effect.timing is Timing.ALWAYS:
-        return _judge_shapes(model, [Term(effect, shape) for shape in shapes])
+    terms = [Term(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None]
     if effect.timing is Timing.STEP:
-        return _judge_shapes(model, [Term(effect, None, spans) for spans in timing.steps(model)])
-    signalled = _judge_shapes(model, [Term(effect, shape) for shape in shapes if shape is not None])
-    timed = _judge_times(model, grains, effect)
-    both = [candidate for candidate in (signalled, timed) if candidate is not None]
-    return max(both, key=lambda candidate: candidate.log_bayes_factor, default=None)
+        terms = [Term(effect, None, spans) for spans in timing.steps(model)]
+    both = [_judge_terms(model, grains, terms), _judge_times(model, grains, effect)]
+    return max((c for c in both if c is not None), key=lambda candidate: candidate.log_bayes_factor, default=None)
 
 
-def _judge_shapes(model: Model, terms: list[Term]) -> Candidate | None:
-    """By instruments, averaged over shapes that are as likely as one another."""
+def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate | None:
+    """Averaged over terms that are as likely as one another.
+
+    Evidence comes from the averaged residual, where it can be compared with that of processes. A noisy column has
+    some of the residual's own noise in it; it counts only if the instruments, which have not, find it too.
+    """
     if not terms:
         return None
     effect = terms[0].effect
     own, ring = model.views()
-    h = np.column_stack([term.column(own) for term in terms])
     z = np.column_stack([term.column(ring) for term in terms])
-    scores = score(model.base, h, z)
-    evidence = log_bayes_factor(scores, effect.usual(model.road_load), effect.positive)
-    evidence = np.where(np.isfinite(evidence), evidence, -np.inf)
+    usual = effect.usual(model.road_load)
+    weight = weigh(grains, grains.mean(z), usual, effect.positive)
+    evidence, value, sd = weight.log_bayes_factor, weight.value, weight.sd
+    if effect.is_noisy:
+        h = np.column_stack([term.column(own) for term in terms])
+        scores = score(model.base, h, z)
+        clean = np.nan_to_num(log_bayes_factor(scores, usual, effect.positive), nan=NEVER)
+        evidence = np.where(clean >= CERTAIN, np.maximum(evidence, clean), np.minimum(evidence, clean))
+        value, sd = scores.value, scores.sd
     best = int(np.argmax(evidence))
-    if not np.isfinite(evidence[best]):
-        return None
     total = float(logsumexp(evidence)) - np.log(len(terms))
-    value, sd = float(scores.value[best]), float(scores.sd[best])
-    return Candidate(terms[best], max(total, NEVER), value, sd, 0.0, trace(model, z[:, best]))
+    if not np.isfinite(sd[best]) or not np.isfinite(total):
+        return None
+    return Candidate(terms[best], max(total, NEVER), float(value[best]), float(sd[best]), 0.0, trace(model, z[:, best]))
 
 
 def _judge_times(model: Model, grains: Grains, effect: Effect) -> Candidate | None:
-    """By the averaged residual: a proposal's own samples are too few to tell their noise."""
+    """The best of the times proposed for an effect of which no signal shows when it acts."""
+    if effect.timing not in (Timing.WINDOW, Timing.SWITCHING):
+        return None
     own, ring = model.views()
     profile = effect.power(own, None)
-    proposals = timing.windows(model, profile)
+    proposals = timing.windows(model, profile) if effect.dwell > timing.SHORTEST_WINDOW else []
     if effect.timing is Timing.SWITCHING:
-        proposals += timing.switching(model, profile)
-    best = None
-    for spans in proposals:
-        on = inside(model.samples.t, spans)
-        column = grains.mean(profile * on)
-        weight = column_evidence(grains, column, effect.usual(model.road_load), effect.positive)
-        cost = timing.CHANGE_COST * timing.changes(model, spans)
-        evidence = weight.log_bayes_factor - cost
-        if best is None or evidence > best.log_bayes_factor:
-            shape = trace(model, effect.power(ring, None) * on)
-            best = Candidate(Term(effect, None, spans), max(evidence, NEVER), weight.value, weight.sd, cost, shape)
-    return best
+        proposals += timing.switching(model, profile, effect.dwell)
+    if not proposals:
+        return None
+    on = np.column_stack([inside(model.samples.t, spans) for spans in proposals])
+    cost = np.array([timing.CHANGE_COST * timing.changes(model, spans) for spans in proposals])
+    weight = weigh(grains, grains.mean(profile[:, None] * on), effect.usual(model.road_load), effect.positive)
+    evidence = weight.log_bayes_factor - cost
+    best = int(np.argmax(evidence))
+    shape = trace(model, effect.power(ring, None) * on[:, best])
+    value, sd = float(weight.value[best]), float(weight.sd[best])
+    term = Term(effect, None, proposals[best])
+    return Candidate(term, max(float(evidence[best]), NEVER), value, sd, float(cost[best]), shape)
 
 
 def trace(model: Model, instrument: Floats) -> Floats:

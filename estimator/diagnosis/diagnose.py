@@ -28,11 +28,12 @@ from estimator.diagnosis.search import (
     Joint,
     Search,
     is_unmeasured_grade,
+    pooled,
     probabilities,
     same_class,
     search,
 )
-from estimator.diagnosis.shrinkage import HeldOut, gap_closed, held_out
+from estimator.diagnosis.shrinkage import gap_closed
 from estimator.diagnosis.where import gap_map, places
 from estimator.effects import CATALOGUE, Effect, Timing
 from estimator.estimation.columns import Term, columns
@@ -43,7 +44,7 @@ from estimator.units import STANDARD_GRAVITY
 UNNAMED = 10.0  # log Bayes factor of a process that says something is there, though no effect is
 SOMETHING = 3.0  # log Bayes factor below which there is no gap to speak of
 TEMPER = 1.5  # evidence is never as sharp as the model of the noise says
-SHARE = 0.5  # of the evidence of a nameless process that an effect has to take away to be its name
+LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
 SECOND = 10  # samples
 SHORTEST = 300.0  # s of admitted driving
 
@@ -96,7 +97,7 @@ class _Report:
         best = result.at_last[0]
         self.left_variance = best.variance if best.log_bayes_factor > SOMETHING else 0.0
         # Every step is judged on the samples that the final model uses.
-        self.steps = [_held_out(drives, self.final) for drives in (*(f.before for f in result.chosen), self.final)]
+        self.steps = [pooled(drives, self.final) for drives in (*(f.before for f in result.chosen), self.final)]
         self.floor = max(self.steps[-1].mean_square - self.left_variance, 0.05 * self.steps[-1].mean_square)
 
     def diagnosis(self, missing: tuple[NotTestable, ...]) -> Diagnosis:
@@ -151,7 +152,8 @@ class _Report:
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
             return (Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP), False
         at_first = self.result.at_first[0].log_bayes_factor
-        if left > UNEXPLAINED and left > (1 - SHARE) * at_first:
+        total = sum(found.joint.log_bayes_factor for found in chosen)
+        if total < at_first + AHEAD or (left > UNEXPLAINED and left > LEFT * at_first):
             return Verdict.UNKNOWN, False
         return (Verdict.CANNOT_TELL if self._ties(chosen[0]) else Verdict.EFFECT), False
 
@@ -241,7 +243,11 @@ class _Report:
                     joint.name, share, joint.log_bayes_factor, alike, size, None, rms, rms, None, spans, _detail(term)
                 )
             )
-        return tuple(listed)
+        process = self.result.at_first[0]
+        size = Magnitude("rms", float(np.sqrt(process.variance)), float("nan"), "W")
+        value, share = process.log_bayes_factor, shares[len(ranking)]
+        nameless = Finding(Verdict.UNKNOWN.value, share, value, (), size, None, rms, rms, None, (), process.name)
+        return tuple(sorted([*listed, nameless], key=lambda finding: -finding.log_bayes_factor))
 
     def _reason(self, verdict: Verdict, named: tuple[Finding, ...], unseen: tuple[Invisible, ...]) -> str:
         base, final = self.steps[0].rms / 1e3, self.steps[-1].rms / 1e3
@@ -271,11 +277,6 @@ class _Report:
             unsure += [other for finding in named for other in finding.equivalent]
             unsure += [f.name for f in named if f.name == "grade" and f.magnitude.name == "sd of the grade"]
         return tuple(f"{name}: {by_name[name].breaks}" for name in dict.fromkeys(unsure) if name in by_name)
-
-
-def _held_out(drives: tuple[Drive, ...], final: tuple[Drive, ...]) -> HeldOut:
-    parts = [held_out(f.model.samples, d.model.terms, d.model.road_load) for d, f in zip(drives, final, strict=True)]
-    return HeldOut(np.concatenate([part.squares for part in parts]))
 
 
 def _shift(model: Model) -> Shift:

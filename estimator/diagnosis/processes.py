@@ -8,6 +8,7 @@ of the averaged residual with A, C, m refitted (diffuse), averaged over its scal
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +37,25 @@ class Grains:
     v: Floats
     power: Floats  # [W], as the instruments see it
     gear: Floats | None
+    engine_speed: Floats  # [rad/s], or the speed where it is not known
     starts: NDArray[np.int64]  # first sample of each, of those left out too
     full: Mask  # which of them are long enough
 
     def __len__(self) -> int:
         return len(self.residual)
+
+    @cached_property
+    def noises(self) -> list[Floats]:
+        """Covariance (n, n) without a process, up to scale, for each correlation of the noise."""
+        order = np.abs(np.subtract.outer(np.arange(len(self)), np.arange(len(self))))
+        columns = self.columns / np.sqrt((self.columns**2).mean(axis=0))
+        diffuse = DIFFUSE * columns @ columns.T
+        return [(rho**order if rho else np.eye(len(self))) + diffuse for rho in CORRELATIONS]
+
+    @cached_property
+    def factors(self) -> list[Floats]:
+        """Lower Cholesky factors of `noises`."""
+        return [np.linalg.cholesky(noise) for noise in self.noises]
 
     def mean(self, x: Floats) -> Floats:
         """Averages of ``x`` (samples, ...) over the grains."""
@@ -102,7 +117,8 @@ PROCESSES: tuple[Process, ...] = (
     Process("drag over time", lambda g: g.v**3, _wander(lambda g: g.t, MINUTES)),
     Process(UNMEASURED_GRADE, lambda g: g.v, _wander(lambda g: g.distance, HILLS)),
     Process("gain over time", lambda g: g.power, _wander(lambda g: g.t, MINUTES)),
-    Process("gear", lambda g: np.ones(len(g)), _gears),
+    Process("power by gear", lambda g: np.ones(len(g)), _gears),
+    Process("torque by gear", lambda g: g.engine_speed, _gears),
     Process("speed", lambda g: np.ones(len(g)), _levels(lambda g: g.v)),
     Process("power", lambda g: np.ones(len(g)), _levels(lambda g: g.power)),
 )
@@ -132,6 +148,7 @@ def grains_of(model: Model) -> Grains:
         mean(s.v),
         mean(power),
         None if gear is None else np.round(mean(gear)),
+        mean(s.context.get(Quantity.ENGINE_SPEED, s.v)),
         starts,
         full,
     )
@@ -139,44 +156,35 @@ def grains_of(model: Model) -> Grains:
 
 @dataclass(frozen=True)
 class Weight:
-    """What a drive says about the magnitude of one more column: log Bayes factor, value, sd."""
+    """What the averaged residual says about k columns, each alone: log Bayes factor, value, sd; all arrays (k,)."""
 
-    log_bayes_factor: float
-    value: float
-    sd: float
+    log_bayes_factor: Floats
+    value: Floats
+    sd: Floats
 
 
-def column_evidence(grains: Grains, column: Floats, usual: float, positive: bool) -> Weight:
-    """Evidence of a ``column`` (n,) [W] on the averaged residual; Gaussian prior of sd ``usual``, or half of one."""
-    n = len(grains)
-    y, scale = grains.residual, float(np.mean(grains.residual**2))
-    best = Weight(-np.inf, 0.0, np.inf)
-    if not column.any():
-        return best
-    none, some = [], []
-    for noise in noise_covariances(grains):
-        factor = np.linalg.cholesky(noise)
-        a, c = solve_triangular(factor, np.column_stack([y, column]), lower=True, check_finite=False).T
+def weigh(grains: Grains, columns: Floats, usual: float, positive: bool) -> Weight:
+    """Evidence of each of ``columns`` (n, k) [W]; Gaussian prior of sd ``usual``, or half of one."""
+    n, y = len(grains), grains.residual
+    none, some, values, sds = [], [], [], []
+    for factor in grains.factors:
+        white = solve_triangular(factor, np.column_stack([y, columns]), lower=True, check_finite=False)
+        a, c = white[:, 0], white[:, 1:]
+        total, cross, strength = float(a @ a), a @ c, np.maximum((c**2).sum(axis=0), np.finfo(float).tiny)
         # The noise's variance as the column leaves it.
-        left = max(float(a @ a - (a @ c) ** 2 / (c @ c)), 1e-9 * scale) / n
-        precision = float(c @ c) / left + 1.0 / usual**2
-        value, sd = float(c @ a) / left / precision, precision**-0.5
-        explained = value**2 * precision * left
+        left = np.maximum(total - cross**2 / strength, 1e-9 * total) / n
+        precision = strength / left + 1.0 / usual**2
+        value, sd = cross / left / precision, precision**-0.5
         determinant = -float(np.log(np.diag(factor)).sum())
-        none.append(determinant - 0.5 * n * float(np.log(a @ a)))
-        log = determinant - 0.5 * n * float(np.log(a @ a - explained)) - 0.5 * float(np.log(precision * usual**2))
-        some.append(log + (float(log_ndtr(value / sd)) + float(np.log(2)) if positive else 0.0))
-        if some[-1] >= max(some):
-            best = Weight(0.0, value, sd)
-    return Weight(float(logsumexp(some) - logsumexp(none)), best.value, best.sd)
-
-
-def noise_covariances(grains: Grains) -> list[Floats]:
-    """Covariance (n, n) of the averaged residual without a process, up to scale, for each correlation of its noise."""
-    order = np.abs(np.subtract.outer(np.arange(len(grains)), np.arange(len(grains))))
-    columns = grains.columns / np.sqrt((grains.columns**2).mean(axis=0))
-    diffuse = DIFFUSE * columns @ columns.T
-    return [(rho**order if rho else np.eye(len(grains))) + diffuse for rho in CORRELATIONS]
+        none.append(determinant - 0.5 * n * np.log(total))
+        log = determinant - 0.5 * n * np.log(total - value**2 * precision * left) - 0.5 * np.log(precision * usual**2)
+        some.append(log + (log_ndtr(value / sd) + np.log(2) if positive else 0.0))
+        values.append(value)
+        sds.append(sd)
+    best = np.argmax(some, axis=0)
+    which = np.arange(columns.shape[1])
+    factor = logsumexp(some, axis=0) - logsumexp(none)
+    return Weight(np.asarray(factor), np.stack(values)[best, which], np.stack(sds)[best, which])
 
 
 def leftovers(grains: Grains) -> list[Leftover]:
@@ -184,7 +192,7 @@ def leftovers(grains: Grains) -> list[Leftover]:
     n = len(grains)
     y = grains.residual
     scale = float(y.var())
-    noises = noise_covariances(grains)
+    noises = grains.noises
     plain = [_log_likelihood(y / np.sqrt(scale), noise)[0] for noise in noises]
     none = float(logsumexp(plain)) - np.log(len(noises))
     found = []

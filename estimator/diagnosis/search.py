@@ -7,17 +7,21 @@ adds up. An event, bounded in time, may be in one drive only.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from scipy.special import logsumexp
 
 from estimator.diagnosis.candidates import ALIKE, Candidate, assess
 from estimator.diagnosis.model import Model, fit, select
 from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover, grains_of, leftovers
 from estimator.diagnosis.record import Record
+from estimator.diagnosis.shrinkage import HeldOut, held_out
 from estimator.effects import Effect, Timing
 from estimator.estimation.columns import Term
 
 NAMED = 5.0  # log Bayes factor over none that names an effect
 AHEAD = 3.0  # and over the next that is not of its class
+NEXT = 8.0  # of an effect beside another: each one more has to earn its place
+NEXT_TIMED = 20.0  # and if its times are free, it fits what the others left not quite right
 UNEXPLAINED = 20.0  # evidence of a process, on what is left, beyond which something is there that has no name
 MOST = 4  # effects that are looked for
 
@@ -96,14 +100,35 @@ def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
     first = ranked(plain, effects)
     while len(chosen) < MOST:
         ranking = first if not chosen else ranked(drives, effects)
-        if not ranking or ranking[0].log_bayes_factor < NAMED:
+        if not ranking or ranking[0].log_bayes_factor < _needed(ranking[0], len(chosen)):
+            break
+        grown = _add(drives, ranking[0])
+        if not _helps(drives, grown):
             break
         chosen.append(Found(ranking[0], ranking, drives))
-        drives = _add(drives, ranking[0])
+        drives = grown
         if len(chosen) > 1:
             chosen, drives = _exchange(plain, chosen, drives, effects)
     at_last = _leftovers(drives)
     return Search(tuple(chosen), first, _leftovers(plain) if chosen else at_last, at_last, drives)
+
+
+def _needed(joint: Joint, chosen: int) -> float:
+    """Log Bayes factor that names an effect beside those already ``chosen``."""
+    if not chosen:
+        return NAMED
+    return NEXT_TIMED if joint.best[1].term.spans is not None else NEXT
+
+
+def _helps(before: tuple[Drive, ...], after: tuple[Drive, ...]) -> bool:
+    """Whether the effect foretells stretches of the drive that the fit has not seen."""
+    return pooled(after, after).mean_square < pooled(before, after).mean_square
+
+
+def pooled(drives: tuple[Drive, ...], on: tuple[Drive, ...]) -> HeldOut:
+    """Held-out residuals of the models of ``drives`` on the samples of others."""
+    parts = [held_out(o.model.samples, d.model.terms, d.model.road_load) for d, o in zip(drives, on, strict=True)]
+    return HeldOut(np.concatenate([part.squares for part in parts]))
 
 
 def ranked(drives: tuple[Drive, ...], effects: Sequence[Effect]) -> tuple[Joint, ...]:
@@ -180,4 +205,4 @@ def probabilities(log_bayes_factors: Sequence[float], temper: float) -> list[flo
     """Of each, and last of none; what is left to the noise model's own errors by tempering."""
     tempered = [value / temper for value in (*log_bayes_factors, 0.0)]
     total = float(logsumexp(tempered))
-    return [float(pow(2.718281828459045, value - total)) for value in tempered]
+    return [float(np.exp(value - total)) for value in tempered]

@@ -14,11 +14,12 @@ from estimator.estimation.columns import Spans
 from estimator.signals import Floats, Mask, Quantity
 
 BEAT = 2.0  # s
-DWELL = 240.0  # s, usual time between changes
-SHORTEST_WINDOW = 60.0  # s
+SHORTEST_WINDOW = 60.0  # s, together where it switches
+DWELL_FACTOR = 6.0  # by which a usual stretch may be shorter or longer
+LONGEST_SHARE = 0.9  # of the drive
 EXCHANGES = 6  # of states and levels in turn
 STARTS = (0.25, 0.5, 0.75)  # quantiles of the residual at which the two levels are first told apart
-CHANGE_COST = 4.5  # log: one time among those at which a change could as well have been, DWELL / its uncertainty
+CHANGE_COST = 4.5  # log: one time among those at which a change could as well have been
 GRAIN = 10.0  # s, of the windows that are tried
 
 
@@ -47,7 +48,7 @@ def beats(model: Model, profile: Floats) -> Beats:
     return Beats(mean(model.samples.t), mean(model.base.residual), mean(profile), count.astype(float), of)
 
 
-def switching(model: Model, profile: Floats) -> list[Spans]:
+def switching(model: Model, profile: Floats, dwell: float) -> list[Spans]:
     """Proposals for when an effect with this ``profile`` (n,) [W] was on.
 
     Viterbi's path of two states through the residual, its level and base refitted in turn.
@@ -55,6 +56,8 @@ def switching(model: Model, profile: Floats) -> list[Spans]:
     b = beats(model, profile)
     proposals: list[Spans] = []
     size = np.abs(b.profile) > 1e-3 * np.abs(b.profile).max()
+    if not size.any():
+        return []
     ratio = np.where(size, b.residual / np.where(size, b.profile, 1.0), np.nan)
     # The base: what a constant and the road load could take of the residual.
     columns = _beat_columns(model, b)
@@ -65,13 +68,22 @@ def switching(model: Model, profile: Floats) -> list[Spans]:
             if fitted is None:
                 break
             rest, level, spread = fitted
-            new = _viterbi(b, rest, level, spread)
+            new = _viterbi(b, rest, level, spread, dwell)
             if np.array_equal(new, on):
                 break
             on = new
-        if fitted is not None and SHORTEST_WINDOW / BEAT <= on.sum() < len(on) and fitted[1] > 0:
+        if fitted is not None and fitted[1] > 0 and _is_usual(b, on, dwell):
             proposals.append(_spans(model, on[b.of]))
     return proposals
+
+
+def _is_usual(b: Beats, on: Mask, dwell: float) -> bool:
+    """Whether the states last about as long as they usually do, and are off for some of the drive."""
+    starts = int(on[0]) + int((np.diff(on.astype(int)) == 1).sum())
+    lasting = float(on.sum()) * BEAT
+    if not starts or lasting < SHORTEST_WINDOW or lasting > LONGEST_SHARE * len(on) * BEAT:
+        return False
+    return dwell / DWELL_FACTOR < lasting / starts < dwell * DWELL_FACTOR
 
 
 def _beat_columns(model: Model, b: Beats) -> Floats:
@@ -96,10 +108,10 @@ def _levels(b: Beats, on: Mask, columns: Floats) -> tuple[Floats, float, float] 
     return rest, level, float(left.std()) * np.sqrt((1 + correlation) / (1 - correlation))
 
 
-def _viterbi(b: Beats, rest: Floats, level: float, spread: float) -> Mask:
+def _viterbi(b: Beats, rest: Floats, level: float, spread: float, dwell: float) -> Mask:
     """Most likely states (n,) given the two levels."""
     gain = (rest**2 - (rest - level * b.profile) ** 2) / (2 * spread**2)  # log likelihood of on over off
-    change = np.log(-np.expm1(-np.diff(b.t, prepend=b.t[0] - BEAT) / DWELL) / 2)
+    change = np.log(-np.expm1(-np.diff(b.t, prepend=b.t[0] - BEAT) / dwell) / 2)
     stay = np.log1p(-np.exp(change))
     n = len(rest)
     came_from_on, came_from_off = np.zeros(n, bool), np.zeros(n, bool)
@@ -147,13 +159,14 @@ def windows(model: Model, profile: Floats) -> list[Spans]:
         return []
     difference = sums[last] - sums[first]
     strength = difference[:, 1] - (difference[:, 2:] ** 2).sum(axis=1)
-    gain = np.where(
-        (strength > 0.02 * difference[:, 1]) & (difference[:, 0] > 0), difference[:, 0] ** 2 / strength, 0.0
-    )
+    useful = (strength > 0.02 * difference[:, 1]) & (difference[:, 0] > 0)
+    gain = np.where(useful, difference[:, 0] ** 2 / np.where(useful, strength, 1.0), 0.0)
     best = int(np.argmax(gain))
     if gain[best] <= 0:
         return []
     start, end = _refine(y, g, Q, int(edges[first[best]]), int(edges[last[best]]))
+    if end - start < SHORTEST_WINDOW / BEAT:
+        return []
     on = np.zeros(len(g), dtype=bool)
     on[start:end] = True
     return [_spans(model, on[b.of])]

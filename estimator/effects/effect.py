@@ -92,6 +92,11 @@ class Effect:
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
     timing
         When it acts.
+    dwell
+        How long [s] it usually stays on, or off, where it switches.
+    is_noisy
+        Its power is computed from acceleration or power, so that their noise is in it: evidence has to come from
+        instruments.
     is_gravity
         Its magnitude is the mass: in the model it joins m instead of adding a parameter.
     absorbed
@@ -111,6 +116,8 @@ class Effect:
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
     timing: Timing = Timing.ALWAYS
+    dwell: float = 200.0
+    is_noisy: bool = False
     is_gravity: bool = False
     absorbed: bool = False
     equivalent: tuple[str, ...] = ()

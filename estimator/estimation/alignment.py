@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import medfilt
 
-from estimator.config import Vehicle
+from estimator.config import Positive, Vehicle
 from estimator.estimation.friction import FrictionCurve
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Mask, Role, Series
@@ -182,7 +182,7 @@ class Aligner:
             The state is not that of an aligner.
         """
         self._friction.restore(substate(state, "friction"))
-        self._reference = read(state, "reference", float | None)
+        self._reference = read(state, "reference", Positive | None)
 
     def _track(self, role: Role) -> _Track:
         return self._tracks.get((role, 0), _Track())

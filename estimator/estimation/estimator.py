@@ -190,6 +190,10 @@ class Estimator:
         self._scale.restore(substate(state, "scale"))
         if self._at_last > self.window.added or abs(self._lag) > kinematics.LONGEST_LAG:
             raise StateError("counts or lag: are out of range")
+        if (self._wanted is None) != (self._start is None):
+            raise StateError("start: does not go with what is wanted")
+        if len(self.window) and frozenset(self.window.samples.context) != self._wanted:
+            raise StateError("window: has other columns than are wanted")
         self._resting = True
 
     def resume(self, same_load: bool) -> Iterator[Estimate]:

@@ -20,7 +20,7 @@ from estimator.daemon.reader import reader_of
 from estimator.errors import ConfigError
 
 # python-can leaves the socket of an attempt that failed to the garbage collector.
-pytestmark = pytest.mark.filterwarnings("ignore:.*unclosed.*socket:pytest.PytestUnraisableExceptionWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
 
 LONGEST = 20.0  # s for anything here to happen; the machine is slow
 CCVS1 = 0x18FEF100

@@ -21,9 +21,9 @@ NONE, UNKNOWN = "none", "unknown"  # candidates that are no effects of the catal
 class GapClosed(msgspec.Struct, frozen=True):
     """Promised share of the gap, with its 90 % interval."""
 
-    fraction: float | None = None
-    q05: float | None = None
-    q95: float | None = None
+    fraction: float
+    q05: float
+    q95: float
 
 
 class Magnitude(msgspec.Struct, frozen=True):
@@ -51,6 +51,13 @@ class Finding(msgspec.Struct, frozen=True):
         return name == self.name or name in self.equivalent or any({name, self.name} <= group for group in CLASSES)
 
 
+class Parameters(msgspec.Struct, frozen=True):
+    """A, C, m of the plain model and of that with the effects; null where there is no fit."""
+
+    base: dict[str, float | None] | None = None
+    final: dict[str, float | None] | None = None
+
+
 class Answer(msgspec.Struct, frozen=True):
     """The part of ``diagnose --json`` that is judged."""
 
@@ -58,6 +65,7 @@ class Answer(msgspec.Struct, frozen=True):
     reason: str = ""
     effects: tuple[Finding, ...] = ()
     candidates: tuple[Finding, ...] = ()
+    parameters: Parameters = Parameters()
 
 
 class Run(msgspec.Struct, frozen=True):

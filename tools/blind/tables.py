@@ -18,11 +18,11 @@ def show(result: Score, console: Console) -> None:
     for title, measures in _sections(result):
         table = Table("measure", "goal", "value", "95 % interval", "drives", "to look at", title=title)
         for measure in measures:
-            table.add_row(*_row(measure), " ".join(_failures(measure)))
+            table.add_row(*as_row(measure), " ".join(_failures(measure)))
         console.print(table)
     table = Table("truth", "said first", title="what was said of what")
     for truth, said in result.confusion.items():
-        table.add_row(truth, _said(said.most_common()))
+        table.add_row(truth, _said(said))
     console.print(table)
     if result.failed:
         console.print(f"no answer: {', '.join(result.failed)}")
@@ -47,9 +47,9 @@ def as_markdown(result: Score) -> str:
     lines = []
     for title, measures in _sections(result):
         lines += [f"## {title}", "", "| measure | goal | value | 95 % interval | drives |", "|---|---|---|---|---|"]
-        lines += [f"| {' | '.join(_row(measure))} |" for measure in measures] + [""]
+        lines += [f"| {' | '.join(as_row(measure))} |" for measure in measures] + [""]
     lines += ["## What was said of what", "", "| truth | said first |", "|---|---|"]
-    lines += [f"| {truth} | {_said(said.most_common())} |" for truth, said in result.confusion.items()]
+    lines += [f"| {truth} | {_said(said)} |" for truth, said in result.confusion.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -61,7 +61,8 @@ def _sections(result: Score) -> tuple[tuple[str, Sequence[Measure]], ...]:
     )
 
 
-def _row(measure: Measure) -> tuple[str, ...]:
+def as_row(measure: Measure) -> tuple[str, ...]:
+    """Name, goal, value, interval and number of drives as text."""
     estimate = measure.estimate
     if isnan(estimate.value):
         return measure.name, measure.goal, "-", "-", "0"
@@ -80,5 +81,5 @@ def _failures(measure: Measure) -> list[str]:
     return [*names, f"+{more}"] if more else names
 
 
-def _said(counts: Sequence[tuple[str, int]]) -> str:
-    return ", ".join(f"{name} {count}" if count > 1 else name for name, count in counts)
+def _said(counts: dict[str, int]) -> str:
+    return ", ".join(f"{name} {count}" if count > 1 else name for name, count in counts.items())

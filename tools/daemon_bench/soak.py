@@ -34,6 +34,7 @@ from estimator.state_store import StateStore
 
 HOUR, PARKED = 3600.0, 60.0  # s
 PIECE = 1.0  # s of traffic that arrive at once
+ROW = np.dtype([("t", "f8"), ("ident", "u4"), ("length", "u1"), ("data", "u1", 8)])  # of a file of frames
 NOTHING = Frames.from_messages([])
 EPOCH = 1_700_000_000.0  # s, wall time of the start
 ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
@@ -71,26 +72,36 @@ class Day:
 
     def _traffic(self, hours: int, folder: Path) -> Iterator[Frames]:
         for hour in range(hours):
-            frames = one_drive(hour, folder)
-            frames = replace(frames, t=self.wall() - PIECE + frames.t)
-            self.sent += len(frames)
-            for end in self.now + PIECE * np.arange(round(HOUR / PIECE)):
-                cut = int(np.searchsorted(frames.t, EPOCH + end))
-                piece, frames = frames[:cut], frames[cut:]
-                yield piece
-            yield frames
+            start = self.wall() - PIECE
+            for piece in one_drive(hour, folder):
+                self.sent += len(piece)
+                yield replace(piece, t=start + piece.t)
             for _ in range(round(PARKED / PIECE)):
                 yield NOTHING
             self.hour += 1
 
 
-def one_drive(seed: int, folder: Path) -> Frames:
-    """An hour of driving, simulated in another process so that this one's memory is the daemon's."""
-    path = folder / "drive.npz"
+def one_drive(seed: int, folder: Path) -> Iterator[Frames]:
+    """An hour of driving in pieces; simulated in another process, so that this one's memory is the daemon's."""
+    path = folder / "drive"
     command = [sys.executable, "-m", "daemon_bench.soak", "--drive", str(seed), str(path)]
     subprocess.run(command, env=os.environ | ENVIRONMENT, check=True)
-    with np.load(path) as file:
-        return Frames(**file)
+    with path.open("rb") as file:
+        for count in np.fromfile(file, np.int64, round(HOUR / PIECE)).tolist():
+            rows = np.fromfile(file, ROW, count)
+            yield Frames(*(np.ascontiguousarray(rows[name]) for name in ROW.names))
+
+
+def write_drive(seed: int, path: Path) -> None:
+    """Leave the drive in a file: how many frames are in each piece, then the frames."""
+    frames = traffic.drive(HOUR, seed)
+    ends = np.searchsorted(frames.t, PIECE * np.arange(1, round(HOUR / PIECE) + 1))
+    rows = np.empty(int(ends[-1]), ROW)
+    for name in ROW.names:
+        rows[name] = getattr(frames, name)[: len(rows)]
+    with path.open("wb") as file:
+        np.diff(ends, prepend=0).astype(np.int64).tofile(file)
+        rows.tofile(file)
 
 
 def run(hours: int) -> None:
@@ -149,6 +160,7 @@ def show(console: Console, hours: float) -> None:
         assert day.stdout is not None
         for line in day.stdout:
             row = json.loads(line)
+            print(f"hour {row['hour']}: {row['frames']:,} frames, RSS {row['rss_MiB']:.1f} MiB", file=sys.stderr)
             shown = [f"{x[0]:,.4g} ± {x[1]:.2g}" if x else "-" for x in row["estimates"]]
             pace = f"{row['hour'] * (HOUR + PARKED) / row['seconds']:.0f}"
             memory = f"{row['rss_MiB']:.1f}"
@@ -165,9 +177,7 @@ def main(what: str, *arguments: str) -> None:
     if what == "--day":
         run(int(arguments[0]))
     else:
-        seed, path = arguments
-        frames = traffic.drive(HOUR, int(seed))
-        np.savez(path, t=frames.t, ident=frames.ident, length=frames.length, data=frames.data)
+        write_drive(int(arguments[0]), Path(arguments[1]))
 
 
 if __name__ == "__main__":

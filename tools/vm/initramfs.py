@@ -29,10 +29,9 @@ mkdir -p /host/dev/shm
 mount -t tmpfs shm /host/dev/shm
 mount -t 9p -o {options} share /host$share
 ip link set lo up
-chroot /host /bin/sh $share/command
-echo $? > /host$share/status
-sync
-poweroff -f
+cd /host
+mount --move . /
+exec chroot . {busybox} sh -c "/bin/sh $share/command; echo \\$? > $share/status; sync; {busybox} poweroff -f"
 """
 
 
@@ -62,6 +61,6 @@ def write(parts: Parts, path: Path) -> None:
     modules = parts.modules()
     for module in modules:
         archive.add(f"lib/{module.name}", stat.S_IFREG | 0o644, module.read_bytes())
-    script = INIT.format(modules=" ".join(module.stem for module in modules), options=SHARE_OPTIONS)
+    script = INIT.format(modules=" ".join(module.stem for module in modules), options=SHARE_OPTIONS, busybox=parts.busybox)
     archive.add("init", stat.S_IFREG | 0o755, script.encode())
     path.write_bytes(gzip.compress(archive.bytes(), compresslevel=1))

@@ -1,0 +1,147 @@
+"""Published methods on the same drives, fed with the same smoothed samples and candidate columns.
+
+* STLSQ: sequentially thresholded least squares (Brunton, Proctor, Kutz 2016), as pysindy has it.
+* LassoLarsIC: the lasso with the penalty that BIC chooses (Zou, Hastie, Tibshirani 2007), as scikit-learn has it.
+* BIC: forward selection while the Bayesian information criterion falls, with independent errors.
+
+Samples, and for every effect of the catalogue the column with the shape and times that suit it best, are those that
+the diagnosis itself works with. The columns are projected off v, v^3, v a and the lag by least squares and scaled to
+one, as is the power that is left; so a coefficient of 1 would explain it all. Each method names what it keeps, largest
+coefficient first, or "no gap"; none of them knows "unknown effect" or "cannot tell".
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pysindy.optimizers import STLSQ
+from rich.table import Table
+from sklearn.linear_model import LassoLarsIC
+
+from blind import seal
+from blind.answer import Answer, Finding, Run
+from blind.score import Case, naming
+from blind.tables import as_row
+from blind.truth import Truth
+from estimator.config import Config
+from estimator.diagnosing import drives
+from estimator.diagnosis.candidates import assess
+from estimator.diagnosis.model import fit, select
+from estimator.diagnosis.processes import grains_of
+from estimator.effects import CATALOGUE
+
+THRESHOLD = 0.1  # of STLSQ, as in the published study of discrepancy models
+
+Floats = NDArray[np.float64]
+Choose = Callable[[Floats, Floats], Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Library:
+    """What a method is given: names of effects, their columns (n, k) and what is to be explained (n,)."""
+
+    names: tuple[str, ...]
+    columns: Floats
+    left: Floats
+
+
+def library_of(log: Path) -> Library | None:
+    """Samples and candidate columns of one log; None where the road load cannot be fitted."""
+    record = max(drives(log, Config(), lambda share: None), key=lambda record: len(record.samples))
+    kept = select(record.samples)
+    model = None if kept is None else fit(record.samples[kept])
+    if model is None:
+        return None
+    candidates = assess(model, grains_of(model), CATALOGUE, record.known)
+    own, _ = model.views()
+    X = model.base.X
+    raw = np.column_stack([own.P, *(candidate.term.column(own) for candidate in candidates)])
+    rest = raw - X @ np.linalg.lstsq(X, raw, rcond=None)[0]
+    spread = rest.std(axis=0)
+    usable = spread > 1e-9 * raw.std(axis=0)
+    scaled = rest[:, usable] / spread[usable]
+    names = tuple(c.name for c, use in zip(candidates, usable[1:], strict=True) if use)
+    return Library(names, scaled[:, 1:], scaled[:, 0])
+
+
+def stlsq(columns: Floats, left: Floats) -> Floats:
+    """Coefficients (k,) that stay above the threshold."""
+    return np.ravel(STLSQ(threshold=THRESHOLD).fit(columns, left[:, None]).coef_)
+
+
+def lasso(columns: Floats, left: Floats) -> Floats:
+    """Coefficients (k,) of the lasso at the lowest BIC."""
+    return np.asarray(LassoLarsIC(criterion="bic").fit(columns, left).coef_)
+
+
+def forward_bic(columns: Floats, left: Floats) -> Floats:
+    """Coefficients (k,) after adding columns while BIC falls."""
+    n, k = columns.shape
+    chosen: list[int] = []
+    coefficients, cost = np.zeros(k), n * np.log(np.mean(left**2))
+    while len(chosen) < k:
+        trials = []
+        for i in set(range(k)) - set(chosen):
+            some = [*chosen, i]
+            b = np.linalg.lstsq(columns[:, some], left, rcond=None)[0]
+            error = float(np.mean((left - columns[:, some] @ b) ** 2))
+            trials.append((n * np.log(error) + len(some) * np.log(n), i, b))
+        best, i, b = min(trials, key=lambda trial: trial[0])
+        if best >= cost:
+            break
+        chosen.append(i)
+        cost = best
+        coefficients = np.zeros(k)
+        coefficients[chosen] = b
+    return coefficients
+
+
+METHODS: dict[str, Choose] = {
+    "STLSQ (pysindy)": stlsq,
+    "LassoLarsIC (scikit-learn)": lasso,
+    "BIC, independent errors": forward_bic,
+}
+
+
+def answer_of(library: Library | None, choose: Choose) -> Answer:
+    """What a method says, in the words of the diagnosis."""
+    if library is None or not library.names:
+        return Answer("cannot tell")
+    coefficients = choose(library.columns, library.left)
+    order = np.argsort(-np.abs(coefficients))
+    named = tuple(Finding(library.names[i]) for i in order if coefficients[i] != 0.0)
+    return Answer("effect", effects=named) if named else Answer("no gap")
+
+
+def compare(truths: dict[str, Truth], folder: Path, workers: int) -> dict[str, list[Case]]:
+    """Cases by method."""
+    with ProcessPoolExecutor(workers) as pool:
+        libraries = list(pool.map(library_of, [seal.log_of(folder, drive) for drive in truths]))
+    found: dict[str, list[Case]] = {}
+    for name, choose in METHODS.items():
+        given = map(partial(answer_of, choose=choose), libraries)
+        found[name] = [
+            Case(truth, Run(truth.drive, 0.0, 0.0, 0.0, said))
+            for truth, said in zip(truths.values(), given, strict=True)
+        ]
+    return found
+
+
+def as_json(found: dict[str, list[Case]]) -> dict[str, Any]:
+    """Measures of naming by method."""
+    return {name: [asdict(measure) for measure in naming(cases)] for name, cases in found.items()}
+
+
+def table(found: dict[str, list[Case]]) -> Table:
+    """Measures of naming, one column a method."""
+    shown = Table("measure", "goal", *found)
+    rows: Sequence[Sequence[Any]] = list(zip(*(naming(cases) for cases in found.values()), strict=True))
+    for measures in rows:
+        cells = [as_row(measure) for measure in measures]
+        shown.add_row(cells[0][0], cells[0][1], *(f"{cell[2]} ({cell[3]})" for cell in cells))
+    return shown
