@@ -67,7 +67,8 @@ def run_of(verdict, *names, drive="drive-0000", probability=0.95, fraction=1.0, 
 
 
 def measures(*cases):
-    from blind.score import Case, score
+    from blind.case import Case
+    from blind.score import score
 
     return {m.name: m for m in score([Case(truth, run) for truth, run in cases]).measures}
 
@@ -295,7 +296,8 @@ def test_pages_and_json_show_every_measure():
     import json
 
     from blind import tables
-    from blind.score import Case, score
+    from blind.case import Case
+    from blind.score import score
 
     result = score(
         [Case(truth_of(), run_of("effect", "grade")), Case(truth_of(kind="clean", names=()), run_of("no gap"))]

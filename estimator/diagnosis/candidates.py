@@ -88,9 +88,9 @@ def _judge_times(model: Model, grains: Grains, effect: Effect) -> Candidate | No
         return None
     own, ring = model.views()
     profile = effect.power(own, None)
-    proposals = timing.windows(model, profile) if effect.dwell > timing.SHORTEST_WINDOW else []
+    proposals = timing.windows(model, profile) if max(effect.dwells) > timing.SHORTEST_WINDOW else []
     if effect.timing is Timing.SWITCHING:
-        proposals += timing.switching(model, profile, effect.dwell)
+        proposals += [spans for dwell in effect.dwells for spans in timing.switching(model, profile, dwell)]
     if not proposals:
         return None
     on = np.column_stack([inside(model.samples.t, spans) for spans in proposals])

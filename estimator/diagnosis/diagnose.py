@@ -1,11 +1,13 @@
 """The diagnosis: where the gap lies, which effect causes it, how far it shrinks, and what is left."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from estimator.diagnosis import isolability as iso
 from estimator.diagnosis.candidates import Candidate, assess
+from estimator.diagnosis.evidence import parameter_sd
 from estimator.diagnosis.model import FEWEST, Model, fit, select
 from estimator.diagnosis.processes import Leftover, grains_of
 from estimator.diagnosis.record import Record
@@ -33,10 +35,10 @@ from estimator.diagnosis.search import (
     same_class,
     search,
 )
-from estimator.diagnosis.shrinkage import gap_closed
+from estimator.diagnosis.shrinkage import gap_closed, held_out
 from estimator.diagnosis.where import gap_map, places
-from estimator.effects import CATALOGUE, Effect, Timing
-from estimator.estimation.columns import Term, columns
+from estimator.effects import BY_NAME, CATALOGUE, Effect, Timing
+from estimator.estimation.columns import PLAIN, Term, columns
 from estimator.estimation.moments import block_means
 from estimator.signals import Floats, Quantity
 from estimator.units import STANDARD_GRAVITY
@@ -46,6 +48,8 @@ SOMETHING = 3.0  # log Bayes factor below which there is no gap to speak of
 TEMPER = 1.5  # evidence is never as sharp as the model of the noise says
 LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
 SECOND = 10  # samples
+ORDINARY_LAG = 0.12  # s, between control units
+CORRELATED = 4.0  # residuals of 2 s that count as one
 SHORTEST = 300.0  # s of admitted driving
 
 
@@ -100,13 +104,47 @@ class _Report:
         self.steps = [pooled(drives, self.final) for drives in (*(f.before for f in result.chosen), self.final)]
         self.floor = max(self.steps[-1].mean_square - self.left_variance, 0.05 * self.steps[-1].mean_square)
 
+    def _lag(self) -> Finding | None:
+        """A lag between power and speed that no sensor's ordinary delay explains; the alignment has taken it out."""
+        drive = self.final[self.longest]
+        base, s = drive.model.base, drive.model.samples
+        lag = drive.record.lag + float(base.theta[PLAIN - 1])
+        sd = parameter_sd(base, PLAIN - 1)
+        if abs(lag) - ORDINARY_LAG < 4 * sd:
+            return None
+        # As if nobody had aligned: the power of lag seconds ago, to first order, and no column for its rate.
+        late = replace(s, P=s.P - lag * s.dP)
+        before = held_out(late, drive.model.terms, drive.model.road_load, lagged=False)
+        after = self.steps[-1] if len(self.final) == 1 else held_out(s, drive.model.terms, drive.model.road_load)
+        evidence = len(before.squares) / 2 * float(np.log(before.mean_square / after.mean_square)) / CORRELATED
+        plain = fit(late, drive.model.terms)
+        effect = BY_NAME["time_lag" if lag > 0 else "speed_filter"]
+        return Finding(
+            effect.name,
+            probabilities([evidence], TEMPER)[0],
+            evidence,
+            effect.equivalent,
+            Magnitude(effect.symbol, lag, sd, effect.unit),
+            gap_closed(before, after, min(self.floor, after.mean_square), self.rng),
+            before.rms,
+            after.rms,
+            None if plain is None else _difference(plain, drive.model),
+            (),
+            "taken out by the alignment",
+        )
+
     def diagnosis(self, missing: tuple[NotTestable, ...]) -> Diagnosis:
         """Put together."""
         verdict, grade = self._verdict()
+        lag = self._lag()
+        if lag is not None and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL) and not self.result.chosen:
+            verdict = Verdict.EFFECT
         findings = tuple(self._finding(i, found) for i, found in enumerate(self.result.chosen))
         left = self.result.at_last[0]
         if grade:
             findings = (*findings, self._grade(left))
+        if lag is not None:
+            findings = (*findings, lag)
         named = findings if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
         before, after = self.plain[self.longest].model, self.final[self.longest].model
         candidates = [c for joint in self.result.ranking if (c := joint.each[self.longest]) is not None]
@@ -152,8 +190,9 @@ class _Report:
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
             return (Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP), False
         at_first = self.result.at_first[0].log_bayes_factor
-        total = sum(found.joint.log_bayes_factor for found in chosen)
-        if total < at_first + AHEAD or (left > UNEXPLAINED and left > LEFT * at_first):
+        if self.result.ranking[0].log_bayes_factor < at_first + AHEAD or (
+            left > UNEXPLAINED and left > LEFT * at_first
+        ):
             return Verdict.UNKNOWN, False
         return (Verdict.CANNOT_TELL if self._ties(chosen[0]) else Verdict.EFFECT), False
 
@@ -305,7 +344,7 @@ def _detail(term: Term) -> str:
     if isinstance(term.shape, Quantity):
         return term.shape.value
     if term.effect.name == "headwind":
-        return f"from {np.degrees(term.shape):.0f} deg"
+        return f"from {np.degrees(term.shape[0]):.0f} deg"
     if term.effect.name == "warm_up":
         return f"time constant {term.shape / 60:.0f} min"
     if term.effect.timing is Timing.SWITCHING and term.spans:

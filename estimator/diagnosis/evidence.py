@@ -90,6 +90,13 @@ def score(base: Base, h: Floats, z: Floats) -> Score:
     return Score(value, np.sqrt(variance / lost) / np.abs(strength), dof)
 
 
+def parameter_sd(base: Base, i: int) -> float:
+    """Standard deviation of the base model's parameter ``i``, autocorrelated as its residual may be."""
+    influence = (base.Z * base.residual[:, None]) @ base.inverse[i]
+    variance, _ = long_run_variance(block_sums(influence[:, None], base.block))
+    return float(np.sqrt(variance[0]))
+
+
 def block_sums(values: Floats, block: Blocks) -> Floats:
     """Sums (blocks, k) of ``values`` (n, k) over each block, in order."""
     starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))

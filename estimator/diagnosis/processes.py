@@ -23,6 +23,8 @@ GRAIN = 80  # samples, 8 s
 CORRELATIONS = (0.0, 0.25, 0.5)  # of the noise, from one grain to the next
 STRENGTHS = (0.1, 0.3, 1.0, 3.0)  # variance of the process over that of the residual
 DIFFUSE = 1e4  # variance of the refitted base, over that of the residual
+SHORTEST_PERIOD, LONGEST_PERIOD = 20.0, 600.0  # s, of a ripple
+FINENESS = 0.25  # step of its frequency, over the inverse length of the drive
 LEVELS = 12  # parts of an axis that a function of it is made of
 
 
@@ -187,6 +189,25 @@ def weigh(grains: Grains, columns: Floats, usual: float, positive: bool) -> Weig
     return Weight(np.asarray(factor), np.stack(values)[best, which], np.stack(sds)[best, which])
 
 
+def ripple(grains: Grains) -> Leftover:
+    """A torque or power that swings with one period all through the drive."""
+    span = float(grains.t[-1] - grains.t[0])
+    frequency = np.arange(1 / LONGEST_PERIOD, 1 / SHORTEST_PERIOD, FINENESS / span)
+    angle = 2 * np.pi * np.outer(grains.t - grains.t[0], frequency)
+    best = Leftover("swings in time", -np.inf, 0.0, np.zeros(len(grains)))
+    for gain in (np.ones(len(grains)), grains.engine_speed):
+        gain = gain / np.sqrt(np.mean(gain**2))
+        waves = np.stack([np.cos(angle), np.sin(angle)]) * gain[:, None]
+        cosine, sine = (weigh(grains, wave, float(grains.residual.std()), positive=False) for wave in waves)
+        evidence = cosine.log_bayes_factor + sine.log_bayes_factor
+        peak = int(np.argmax(evidence))
+        total = float(logsumexp(evidence)) - np.log(len(frequency))
+        if total > best.log_bayes_factor:
+            smooth = waves[0][:, peak] * cosine.value[peak] + waves[1][:, peak] * sine.value[peak]
+            best = Leftover(f"swings every {1 / frequency[peak]:.0f} s", total, float(np.mean(smooth**2)), smooth)
+    return best
+
+
 def leftovers(grains: Grains) -> list[Leftover]:
     """All processes on a residual, most evidence first."""
     n = len(grains)
@@ -195,7 +216,7 @@ def leftovers(grains: Grains) -> list[Leftover]:
     noises = grains.noises
     plain = [_log_likelihood(y / np.sqrt(scale), noise)[0] for noise in noises]
     none = float(logsumexp(plain)) - np.log(len(noises))
-    found = []
+    found = [ripple(grains)]
     for process in PROCESSES:
         gain = process.gain(grains)
         gain = gain / np.sqrt(np.mean(gain**2))

@@ -22,6 +22,7 @@ NAMED = 5.0  # log Bayes factor over none that names an effect
 AHEAD = 3.0  # and over the next that is not of its class
 NEXT = 8.0  # of an effect beside another: each one more has to earn its place
 NEXT_TIMED = 20.0  # and if its times are free, it fits what the others left not quite right
+LEAST, LEAST_TIMED = 0.01, 0.04  # and of what the first took away: no effect has exactly its textbook form
 UNEXPLAINED = 20.0  # evidence of a process, on what is left, beyond which something is there that has no name
 MOST = 4  # effects that are looked for
 
@@ -97,14 +98,16 @@ class Search:
 def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
     """Choose effects for the drives."""
     drives, chosen = plain, list[Found]()
-    first = ranked(plain, effects)
+    first, most = ranked(plain, effects), 0.0
     while len(chosen) < MOST:
         ranking = first if not chosen else ranked(drives, effects)
         if not ranking or ranking[0].log_bayes_factor < _needed(ranking[0], len(chosen)):
             break
         grown = _add(drives, ranking[0])
-        if not _helps(drives, grown):
+        taken = pooled(drives, grown).mean_square - pooled(grown, grown).mean_square
+        if taken <= 0 or (chosen and taken < _share(ranking[0]) * most):
             break
+        most = max(taken, most)
         chosen.append(Found(ranking[0], ranking, drives))
         drives = grown
         if len(chosen) > 1:
@@ -120,9 +123,9 @@ def _needed(joint: Joint, chosen: int) -> float:
     return NEXT_TIMED if joint.best[1].term.spans is not None else NEXT
 
 
-def _helps(before: tuple[Drive, ...], after: tuple[Drive, ...]) -> bool:
-    """Whether the effect foretells stretches of the drive that the fit has not seen."""
-    return pooled(after, after).mean_square < pooled(before, after).mean_square
+def _share(joint: Joint) -> float:
+    """Of the squared residual that the largest effect takes away, what one more has to take at least."""
+    return LEAST_TIMED if joint.best[1].term.spans is not None else LEAST
 
 
 def pooled(drives: tuple[Drive, ...], on: tuple[Drive, ...]) -> HeldOut:
@@ -176,7 +179,7 @@ def _exchange(
 
 def _leftovers(drives: tuple[Drive, ...]) -> tuple[Leftover, ...]:
     """Processes over all drives: evidence adds up."""
-    each = [{left.name: left for left in leftovers(grains_of(drive.model))} for drive in drives]
+    each = [{_kind(left): left for left in leftovers(grains_of(drive.model))} for drive in drives]
     samples = [len(drive.model.samples) for drive in drives]
     joined = []
     for name in each[0]:
@@ -190,6 +193,11 @@ def _leftovers(drives: tuple[Drive, ...]) -> tuple[Leftover, ...]:
             )
         )
     return tuple(sorted(joined, key=lambda left: -left.log_bayes_factor))
+
+
+def _kind(left: Leftover) -> str:
+    """Ripples of any period are one."""
+    return "swings" if left.name.startswith("swings") else left.name
 
 
 def is_unmeasured_grade(search: Search) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.diagnosis.model import SLOW
 from estimator.diagnosis.result import GapClosed
-from estimator.estimation.columns import Term, columns
+from estimator.estimation.columns import PLAIN, Term, columns
 from estimator.estimation.moments import block_means
 from estimator.samples import Samples
 from estimator.signals import Floats
@@ -37,9 +37,11 @@ class HeldOut:
         return float(np.sqrt(self.mean_square))
 
 
-def held_out(samples: Samples, terms: tuple[Term, ...], road_load: Floats) -> HeldOut:
-    """Residuals of the model with ``terms``, each from a fit to the other folds."""
+def held_out(samples: Samples, terms: tuple[Term, ...], road_load: Floats, lagged: bool = True) -> HeldOut:
+    """Residuals of the model with ``terms``, each from a fit to the other folds; without the lag if not ``lagged``."""
     X, Z = columns(samples, terms, road_load)
+    if not lagged:
+        X, Z = np.delete(X, PLAIN - 1, axis=1), np.delete(Z, PLAIN - 1, axis=1)
     P = samples.P
     fold = (np.arange(len(P)) * FOLDS * CHUNKS // len(P)) % FOLDS
     cross = np.stack([Z[fold == k].T @ X[fold == k] for k in range(FOLDS)])

@@ -16,7 +16,9 @@ from estimator.units import STANDARD_GRAVITY
 TYPICAL_MASS = 27e3  # kg, a loaded tractor and semi-trailer
 USUAL_WIND = 5.0  # m/s
 HOUR = 3600.0  # s
-DIRECTIONS = tuple(2 * pi * k / 16 for k in range(16))  # rad
+DIRECTIONS = tuple(2 * pi * k / 24 for k in range(24))  # rad
+SQUARES = (-32.0, -16.0, -8.0, 0.0, 8.0)  # m/s, of the part with the wind squared: along the road less across it
+WINDS = tuple((direction, square) for direction in DIRECTIONS for square in SQUARES)
 WARM_UP_TIMES = tuple(60.0 * minutes for minutes in (6, 10, 16, 25, 40, 60))  # s
 FAN_EXPONENT = 3  # power of a fan over its speed
 
@@ -36,10 +38,10 @@ def _climbing(view: View, source: Shape) -> Floats:
     return climb
 
 
-def _wind(view: View, direction: Shape) -> Floats:
+def _wind(view: View, wind: Shape) -> Floats:
+    direction, square = wind
     along = np.cos(view.context[Quantity.HEADING] - direction)
-    # For one m/s of wind, with the square of the wind as it is at its usual speed.
-    drag: Floats = view.C * view.density * view.v * (2 * view.v * along + USUAL_WIND * along**2)
+    drag: Floats = view.C * view.density * view.v * (2 * view.v * along + square * along**2)
     return drag
 
 
@@ -80,7 +82,7 @@ CATALOGUE: tuple[Effect, ...] = (
         _wind,
         usual=_always(USUAL_WIND),
         needs=(Quantity.HEADING,),
-        shapes=DIRECTIONS,
+        shapes=WINDS,
         breaks="the way back over the same road, with the heading on the bus",
     ),
     Effect(
@@ -173,6 +175,7 @@ CATALOGUE: tuple[Effect, ...] = (
         usual=_by_mass(25e3),
         shapes=(Quantity.FAN_SPEED, None),
         timing=Timing.SWITCHING,
+        dwells=(200.0, 25.0),
         breaks="the state of the fan on the bus",
     ),
     Effect(
@@ -257,7 +260,7 @@ CATALOGUE: tuple[Effect, ...] = (
         lambda view, shape: view.v,
         usual=_by_mass(4e3),
         timing=Timing.SWITCHING,
-        dwell=12.0,
+        dwells=(12.0,),
         breaks="brake switch or brake pressure on the bus",
     ),
     Effect(

@@ -92,7 +92,7 @@ class Effect:
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
     timing
         When it acts.
-    dwell
+    dwells
         How long [s] it usually stays on, or off, where it switches.
     is_noisy
         Its power is computed from acceleration or power, so that their noise is in it: evidence has to come from
@@ -116,7 +116,7 @@ class Effect:
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
     timing: Timing = Timing.ALWAYS
-    dwell: float = 200.0
+    dwells: tuple[float, ...] = (200.0,)
     is_noisy: bool = False
     is_gravity: bool = False
     absorbed: bool = False

@@ -103,7 +103,8 @@ class Driven:
             return means
 
         def throughout(state: Mask) -> Mask:
-            return mean(state.astype(float)) == 1.0
+            whole: Mask = mean(state.astype(float)) == 1.0
+            return whole
 
         reach = round(MARGIN / BLOCK)
         near = np.convolve(~throughout(free), np.ones(2 * reach + 1), mode="same") > 0

@@ -25,7 +25,8 @@ from sklearn.linear_model import LassoLarsIC
 
 from blind import seal
 from blind.answer import Answer, Finding, Run
-from blind.score import Case, naming
+from blind.case import Case
+from blind.naming import naming
 from blind.tables import as_row
 from blind.truth import Truth
 from estimator.config import Config

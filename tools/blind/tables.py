@@ -8,7 +8,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from blind.score import Measure, Score
+from blind.case import Measure
+from blind.score import Score
 
 SHOWN = 8  # failures that a line lists
 

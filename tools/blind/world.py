@@ -80,7 +80,7 @@ def tell(plan: Plan, drives: list[Drive]) -> Truth:
         effects=tuple(_active(name, i, first, views[0], plan) for i, name in enumerate(names)),
         shown=tuple(name for name in names if _shown(name, sensors)),
         companions=known,
-        gap_closed={key_of(some): oracle.gap_closed(*views, places) for some, places in shares.items()},
+        gap_closed={key_of(some): oracle.gap_closed(views[0], views[-1], places) for some, places in shares.items()},
         driven=_spans(views[0].used),
         speed_noise=sensors.speed_noise,
         torque_resolution=sensors.torque_resolution,

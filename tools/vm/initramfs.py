@@ -61,6 +61,8 @@ def write(parts: Parts, path: Path) -> None:
     modules = parts.modules()
     for module in modules:
         archive.add(f"lib/{module.name}", stat.S_IFREG | 0o644, module.read_bytes())
-    script = INIT.format(modules=" ".join(module.stem for module in modules), options=SHARE_OPTIONS, busybox=parts.busybox)
+    script = INIT.format(
+        modules=" ".join(module.stem for module in modules), options=SHARE_OPTIONS, busybox=parts.busybox
+    )
     archive.add("init", stat.S_IFREG | 0o755, script.encode())
     path.write_bytes(gzip.compress(archive.bytes(), compresslevel=1))

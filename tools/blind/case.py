@@ -1,0 +1,62 @@
+"""One drive with its answer, and one line of the table of measures."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from blind import answer
+from blind.answer import Run
+from blind.intervals import Estimate, share
+from blind.truth import DETECTABLE, Truth
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A drive with its truth and the answer given."""
+
+    truth: Truth
+    run: Run
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing of the drive is allowed for unasked, so that there is something to find."""
+        return not self.truth.shown
+
+    @property
+    def said(self) -> str:
+        """The first name, or the verdict where none is named."""
+        return self.run.named[0].name if self.run.named else self.run.verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One line of the table; ``failures`` are drives that a person may want to look at."""
+
+    name: str
+    goal: str
+    estimate: Estimate
+    unit: str = "%"
+    failures: tuple[str, ...] = ()
+
+
+def share_of(
+    name: str, goal: str, cases: Iterable[Case], right: Callable[[Case], bool], lower: bool = False
+) -> Measure:
+    """Share of cases for which ``right`` holds; ``lower``: holding is what should not happen."""
+    judged = [(case.truth.drive, right(case)) for case in cases]
+    failures = tuple(drive for drive, holds in judged if holds is lower)
+    return Measure(name, goal, share(sum(holds for _, holds in judged), len(judged)), failures=failures)
+
+
+def seen(case: Case) -> bool:
+    """Whether an oracle sees every effect of the drive."""
+    return case.plain and case.truth.log_bayes_factor > DETECTABLE
+
+
+def right_first(case: Case) -> bool:
+    """Whether the first name is right."""
+    return answer.first_is_right(case.truth, case.run)
+
+
+def claimed(case: Case) -> bool:
+    """Whether the answer claims a gap with a cause, known or unknown."""
+    return case.run.verdict in ("effect", "unknown effect")

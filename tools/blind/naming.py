@@ -1,0 +1,36 @@
+"""Which effect: right names, false alarms, what is in no catalogue, two effects at once."""
+
+from collections.abc import Sequence
+
+from blind import answer
+from blind.case import Case, Measure, claimed, right_first, seen, share_of
+from blind.truth import DETECTABLE, HIDDEN
+
+
+def naming(cases: Sequence[Case]) -> list[Measure]:
+    """Which effect: right names, false alarms, unknown ones, pairs."""
+    kinds = {kind: [c for c in cases if c.truth.kind == kind] for kind in ("clean", "single", "pair", "outside")}
+    middling = [c for c in kinds["single"] if c.plain and HIDDEN <= c.truth.log_bayes_factor <= DETECTABLE]
+    hidden = [c for c in kinds["single"] if not c.plain or c.truth.log_bayes_factor < HIDDEN]
+    clear = [c for c in kinds["single"] if seen(c)]
+    outside = [c for c in kinds["outside"] if seen(c)]
+    pairs = [c for c in kinds["pair"] if seen(c)]
+
+    def wrong(case: Case) -> bool:
+        return bool(answer.invented(case.truth, case.run))
+
+    return [
+        share_of("named first, or its class: oracle > 10", ">= 95 %", clear, right_first),
+        share_of("... a wrong name, oracle > 10", "low", clear, wrong, lower=True),
+        share_of("named first, or its class: oracle 1..10", "-", middling, right_first),
+        share_of("... a wrong name, oracle 1..10", "low", middling, wrong, lower=True),
+        share_of("nothing claimed: oracle < 1, or allowed for unasked", ">= 98 %", hidden, lambda c: c.run.silent),
+        share_of("false alarm on a clean drive", "<= 1 %", kinds["clean"], claimed, lower=True),
+        share_of(
+            "outside the catalogue: unknown effect", ">= 90 %", outside, lambda c: c.run.verdict == "unknown effect"
+        ),
+        share_of("outside the catalogue: a wrong name", "<= 5 %", kinds["outside"], wrong, lower=True),
+        share_of("two effects: both named", ">= 85 %", pairs, lambda c: all(answer.found(c.truth, c.run))),
+        share_of("two effects: at least one named", ">= 98 %", pairs, lambda c: any(answer.found(c.truth, c.run))),
+        share_of("two effects: a wrong name besides", "low", pairs, wrong, lower=True),
+    ]

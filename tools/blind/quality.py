@@ -1,0 +1,138 @@
+"""How good an answer is beyond the name: its probabilities, the gap closed, places, parameters, and what it costs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from blind import answer
+from blind.case import Case, Measure, seen, share_of
+from blind.intervals import Floats, bootstrap, calibration_error
+from blind.truth import HIDDEN, key_of
+
+LATE = 10.0  # s, the most that a log of 75 minutes may take
+CLOSE = 0.03  # of the gap closed
+
+
+def honesty(cases: Sequence[Case]) -> list[Measure]:
+    """Probabilities: credible sets and calibration, on clean and single drives."""
+    judged: list[Case] = []
+    covered: dict[str, bool] = {}
+    sizes, confidence, right = [], [], []
+    for case in cases:
+        chosen = answer.credible_set(case.run)
+        if chosen is None or case.truth.kind == "pair":
+            continue
+        judged.append(case)
+        covered[case.truth.drive] = any(_right(case, finding) for finding in chosen)
+        if case.truth.kind == "single" and seen(case):
+            sizes.append(len(chosen))
+        confidence.append(min(max(chosen[0].probability or 0.0, 0.0), 1.0))
+        right.append(float(_right(case, chosen[0])))
+    return [
+        share_of("90 % credible set covers", "88..95 %", judged, lambda c: covered[c.truth.drive]),
+        Measure("median size of the credible set, oracle > 10", "<= 2", bootstrap(_median, _array(sizes)), ""),
+        Measure(
+            "expected calibration error",
+            "<= 0.05",
+            bootstrap(calibration_error, _array(confidence), _array(right)),
+            "",
+        ),
+    ]
+
+
+def _right(case: Case, finding: answer.Finding) -> bool:
+    """Whether a ranked candidate is the truth; "none" is, too, where nobody could see more."""
+    truth = case.truth
+    if finding.name == answer.NONE:
+        return truth.log_bayes_factor < HIDDEN or truth.kind == "clean" or not case.plain
+    if finding.name.startswith(answer.UNKNOWN):
+        return truth.kind == "outside"
+    return any(finding.means(effect.name) for effect in truth.effects)
+
+
+def shrinkage(cases: Sequence[Case]) -> list[Measure]:
+    """How far the gap shrinks against the oracle's share, and when bounded effects act."""
+    promised = []  # case, error of the share
+    inside: dict[str, bool] = {}  # whether the interval of an only effect holds the oracle's share
+    located = []
+    for case in cases:
+        truth, run = case.truth, case.run
+        if truth.kind in ("clean", "outside") or not case.plain or not run.named or answer.invented(truth, run):
+            continue
+        hits = [e for e, hit in zip(truth.effects, answer.found(truth, run), strict=True) if hit]
+        closed = [finding.gap_closed for finding in run.named]
+        fractions = [c.fraction for c in closed if c is not None and c.fraction is not None]
+        if len(fractions) == len(run.named) and truth.stratum == "oracle > 10":
+            oracle = truth.gap_closed[key_of(effect.world for effect in hits)]
+            # Each effect closes its share of what those before it have left.
+            promised.append((case, 1.0 - float(np.prod([1.0 - x for x in fractions])) - oracle))
+            if len(fractions) == 1:
+                inside[truth.drive] = any(c is not None and c.q05 <= oracle <= c.q95 for c in closed)
+        for effect in hits:
+            if effect.spans:
+                finding = next(f for f in run.named if f.means(effect.name))
+                located.append(answer.overlap(finding.span, effect.spans, truth.driven))
+    errors = {case.truth.drive: abs(error) <= CLOSE for case, error in promised}
+    judged = [case for case, _ in promised]
+    single = [case for case in judged if case.truth.drive in inside]
+    return [
+        share_of("gap closed within 3 points of the oracle", ">= 95 %", judged, lambda c: errors[c.truth.drive]),
+        share_of("its 90 % interval covers the oracle", "85..95 %", single, lambda c: inside[c.truth.drive]),
+        Measure(
+            "median error of the gap closed",
+            "small",
+            bootstrap(_median, 100 * _array([error for _, error in promised])),
+            "points",
+        ),
+        Measure("localisation of bounded effects: median IoU", ">= 0.9", bootstrap(_median, _array(located)), ""),
+    ]
+
+
+def parameters(cases: Sequence[Case]) -> list[Measure]:
+    """Errors of A, C, m where the answer is right: all effects named on drives with some, nothing on clean ones."""
+    lines = []
+    good = [c for c in cases if c.truth.kind != "outside" and c.plain and c.run.answer is not None]
+    good = [c for c in good if not answer.invented(c.truth, c.run) and all(answer.found(c.truth, c.run))]
+    for key, label in (("mass_kg", "mass"), ("A_N", "A"), ("C_N_s2_m2", "C")):
+        errors = []
+        for case in good:
+            final = case.run.answer.parameters.final if case.run.answer is not None else None
+            value = None if final is None else final.get(key)
+            if value is not None:
+                errors.append(value / case.truth.parameters[key] - 1.0)
+        x = 100 * _array(errors)
+        lines.append(Measure(f"{label} with the right effects: median error", "0 %", bootstrap(_median, x), "per cent"))
+        lines.append(Measure(f"{label} with the right effects: rms error", "small", bootstrap(_rms, x), "per cent"))
+    return lines
+
+
+def cost(cases: Sequence[Case]) -> list[Measure]:
+    """Time and memory of a diagnosis."""
+    seconds = _array([case.run.processor_seconds for case in cases])
+    peak = _array([case.run.peak_MB for case in cases])
+    slow = tuple(case.truth.drive for case in cases if case.run.processor_seconds > LATE)
+    return [
+        Measure("processor time for a log, median", "<= 10 s", bootstrap(_median, seconds), "s", slow),
+        Measure("processor time for a log, 95 % quantile", "<= 10 s", bootstrap(_high, seconds), "s"),
+        Measure("peak memory, largest", "-", bootstrap(_largest, peak[np.isfinite(peak)]), "MB"),
+    ]
+
+
+def _array(values: Sequence[float]) -> Floats:
+    return np.array(values, dtype=np.float64)
+
+
+def _median(x: Floats) -> float:
+    return float(np.median(x))
+
+
+def _rms(x: Floats) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def _high(x: Floats) -> float:
+    return float(np.quantile(x, 0.95))
+
+
+def _largest(x: Floats) -> float:
+    return float(x.max())
