@@ -67,19 +67,22 @@ def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate |
     own, ring = model.views()
     z = np.column_stack([term.column(ring) for term in terms])
     usual = effect.usual(model.road_load)
-    weight = weigh(grains, grains.mean(z), usual, effect.positive)
+    h = np.column_stack([term.column(own) for term in terms])
+    weight = weigh(grains, grains.mean(h), usual, effect.positive)
     evidence, value, sd = weight.log_bayes_factor, weight.value, weight.sd
     if effect.is_noisy:
-        h = np.column_stack([term.column(own) for term in terms])
         scores = score(model.base, h, z)
         clean = np.nan_to_num(log_bayes_factor(scores, usual, effect.positive), nan=NEVER)
         evidence = np.where(clean >= CERTAIN, np.maximum(evidence, clean), np.minimum(evidence, clean))
         value, sd = scores.value, scores.sd
     best = int(np.argmax(evidence))
-    total = float(logsumexp(evidence)) - np.log(len(terms))
+    cost = timing.CHANGE_COST if effect.timing is Timing.STEP else 0.0
+    total = float(logsumexp(evidence)) - np.log(len(terms)) - cost
     if not np.isfinite(sd[best]) or not np.isfinite(total):
         return None
-    return Candidate(terms[best], max(total, NEVER), float(value[best]), float(sd[best]), 0.0, trace(model, z[:, best]))
+    return Candidate(
+        terms[best], max(total, NEVER), float(value[best]), float(sd[best]), cost, trace(model, z[:, best])
+    )
 
 
 def _judge_times(model: Model, grains: Grains, effect: Effect) -> Candidate | None:

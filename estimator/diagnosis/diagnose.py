@@ -38,14 +38,13 @@ from estimator.diagnosis.search import (
 from estimator.diagnosis.shrinkage import gap_closed, held_out
 from estimator.diagnosis.where import gap_map, places
 from estimator.effects import BY_NAME, CATALOGUE, Effect, Timing
-from estimator.estimation.columns import PLAIN, Term, columns
+from estimator.estimation.columns import PLAIN, Term, best_terms, columns
 from estimator.estimation.moments import block_means
 from estimator.signals import Floats, Quantity
 from estimator.units import STANDARD_GRAVITY
 
 UNNAMED = 10.0  # log Bayes factor of a process that says something is there, though no effect is
 SOMETHING = 3.0  # log Bayes factor below which there is no gap to speak of
-TEMPER = 1.5  # evidence is never as sharp as the model of the noise says
 LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
 SECOND = 10  # samples
 ORDINARY_LAG = 0.12  # s, between control units
@@ -83,7 +82,8 @@ def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
         return "less than a minute of driving can be used" + (f"; most is: {common[0][0]}" if common else "")
     if len(samples) < SHORTEST * SECOND:
         return f"only {len(samples) / SECOND / 60:.1f} minutes of driving can be used; it takes 5 at least"
-    terms = tuple(Term(effect, shapes[0]) for effect in given if (shapes := effect.usable_shapes(record.known)))
+    A, C, m = 1e3, 1.0, 1e4  # of no weight: only the best of several shapes is looked for
+    terms = best_terms(given, samples, np.array([A, C, m]))
     kept = select(samples, terms)
     model = None if kept is None else fit(samples[kept], terms)
     if model is None or len(model.samples) < SHORTEST * SECOND:
@@ -121,7 +121,7 @@ class _Report:
         effect = BY_NAME["time_lag" if lag > 0 else "speed_filter"]
         return Finding(
             effect.name,
-            probabilities([evidence], TEMPER)[0],
+            probabilities([evidence])[0],
             evidence,
             effect.equivalent,
             Magnitude(effect.symbol, lag, sd, effect.unit),
@@ -190,9 +190,10 @@ class _Report:
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
             return (Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP), False
         at_first = self.result.at_first[0].log_bayes_factor
-        if self.result.ranking[0].log_bayes_factor < at_first + AHEAD or (
-            left > UNEXPLAINED and left > LEFT * at_first
-        ):
+        first = self.result.ranking[0].log_bayes_factor
+        total = max(first, sum(found.joint.log_bayes_factor for found in chosen))
+        outdone = first < at_first + AHEAD or left > LEFT * max(at_first, total)
+        if total < at_first + AHEAD or (left > UNEXPLAINED and outdone):
             return Verdict.UNKNOWN, False
         return (Verdict.CANNOT_TELL if self._ties(chosen[0]) else Verdict.EFFECT), False
 
@@ -239,7 +240,7 @@ class _Report:
         rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
         if found is self.result.chosen[0]:
             rivals.append(self.result.at_first[0].log_bayes_factor)
-        return probabilities([found.joint.log_bayes_factor, *rivals], TEMPER)[0]
+        return probabilities([found.joint.log_bayes_factor, *rivals])[0]
 
     def _grade(self, left: Leftover) -> Finding:
         """A grade that no signal shows, as far as it can be foretold on this road."""
@@ -252,7 +253,7 @@ class _Report:
         closed = 1.0 if before.mean_square > self.floor else 0.0
         return Finding(
             "grade",
-            probabilities([left.log_bayes_factor, *others], TEMPER)[0],
+            probabilities([left.log_bayes_factor, *others])[0],
             left.log_bayes_factor,
             (),
             Magnitude("sd of the grade", sd, sd / np.sqrt(2 * max(len(model.samples) / SECOND / 30, 1)), "1"),
@@ -268,7 +269,7 @@ class _Report:
         """The whole ranking against the plain model."""
         ranking = self.result.ranking
         values = [joint.log_bayes_factor for joint in ranking]
-        shares = probabilities([*values, self.result.at_first[0].log_bayes_factor], TEMPER)
+        shares = probabilities([*values, self.result.at_first[0].log_bayes_factor])
         rms = self.steps[0].rms
         listed = []
         for joint, share in zip(ranking, shares, strict=False):

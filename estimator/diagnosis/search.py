@@ -16,14 +16,16 @@ from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover, grains_of,
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.shrinkage import HeldOut, held_out
 from estimator.effects import Effect, Timing
-from estimator.estimation.columns import Term
+from estimator.estimation.columns import Term, settled
 
 NAMED = 5.0  # log Bayes factor over none that names an effect
 AHEAD = 3.0  # and over the next that is not of its class
 NEXT = 8.0  # of an effect beside another: each one more has to earn its place
 NEXT_TIMED = 20.0  # and if its times are free, it fits what the others left not quite right
-LEAST, LEAST_TIMED = 0.01, 0.04  # and of what the first took away: no effect has exactly its textbook form
+LEAST, LEAST_TIMED = 0.003, 0.04  # and of what the first took away: no effect has exactly its textbook form
 UNEXPLAINED = 20.0  # evidence of a process, on what is left, beyond which something is there that has no name
+TEMPER = 1.5
+LAPSE = 0.03
 MOST = 4  # effects that are looked for
 
 
@@ -159,7 +161,8 @@ def _add(drives: tuple[Drive, ...], joint: Joint) -> tuple[Drive, ...]:
         if candidate is None or (joint.is_event and candidate.log_bayes_factor < NAMED):
             grown.append(drive)
         else:
-            grown.append(drive.having((*drive.model.terms, candidate.term)))
+            term = settled(candidate.term, drive.model.samples)
+            grown.append(drive.having((*drive.model.terms, term)))
     return tuple(grown)
 
 
@@ -209,8 +212,12 @@ def is_unmeasured_grade(search: Search) -> bool:
     return processes[0].log_bayes_factor - processes[1].log_bayes_factor > AHEAD
 
 
-def probabilities(log_bayes_factors: Sequence[float], temper: float) -> list[float]:
-    """Of each, and last of none; what is left to the noise model's own errors by tempering."""
-    tempered = [value / temper for value in (*log_bayes_factors, 0.0)]
-    total = float(logsumexp(tempered))
-    return [float(np.exp(value - total)) for value in tempered]
+def probabilities(log_bayes_factors: Sequence[float]) -> list[float]:
+    """Of each, and last of none.
+
+    None is as likely beforehand as all others together. Evidence is tempered, for it is never as sharp as the model
+    of the noise says; and LAPSE is kept back for what no model here foresees.
+    """
+    rare = np.log(len(log_bayes_factors))
+    tempered = [*((value - rare) / TEMPER for value in log_bayes_factors), 0.0]
+    return [(1 - LAPSE) * float(np.exp(value - logsumexp(tempered))) for value in tempered]

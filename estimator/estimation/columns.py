@@ -5,7 +5,7 @@ whose magnitude is the mass itself adds to the column of m instead.
 """
 
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from estimator.signals import Floats, Quantity
 
 PLAIN = 4  # columns without effects
 MASS = 2  # of the mass
+AGREEING = 0.1  # of the mass, between inertia and gravity
 Spans = tuple[tuple[float, float], ...]
 
 
@@ -26,11 +27,7 @@ class Term:
     effect: Effect
     shape: Shape = None
     spans: Spans | None = None
-
-    @property
-    def joins_mass(self) -> bool:
-        """Whether its magnitude is the mass itself, not a parameter of its own."""
-        return self.effect.is_gravity
+    joins_mass: bool = False  # its magnitude is the mass itself, not a parameter of its own
 
     def column(self, view: View) -> Floats:
         """Power [W] (n,) per unit of magnitude."""
@@ -73,6 +70,19 @@ def columns(samples: Samples, terms: tuple[Term, ...] = (), road_load: Floats | 
     return X, Z
 
 
+def settled(term: Term, samples: Samples) -> Term:
+    """The term as it is to enter the model: gravity joins the mass if both agree on it.
+
+    They do not where the signal that shows the climb is poor: its noise makes slopes look steeper than the power they
+    take, and would make the vehicle too light.
+    """
+    if not term.effect.is_gravity:
+        return term
+    X, Z = columns(samples, (term,))
+    theta = np.linalg.lstsq(Z.T @ X, Z.T @ samples.P, rcond=None)[0]
+    return replace(term, joins_mass=bool(abs(theta[PLAIN] - theta[MASS]) < AGREEING * abs(theta[MASS])))
+
+
 def wanted_by(effects: tuple[Effect, ...], known: Set[Quantity]) -> frozenset[Quantity]:
     """The context, of that which is ``known``, that these effects are computed from."""
     if not effects:
@@ -98,5 +108,5 @@ def best_terms(effects: tuple[Effect, ...], samples: Samples, road_load: Floats)
             slope = off.T @ residual
             gain = np.where((slope > 0) | (not effect.positive), slope**2 / np.maximum((off**2).sum(axis=0), 1e-12), 0)
             shapes = (shapes[int(np.argmax(gain))],)
-        found += [Term(effect, shape) for shape in shapes[:1]]
+        found += [settled(Term(effect, shape), samples) for shape in shapes[:1]]
     return tuple(found)

@@ -19,11 +19,15 @@ NONE, UNKNOWN = "none", "unknown"  # candidates that are no effects of the catal
 
 
 class GapClosed(msgspec.Struct, frozen=True):
-    """Promised share of the gap, with its 90 % interval."""
+    """Promised share of the gap, with its 90 % interval; null where there is none."""
 
-    fraction: float
-    q05: float
-    q95: float
+    fraction: float | None = None
+    q05: float | None = None
+    q95: float | None = None
+
+    def holds(self, share: float) -> bool:
+        """Whether the interval covers a share; one that is missing covers nothing."""
+        return self.q05 is not None and self.q95 is not None and self.q05 <= share <= self.q95
 
 
 class Magnitude(msgspec.Struct, frozen=True):

@@ -67,7 +67,7 @@ def shrinkage(cases: Sequence[Case]) -> list[Measure]:
             # Each effect closes its share of what those before it have left.
             promised.append((case, 1.0 - float(np.prod([1.0 - x for x in fractions])) - oracle))
             if len(fractions) == 1:
-                inside[truth.drive] = any(c is not None and c.q05 <= oracle <= c.q95 for c in closed)
+                inside[truth.drive] = any(c is not None and c.holds(oracle) for c in closed)
         for effect in hits:
             if effect.spans:
                 finding = next(f for f in run.named if f.means(effect.name))
