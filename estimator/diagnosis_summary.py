@@ -21,7 +21,7 @@ def of_diagnosis(d: Diagnosis) -> dict[str, Any]:
         "noise_floor_kW": _kilowatts(d.noise_floor),
         "rms_base_kW": _kilowatts(d.rms_base),
         "rms_final_kW": _kilowatts(d.rms_final),
-        "parameters": {"base": _parameters(d.base), "final": _parameters(d.final)},
+        "parameters": {"base": _parameters(d.base), "final": _parameters(d.final), "sd": _parameters(d.deviation)},
         "where": [
             {
                 "axis": place.axis,

@@ -9,7 +9,7 @@ from estimator.diagnosis import isolability as iso
 from estimator.diagnosis.candidates import Candidate, assess
 from estimator.diagnosis.evidence import parameter_sd
 from estimator.diagnosis.model import FEWEST, Model, fit, select
-from estimator.diagnosis.processes import Leftover, grains_of
+from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover, grains_of
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.result import (
     Diagnosis,
@@ -29,7 +29,7 @@ from estimator.diagnosis.search import (
     Found,
     Joint,
     Search,
-    is_unmeasured_grade,
+    hidden_grade,
     pooled,
     probabilities,
     same_class,
@@ -97,11 +97,14 @@ class _Report:
     def __init__(self, result: Search, plain: tuple[Drive, ...], effects: Sequence[Effect], rng: np.random.Generator):
         self.result, self.plain, self.effects, self.rng = result, plain, effects, rng
         self.final = result.drives
+        self.grade = hidden_grade(result.ranking, result.at_first)
         self.longest = max(range(len(plain)), key=lambda i: len(plain[i].model.samples))
         best = result.at_last[0]
         self.left_variance = best.variance if best.log_bayes_factor > SOMETHING else 0.0
         # Every step is judged on the samples that the final model uses.
         self.steps = [pooled(drives, self.final) for drives in (*(f.before for f in result.chosen), self.final)]
+        # What a process could still be hiding in what is taken for noise.
+        self.doubt = min(best.variance / self.steps[-1].mean_square, 0.5)
         self.floor = max(self.steps[-1].mean_square - self.left_variance, 0.05 * self.steps[-1].mean_square)
 
     def _lag(self) -> Finding | None:
@@ -125,7 +128,7 @@ class _Report:
             evidence,
             effect.equivalent,
             Magnitude(effect.symbol, lag, sd, effect.unit),
-            gap_closed(before, after, min(self.floor, after.mean_square), self.rng),
+            gap_closed(before, after, min(self.floor, after.mean_square), self.doubt, self.rng),
             before.rms,
             after.rms,
             None if plain is None else _difference(plain, drive.model),
@@ -141,8 +144,8 @@ class _Report:
             verdict = Verdict.EFFECT
         findings = tuple(self._finding(i, found) for i, found in enumerate(self.result.chosen))
         left = self.result.at_last[0]
-        if grade:
-            findings = (*findings, self._grade(left))
+        if grade and self.grade is not None:
+            findings = (*findings, self._grade(self.grade))
         if lag is not None:
             findings = (*findings, lag)
         named = findings if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
@@ -156,7 +159,7 @@ class _Report:
             verdict,
             self._reason(verdict, named, unseen),
             named,
-            self._candidates(),
+            self._candidates(lag),
             remaining,
             left.log_bayes_factor,
             float(np.sqrt(self.floor)),
@@ -164,6 +167,7 @@ class _Report:
             self.steps[-1].rms,
             _shift(before),
             _shift(after),
+            _deviation(after),
             tuple(places(before)),
             iso.isolability(candidates, before),
             missing,
@@ -182,7 +186,7 @@ class _Report:
     def _verdict(self) -> tuple[Verdict, bool]:
         """The verdict, and whether an unmeasured grade is part of it."""
         chosen, left = self.result.chosen, self.result.at_last[0].log_bayes_factor
-        if is_unmeasured_grade(self.result):
+        if self.grade is not None:
             return Verdict.EFFECT, True
         if not chosen:
             if left > UNNAMED:
@@ -193,7 +197,9 @@ class _Report:
         first = self.result.ranking[0].log_bayes_factor
         total = max(first, sum(found.joint.log_bayes_factor for found in chosen))
         outdone = first < at_first + AHEAD or left > LEFT * max(at_first, total)
-        if total < at_first + AHEAD or (left > UNEXPLAINED and outdone):
+        # What a poor altimeter leaves of the hills goes with the place.
+        hills = any(f.joint.effect.is_gravity for f in chosen) and self.result.at_last[0].name == UNMEASURED_GRADE
+        if not hills and (total < at_first + AHEAD or (left > UNEXPLAINED and outdone)):
             return Verdict.UNKNOWN, False
         return (Verdict.CANNOT_TELL if self._ties(chosen[0]) else Verdict.EFFECT), False
 
@@ -224,7 +230,7 @@ class _Report:
             joint.log_bayes_factor,
             (*self._alike(found), *self._ties(found)),
             _magnitude(final, candidate),
-            gap_closed(before, after, self.floor, self.rng),
+            gap_closed(before, after, self.floor, self.doubt, self.rng),
             before.rms,
             after.rms,
             _difference(earlier, final),
@@ -244,7 +250,7 @@ class _Report:
 
     def _grade(self, left: Leftover) -> Finding:
         """A grade that no signal shows, as far as it can be foretold on this road."""
-        others = [other.log_bayes_factor for other in self.result.at_last[1:]]
+        others = [joint.log_bayes_factor for joint in self.result.ranking]
         before = self.steps[-1]
         model = self.final[self.longest].model
         speed = float(np.sqrt(np.mean(model.samples.v**2)))
@@ -265,11 +271,12 @@ class _Report:
             "goes with the place; no signal on the bus shows it",
         )
 
-    def _candidates(self) -> tuple[Finding, ...]:
+    def _candidates(self, lag: Finding | None) -> tuple[Finding, ...]:
         """The whole ranking against the plain model."""
         ranking = self.result.ranking
         values = [joint.log_bayes_factor for joint in ranking]
-        shares = probabilities([*values, self.result.at_first[0].log_bayes_factor])
+        others = [self.result.at_first[0].log_bayes_factor, *([] if lag is None else [lag.log_bayes_factor])]
+        shares = probabilities([*values, *others])
         rms = self.steps[0].rms
         listed = []
         for joint, share in zip(ranking, shares, strict=False):
@@ -286,8 +293,10 @@ class _Report:
         process = self.result.at_first[0]
         size = Magnitude("rms", float(np.sqrt(process.variance)), float("nan"), "W")
         value, share = process.log_bayes_factor, shares[len(ranking)]
-        nameless = Finding(Verdict.UNKNOWN.value, share, value, (), size, None, rms, rms, None, (), process.name)
-        return tuple(sorted([*listed, nameless], key=lambda finding: -finding.log_bayes_factor))
+        name = Verdict.UNKNOWN.value if self.grade is None else "grade"
+        nameless = Finding(name, share, value, (), size, None, rms, rms, None, (), process.name)
+        lags = [] if lag is None else [replace(lag, probability=shares[len(ranking) + 1])]
+        return tuple(sorted([*listed, nameless, *lags], key=lambda finding: -finding.log_bayes_factor))
 
     def _reason(self, verdict: Verdict, named: tuple[Finding, ...], unseen: tuple[Invisible, ...]) -> str:
         base, final = self.steps[0].rms / 1e3, self.steps[-1].rms / 1e3
@@ -305,6 +314,10 @@ class _Report:
                 rivals = " or ".join([named[0].name, *named[0].equivalent])
                 return f"The drive shows {rivals}, and cannot tell which."
             return f"There may be {self.result.ranking[0].name}, too weak on this drive to be sure."
+        if self.grade is not None:
+            sd = 100 * named[0].magnitude.value
+            seen = f"A force goes with the place like a grade of {sd:.1f} % sd, and no signal on the bus shows it"
+            return f"{seen}; with one, the residual could fall from {base:.1f} to {self.floor**0.5 / 1e3:.1f} kW."
         sentences = [f"{f.name} ({f.magnitude.name} {_size(f.magnitude)})" for f in named]
         return f"With {' and '.join(sentences)} in the model the residual falls from {base:.1f} to {final:.1f} kW."
 
@@ -321,6 +334,11 @@ class _Report:
 
 def _shift(model: Model) -> Shift:
     A, C, m = model.road_load.tolist()
+    return Shift(mass=m, A=A, C=C)
+
+
+def _deviation(model: Model) -> Shift:
+    A, C, m = (parameter_sd(model.base, i) for i in range(3))
     return Shift(mass=m, A=A, C=C)
 
 

@@ -88,7 +88,10 @@ class Leftover:
 def _wander(x: Callable[[Grains], Floats], lengths: tuple[float, ...]) -> Callable[[Grains], list[Floats]]:
     def kernels(grains: Grains) -> list[Floats]:
         distance = np.abs(np.subtract.outer(x(grains), x(grains)))
-        return [np.exp(-distance / length) for length in lengths]
+        rough = [np.exp(-distance / length) for length in lengths]
+        # Matern 3/2, for what has no corners.
+        smooth = [(1 + d) * np.exp(-d) for d in (2 * distance / length for length in lengths)]
+        return rough + smooth
 
     return kernels
 

@@ -138,6 +138,7 @@ class Diagnosis:
     rms_final: float | None = None  # [W]
     base: Shift | None = None  # A, C, m of the plain model
     final: Shift | None = None  # and with the effects
+    deviation: Shift | None = None  # sd of the latter
     where: tuple[Place, ...] = ()
     isolability: Isolability | None = None
     not_testable: tuple[NotTestable, ...] = ()

@@ -101,6 +101,9 @@ def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
     """Choose effects for the drives."""
     drives, chosen = plain, list[Found]()
     first, most = ranked(plain, effects), 0.0
+    at_first = _leftovers(plain)
+    if hidden_grade(first, at_first) is not None:
+        return Search((), first, at_first, at_first, plain)
     while len(chosen) < MOST:
         ranking = first if not chosen else ranked(drives, effects)
         if not ranking or ranking[0].log_bayes_factor < _needed(ranking[0], len(chosen)):
@@ -114,8 +117,7 @@ def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
         drives = grown
         if len(chosen) > 1:
             chosen, drives = _exchange(plain, chosen, drives, effects)
-    at_last = _leftovers(drives)
-    return Search(tuple(chosen), first, _leftovers(plain) if chosen else at_last, at_last, drives)
+    return Search(tuple(chosen), first, at_first, _leftovers(drives) if chosen else at_first, drives)
 
 
 def _needed(joint: Joint, chosen: int) -> float:
@@ -203,13 +205,19 @@ def _kind(left: Leftover) -> str:
     return "swings" if left.name.startswith("swings") else left.name
 
 
-def is_unmeasured_grade(search: Search) -> bool:
-    """Whether what is left is a force that goes with the place: a grade that no signal shows."""
-    measured = any(joint.effect.is_gravity for joint in search.ranking)
-    processes = search.at_last
-    if measured or processes[0].name != UNMEASURED_GRADE or processes[0].log_bayes_factor < UNEXPLAINED:
-        return False
-    return processes[0].log_bayes_factor - processes[1].log_bayes_factor > AHEAD
+def hidden_grade(ranking: Sequence[Joint], processes: Sequence[Leftover]) -> Leftover | None:
+    """A force that goes with the place and beats all that has a name: a grade that no signal shows, or None.
+
+    Every road has one, so it need only come near the best of other processes. A signal of the climb that explains
+    nothing speaks against it.
+    """
+    grade = next(left for left in processes if left.name == UNMEASURED_GRADE)
+    gravity = [joint.log_bayes_factor for joint in ranking if joint.effect.is_gravity]
+    named = max((joint.log_bayes_factor for joint in ranking if not joint.effect.is_gravity), default=0.0)
+    evident = grade.log_bayes_factor > max(UNEXPLAINED, named + AHEAD)
+    near = grade.log_bayes_factor > processes[0].log_bayes_factor - NAMED
+    refuted = bool(gravity)
+    return grade if evident and near and not refuted else None
 
 
 def probabilities(log_bayes_factors: Sequence[float]) -> list[float]:
