@@ -27,6 +27,7 @@ from estimator.daemon.status import State
 from estimator.daemon.supervision import Signals, supervise
 from estimator.errors import InputError
 
+COMMANDS = ("run", "check", "status")
 WIDE = 140  # columns where standard output is no terminal
 COLOURS = {State.WAITING: "yellow", State.SILENT: "yellow", State.RECEIVING: "green", State.FAULT: "red"}
 

@@ -217,7 +217,14 @@ class Config(Section, frozen=True):
         return self.signals or J1939_BINDING
 
 
-def _check(config: Config) -> None:
+def check(config: Config) -> None:
+    """Complain about tables that contradict each other.
+
+    Raises
+    ------
+    ConfigError
+        The message names the key.
+    """
     prior = config.prior
     boxes = {"mass_kg": prior.mass_belief_kg, "A_N": prior.A_belief_N, "C_N_s2_m2": prior.C_belief_N_s2_m2}
     for name, belief in boxes.items():
@@ -265,7 +272,7 @@ def from_dict(tables: dict[str, Any]) -> Config:
         reason, _, place = str(error).partition(" - at `$")
         key = _named(place.rstrip("`").lstrip("."), tables)
         raise ConfigError(f"{key}: {reason}" if key else reason) from error
-    _check(config)
+    check(config)
     return config
 
 

@@ -61,7 +61,6 @@ class Quantity(StrEnum):
     ELAPSED = "elapsed"  # [s] since the drive began
     DISTANCE = "distance"  # [m] since the drive began
     STOPS = "stops"  # standstills so far
-    SURROUNDING_POWER = "surrounding power"  # [W], power as readings around the moment give it
 
 
 STATE = "state"  # dimension of switches and gear numbers: taken as they are

@@ -1,6 +1,7 @@
 """The window is bounded and keeps what is rare; admission names why a row is left out."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from estimator.signals import Role
 def block(n: int, start: float = 0.0, v=20.0, a=0.0) -> Samples:
     t = start + STEP * np.arange(n)
     one = np.ones(n)
-    return Samples(t, v * one, a * one, *(one * i for i in range(6)))
+    v, a = v * one, a * one
+    return Samples(t, v, a, 0 * one, one, v, a, one, one)
 
 
 def window(samples: int = 600, hours: float = 24.0) -> Window:
@@ -66,6 +68,19 @@ def test_rare_driving_survives_a_flood_of_cruising():
     assert len(w) > 5700
     assert np.count_nonzero(held.a > 0.15) == 10 * 100
     assert consistent(w)
+
+
+def test_what_stays_is_not_chosen_by_its_noise():
+    """In a day the rarest twentieth is left; it is rare driving, not readings that noise made look rare."""
+    w, rng, n = window(2000), np.random.default_rng(3), 10
+    for i in range(4000):
+        a, noise, other_noise = rng.normal(0, 0.15), rng.normal(0, 0.1), rng.normal(0, 0.1)
+        driven = block(n, 2.0 * i, a=a)
+        w.add(replace(driven, a=driven.a + noise, za=driven.a + other_noise, P=driven.a))
+    held = w.samples[::n]
+    assert np.abs(held.P).mean() > 1.4 * 0.12  # of all driving: 0.15 sqrt(2 / pi)
+    moment = (held.a - held.P) * held.za
+    assert abs(moment.mean()) < 3 * moment.std() / np.sqrt(len(moment))
 
 
 def test_a_constant_stream_keeps_the_window_full():

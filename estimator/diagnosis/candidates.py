@@ -1,7 +1,7 @@
 """Every effect of the catalogue, judged on what the model so far leaves."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -16,6 +16,7 @@ from estimator.signals import Floats, Quantity
 
 ALIKE = 0.95  # |correlation| of traces beyond which two effects are one class
 CERTAIN = 5.0  # log Bayes factor at which instruments are taken to have found an effect
+IDLE_SD, IDLE_SHARE = 800.0, 0.15  # W, and of the power at rest: what the torque signal is worth there
 NEVER = -50.0  # log Bayes factor of what cannot be: a magnitude of the wrong sign in every shape
 
 
@@ -36,12 +37,36 @@ class Candidate:
         return self.term.effect.name
 
 
-def assess(model: Model, grains: Grains, effects: Sequence[Effect], known: frozenset[Quantity]) -> list[Candidate]:
+@dataclass(frozen=True)
+class Rest:
+    """Mean power [W] of the engine while the vehicle stands, and its speed [rad/s] then."""
+
+    power: float
+    engine_speed: float
+
+    def log_bayes_factor(self, candidate: "Candidate") -> float:
+        """What idling says for a candidate that takes power at rest."""
+        effect = candidate.term.effect
+        if effect.at_rest is None:
+            return 0.0
+        per_unit = effect.at_rest(self.engine_speed)
+        sd = IDLE_SD + IDLE_SHARE * abs(self.power)
+        wide = float(np.hypot(sd, candidate.sd * per_unit))
+        foretold = (self.power - candidate.value * per_unit) / wide
+        return float(0.5 * (self.power / sd) ** 2 - 0.5 * foretold**2 + np.log(sd / wide))
+
+
+def assess(
+    model: Model, grains: Grains, effects: Sequence[Effect], known: frozenset[Quantity], rest: Rest | None
+) -> list[Candidate]:
     """All ``effects`` that this drive can test and the model does not have, most evidence first."""
     present = {term.effect.name for term in model.terms}
     absent = [effect for effect in effects if not effect.absorbed and effect.name not in present]
     judged = [_judge(model, grains, effect, known) for effect in absent]
-    return sorted((c for c in judged if c is not None), key=lambda c: -c.log_bayes_factor)
+    found = [candidate for candidate in judged if candidate is not None]
+    if rest is not None:
+        found = [replace(c, log_bayes_factor=c.log_bayes_factor + rest.log_bayes_factor(c)) for c in found]
+    return sorted(found, key=lambda candidate: -candidate.log_bayes_factor)
 
 
 def _judge(model: Model, grains: Grains, effect: Effect, known: frozenset[Quantity]) -> Candidate | None:
@@ -67,10 +92,10 @@ def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate |
     own, ring = model.views()
     z = np.column_stack([term.column(ring) for term in terms])
     usual = effect.usual(model.road_load)
-    h = np.column_stack([term.column(own) for term in terms])
-    weight = weigh(grains, grains.mean(h), usual, effect.positive)
+    weight = weigh(grains, grains.mean(z), usual, effect.positive)
     evidence, value, sd = weight.log_bayes_factor, weight.value, weight.sd
     if effect.is_noisy:
+        h = np.column_stack([term.column(own) for term in terms])
         scores = score(model.base, h, z)
         clean = np.nan_to_num(log_bayes_factor(scores, usual, effect.positive), nan=NEVER)
         evidence = np.where(clean >= CERTAIN, np.maximum(evidence, clean), np.minimum(evidence, clean))
@@ -80,6 +105,10 @@ def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate |
     total = float(logsumexp(evidence)) - np.log(len(terms)) - cost
     if not np.isfinite(sd[best]) or not np.isfinite(total):
         return None
+    # The shape is not known for sure either.
+    share = np.exp(evidence - logsumexp(evidence))
+    doubt = np.nan_to_num(share * ((value - value[best]) ** 2 + sd**2), nan=0.0)
+    sd = np.where(np.arange(len(sd)) == best, np.sqrt(doubt.sum()), sd)
     return Candidate(
         terms[best], max(total, NEVER), float(value[best]), float(sd[best]), cost, trace(model, z[:, best])
     )

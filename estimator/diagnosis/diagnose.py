@@ -24,6 +24,8 @@ from estimator.diagnosis.result import (
 )
 from estimator.diagnosis.search import (
     AHEAD,
+    EVIDENT,
+    NAMED,
     UNEXPLAINED,
     Drive,
     Found,
@@ -43,8 +45,8 @@ from estimator.estimation.moments import block_means
 from estimator.signals import Floats, Quantity
 from estimator.units import STANDARD_GRAVITY
 
-UNNAMED = 10.0  # log Bayes factor of a process that says something is there, though no effect is
 SOMETHING = 3.0  # log Bayes factor below which there is no gap to speak of
+CLOSE = 10.0  # log Bayes factor by which a process may beat effects that leave nothing, and yet be them
 LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
 SECOND = 10  # samples
 ORDINARY_LAG = 0.12  # s, between control units
@@ -82,6 +84,9 @@ def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
         return "less than a minute of driving can be used" + (f"; most is: {common[0][0]}" if common else "")
     if len(samples) < SHORTEST * SECOND:
         return f"only {len(samples) / SECOND / 60:.1f} minutes of driving can be used; it takes 5 at least"
+    for effect in given:
+        if not effect.streaming_shapes(record.known):
+            return f"the effect {effect.name} needs {' or '.join(r.value for r in effect.wanted)}, which the bus lacks"
     A, C, m = 1e3, 1.0, 1e4  # of no weight: only the best of several shapes is looked for
     terms = best_terms(given, samples, np.array([A, C, m]))
     kept = select(samples, terms)
@@ -120,6 +125,8 @@ class _Report:
         before = held_out(late, drive.model.terms, drive.model.road_load, lagged=False)
         after = self.steps[-1] if len(self.final) == 1 else held_out(s, drive.model.terms, drive.model.road_load)
         evidence = len(before.squares) / 2 * float(np.log(before.mean_square / after.mean_square)) / CORRELATED
+        if evidence < NAMED:
+            return None
         plain = fit(late, drive.model.terms)
         effect = BY_NAME["time_lag" if lag > 0 else "speed_filter"]
         return Finding(
@@ -154,14 +161,15 @@ class _Report:
         unseen = tuple(
             iso.invisible(self.effects, self._last_candidates(), after, self.plain[self.longest].record.known)
         )
-        remaining = Verdict.UNKNOWN if left.log_bayes_factor > UNEXPLAINED and not grade else Verdict.NO_GAP
+        remaining = Verdict.UNKNOWN if left.log_bayes_factor > UNEXPLAINED else Verdict.NO_GAP
+        remaining = Verdict.CANNOT_TELL if grade else remaining
         return Diagnosis(
             verdict,
             self._reason(verdict, named, unseen),
             named,
             self._candidates(lag),
             remaining,
-            left.log_bayes_factor,
+            None if grade else left.log_bayes_factor,
             float(np.sqrt(self.floor)),
             self.steps[0].rms,
             self.steps[-1].rms,
@@ -173,7 +181,7 @@ class _Report:
             missing,
             unseen,
             self._advice(verdict, named),
-            _configuration(named),
+            _configuration(named, self.plain[self.longest].model.terms),
             gap_map(before, after),
             _traces(self.plain, self.final),
         )
@@ -181,7 +189,7 @@ class _Report:
     def _last_candidates(self) -> list[Candidate]:
         """What the longest drive says of every effect that the final model does not have."""
         drive = self.final[self.longest]
-        return assess(drive.model, grains_of(drive.model), self.effects, drive.record.known)
+        return assess(drive.model, grains_of(drive.model), self.effects, drive.record.known, drive.rest)
 
     def _verdict(self) -> tuple[Verdict, bool]:
         """The verdict, and whether an unmeasured grade is part of it."""
@@ -189,7 +197,7 @@ class _Report:
         if self.grade is not None:
             return Verdict.EFFECT, True
         if not chosen:
-            if left > UNNAMED:
+            if left > EVIDENT:
                 return Verdict.UNKNOWN, False
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
             return (Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP), False
@@ -198,8 +206,9 @@ class _Report:
         total = max(first, sum(found.joint.log_bayes_factor for found in chosen))
         outdone = first < at_first + AHEAD or left > LEFT * max(at_first, total)
         # What a poor altimeter leaves of the hills goes with the place.
-        hills = any(f.joint.effect.is_gravity for f in chosen) and self.result.at_last[0].name == UNMEASURED_GRADE
-        if not hills and (total < at_first + AHEAD or (left > UNEXPLAINED and outdone)):
+        place = next(other for other in self.result.at_last if other.name == UNMEASURED_GRADE)
+        hills = any(f.joint.effect.is_gravity for f in chosen) and place.log_bayes_factor > left - NAMED
+        if not hills and (total < at_first - CLOSE or (left > UNEXPLAINED and outdone)):
             return Verdict.UNKNOWN, False
         return (Verdict.CANNOT_TELL if self._ties(chosen[0]) else Verdict.EFFECT), False
 
@@ -244,7 +253,7 @@ class _Report:
 
     def _probability(self, found: Found) -> float:
         rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
-        if found is self.result.chosen[0]:
+        if len(self.result.chosen) == 1:
             rivals.append(self.result.at_first[0].log_bayes_factor)
         return probabilities([found.joint.log_bayes_factor, *rivals])[0]
 
@@ -371,12 +380,11 @@ def _detail(term: Term) -> str:
     return ""
 
 
-def _configuration(named: tuple[Finding, ...]) -> str:
-    """The line that adds to the streaming model what it can take."""
-    by_name = {effect.name: effect for effect in CATALOGUE}
-    names = [f.name for f in named if f.name in by_name and f.magnitude.name == by_name[f.name].symbol]
-    streaming = [name for name in names if by_name[name].streams]
-    return f"effects = [{', '.join(repr(n) for n in streaming)}]".replace("'", '"') if streaming else ""
+def _configuration(named: tuple[Finding, ...], given: tuple[Term, ...]) -> str:
+    """The line that adds to the streaming model what it can take, beside what it has."""
+    found = [f.name for f in named if f.name in BY_NAME and f.magnitude.name == BY_NAME[f.name].symbol and not f.span]
+    names = dict.fromkeys([*(term.effect.name for term in given), *(n for n in found if BY_NAME[n].streams)])
+    return f"effects = [{', '.join(f'{chr(34)}{name}{chr(34)}' for name in names)}]" if found and names else ""
 
 
 def _traces(plain: tuple[Drive, ...], final: tuple[Drive, ...]) -> Traces:

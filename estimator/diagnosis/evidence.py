@@ -79,7 +79,7 @@ def score(base: Base, h: Floats, z: Floats) -> Score:
     outer = z - base.Z @ (base.inverse.T @ (base.X.T @ z))
     inner = h - base.X @ (base.inverse @ (base.Z.T @ h))
     strength = (outer * h).sum(axis=0)
-    weak = np.abs(strength) < WEAK * np.sqrt((z**2).sum(axis=0) * (h**2).sum(axis=0))
+    weak = np.abs(strength) <= WEAK * np.sqrt((z**2).sum(axis=0) * (h**2).sum(axis=0))
     strength = np.where(weak, np.nan, strength)
     residual = base.residual
     value = outer.T @ residual / strength

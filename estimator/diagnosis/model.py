@@ -1,6 +1,6 @@
 """The road load with effects added, fitted to a drive."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,7 +44,8 @@ class Model:
 
     def views(self) -> tuple[View, View]:
         """The samples as measured, and as their instruments see them."""
-        return views(self.samples, self.road_load)
+        own, ring = views(self.samples, self.road_load)
+        return own, replace(ring, P=self.base.Z @ self.base.theta)
 
     def columns_of(self, term: Term) -> tuple[Floats, Floats]:
         """Column and instrument (n,) of a term."""

@@ -25,7 +25,6 @@ STRENGTHS = (0.1, 0.3, 1.0, 3.0)  # variance of the process over that of the res
 DIFFUSE = 1e4  # variance of the refitted base, over that of the residual
 SHORTEST_PERIOD, LONGEST_PERIOD = 20.0, 600.0  # s, of a ripple
 FINENESS = 0.25  # step of its frequency, over the inverse length of the drive
-LEVELS = 12  # parts of an axis that a function of it is made of
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,11 @@ class Grains:
     def factors(self) -> list[Floats]:
         """Lower Cholesky factors of `noises`."""
         return [np.linalg.cholesky(noise) for noise in self.noises]
+
+    def off_base(self, x: Floats) -> Floats:
+        """What of ``x`` (n,) the base model does not take up."""
+        rest: Floats = x - self.columns @ np.linalg.lstsq(self.columns, x, rcond=None)[0]
+        return rest
 
     def mean(self, x: Floats) -> Floats:
         """Averages of ``x`` (samples, ...) over the grains."""
@@ -96,17 +100,6 @@ def _wander(x: Callable[[Grains], Floats], lengths: tuple[float, ...]) -> Callab
     return kernels
 
 
-def _levels(x: Callable[[Grains], Floats]) -> Callable[[Grains], list[Floats]]:
-    """Independent value for each of LEVELS parts with as many samples."""
-
-    def kernels(grains: Grains) -> list[Floats]:
-        edges = np.quantile(x(grains), np.linspace(0, 1, LEVELS + 1)[1:-1])
-        part = np.searchsorted(edges, x(grains))
-        return [np.equal.outer(part, part).astype(float)]
-
-    return kernels
-
-
 def _gears(grains: Grains) -> list[Floats]:
     if grains.gear is None:
         return []
@@ -114,7 +107,10 @@ def _gears(grains: Grains) -> list[Floats]:
 
 
 MINUTES = (60.0, 300.0, 1200.0)  # s
-HILLS = (150.0, 400.0, 1000.0)  # m
+HILLS = (150.0, 400.0, 1000.0, 3000.0, 9000.0, 30000.0)  # m, as far as MINUTES of driving
+SPEEDS = (1.0, 3.0, 10.0)  # m/s
+ENGINE_SPEEDS = (5.0, 20.0)  # rad/s
+POWERS = (2e4, 6e4)  # W
 UNMEASURED_GRADE = "force over distance"
 PROCESSES: tuple[Process, ...] = (
     Process("power over time", lambda g: np.ones(len(g)), _wander(lambda g: g.t, MINUTES)),
@@ -124,8 +120,10 @@ PROCESSES: tuple[Process, ...] = (
     Process("gain over time", lambda g: g.power, _wander(lambda g: g.t, MINUTES)),
     Process("power by gear", lambda g: np.ones(len(g)), _gears),
     Process("torque by gear", lambda g: g.engine_speed, _gears),
-    Process("speed", lambda g: np.ones(len(g)), _levels(lambda g: g.v)),
-    Process("power", lambda g: np.ones(len(g)), _levels(lambda g: g.power)),
+    Process("power over speed", lambda g: np.ones(len(g)), _wander(lambda g: g.v, SPEEDS)),
+    Process("force over speed", lambda g: g.v, _wander(lambda g: g.v, SPEEDS)),
+    Process("power over engine speed", lambda g: np.ones(len(g)), _wander(lambda g: g.engine_speed, ENGINE_SPEEDS)),
+    Process("power over power", lambda g: np.ones(len(g)), _wander(lambda g: g.power, POWERS)),
 )
 
 
@@ -206,7 +204,7 @@ def ripple(grains: Grains) -> Leftover:
         peak = int(np.argmax(evidence))
         total = float(logsumexp(evidence)) - np.log(len(frequency))
         if total > best.log_bayes_factor:
-            smooth = waves[0][:, peak] * cosine.value[peak] + waves[1][:, peak] * sine.value[peak]
+            smooth = grains.off_base(waves[0][:, peak] * cosine.value[peak] + waves[1][:, peak] * sine.value[peak])
             best = Leftover(f"swings every {1 / frequency[peak]:.0f} s", total, float(np.mean(smooth**2)), smooth)
     return best
 
@@ -226,7 +224,8 @@ def leftovers(grains: Grains) -> list[Leftover]:
         kernels = process.kernels(grains)
         if not kernels:
             continue
-        best, total = (-np.inf, 0.0, np.zeros(n)), []
+        best: tuple[float, float, Floats] = (-np.inf, 0.0, np.zeros(n))
+        total: list[float] = []
         for kernel in kernels:
             shape = np.outer(gain, gain) * kernel
             for strength in STRENGTHS:
@@ -234,7 +233,7 @@ def leftovers(grains: Grains) -> list[Leftover]:
                     value, weights = _log_likelihood(y / np.sqrt(scale), noise + strength * shape)
                     total.append(value)
                     if value > best[0]:
-                        smooth = strength * shape @ weights
+                        smooth = grains.off_base(strength * shape @ weights)
                         best = (value, float(np.mean(smooth**2)), smooth)
         lbf = float(logsumexp(total)) - np.log(len(total)) - none
         found.append(Leftover(process.name, lbf, best[1] * scale, best[2] * np.sqrt(scale)))

@@ -13,6 +13,7 @@ from estimator.signals import Floats, Quantity, Role
 
 STOPPED = 0.5  # m/s
 SHORTEST_STOP = 10.0  # s, in which a load could change
+SHORTEST_IDLE = 30.0  # s at rest that tell of the power taken there
 BREAK = 10.0  # s of NaN put between pieces of a drive where only their own order matters
 HEARD = 0.5  # share of the drive for which a quantity must be known to be used
 
@@ -30,6 +31,13 @@ class Record:
     rejected: Counter[str]
     idle: Floats
     idle_speed: Floats
+
+    @property
+    def idling(self) -> tuple[float, float] | None:
+        """Mean power [W] and engine speed [rad/s] at rest; None where the engine hardly ran there."""
+        if len(self.idle) < SHORTEST_IDLE / STEP:
+            return None
+        return float(np.median(self.idle)), float(np.median(self.idle_speed))
 
     @property
     def known(self) -> frozenset[Quantity]:
@@ -77,7 +85,7 @@ def _heard(pieces: list[Rows], start: float) -> frozenset[Quantity]:
     for piece in pieces:
         known.update({q: int(np.isfinite(x).sum()) for q, x in kinematics.quantities(piece, start).items()})
     least = HEARD * sum(len(piece) for piece in pieces)
-    return frozenset(q for q, count in known.items() if count > least) | {Quantity.SURROUNDING_POWER}
+    return frozenset(q for q, count in known.items() if count > least)
 
 
 def _bridge(values: Floats) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from estimator.diagnosis.candidates import ALIKE, Candidate, assess
+from estimator.diagnosis.candidates import ALIKE, Candidate, Rest, assess
 from estimator.diagnosis.model import Model, fit, select
 from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover, grains_of, leftovers
 from estimator.diagnosis.record import Record
@@ -23,8 +23,11 @@ AHEAD = 3.0  # and over the next that is not of its class
 NEXT = 8.0  # of an effect beside another: each one more has to earn its place
 NEXT_TIMED = 20.0  # and if its times are free, it fits what the others left not quite right
 LEAST, LEAST_TIMED = 0.003, 0.04  # and of what the first took away: no effect has exactly its textbook form
+EVIDENT = 15.0  # evidence of a process that says something is there, though nothing has a name
+NEAR = 0.8  # of the best evidence: at a steady speed time and place are the same
 UNEXPLAINED = 20.0  # evidence of a process, on what is left, beyond which something is there that has no name
 TEMPER = 1.5
+RARE = 1.0  # log prior odds of none against any
 LAPSE = 0.03
 MOST = 4  # effects that are looked for
 
@@ -35,6 +38,12 @@ class Drive:
 
     record: Record
     model: Model
+
+    @property
+    def rest(self) -> Rest | None:
+        """What idling tells, unless an effect in the model takes power there."""
+        taken = any(term.effect.at_rest is not None for term in self.model.terms)
+        return None if self.record.idling is None or taken else Rest(*self.record.idling)
 
     def having(self, terms: tuple[Term, ...]) -> "Drive":
         """The same drive with other effects; the same as before where they cannot be fitted."""
@@ -141,7 +150,7 @@ def pooled(drives: tuple[Drive, ...], on: tuple[Drive, ...]) -> HeldOut:
 def ranked(drives: tuple[Drive, ...], effects: Sequence[Effect]) -> tuple[Joint, ...]:
     """All effects that some drive can test, most evidence first."""
     judged = [
-        {c.name: c for c in assess(drive.model, grains_of(drive.model), effects, drive.record.known)}
+        {c.name: c for c in assess(drive.model, grains_of(drive.model), effects, drive.record.known, drive.rest)}
         for drive in drives
     ]
     joints = [Joint(effect, tuple(found.get(effect.name) for found in judged)) for effect in effects]
@@ -214,8 +223,9 @@ def hidden_grade(ranking: Sequence[Joint], processes: Sequence[Leftover]) -> Lef
     grade = next(left for left in processes if left.name == UNMEASURED_GRADE)
     gravity = [joint.log_bayes_factor for joint in ranking if joint.effect.is_gravity]
     named = max((joint.log_bayes_factor for joint in ranking if not joint.effect.is_gravity), default=0.0)
-    evident = grade.log_bayes_factor > max(UNEXPLAINED, named + AHEAD)
-    near = grade.log_bayes_factor > processes[0].log_bayes_factor - NAMED
+    evident = grade.log_bayes_factor > max(EVIDENT, named + AHEAD)
+    best = processes[0].log_bayes_factor
+    near = grade.log_bayes_factor > min(best - NAMED, NEAR * best)
     refuted = bool(gravity)
     return grade if evident and near and not refuted else None
 
@@ -223,9 +233,9 @@ def hidden_grade(ranking: Sequence[Joint], processes: Sequence[Leftover]) -> Lef
 def probabilities(log_bayes_factors: Sequence[float]) -> list[float]:
     """Of each, and last of none.
 
-    None is as likely beforehand as all others together. Evidence is tempered, for it is never as sharp as the model
+    None is likelier beforehand than all others together. Evidence is tempered, for it is never as sharp as the model
     of the noise says; and LAPSE is kept back for what no model here foresees.
     """
-    rare = np.log(len(log_bayes_factors))
-    tempered = [*((value - rare) / TEMPER for value in log_bayes_factors), 0.0]
+    rare = np.log(len(log_bayes_factors)) + RARE
+    tempered = [*(value / TEMPER - rare for value in log_bayes_factors), 0.0]
     return [(1 - LAPSE) * float(np.exp(value - logsumexp(tempered))) for value in tempered]

@@ -64,7 +64,7 @@ def gap_closed(before: HeldOut, after: HeldOut, floor: float, doubt: float, rng:
     pairs = np.column_stack([block_means(x.squares, STRETCH) for x in (before, after)])
     draws = pairs[rng.integers(0, n, (RESAMPLES, n))].mean(axis=1)
     # The floor moves with what is left: it is the same drive.
-    floors = floor * draws[:, 1] / after.mean_square * (1 - doubt * np.abs(rng.standard_normal(RESAMPLES)).clip(max=1))
+    floors = floor * draws[:, 1] / after.mean_square * (1 - doubt * rng.standard_normal(RESAMPLES).clip(0, 1))
     shares = np.array([_share(b, a, f) for (b, a), f in zip(draws, floors, strict=True)])
     q05, q95 = np.quantile(shares, [0.05, 0.95]).tolist()
     return GapClosed(_share(before.mean_square, after.mean_square, floor), q05, q95)

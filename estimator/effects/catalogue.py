@@ -153,6 +153,7 @@ CATALOGUE: tuple[Effect, ...] = (
         usual=_by_mass(50.0),
         positive=False,
         needs=(Quantity.ENGINE_SPEED,),
+        at_rest=lambda idle: idle,
         breaks="driving the same speed in several gears, or coasting in gear",
     ),
     Effect(
@@ -163,6 +164,7 @@ CATALOGUE: tuple[Effect, ...] = (
         "W",
         lambda view, shape: np.ones_like(view.v),
         usual=_by_mass(8e3),
+        at_rest=lambda idle: 1.0,
         breaks="two minutes of idling at rest",
     ),
     Effect(

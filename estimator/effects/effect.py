@@ -92,6 +92,8 @@ class Effect:
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
     timing
         When it acts.
+    at_rest
+        Power [W] per unit of magnitude that it takes while the vehicle stands and the engine idles [rad/s].
     dwells
         How long [s] it usually stays on, or off, where it switches.
     is_noisy
@@ -116,6 +118,7 @@ class Effect:
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
     timing: Timing = Timing.ALWAYS
+    at_rest: Callable[[float], float] | None = None
     dwells: tuple[float, ...] = (200.0,)
     is_noisy: bool = False
     is_gravity: bool = False
@@ -128,6 +131,11 @@ class Effect:
         if not known >= set(self.needs):
             return ()
         return tuple(shape for shape in self.shapes if not isinstance(shape, Quantity) or shape in known)
+
+    def streaming_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:
+        """Those with which it can be part of the streaming model: free times have to be shown by a signal."""
+        usable = self.usable_shapes(known)
+        return usable if self.timing is Timing.ALWAYS else tuple(s for s in usable if isinstance(s, Quantity))
 
     @property
     def wanted(self) -> tuple[Role, ...]:

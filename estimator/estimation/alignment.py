@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.signal import medfilt
 
 from estimator.config import Positive, Vehicle
 from estimator.estimation.friction import FrictionCurve
@@ -112,7 +112,8 @@ def despike(value: Floats) -> Floats:
     if len(known) < SPIKE_WINDOW:
         return value
     x = value[known]
-    local = medfilt(np.pad(x, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)[SPIKE_WINDOW // 2 : -(SPIKE_WINDOW // 2)]
+    around = sliding_window_view(np.pad(x, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)
+    local: Floats = np.median(around, axis=1)
     off = np.abs(x - local)
     limit = SPIKE_SDS * MAD_TO_SD * max(float(np.median(off)), SMALLEST_SPREAD * float(np.median(np.abs(x))))
     cleaned = value.copy()

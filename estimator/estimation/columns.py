@@ -48,7 +48,8 @@ def views(samples: Samples, road_load: Floats) -> tuple[View, View]:
     density, context = samples.relative_density, samples.context
     road_load = np.maximum(road_load, 0.0)
     own = View(samples.t, samples.v, samples.a, samples.P, density, context, road_load)
-    around = context.get(Quantity.SURROUNDING_POWER, samples.P)
+    # The model's power, not the power measured around: what the model lacks outlasts the ring, and would be in both.
+    around = design(samples.zv, samples.za, density) @ road_load
     return own, View(samples.t, samples.zv, samples.za, around, density, context, road_load)
 
 
@@ -87,9 +88,11 @@ def wanted_by(effects: tuple[Effect, ...], known: Set[Quantity]) -> frozenset[Qu
     """The context, of that which is ``known``, that these effects are computed from."""
     if not effects:
         return frozenset()
-    shapes = {shape for effect in effects for shape in effect.usable_shapes(known)[:1] if isinstance(shape, Quantity)}
+    shapes = {
+        shape for effect in effects for shape in effect.streaming_shapes(known)[:1] if isinstance(shape, Quantity)
+    }
     needs = {need for effect in effects for need in effect.needs}
-    return frozenset(shapes | needs) & known | {Quantity.SURROUNDING_POWER}
+    return frozenset(shapes | needs) & known
 
 
 def best_terms(effects: tuple[Effect, ...], samples: Samples, road_load: Floats) -> tuple[Term, ...]:
@@ -101,7 +104,7 @@ def best_terms(effects: tuple[Effect, ...], samples: Samples, road_load: Floats)
     _, ring = views(samples, road_load)
     found = []
     for effect in effects:
-        shapes = effect.usable_shapes(known)
+        shapes = effect.streaming_shapes(known)
         if len(shapes) > 1 and not isinstance(shapes[0], Quantity):
             z = np.column_stack([effect.power(ring, shape) for shape in shapes])
             off = z - Z @ (project.T @ (X.T @ z))

@@ -287,7 +287,7 @@ class Estimator:
         if self._before is not None:
             belief = belief + self._before.carry_over(t, self._config.load)
         for effect in self._effects:
-            if not effect.usable_shapes(self._wanted or frozenset()):
+            if not effect.streaming_shapes(self._wanted or frozenset()):
                 needs = " or ".join(role.value for role in effect.wanted)
                 reason = f"the effect {effect.name} needs {needs}, which the bus does not carry"
                 return Estimate(t, Status.UNESTIMATED, reason, NOTHING_COVERED, len(samples))

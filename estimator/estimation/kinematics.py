@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 
 from estimator.road_load import design
 from estimator.samples import STEP, Rows, Samples
@@ -154,15 +154,25 @@ def fit_ratio(speed: Floats, dt: float) -> float:
             kalman.update(np.zeros(1))
         g, h = kalman.K[:, 0]
         # Innovation of the steady filter as an ARMA recursion on the measured speed.
-        top, bottom = [1.0, -2.0, 1.0], [1.0, g + h * dt - 2.0, 1.0 - g]
+        recursion = np.array([1.0, g + h * dt - 2.0, 1.0 - g])
         squares, count = 0.0, 0
         for piece in pieces:
-            e = lfilter(top, bottom, piece - piece[0])[2:]
+            e = _filtered(np.diff(piece - piece[0], 2, prepend=[0.0, 0.0]), recursion)[2:]
             squares, count = squares + float(e @ e), count + len(e)
         return count * float(np.log(max(squares / count, np.finfo(float).tiny)))
 
     low, high = np.log(RATIO_BOUNDS)
     return float(np.exp(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 0.05}).x))
+
+
+def _filtered(signal: Floats, recursion: Floats) -> Floats:
+    """Solve sum_k recursion[k] y[t - k] = signal[t] for y (n,), zero before the start; recursion[0] is 1.
+
+    A banded triangular system; `scipy.signal.lfilter` does the same, and takes a daemon's memory to import.
+    """
+    band = np.repeat(recursion[:, None], len(signal), axis=1)
+    solution: Floats = dtbtrs(band, signal[:, None], uplo="L", diag="U")[0][:, 0]
+    return solution
 
 
 def fit_lag(speed: Floats, power: Floats, dt: float, longest: float) -> float:
@@ -225,8 +235,6 @@ def to_samples(
         gravity = convolve(sensed - np.gradient(speed, STEP), slow_kernel(STEP))
         a, za = a + gravity, za + gravity
     context = {quantity: values for quantity, values in quantities(rows, start).items() if quantity in wanted}
-    if Quantity.SURROUNDING_POWER in wanted:
-        context[Quantity.SURROUNDING_POWER] = convolve(power, ring.value)
     blank = np.full(len(rows), np.nan)
     samples = Samples(
         rows.t,

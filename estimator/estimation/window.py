@@ -45,8 +45,9 @@ class Window:
     """Holds at most ``config.window.samples``, none older than ``config.window.hours``.
 
     When it is full, the block whose samples lie in the fullest cells goes first, so hours of cruising do not push
-    out the few accelerations that identify the mass. The choice depends on speed and acceleration alone, never on
-    power, so it does not bias the estimate.
+    out the few accelerations that identify the mass. The choice depends on the instruments of speed and acceleration
+    alone: what is kept for its rare acceleration would be kept for the noise in it, and in the course of a day the
+    window would fill with such samples; the noise of the instruments is another.
     """
 
     def __init__(self, config: Config) -> None:
@@ -57,7 +58,7 @@ class Window:
         self._longest = config.window.hours * 3600.0
         self._blocks: list[Samples] = []
         self._cells: list[NDArray[np.int64]] = []
-        self._counts = np.zeros(self.grid.size, dtype=np.int64)
+        self._counts = np.zeros(self.grid.size, dtype=np.int64)  # of instruments
 
     def __len__(self) -> int:
         return int(self._counts.sum())
@@ -69,14 +70,15 @@ class Window:
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """Samples per cell (grid.size,)."""
-        return self._counts.copy()
+        """Samples per cell of their own speed and acceleration (grid.size,)."""
+        samples = self.samples
+        return np.bincount(self.grid.cell(samples.v, samples.a), minlength=self.grid.size)
 
     def add(self, block: Samples) -> None:
         """Take a block of consecutive samples, and let go what there is no room for."""
         if not len(block):
             return
-        cells = self.grid.cell(block.v, block.a)
+        cells = self.grid.cell(block.zv, block.za)
         self._blocks.append(block)
         self._cells.append(cells)
         self._counts += np.bincount(cells, minlength=self.grid.size)
@@ -120,6 +122,6 @@ class Window:
         if np.any(lengths <= 0) or len(samples) != lengths.sum() or len(samples) > self._capacity:
             raise StateError(f"window: {len(samples)} samples in {len(lengths)} blocks cannot be")
         self._blocks = [samples[end - length : end] for end, length in zip(ends, lengths, strict=True)]
-        self._cells = [self.grid.cell(block.v, block.a) for block in self._blocks]
-        self._counts = np.bincount(self.grid.cell(samples.v, samples.a), minlength=self.grid.size)
+        self._cells = [self.grid.cell(block.zv, block.za) for block in self._blocks]
+        self._counts = np.bincount(self.grid.cell(samples.zv, samples.za), minlength=self.grid.size)
         self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)

@@ -1,0 +1,59 @@
+"""Simulated drives as files, and what the command says of them."""
+
+import json
+from collections.abc import Iterable
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.can_io.recorder import frames_of, write_log
+from estimator.cli import main
+from estimator.signals import Role
+from estimator.simulation.effects.effect import Effect
+from estimator.simulation.itinerary import Shape
+from estimator.simulation.recording import Recording, simulate
+from estimator.simulation.route import RoadKind
+from estimator.simulation.sensors import Sensors
+from estimator.simulation.truck import Truck
+
+TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the dyno truth of the paper
+CLIMB = (Role.GRADE, Role.ALTITUDE, Role.LONGITUDINAL_ACCELERATION)
+
+
+def drive(
+    kind: RoadKind,
+    minutes: float,
+    seed: int,
+    *effects: Effect,
+    shape: Shape = "one-way",
+    without: Iterable[Role] = (),
+    **sensors: float,
+) -> Recording:
+    """A drive of TRUCK; ``sensors`` as `Sensors` takes them."""
+    measured = Sensors(without=frozenset(without), **sensors)
+    rng = np.random.default_rng(seed)
+    return simulate(TRUCK, kind, 60 * minutes, rng, shape=shape, effects=effects, sensors=measured)
+
+
+def written(recording: Recording, path: Path) -> Path:
+    """The drive as a log."""
+    write_log(frames_of(recording.signals), path)
+    return path
+
+
+def ask(*arguments: object) -> dict[str, Any]:
+    """The JSON that a command prints; it must succeed."""
+    out = StringIO()
+    with redirect_stdout(out):
+        status = main([*map(str, arguments), "--json"])
+    assert status == 0
+    answer: dict[str, Any] = json.loads(out.getvalue())
+    return answer
+
+
+def named(answer: dict[str, Any]) -> list[str]:
+    """The effects of a diagnosis, in order."""
+    return [effect["name"] for effect in answer["effects"]]

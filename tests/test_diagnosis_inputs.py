@@ -1,0 +1,208 @@
+"""What `roadload diagnose` does with poor logs, with several, and with its output: words of a reason, never a crash."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated_logs import ask, drive, named, written
+
+from estimator.cli import main
+from estimator.signals import Role, Series
+from estimator.simulation.effects.effect import Effect
+from estimator.simulation.recording import Recording
+
+STILL = {
+    Role.SPEED: 0.0,
+    Role.TORQUE_FRACTION: 0.2,
+    Role.TORQUE_FRACTION_FINE: 0.0,
+    Role.BRAKE_SWITCH: 0.0,
+    Role.BRAKE_PEDAL: 0.0,
+    Role.CLUTCH_SWITCH: 0.0,
+    Role.SHIFT_IN_PROCESS: 0.0,
+    Role.DRIVELINE_ENGAGED: 1.0,
+    Role.GEAR: 12.0,
+    Role.PARK_BRAKE: 0.0,
+}
+NOTHING = {
+    "effects", "candidates", "where", "invisible", "advice",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def urban() -> Recording:
+    return drive("urban", 8, 1)
+
+
+@pytest.fixture
+def log(tmp_path):
+    def of(recording: Recording, constant: dict[Role, float] | None = None, without: tuple[Role, ...] = ()) -> Path:
+        signals = {role: series for role, series in recording.signals.items() if role not in without}
+        for role, value in (constant or {}).items():
+            signals[role] = Series(signals[role].t, np.full(len(signals[role].t), value))
+        return written(replace(recording, signals=signals), tmp_path / "poor.blf")
+
+    return of
+
+
+def cannot_tell(path: Path, *arguments: object) -> str:
+    """The reason; everything that rests on a fit is empty."""
+    answer = ask("diagnose", path, *arguments)
+    assert answer["verdict"] == answer["remaining"]["verdict"] == "cannot tell"
+    assert not any(answer[key] for key in NOTHING)
+    assert answer["rms_base_kW"] is None
+    assert answer["configuration"] == ""
+    reason: str = answer["reason"]
+    return reason
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line of an error for which the user has to change something."""
+    assert main([str(argument) for argument in arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+# Poor logs
+
+
+def test_a_log_that_is_too_short(log):
+    assert "less than a minute" in cannot_tell(log(drive("urban", 1, 1)))
+
+
+def test_a_log_that_is_nearly_long_enough(urban, log):
+    assert "minutes of driving can be used; it takes 5" in cannot_tell(log(urban))
+
+
+def test_a_log_of_standing(urban, log):
+    assert "standing" in cannot_tell(log(urban, STILL))
+
+
+def test_a_log_of_one_speed(urban, log):
+    assert "vary too little" in cannot_tell(log(urban, STILL | {Role.SPEED: 20.0, Role.ENGINE_SPEED: 130.0}))
+
+
+def test_a_log_whose_engine_never_pulls(log):
+    assert "power is not positive" in cannot_tell(log(drive("mixed", 20, 1), {Role.TORQUE_FRACTION: 0.0}))
+
+
+def test_the_reason_is_read_on_the_terminal_and_on_the_page(urban, log, tmp_path, capsys):
+    path, report = log(urban), tmp_path / "report.html"
+    assert main(["diagnose", str(path), "--report", str(report)]) == 0
+    reason = ask("diagnose", path)["reason"]
+    assert reason in capsys.readouterr().out
+    assert reason in report.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("without", "missing"),
+    [
+        ((Role.TORQUE_FRACTION, Role.TORQUE_FRACTION_FINE), "EEC1.ActualEngPercentTorque"),
+        ((Role.SPEED, Role.BRAKE_SWITCH, Role.CLUTCH_SWITCH, Role.PARK_BRAKE), "CCVS1.WheelBasedVehicleSpeed"),
+    ],
+)
+def test_without_power_or_speed_it_is_an_error(urban, log, capsys, without, missing):
+    error = fails(capsys, "diagnose", log(urban, without=without), "--json")
+    assert f"missing inputs: {missing}; found: " in error
+    assert "[signals]" in error
+
+
+# Effects that are asked for
+
+
+@pytest.mark.parametrize("name", ["gravity", "Grade", ""])
+def test_an_effect_that_is_not_known(urban, log, tmp_path, capsys, name):
+    path, file = log(urban), tmp_path / "c.toml"
+    file.write_text(f'effects = ["grade", "{name}"]\n')
+    for arguments in (("--config", file), ("--effect", name)):
+        error = fails(capsys, "diagnose", path, *arguments)
+        assert f"'{name}' is not known; there are grade, headwind, " in error
+
+
+def test_an_effect_that_cannot_be_given(urban, log, capsys):
+    error = fails(capsys, "diagnose", log(urban), "--effect", "mass_step")
+    assert "'mass_step' cannot be part of the model" in error
+
+
+@pytest.mark.xfail(strict=True, reason="a given effect whose signal is missing is left out without a word")
+def test_a_given_effect_without_its_signal_is_said(log):
+    recording = drive("highway", 15, 1, without=[Role.ALTITUDE, Role.GRADE])
+    assert "grade needs" in cannot_tell(log(recording), "--effect", "grade")
+
+
+# Output
+
+
+def test_the_same_log_gives_the_same_bytes(tmp_path):
+    path = written(drive("mixed", 20, 42, Effect("cornering", 600.0)), tmp_path / "drive.blf")
+    command = [sys.executable, "-m", "estimator", "diagnose", str(path), "--json"]
+    first, second = (
+        subprocess.run(command, capture_output=True, check=True, env=os.environ | {"PYTHONHASHSEED": seed}).stdout
+        for seed in ("1", "2")
+    )
+    assert first == second
+    assert named(json.loads(first)) == ["cornering"]
+
+
+def test_a_report_is_written_whole_or_not_at_all(urban, log, tmp_path, capsys):
+    path, report = log(urban), tmp_path / "report.html"
+    report.write_text("of yesterday")
+    cut = tmp_path / "cut.blf"
+    cut.write_bytes(path.read_bytes()[:-20_000])
+    fails(capsys, "diagnose", path, cut, "--report", report)
+    assert report.read_text() == "of yesterday"
+    assert main(["diagnose", str(path), "--report", str(report)]) == 0
+    assert report.read_text(encoding="utf-8").rstrip().endswith("</html>")
+    assert {entry.name for entry in tmp_path.iterdir()} == {"poor.blf", "cut.blf", "report.html"}
+
+
+@pytest.mark.parametrize("name", ["report.pdf", "nowhere/report.html", "poor.blf"])
+def test_a_report_that_cannot_be_is_refused_before_the_work(urban, log, tmp_path, capsys, name):
+    path = log(urban)
+    before = path.read_bytes()
+    fails(capsys, "diagnose", path, "--report", tmp_path / name)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["poor.blf"]
+    assert path.read_bytes() == before
+
+
+# Several logs of one vehicle
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory):
+    """Bends that cost something on a road with few of them, on one with many, and a drive where they cost nothing."""
+    folder = tmp_path_factory.mktemp("several")
+    bends = Effect("cornering", 600.0)
+    return [
+        written(drive("mixed", 20, seed, *effects), folder / f"{seed}.blf")
+        for seed, effects in ((41, [bends]), (42, [bends]), (43, []))
+    ]
+
+
+def test_evidence_of_an_effect_adds_up_over_logs(several):
+    few, many, none = several
+
+    def evidence(*logs: Path) -> float:
+        answer = ask("diagnose", *logs)
+        assert answer["logs"] == [str(path) for path in logs]
+        return next(c["log_bayes_factor"] for c in answer["candidates"] if c["name"] == "cornering")
+
+    alone = evidence(few), evidence(many)
+    assert alone[0] < 5 < alone[1]
+    assert evidence(few, many) == pytest.approx(sum(alone))
+    assert evidence(many, none) < alone[1]  # it does not hold there
+
+
+def test_an_event_may_be_in_one_log_only(several, tmp_path):
+    fan = written(drive("highway", 20, 3, Effect("auxiliary_cycling", 30e3)), tmp_path / "fan.blf")
+    alone, beside = ask("diagnose", fan), ask("diagnose", several[2], fan)
+    assert named(alone) == named(beside) == ["auxiliary_cycling"]
+    assert beside["effects"][0]["magnitude"] == alone["effects"][0]["magnitude"]
+    assert beside["effects"][0]["span_s"] == alone["effects"][0]["span_s"]
