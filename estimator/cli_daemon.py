@@ -29,7 +29,13 @@ from estimator.errors import InputError
 
 COMMANDS = ("run", "check", "status")
 WIDE = 140  # columns where standard output is no terminal
-COLOURS = {State.WAITING: "yellow", State.SILENT: "yellow", State.RECEIVING: "green", State.FAULT: "red"}
+COLOURS = {
+    State.WAITING: "yellow",
+    State.LISTENING: "yellow",
+    State.SILENT: "yellow",
+    State.RECEIVING: "green",
+    State.FAULT: "red",
+}
 
 
 def add_commands(commands: Any, common: argparse.ArgumentParser, shown: argparse.ArgumentParser) -> None:

@@ -51,6 +51,7 @@ class Pipeline:
         self._last: float | None = None  # time of the newest frame, None when all is finished with [s]
         self._until: float | None = None  # time of the newest frame ever [s]
         self._restored = False  # and not fed since
+        self._same_clock = True  # since the state was saved
         self._block_end = 0.0
 
     def _rooms(self) -> tuple[Decoder, Aligner, Estimator]:
@@ -61,7 +62,7 @@ class Pipeline:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the model."""
-        return tuple(self._config.effects)
+        return tuple(dict.fromkeys(self._config.effects))
 
     @property
     def used(self) -> int:
@@ -122,12 +123,13 @@ class Pipeline:
             "until": self._until,
         }
 
-    def restore(self, state: State) -> None:
+    def restore(self, state: State, same_clock: bool = True) -> None:
         """Go on where another pipeline with the same configuration was; before the first frame.
 
-        The next frame shows for how long it was away. Up to NEW_DRIVE is a gap. After a longer time, or when the
-        clock was set back or never set, the load may be another one: what was known of the vehicle is carried over
-        as after a long stop, and the sources of signals are found anew. Until then there is no estimate.
+        The next frame shows for how long it was away. Up to NEW_DRIVE is a gap. After a longer time, when the clock
+        was set back or never set, or when it is not the ``same_clock`` that has run on since, the load may be another
+        one: what was known of the vehicle is carried over as after a long stop, and the sources of signals are found
+        anew. Until then there is no estimate.
 
         Raises
         ------
@@ -144,7 +146,7 @@ class Pipeline:
         self._decoder, self._aligner, self.estimator = decoder, aligner, estimator
         self.frames, self.valid_rows, self.seen = frames, valid_rows, Counter(seen)
         self.gaps = deque(gaps, maxlen=LONGEST_LIST)
-        self._restored = True
+        self._restored, self._same_clock = True, same_clock
 
     @property
     def missing(self) -> list[str]:
@@ -232,8 +234,9 @@ class Pipeline:
         assert last is not None
         yield from self.finish()
         self.gaps.append((last, t))
+        if t < last:  # another recording, or the same one again
+            self._aligner.forget()
         if not 0 <= t - last <= NEW_DRIVE:
-            # Time that steps back is another recording, or the same one again.
             self.estimator.forget(vehicle=t < last)
 
     def _resume(self, t: float) -> Iterator[Estimate]:
@@ -242,7 +245,7 @@ class Pipeline:
         if self._until is None:
             return
         self.gaps.append((self._until, t))
-        same_load = self._until >= CLOCK_SET and 0 <= t - self._until <= NEW_DRIVE
+        same_load = self._same_clock and self._until >= CLOCK_SET and 0 <= t - self._until <= NEW_DRIVE
         if not same_load:
             self._decoder.release()
         yield from self.estimator.resume(same_load)

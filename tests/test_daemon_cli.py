@@ -7,6 +7,7 @@ import threading
 import tomllib
 from argparse import Namespace
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -16,10 +17,13 @@ import pytest
 from daemon_bench import Bench
 
 from estimator import config
+from estimator.can_io.frames import Frames
+from estimator.can_io.logs import open_log
 from estimator.can_io.recorder import frames_of, write_log
 from estimator.cli import main
-from estimator.daemon.assembly import Plan, estimation_key, plan
+from estimator.daemon.assembly import Plan, estimation_key, plan, restored
 from estimator.daemon.supervision import Signals, supervise
+from estimator.daemon.worker import Worker
 from estimator.errors import ConfigError, RoadloadError
 from estimator.pipeline import Pipeline
 from estimator.simulation.recording import record
@@ -265,6 +269,50 @@ def test_a_daemon_hears_reports_reloads_saves_and_stops(
     restored = Pipeline(running.plans[-1].config)
     restored.restore(state)
     assert restored.frames > 300
+
+
+def test_a_bus_that_cannot_be_opened_does_not_take_the_place_of_one_that_can(
+    running: Running, settings: Path, tmp_path: Path, log: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    until(lambda: bool(shown(tmp_path)))
+    good = settings.read_text()
+    settings.write_text(
+        good.replace("'virtual'", "'socketcan'").replace(f"channel = '{tmp_path}'", "channel = 'no-such'")
+    )
+    running.signals.reload.set()
+    until(lambda: "the old one stays: socketcan no-such" in caplog.text)
+    with can.Bus(interface="virtual", channel=str(tmp_path), ignore_config=True) as vehicle:
+        with can.LogReader(log) as reader:
+            for message in islice(reader, 500):
+                vehicle.send(message)
+        until(lambda: heard(tmp_path) > 300)
+    running.stop()
+    assert running.failure is None
+
+
+def test_a_state_from_before_the_machine_was_started_is_not_taken_for_the_same_load(
+    settings: Path, tmp_path: Path, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boot = tmp_path / "boot_id"
+    monkeypatch.setattr("estimator.daemon.boot.BOOT_ID", boot)
+    loaded = config.load(settings)
+    frames = Frames.concatenate(list(open_log(log)))
+    frames = replace(frames, t=frames.t - frames.t[0] + 1.7e9)
+    store, now = StateStore(tmp_path / "state"), frames.t < 1.7e9 + 50
+
+    def sources_after(first: str, second: str) -> dict[str, int]:
+        boot.write_text(first)
+        worker = Worker(Pipeline(loaded), 10**6, store, "k")
+        worker.offer(frames[now])
+        worker.close()
+        boot.write_text(second)
+        pipeline = restored(loaded, store, "k")
+        list(pipeline.feed(frames[~now][:1]))
+        return pipeline.sources
+
+    assert sources_after("a", "a")
+    assert not sources_after("a", "b")
+    assert not sources_after("", "")
 
 
 def test_two_daemons_do_not_share_a_state(running: Running, settings: Path, tmp_path: Path) -> None:

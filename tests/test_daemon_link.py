@@ -9,7 +9,9 @@ import pytest
 from daemon_bench import Bench, frame
 
 from estimator import config
+from estimator.can_io.node import FREE
 from estimator.daemon.buses import BusSpec, Device, open_bus
+from estimator.daemon.filters import node_filters
 from estimator.daemon.reader import Batch
 from estimator.daemon.status import State
 from estimator.errors import ConfigError
@@ -61,7 +63,7 @@ def test_an_interface_made_anew_is_noticed_although_its_old_socket_only_falls_si
     bench.device = Device(4, True, 0)
     bench.turn(4.0)
     assert bench.link.counts.reopened == 1
-    bench.device = None
+    bench.device, bench.absent = None, 100
     bench.turn(2.0)
     assert bench.daemon.state == State.WAITING
 
@@ -85,12 +87,38 @@ def test_without_a_device_to_look_at_a_silent_bus_is_opened_anew() -> None:
     assert bench.daemon.state == State.SILENT
 
 
-def test_a_link_that_is_down_is_waited_for() -> None:
+@pytest.mark.parametrize("device", [Device(3, False, 0), None], ids=["down", "gone"])
+def test_an_interface_that_comes_up_is_heard_at_once_however_long_it_was_away(device: Device | None) -> None:
+    bench = Bench()
+    bench.device = device
+    bench.absent = 1000 if device is None else 0
+    bench.turn(200.0)
+    assert bench.daemon.state == State.WAITING
+    assert bench.daemon.detail == ("No such device" if device is None else "the interface is down")
+    assert not bench.buses
+    bench.device, bench.absent = Device(3, True, 0), 0
+    bench.turn(1.2)
+    assert bench.daemon.state == State.LISTENING
+    assert bench.link.counts.reopened == 0
+    bench.traffic(0.5)
+    assert bench.daemon.state == State.RECEIVING
+
+
+def test_a_driver_that_is_not_ready_when_its_device_comes_up_is_tried_again_soon() -> None:
     bench = Bench()
     bench.device = Device(3, False, 0)
-    bench.turn(2.0)
-    assert bench.daemon.state == State.WAITING
-    assert "down" in bench.daemon.detail
+    bench.turn(200.0)
+    bench.device, bench.absent = Device(3, True, 0), 1
+    bench.turn(2.5)
+    assert bench.daemon.state == State.LISTENING
+
+
+def test_an_open_bus_is_listening_until_it_is_heard_and_silent_when_it_is_not() -> None:
+    bench = Bench()
+    bench.turn()
+    assert bench.daemon.state == State.LISTENING
+    bench.turn(6.0)
+    assert bench.daemon.state == State.SILENT
 
 
 def test_error_frames_only_are_named_as_a_wrong_bit_rate() -> None:
@@ -122,6 +150,14 @@ def test_traffic_of_which_nothing_is_wanted_is_a_fault() -> None:
         bench.turn(1.0)
     assert bench.daemon.state == State.FAULT
     assert "roadload check" in bench.daemon.detail
+
+
+def test_an_address_taken_later_is_heard_too() -> None:
+    filters = node_filters(0x21)
+    for address in (0x21, *FREE):
+        ident = 0x18F00400 | address
+        assert any((ident ^ each["can_id"]) & each["can_mask"] == 0 for each in filters)
+    assert not any((0x18F00400 ^ each["can_id"]) & each["can_mask"] == 0 for each in filters)
 
 
 def test_kernel_drops_are_counted_over_all_sockets() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import socket
+from collections.abc import Mapping
 from pathlib import Path
 
 import can
@@ -22,7 +23,9 @@ from estimator.daemon import status
 from estimator.daemon.reader import Batch
 from estimator.daemon.service import Notifier
 from estimator.daemon.status import State
+from estimator.daemon.worker import Worker
 from estimator.errors import RoadloadError
+from estimator.pipeline import Pipeline
 from estimator.replay import estimate
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
@@ -259,6 +262,36 @@ def test_a_hung_estimator_is_noticed() -> None:
     bench.daemon.turn()
     bench.worker.turn()
     assert seen == [False]
+
+
+def test_a_vehicle_at_rest_costs_no_writes() -> None:
+    class Disk:
+        saves = 0
+
+        def save(self, state: Mapping[str, object], key: str) -> None:
+            self.saves += 1
+
+    disk, now = Disk(), 0.0
+    worker = Worker(Pipeline(Config()), 10**6, disk, "k", 60.0, clock=lambda: now)
+
+    def at(km_h: int, seconds: int) -> int:
+        nonlocal now
+        before = disk.saves
+        for _ in range(10 * seconds):
+            now += 0.1
+            speed = frame(0x18FEF100, bytes([0xFF, 0, km_h]) + b"\xff" * 5)
+            speed.timestamp = EPOCH + now
+            worker.offer(Frames.from_messages([speed]))
+            worker.turn()
+        return disk.saves - before
+
+    assert at(80, 330) == 5
+    assert at(0, 900) <= 1
+    assert at(80, 120) in (1, 2)
+    assert at(0, 300) <= 1
+    before = disk.saves
+    worker.close()
+    assert disk.saves == before + 1
 
 
 def test_an_estimator_that_died_ends_the_daemon() -> None:

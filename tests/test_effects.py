@@ -138,6 +138,14 @@ def test_loads_of_the_engine_do_not_go_with_the_speed():
         np.testing.assert_array_equal(BY_NAME[name].power(STANDSTILL, None), 1.0)
 
 
+def test_what_is_taken_at_rest_is_the_power_there():
+    idling = replace(STANDSTILL, context={**STANDSTILL.context, Quantity.ENGINE_SPEED: np.full(3000, 70.0)})
+    takers = {effect.name for effect in CATALOGUE if effect.at_rest is not None}
+    assert takers == {"auxiliary_load", "torque_bias"}
+    for name in takers:
+        np.testing.assert_allclose(BY_NAME[name].power(idling, None), BY_NAME[name].at_rest(70.0))
+
+
 def test_powers_are_those_of_the_equations():
     seen = view()
     v, C = seen.v, ROAD_LOAD[1]
@@ -183,7 +191,15 @@ def test_names_and_equivalents_are_sound():
     for effect in CATALOGUE:
         assert all((effect.equation, effect.source, effect.symbol, effect.unit, effect.breaks))
         assert all(effect.name in BY_NAME[other].equivalent for other in effect.equivalent)
-        assert effect.streams <= (effect.timing is Timing.ALWAYS or None in effect.shapes)
+        assert effect.streams or effect.timing is not Timing.ALWAYS or effect.absorbed
+
+
+def test_what_switches_streams_with_a_signal_only():
+    fan = BY_NAME["auxiliary_cycling"]
+    assert fan.streaming_shapes(ALL) == (Quantity.FAN_SPEED,)
+    assert fan.streaming_shapes(ALL - {Quantity.FAN_SPEED}) == ()
+    for effect in CATALOGUE:
+        assert effect.streams == (not effect.absorbed and bool(effect.streaming_shapes(ALL)))
 
 
 def test_a_configuration_asks_by_name():

@@ -25,7 +25,18 @@ TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 SAVED = 1200.0  # s into the drive
 REBUILT = {  # what traffic or the configuration shows again
     Estimator: {"_config", "_effects", "_gate", "_margin", "_given", "_evidence", "_resting"},
-    Pipeline: {"_config", "_messages", "_names", "_tap", "_waiting", "_last", "_block_end", "_restored", "newest"},
+    Pipeline: {
+        "_config",
+        "_messages",
+        "_names",
+        "_tap",
+        "_waiting",
+        "_last",
+        "_block_end",
+        "_restored",
+        "_same_clock",
+        "newest",
+    },
 }
 
 
@@ -165,6 +176,17 @@ def test_a_clock_that_starts_anew_with_the_power_tells_no_absence(drive):
     assert len(pipeline.estimator.window) == 0
 
 
+def test_no_clock_tells_for_how_long_the_machine_was_off(drive, state):
+    """It may have gone on from where it stood when the power went."""
+    pipeline = Pipeline(from_dict({}))
+    pipeline.restore(state, same_clock=False)
+    list(pipeline.feed(between(drive, SAVED + 10, SAVED + 20)))
+    assert len(pipeline.estimator.window) == 0
+    assert pipeline.estimator.latest is None
+    estimate = run(pipeline, between(drive, SAVED + 20, 1800))
+    assert estimate.load.before == pytest.approx(TRUCK.mass, rel=0.02)
+
+
 def test_nothing_is_claimed_before_the_absence_is_known(state):
     pipeline = restored(state)
     assert pipeline.estimator.latest is None
@@ -192,6 +214,20 @@ def test_the_engine_is_remembered(drive, state):
     before = pipeline.valid_rows
     run(pipeline, without)
     assert pipeline.valid_rows - before > 1300
+
+
+def test_the_engine_is_remembered_over_a_silence_and_forgotten_when_time_steps_back(drive):
+    pipeline = Pipeline(from_dict({}))
+    list(pipeline.feed(between(drive, 0, 100)))
+    learnt = pipeline.state()["aligner"]
+    assert learnt["reference"] is not None
+    list(pipeline.feed(between(drive, 200, 201)))
+    after = pipeline.state()["aligner"]
+    assert after["reference"] == learnt["reference"]
+    assert after["friction"]["sums"][0].sum() > 0.9 * learnt["friction"]["sums"][0].sum() > 0
+    list(pipeline.feed(between(drive, 50, 51)))
+    assert pipeline.state()["aligner"]["reference"] is None
+    assert pipeline.state()["aligner"]["friction"]["sums"].sum() == 0
 
 
 def test_a_sender_that_was_exchanged_is_found_on_the_next_drive(drive, state):

@@ -2,6 +2,7 @@
 
 import os
 import struct
+import zlib
 from hashlib import blake2b
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from estimator.errors import RoadloadError, StateError
-from estimator.state_store import CURRENT, HEADER, LARGEST, PREVIOUS, StateStore, pack, unpack
+from estimator.state_store import CURRENT, HEADER, LARGEST, PREVIOUS, SCHEMA, StateStore, pack, unpack
 
 arrays = hnp.arrays(
     st.sampled_from([np.float64, np.int64, np.uint8, np.bool_]), hnp.array_shapes(min_dims=1, max_dims=3, min_side=0)
@@ -93,7 +94,7 @@ def test_another_schema_is_discarded(tmp_path, monkeypatch):
     monkeypatch.setattr("estimator.state_store.SCHEMA", 7)
     StateStore(tmp_path).save({"n": 1}, "k")
     monkeypatch.undo()
-    assert StateStore(tmp_path).load("k")[1].endswith("has schema 7 instead of 1")
+    assert StateStore(tmp_path).load("k")[1].endswith("has schema 7 instead of 2")
 
 
 def test_lengths_that_lie(tmp_path):
@@ -123,11 +124,19 @@ def test_what_cannot_be_stored_is_an_error_of_the_caller(tmp_path):
 
 def test_objects_are_not_made_from_files():
     content = pack({"a": np.zeros(3)}, "k")
-    forged = content[HEADER.size + 1 :].replace(b"<f8", b"|O8")
-    front = struct.pack("<8sHHI", b"roadload", 1, 1, len(forged))
+    forged = zlib.compress(zlib.decompress(content[HEADER.size + 1 :]).replace(b"<f8", b"|O8"))
+    front = struct.pack("<8sHHI", b"roadload", SCHEMA, 1, len(forged))
     digest = blake2b(front + bytes(16) + b"k" + forged, digest_size=16).digest()
     with pytest.raises(StateError, match="not readable"):
         unpack(front + digest + b"k" + forged, "k")
+
+
+def test_what_would_fill_the_memory_is_not_inflated(monkeypatch):
+    content = pack({"a": np.zeros(10_000)}, "k")
+    assert len(content) < 1000
+    monkeypatch.setattr("estimator.state_store.LARGEST", 1000)
+    with pytest.raises(StateError, match="not readable"):
+        unpack(content, "k")
 
 
 # Who else may write there

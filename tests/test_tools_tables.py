@@ -302,7 +302,14 @@ def answer(*names, verdict="effect", base=40.0, final=10.0, equivalent=()):
     """What `roadload diagnose --json` says, in its own keys."""
     closed = {"fraction": 0.9, "q05": 0.85, "q95": 0.95}
     effects = [
-        {"name": name, "probability": 0.99, "equivalent": list(equivalent), "gap_closed": closed} for name in names
+        {
+            "name": name,
+            "probability": 0.99,
+            "equivalent": list(equivalent),
+            "gap_closed": closed,
+            "rms_after_kW": final,
+        }
+        for name in names
     ]
     return {
         "verdict": verdict,
@@ -313,13 +320,19 @@ def answer(*names, verdict="effect", base=40.0, final=10.0, equivalent=()):
     }
 
 
-def test_share_reached_is_measured_above_the_noise_floor(tools):
+def test_share_reached_is_of_the_mean_square(tools):
     said = tools.recordings.Diagnosis.of(answer("grade"))
     assert said.promised == (0.9, 0.85, 0.95)
-    assert said.reached(5.0) == 1.0
-    assert said.reached(40.0) == 0.0
-    assert said.reached(10.0) == pytest.approx(1 - 75 / 1575)
-    assert said.reached(None) is None
+    assert said.shrunk(40.0) == 0.0
+    assert said.shrunk(20.0) == 0.75
+    assert said.shrunk(None) is None
+
+
+def test_a_promise_counts_before_any_signal_can_keep_it(tools):
+    hidden = answer("grade")
+    hidden["rms_final_kW"] = hidden["rms_base_kW"]
+    assert tools.recordings.Diagnosis.of(hidden).rms_promised == 10.0
+    assert tools.recordings.Diagnosis.of(answer(verdict="no gap", final=40.0)).rms_promised == 40.0
 
 
 @pytest.mark.parametrize(
@@ -364,23 +377,27 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
     (folder / "TripA02.blf").touch()
 
     def roadload(command, log, *arguments):
-        signals = config.load(Path(arguments[1])).signals
-        if Role.LONGITUDINAL_ACCELERATION in signals:
-            return answer(verdict="no gap", base=12.0, final=12.0)
-        return answer("grade", final=38.0 if Role.ALTITUDE in signals else 10.0)
+        settings = config.load(Path(arguments[1]))
+        if settings.kinematics.acceleration == "inertial":
+            return answer(verdict="no gap", base=11.0, final=11.0)
+        if Role.LONGITUDINAL_ACCELERATION in settings.signals:
+            return answer("grade", final=12.0)
+        return answer("headwind", final=38.0) if Role.ALTITUDE in settings.signals else answer("grade", final=20.0)
 
     monkeypatch.setattr(tools.recordings, "roadload", roadload)
     (row,) = tools.recordings.bmw(tmp_path, tmp_path, [])
     assert row == {
         "trip": "TripA02",
         "named, withheld": "grade (99 %)",
-        "promised": "90 % (85 % .. 95 %)",
         "kW before": "40.00",
-        "kW promised": "10.00",
-        "kW, accelerometer": "12.00",
-        "reached": "92 %",
-        "named, GPS elevation": "grade (99 %)",
-        "kW, GPS elevation": "38.00",
+        "kW promised": "20.00",
+        "promised": "75 %",
+        "reached": "91 %",
+        "named, accelerometer": "grade (99 %)",
+        "kW reached": "12.00",
+        "kW, inertial": "11.00",
+        "named, GPS elevation": "headwind (99 %)",
+        "kW elevation": "38.00",
     }
     with pytest.raises(RoadloadError, match="no such trip; there are TripA02"):
         list(tools.recordings.bmw(tmp_path, tmp_path, ["TripZ99"]))

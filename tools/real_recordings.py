@@ -1,10 +1,11 @@
 """What the diagnosis says of real recordings whose signals are withheld and then revealed: promised against reached.
 
-python tools/real_recordings.py [--only bmw|vt|kenworth] [--trip TripA02 ...] [--json]
+python tools/real_recordings.py [--only bmw|vt|kenworth|surrogates] [--trip TripA02 ...] [--surrogates N] [--json]
 
 * A BMW i3, 29 trips: accelerometer and elevation withheld, so the road's grade is a gap; then each of them revealed.
 * A class-8 truck at 1 Hz (tools/table_to_log.py): elevation withheld, then revealed, with the mass by either.
 * A Kenworth, three drives of 30 s: too short to tell anything.
+* Surrogates of the BMW's trips, clean drives with the noise of real ones: every effect that is named is a false alarm.
 
 The recordings are no part of the project: `shared/data` beside it, or the folder that ROADLOAD_DATA names.
 """
@@ -15,16 +16,21 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import binomtest
+from surrogates import original, write_surrogate
 from table import read_table
 from table_to_log import convert
 
+from estimator import config
 from estimator.errors import InputError, RoadloadError
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +42,7 @@ VT_MAP = [
     "ENGINE.Speed=engine (rpm)",
     "ROAD.Elevation=elevation (m)",
 ]
+SEED = 1  # of the surrogates
 WIDE = 180  # columns, where the output is no terminal
 
 
@@ -50,6 +57,7 @@ class Diagnosis:
     promised: tuple[float, float, float] | None  # share of the gap that the first one closes: value, 5 %, 95 %
     rms_base: float | None
     rms_final: float | None
+    rms_promised: float | None  # with all that is named: less than rms_final where no signal shows it yet
     floor: float | None
     reason: str
 
@@ -67,15 +75,14 @@ class Diagnosis:
             promised=(closed["fraction"], closed["q05"], closed["q95"]) if closed else None,
             rms_base=content["rms_base_kW"],
             rms_final=content["rms_final_kW"],
+            rms_promised=min((effect["rms_after_kW"] for effect in effects), default=content["rms_final_kW"]),
             floor=content["noise_floor_kW"],
             reason=content.get("reason") or "",
         )
 
-    def reached(self, rms: float | None) -> float | None:
-        """Share of the gap above this diagnosis' noise floor that is closed when ``rms`` [kW] is left."""
-        if rms is None or self.rms_base is None or self.floor is None or self.rms_base <= self.floor:
-            return None
-        return 1 - (rms**2 - self.floor**2) / (self.rms_base**2 - self.floor**2)
+    def shrunk(self, rms: float | None) -> float | None:
+        """Share of the mean squared residual that is gone when ``rms`` [kW] is left."""
+        return None if rms is None or not self.rms_base else 1 - (rms / self.rms_base) ** 2
 
 
 def data_folder() -> Path:
@@ -122,7 +129,8 @@ def without(configuration: str, *roles: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _share(value: float | None) -> str:
+def share_text(value: float | None) -> str:
+    """A share in per cent, for a table."""
     return "-" if value is None else f"{100 * value:.0f} %"
 
 
@@ -131,48 +139,59 @@ def _kilowatts(value: float | None) -> str:
 
 
 def _names(diagnosis: Diagnosis) -> str:
-    likely = "" if diagnosis.probability is None else f" ({_share(diagnosis.probability)})"
+    likely = "" if diagnosis.probability is None else f" ({share_text(diagnosis.probability)})"
     return (" + ".join(diagnosis.named) + likely) if diagnosis.named else diagnosis.verdict
 
 
-def _promised(diagnosis: Diagnosis) -> str:
-    if diagnosis.promised is None:
-        return "-"
-    value, low, high = map(_share, diagnosis.promised)
-    return f"{value} ({low} .. {high})"
+def bmw_logs(folder: Path, trips: list[str]) -> list[Path]:
+    """The logs of ``trips``, or all.
+
+    Raises
+    ------
+    InputError
+        There is no such trip.
+    """
+    logs = {log.stem: log for log in sorted((folder / "bmw_i3").glob("*.blf"))}
+    unknown = [trip for trip in trips if trip not in logs]
+    if unknown:
+        raise InputError(f"--trip {unknown[0]}: no such trip; there are {', '.join(logs)}")
+    return [logs[trip] for trip in trips or logs]
 
 
 def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
-    """Per trip: what is named when nothing feels the road, what is promised, and what two sensors reach."""
+    """Per trip: what is named when nothing feels the road, what is promised, and what two sensors reach.
+
+    The accelerometer is revealed twice: as a signal of the climb, and as the acceleration itself.
+    """
     text = (ROOT / "dbc" / "bmw_i3.toml").read_text()
-    files = {}
-    for name, roles in {
-        "withheld": ("longitudinal_acceleration", "altitude"),
-        "elevation": ("longitudinal_acceleration",),
-        "accelerometer": ("altitude",),
-    }.items():
-        files[name] = work / f"{name}.toml"
-        files[name].write_text(without(text, *roles))
-    logs = {log.stem: log for log in sorted((folder / "bmw_i3").glob("*.blf"))}
-    for trip in trips or logs:
-        if trip not in logs:
-            raise InputError(f"--trip {trip}: no such trip; there are {', '.join(logs)}")
-        log = logs[trip]
+    by_wheel = text.replace('acceleration = "inertial"', 'acceleration = "wheel_speed"')
+    texts = {
+        "withheld": without(text, "longitudinal_acceleration", "altitude"),
+        "elevation": without(text, "longitudinal_acceleration"),
+        "accelerometer": without(by_wheel, "altitude"),
+        "inertial": without(text, "altitude"),
+    }
+    files = {name: work / f"{name}.toml" for name in texts}
+    for name, content in texts.items():
+        files[name].write_text(content)
+    for log in bmw_logs(folder, trips):
         said = {
             name: diagnose(log, "--config", file, "--dbc", folder / "bmw_i3" / "bmw_i3.dbc")
             for name, file in files.items()
         }
         withheld, elevation, felt = said["withheld"], said["elevation"], said["accelerometer"]
         yield {
-            "trip": trip,
+            "trip": log.stem,
             "named, withheld": _names(withheld),
-            "promised": _promised(withheld),
             "kW before": _kilowatts(withheld.rms_base),
-            "kW promised": _kilowatts(withheld.rms_final),
-            "kW, accelerometer": _kilowatts(felt.rms_base),
-            "reached": _share(withheld.reached(felt.rms_base)),
+            "kW promised": _kilowatts(withheld.rms_promised),
+            "promised": share_text(withheld.shrunk(withheld.rms_promised)),
+            "reached": share_text(withheld.shrunk(felt.rms_final)),
+            "named, accelerometer": _names(felt),
+            "kW reached": _kilowatts(felt.rms_final),
+            "kW, inertial": _kilowatts(said["inertial"].rms_base),
             "named, GPS elevation": _names(elevation),
-            "kW, GPS elevation": _kilowatts(elevation.rms_final),
+            "kW elevation": _kilowatts(elevation.rms_final),
         }
 
 
@@ -197,12 +216,12 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
         yield {
             "phase": phase,
             "named, withheld": _names(before),
-            "promised": _promised(before),
             "kW before": _kilowatts(before.rms_base),
-            "kW promised": _kilowatts(before.rms_final),
+            "kW promised": _kilowatts(before.rms_promised),
+            "promised": share_text(before.shrunk(before.rms_promised)),
+            "reached": share_text(before.shrunk(after.rms_final)),
             "named, revealed": _names(after),
-            "kW, revealed": _kilowatts(after.rms_final),
-            "reached": _share(before.reached(after.rms_final)),
+            "kW revealed": _kilowatts(after.rms_final),
             "t before": _mass(log, "--config", withheld, "--dbc", dbc),
             "t, grade": _mass(log, "--config", shown, "--effect", "grade"),
         }
@@ -213,6 +232,45 @@ def kenworth(folder: Path) -> Iterator[dict[str, str]]:
     for log in sorted((folder / "j1939_trucks" / "kenworth_t270").glob("*.log")):
         said = diagnose(log)
         yield {"drive": log.stem, "verdict": said.verdict, "named": _names(said), "why": said.reason}
+
+
+def surrogates(folder: Path, work: Path, trips: list[str], count: int) -> Iterator[dict[str, str]]:
+    """Per trip: verdicts on ``count`` clean drives in all, made of its speed and of noise with its spectrum."""
+    dbc = folder / "bmw_i3" / "bmw_i3.dbc"
+    text = (ROOT / "dbc" / "bmw_i3.toml").read_text()
+    withheld, felt = work / "withheld.toml", work / "felt.toml"
+    withheld.write_text(without(text, "longitudinal_acceleration", "altitude", "ambient_temperature"))
+    felt.write_text(without(text, "altitude").replace('"bmw_i3.dbc"', f'"{dbc}"'))
+    settings = config.load(felt)
+    likes = {log.stem: original(log, settings) for log in bmw_logs(folder, trips)}
+    usable = {trip: like for trip, like in likes.items() if like is not None}
+    total: Counter[str] = Counter()
+    for i, (trip, like) in enumerate(usable.items()):
+        said: list[Diagnosis] = []
+        for k in range(i, count, len(usable)):
+            log = work / f"surrogate{k}.blf"
+            write_surrogate(like, dbc, log, np.random.default_rng([SEED, k]))
+            said.append(diagnose(log, "--config", withheld, "--dbc", dbc))
+            log.unlink()
+        verdicts = Counter(answer.verdict for answer in said)
+        total += verdicts
+        yield (
+            {"like": trip, "kW of noise": _kilowatts(like.noise / 1e3)}
+            | _counted(verdicts)
+            | {"named": ", ".join(_names(answer) for answer in said if answer.named) or "-"}
+        )
+    alarm = binomtest(total["effect"], total.total()).proportion_ci(0.95, method="wilson")
+    yield (
+        {"like": "all", "kW of noise": "-"}
+        | _counted(total)
+        | {
+            "named": f"of all {share_text(total['effect'] / total.total())} ({share_text(alarm.low)} .. {share_text(alarm.high)})"
+        }
+    )
+
+
+def _counted(verdicts: Counter[str]) -> dict[str, str]:
+    return {verdict: str(verdicts[verdict]) for verdict in ("no gap", "cannot tell", "unknown effect", "effect")}
 
 
 def print_table(title: str, rows: list[dict[str, str]]) -> None:
@@ -229,10 +287,13 @@ def print_table(title: str, rows: list[dict[str, str]]) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Diagnose what is asked for and print a table for each vehicle."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=["bmw", "vt", "kenworth"])
+    parser.add_argument("--only", choices=["bmw", "vt", "kenworth", "surrogates"])
     parser.add_argument("--trip", action="append", default=[], metavar="NAME", help="of the BMW; default: all")
+    parser.add_argument("--surrogates", type=int, default=54, metavar="N", help="how many in all; default: %(default)s")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(arguments)
+    if options.surrogates < 1:
+        parser.error(f"--surrogates: {options.surrogates} is not a positive number")
     results: dict[str, list[dict[str, str]]] = {}
     try:
         folder = data_folder()
@@ -242,6 +303,7 @@ def main(arguments: list[str] | None = None) -> int:
                 "bmw": lambda: bmw(folder, work, options.trip),
                 "vt": lambda: vt(folder, work),
                 "kenworth": lambda: kenworth(folder),
+                "surrogates": lambda: surrogates(folder, work, options.trip, options.surrogates),
             }
             for name in [options.only] if options.only else tables:
                 results[name] = list(tables[name]())

@@ -116,7 +116,11 @@ class Node:
         return claim
 
     def hear(self, message: can.Message, t: float) -> list[can.Message]:
-        """Take a message of the bus at time ``t`` [s]; returns what is to be sent now. Our own echoes are ignored."""
+        """Take a message of the bus at time ``t`` [s]; returns what is to be sent now.
+
+        Our own echoes, which have ``is_rx`` False, are ignored. SocketCAN marks what other programs of this host send
+        in the same way: where they matter, pass their messages on with ``is_rx`` True.
+        """
         self._now = max(self._now, t)
         usable = message.is_extended_id and not (message.is_error_frame or message.is_remote_frame)
         answers = self._take(message) if usable and message.is_rx and not self.fault else []

@@ -14,13 +14,14 @@ from estimator.can_io.binding import BoundMessage, bind, load_database
 from estimator.can_io.publisher import output_groups
 from estimator.config import Config
 from estimator.daemon import folders, trust
-from estimator.daemon.buses import BusSpec, spec_of, with_bus
+from estimator.daemon.boot import boot_id
+from estimator.daemon.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
 from estimator.daemon.filters import input_filters, node_filters
 from estimator.daemon.link import Link
 from estimator.daemon.loop import Daemon
 from estimator.daemon.service import Notifier
 from estimator.daemon.transmitter import Transmitter
-from estimator.daemon.worker import Worker
+from estimator.daemon.worker import BOOT, Worker
 from estimator.errors import ConfigError, RoadloadError
 from estimator.pipeline import Pipeline
 from estimator.state_store import StateStore
@@ -109,14 +110,34 @@ def restored(settings: Config, store: StateStore, key: str) -> Pipeline:
     if reason:
         log.info("saved state: %s", reason)
     if state is not None:
-        pipeline = Pipeline(settings)
+        pipeline, boot = Pipeline(settings), boot_id()
         try:
-            pipeline.restore(state)
+            pipeline.restore(state, same_clock=bool(boot) and state.get(BOOT) == boot)
         except RoadloadError as error:
             log.warning("saved state discarded: %s", error)
         else:
             return pipeline
     return Pipeline(settings)
+
+
+def rehearse(following: Plan, running: Plan) -> None:
+    """Try what a plan needs beyond the one that is running, and leave it as it was.
+
+    Raises
+    ------
+    RoadloadError
+        A bus cannot be opened, or a folder cannot be used.
+    """
+    service = following.config.service
+    folders.make(folders.state_directory(service), 0o700)
+    folders.make(folders.runtime_directory(service), 0o755)
+    for spec in (following.source, following.target):
+        if spec is None or spec in (running.source, running.target):
+            continue
+        try:
+            open_bus(spec, None).shutdown()
+        except NotThereError as error:
+            raise NotThereError(f"{spec.label}: {error}") from error
 
 
 def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | None = None) -> Daemon:

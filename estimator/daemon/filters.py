@@ -6,9 +6,9 @@ from estimator.can_io.binding import BoundMessage
 from estimator.can_io.decoder import last_byte
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED
 from estimator.can_io.j1939 import GLOBAL, PDU1_LIMIT, TP_CM, TP_DT
+from estimator.can_io.node import ADDRESS_CLAIMED, FREE, REQUEST
 from estimator.can_io.publisher import output_groups
 
-ADDRESS_CLAIMED, REQUEST = 0xEE00, 0xEA00  # PGNs that a node which transmits must hear (J1939-81, J1939-21)
 PDU1_MASK = 0x03FF0000  # of the id: without the destination address
 PDU2_MASK = 0x03FFFF00
 SOURCE_MASK = 0xFF
@@ -24,9 +24,13 @@ def input_filters(messages: list[BoundMessage]) -> list[CanFilter]:
 
 
 def node_filters(address: int) -> list[CanFilter]:
-    """What a node that wants ``address`` must hear: claims, requests, and others with its groups or its address."""
+    """What a node that wants ``address`` must hear: claims, requests, and others with its groups or its address.
+
+    Its address may also be any of those that a node gives itself when it has lost the one it wants.
+    """
     groups = [of_group(pgn) for pgn in (ADDRESS_CLAIMED, REQUEST, *sorted(output_groups()))]
-    return [*groups, {"can_id": address, "can_mask": SOURCE_MASK, "extended": True}]
+    wanted: CanFilter = {"can_id": address, "can_mask": SOURCE_MASK, "extended": True}
+    return [*groups, wanted, {"can_id": FREE.start, "can_mask": FREE.start, "extended": True}]
 
 
 def of_group(pgn: int) -> CanFilter:

@@ -165,7 +165,7 @@ class Link:
             The bus can never be opened.
         """
         now = self.beat = self._clock()
-        if self._bus is None and (now < self._next_attempt or not self._open(now)):
+        if self._bus is None and not (self._is_time(now) and self._open(now)):
             return False
         try:
             assert self._reader is not None
@@ -203,9 +203,25 @@ class Link:
         except Exception as error:  # whatever it is: the main thread is told, and ends the process
             self.failure = error
 
+    def _is_time(self, now: float) -> bool:
+        """Whether to try and open: after a pause that grows, or at once when the device has come up."""
+        if now >= self._next_attempt:
+            return True
+        if now < self._next_probe:
+            return False
+        self._next_probe = now + PROBE_PERIOD
+        then, self.device = self.device, self._probe()
+        if not isinstance(self.device, Device) or not self.device.is_up or (isinstance(then, Device) and then.is_up):
+            return False
+        self._wait = SHORTEST_WAIT
+        return True
+
     def _open(self, now: float) -> bool:
         self.device = self._probe()
+        self._next_probe = now + PROBE_PERIOD
         try:
+            if not self.is_up:  # it could be opened, and would say so only at the first reading
+                raise NotThereError("the interface is down")
             self._bus = self._opener(self._spec, self._filters)
             self._reader = self._make_reader(self._bus, self._settings.buffer_bytes)
             self._drops_before = self.counts.kernel_drops
@@ -216,7 +232,6 @@ class Link:
         self.counts.opened += 1
         self.opened_at = now
         self._device_then = self.device
-        self._next_probe = now + PROBE_PERIOD
         self._bus_off_at = None
         log.log(logging.INFO if self.problem or self.counts.opened == 1 else logging.DEBUG, "%s: open", self.label)
         return True
@@ -269,7 +284,7 @@ class Link:
 
     def _lose(self, why: str, now: float) -> None:
         self.problem = why
-        log.warning("%s: %s; next attempt in %g s", self.label, why, self._wait)
+        log.warning("%s: %s; next attempt in at most %g s", self.label, why, self._wait)
         self._next_attempt = now + self._wait
         self._wait = min(2 * self._wait, LONGEST_WAIT)
         self._shut()

@@ -193,6 +193,8 @@ class Daemon:
             self.state, self.detail = State.SILENT, ""
         elif now - link.last_frame <= self._silence:
             self.state, self.detail = State.RECEIVING, ""
+        else:
+            self.state, self.detail = State.LISTENING, ""
         if self.state != before:
             detail = f" ({self.detail})" if self.detail else ""
             level = logging.WARNING if self.state == State.FAULT else logging.INFO

@@ -23,6 +23,7 @@ class State(StrEnum):
     """What the daemon is doing; only a fault needs somebody's attention."""
 
     WAITING = "waiting for interface"
+    LISTENING = "listening"  # open, and nothing heard yet
     SILENT = "ignition off"
     RECEIVING = "receiving"
     FAULT = "fault"

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from estimator.daemon import folders
-from estimator.daemon.assembly import Plan, assemble
+from estimator.daemon.assembly import Plan, assemble, rehearse
 from estimator.daemon.loop import PERIOD, Daemon
 from estimator.daemon.service import Notifier
 from estimator.errors import RoadloadError
@@ -44,7 +44,7 @@ class Signals:
 
 
 def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifier | None = None) -> None:
-    """Run until told to stop; on SIGHUP go on with the new configuration, or with the old one if that is wrong.
+    """Run until told to stop; on SIGHUP go on with the new configuration, or with the old one if that cannot be used.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
     while True:
         with folders.alone(folders.state_directory(plan.config.service)):
             daemon = assemble(plan, pipeline, notifier)
-            following = _serve(daemon, make_plan, signals, notifier)
+            following = _serve(daemon, plan, make_plan, signals, notifier)
         if following is None:
             return
         # The same vehicle and settings: what is known stays known, to the last frame.
@@ -67,7 +67,9 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
         plan = following
 
 
-def _serve(daemon: Daemon, make_plan: Callable[[], Plan], signals: Signals, notifier: Notifier) -> Plan | None:
+def _serve(
+    daemon: Daemon, plan: Plan, make_plan: Callable[[], Plan], signals: Signals, notifier: Notifier
+) -> Plan | None:
     """Turn a daemon until told to stop; returns the plan of the one that is to follow, if any."""
     following: Plan | None = None
     daemon.start()
@@ -76,7 +78,7 @@ def _serve(daemon: Daemon, make_plan: Callable[[], Plan], signals: Signals, noti
             daemon.turn()
             if signals.reload.is_set():
                 signals.reload.clear()
-                following = _reload(make_plan, notifier)
+                following = _reload(plan, make_plan, notifier)
     finally:
         if following is None:
             notifier.send("STOPPING=1")
@@ -84,12 +86,13 @@ def _serve(daemon: Daemon, make_plan: Callable[[], Plan], signals: Signals, noti
     return following
 
 
-def _reload(make_plan: Callable[[], Plan], notifier: Notifier) -> Plan | None:
+def _reload(running: Plan, make_plan: Callable[[], Plan], notifier: Notifier) -> Plan | None:
     notifier.reloading()
     try:
         following = make_plan()
+        rehearse(following, running)
     except RoadloadError as error:
-        log.error("the new configuration is wrong, the old one stays: %s", error)
+        log.error("the new configuration cannot be used, the old one stays: %s", error)
         notifier.send("READY=1")
         return None
     log.info("%s", "configuration read again")

@@ -13,12 +13,14 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from estimator.can_io.frames import Frames
+from estimator.daemon.boot import boot_id
 from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
 from estimator.pipeline import Pipeline
 
 log = logging.getLogger(__name__)
 
+BOOT = "boot"  # in a saved state: which start of the machine it is from
 SURVEY_PERIOD = 1.0  # s between refreshed `Knowledge`
 IDLE = 0.05  # s
 
@@ -56,7 +58,8 @@ class Worker:
     most
         Frames that may wait; newer ones are dropped and counted.
     store, key, save_interval
-        Where the state is kept, for which vehicle and configuration, and how often [s]; no store, no state.
+        Where the state is kept, for which vehicle and configuration, and how often [s] while driving adds to it; no
+        store, no state.
     clock
         Monotonic time [s].
     """
@@ -84,7 +87,8 @@ class Worker:
         self._busy_since: float | None = None
         self._survey_due = -float("inf")
         self._save_due = clock() + save_interval
-        self._fed = False  # anything new since the last save
+        self._fed = False  # since the last save
+        self._kept = pipeline.estimator.progress  # by the last save
         self._stop = False
         self._thread: threading.Thread | None = None
         self._t: float | None = None
@@ -138,24 +142,27 @@ class Worker:
             self._feed(Frames.concatenate(waiting), began)
         now = self._clock()
         if now >= self._save_due:
-            self.save()
+            self._save_due = now + self._interval
+            # Flash memory wears: what a vehicle at rest could add is not worth a write.
+            if self.pipeline.estimator.progress != self._kept:
+                self.save()
         if now >= self._survey_due:
             self._survey_due = now + SURVEY_PERIOD
             self.knowledge = self._survey()
         self._busy_since = None
 
     def save(self) -> None:
-        """Keep the state, if there is news and a place to keep it."""
-        self._save_due = self._clock() + self._interval
+        """Keep the state, if frames have come since and there is a place to keep it."""
         if self._store is None or not self._fed:
             return
+        progress = self.pipeline.estimator.progress
         try:
-            self._store.save(self.pipeline.state(), self._key)
+            self._store.save({**self.pipeline.state(), BOOT: boot_id()}, self._key)
         except (OSError, RoadloadError) as error:
             self.saves["failed"] += 1
             log.warning("state not saved: %s", error)
             return
-        self._fed = False
+        self._fed, self._kept = False, progress
         self.saves["saved"] += 1
         self.saved_at = self._clock()
 

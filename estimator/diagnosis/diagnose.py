@@ -31,6 +31,7 @@ from estimator.diagnosis.search import (
     Found,
     Joint,
     Search,
+    grade_sd,
     hidden_grade,
     pooled,
     probabilities,
@@ -43,7 +44,6 @@ from estimator.effects import BY_NAME, CATALOGUE, Effect, Timing
 from estimator.estimation.columns import PLAIN, Term, best_terms, columns
 from estimator.estimation.moments import block_means
 from estimator.signals import Floats, Quantity
-from estimator.units import STANDARD_GRAVITY
 
 SOMETHING = 3.0  # log Bayes factor below which there is no gap to speak of
 CLOSE = 10.0  # log Bayes factor by which a process may beat effects that leave nothing, and yet be them
@@ -102,7 +102,7 @@ class _Report:
     def __init__(self, result: Search, plain: tuple[Drive, ...], effects: Sequence[Effect], rng: np.random.Generator):
         self.result, self.plain, self.effects, self.rng = result, plain, effects, rng
         self.final = result.drives
-        self.grade = hidden_grade(result.ranking, result.at_first)
+        self.grade = hidden_grade(result.ranking, result.at_first, plain)
         self.longest = max(range(len(plain)), key=lambda i: len(plain[i].model.samples))
         best = result.at_last[0]
         self.left_variance = best.variance if best.log_bayes_factor > SOMETHING else 0.0
@@ -262,8 +262,7 @@ class _Report:
         others = [joint.log_bayes_factor for joint in self.result.ranking]
         before = self.steps[-1]
         model = self.final[self.longest].model
-        speed = float(np.sqrt(np.mean(model.samples.v**2)))
-        sd = float(np.sqrt(left.variance)) / (model.road_load[2] * STANDARD_GRAVITY * speed)
+        sd = grade_sd(left, self.plain)
         after = float(np.sqrt(self.floor))
         closed = 1.0 if before.mean_square > self.floor else 0.0
         return Finding(
@@ -322,12 +321,18 @@ class _Report:
             if named:
                 rivals = " or ".join([named[0].name, *named[0].equivalent])
                 return f"The drive shows {rivals}, and cannot tell which."
-            return f"There may be {self.result.ranking[0].name}, too weak on this drive to be sure."
+            best = self.result.ranking[0]
+            doubt = "too weak on this drive to be sure"
+            if best.log_bayes_factor > NAMED:
+                doubt = "but it does not foretell stretches of the drive that were kept from the fit"
+            return f"There may be {best.name}, {doubt}."
         if self.grade is not None:
             sd = 100 * named[0].magnitude.value
             seen = f"A force goes with the place like a grade of {sd:.1f} % sd, and no signal on the bus shows it"
             return f"{seen}; with one, the residual could fall from {base:.1f} to {self.floor**0.5 / 1e3:.1f} kW."
         sentences = [f"{f.name} ({f.magnitude.name} {_size(f.magnitude)})" for f in named]
+        if not self.result.chosen:
+            base = named[0].rms_before / 1e3
         return f"With {' and '.join(sentences)} in the model the residual falls from {base:.1f} to {final:.1f} kW."
 
     def _advice(self, verdict: Verdict, named: tuple[Finding, ...]) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from estimator.diagnosis.record import Record
 from estimator.diagnosis.shrinkage import HeldOut, held_out
 from estimator.effects import Effect, Timing
 from estimator.estimation.columns import Term, settled
+from estimator.units import STANDARD_GRAVITY
 
 NAMED = 5.0  # log Bayes factor over none that names an effect
 AHEAD = 3.0  # and over the next that is not of its class
@@ -29,6 +30,7 @@ UNEXPLAINED = 20.0  # evidence of a process, on what is left, beyond which somet
 TEMPER = 1.5
 RARE = 1.0  # log prior odds of none against any
 LAPSE = 0.03
+FLATTEST = 0.002  # sd of a grade
 MOST = 4  # effects that are looked for
 
 
@@ -111,7 +113,7 @@ def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
     drives, chosen = plain, list[Found]()
     first, most = ranked(plain, effects), 0.0
     at_first = _leftovers(plain)
-    if hidden_grade(first, at_first) is not None:
+    if hidden_grade(first, at_first, plain) is not None:
         return Search((), first, at_first, at_first, plain)
     while len(chosen) < MOST:
         ranking = first if not chosen else ranked(drives, effects)
@@ -214,20 +216,28 @@ def _kind(left: Leftover) -> str:
     return "swings" if left.name.startswith("swings") else left.name
 
 
-def hidden_grade(ranking: Sequence[Joint], processes: Sequence[Leftover]) -> Leftover | None:
+def hidden_grade(ranking: Sequence[Joint], processes: Sequence[Leftover], drives: Sequence[Drive]) -> Leftover | None:
     """A force that goes with the place and beats all that has a name: a grade that no signal shows, or None.
 
-    Every road has one, so it need only come near the best of other processes. A signal of the climb that explains
-    nothing speaks against it.
+    Every road has one, so it need only come near the best of other processes; but no road is so flat that a force
+    worth less than FLATTEST would be it. A signal of the climb that explains nothing speaks against it.
     """
     grade = next(left for left in processes if left.name == UNMEASURED_GRADE)
-    gravity = [joint.log_bayes_factor for joint in ranking if joint.effect.is_gravity]
-    named = max((joint.log_bayes_factor for joint in ranking if not joint.effect.is_gravity), default=0.0)
+    refuted = any(joint.effect.is_gravity for joint in ranking)
+    named = max((joint.log_bayes_factor for joint in ranking), default=0.0)
     evident = grade.log_bayes_factor > max(EVIDENT, named + AHEAD)
     best = processes[0].log_bayes_factor
     near = grade.log_bayes_factor > min(best - NAMED, NEAR * best)
-    refuted = bool(gravity)
-    return grade if evident and near and not refuted else None
+    steep = grade_sd(grade, drives) > FLATTEST
+    return grade if evident and near and steep and not refuted else None
+
+
+def grade_sd(force: Leftover, drives: Sequence[Drive]) -> float:
+    """Standard deviation of the grade [1] that would be such a force."""
+    model = max((drive.model for drive in drives), key=lambda model: len(model.samples))
+    speed = float(np.sqrt(np.mean(model.samples.v**2)))
+    mass = max(float(model.road_load[2]), 1.0)
+    return float(np.sqrt(force.variance)) / (mass * STANDARD_GRAVITY * speed)
 
 
 def probabilities(log_bayes_factors: Sequence[float]) -> list[float]:

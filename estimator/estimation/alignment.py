@@ -133,14 +133,18 @@ class Aligner:
         self._despike = despike
         self._bound = bound
         self._restart()
+        self.forget()
 
     def _restart(self) -> None:
         self._tracks: dict[tuple[Role, int], _Track] = {}
         self._power = _Track()
         self._powered_to = -np.inf
+        self._next: int | None = None
+
+    def forget(self) -> None:
+        """Forget what the engine has shown of itself: it may be another one."""
         self._friction = FrictionCurve()
         self._reference: float | None = None  # [N m] from before the start, until the bus sends it
-        self._next: int | None = None
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
         """Add a batch that ends at time ``now`` [s]; yields the rows that have become complete."""
@@ -161,18 +165,14 @@ class Aligner:
                 track.forget(horizon * STEP - SETTLE)
 
     def finish(self, now: float) -> Iterator[Rows]:
-        """The rows still waiting at time ``now`` [s] when nothing more comes; the aligner then starts anew."""
+        """The rows still waiting at time ``now`` [s] when nothing more comes; only the engine is remembered then."""
         yield from self.feed({}, now + SETTLE)
+        self._reference = self._newest_reference()
         self._restart()
 
     def state(self) -> dict[str, Any]:
         """What the engine has shown of itself; not the readings of the last seconds."""
-        heard = self._track(Role.REFERENCE_TORQUE).value
-        known = heard[np.isfinite(heard)]
-        return {
-            "friction": self._friction.state(),
-            "reference": float(known[-1]) if len(known) else self._reference,
-        }
+        return {"friction": self._friction.state(), "reference": self._newest_reference()}
 
     def restore(self, state: State) -> None:
         """Know of the engine what another aligner knew; for one that has not been fed.
@@ -184,6 +184,11 @@ class Aligner:
         """
         self._friction.restore(substate(state, "friction"))
         self._reference = read(state, "reference", Positive | None)
+
+    def _newest_reference(self) -> float | None:
+        heard = self._track(Role.REFERENCE_TORQUE).value
+        known = heard[np.isfinite(heard)]
+        return float(known[-1]) if len(known) else self._reference
 
     def _track(self, role: Role) -> _Track:
         return self._tracks.get((role, 0), _Track())

@@ -33,7 +33,7 @@ BLOCK = 200  # rows turned into samples at a time: 20 s
 CALIBRATION = 1800  # moving rows after which the smoother and the lag are settled: 3 min
 LONGEST_WAIT = 18_000  # rows kept waiting for that: 30 min
 PULLING = 0.1  # m/s^2
-HEARD = 0.5  # share of the time that a quantity must be known to be used
+HEARD = 0.05  # share of the first minutes in which a quantity must be known to be used
 NOTHING_COVERED = Coverage(0, 0)
 
 
@@ -92,6 +92,11 @@ class Estimator:
     def latest(self) -> Estimate | None:
         """The newest conclusion; None before the first, and between `restore` and `resume`."""
         return None if self._resting else self._latest
+
+    @property
+    def progress(self) -> tuple[int, int, int]:
+        """Changes with all that is learnt: rows heard in motion, samples admitted, and those at the last estimate."""
+        return self._moving, self.window.added, self._at_last
 
     @property
     def evidence(self) -> Evidence | None:

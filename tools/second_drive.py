@@ -1,0 +1,98 @@
+"""What a diagnosis promises on one drive, and what its configuration line reaches on another of the same truck.
+
+python tools/second_drive.py [--effect NAME ...] [--minutes 60] [--seed 1] [--json]
+
+For each effect one simulated truck makes two drives on different roads, the effect in both. The first is diagnosed:
+that is the promise. The second is diagnosed without and with `--effect` for what was named on the first: that is what
+was reached. Both together are diagnosed jointly.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from real_recordings import Diagnosis, diagnose, print_table, roadload, share_text
+
+from estimator.effects import BY_NAME
+from estimator.errors import RoadloadError
+
+# Those that the model can take as they are, and a usual size of which shows on one drive.
+EFFECTS = ("grade", "headwind", "warm_up", "load_loss", "torque_bias", "auxiliary_load", "cornering", "sensor_drift")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two drives of one truck with one effect."""
+
+    first: Path
+    second: Path
+
+
+def simulate_pair(effect: str, minutes: float, seed: int, folder: Path) -> Pair:
+    """Write two logs; the second truck is the first one's equal."""
+    pair = Pair(folder / f"{effect}-1.blf", folder / f"{effect}-2.blf")
+    common = ["--minutes", str(minutes), "--effect", effect]
+    truth: dict[str, Any] = roadload("simulate", pair.first, *common, "--seed", str(seed))["truth"]
+    same = ["--mass", str(truth["mass_kg"]), "--A", str(truth["A_N"]), "--C", str(truth["C_N_s2_m2"])]
+    roadload("simulate", pair.second, *common, *same, "--seed", str(seed + 1))
+    return pair
+
+
+def row(effect: str, pair: Pair) -> dict[str, str]:
+    """Promise of the first drive and what is reached on the second, by what the first one named."""
+    promise = diagnose(pair.first)
+    able = [name for name in promise.named if name in BY_NAME and BY_NAME[name].streams]
+    plain = diagnose(pair.second)
+    extended = diagnose(pair.second, *(word for name in able for word in ("--effect", name))) if able else plain
+    together = diagnose(pair.first, pair.second)
+    return {
+        "effect": effect,
+        "named on drive 1": ", ".join(promise.named) or promise.verdict,
+        "promised": share_text(promise.promised and promise.promised[0]),
+        "its interval": "-" if promise.promised is None else " .. ".join(map(share_text, promise.promised[1:])),
+        "reached on drive 2": share_text(_reached(plain, extended)) if able else "-",
+        "kW before": "-" if plain.rms_base is None else f"{plain.rms_base:.2f}",
+        "kW after": "-" if extended.rms_base is None else f"{extended.rms_base:.2f}",
+        "left on drive 2": ", ".join(extended.named) or extended.verdict,
+        "named on both": ", ".join(together.named) or together.verdict,
+    }
+
+
+def _reached(plain: Diagnosis, extended: Diagnosis) -> float | None:
+    """Share of the gap above the noise floor of the extended model that is closed."""
+    if plain.rms_base is None or extended.rms_base is None or extended.floor is None:
+        return None
+    gap = plain.rms_base**2 - extended.floor**2
+    return None if gap <= 0 else 1 - (extended.rms_base**2 - extended.floor**2) / gap
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Simulate, diagnose, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--effect", action="append", metavar="NAME", help=f"default: {', '.join(EFFECTS)}")
+    parser.add_argument("--minutes", type=float, default=60.0, help="of each drive; default: %(default)g")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args(arguments)
+    rows = []
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            for i, effect in enumerate(options.effect or EFFECTS):
+                pair = simulate_pair(effect, options.minutes, options.seed + 2 * i, Path(folder))
+                rows.append(row(effect, pair))
+    except RoadloadError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_status
+    if options.json:
+        print(json.dumps(rows, indent=2))
+    else:
+        print_table("a second drive of the same truck", rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,102 @@
+"""Clean drives with the noise of real ones: the speed that was measured, the power of a model, a surrogate residual.
+
+The model is fitted with the accelerometer revealed, so that hills are not in its residual. The surrogate is a
+Gaussian process with that residual's own spectrum (phase randomisation: Theiler et al. 1992, Physica D 58). Its power
+obeys the road load of a flat road, so whatever a diagnosis names on such a drive is a false alarm; slow swings of
+the real residual are still in it, so "unknown effect" is not.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.signal import welch
+from table import Table
+from table_to_log import frames_of_table
+
+from estimator.can_io.binding import load_database
+from estimator.can_io.recorder import write_log
+from estimator.config import Config
+from estimator.diagnosing import NEVER, drives
+from estimator.diagnosis.model import fit, select
+from estimator.estimation import kinematics
+from estimator.pipeline import Pipeline
+from estimator.replay import read
+from estimator.road_load import design
+from estimator.samples import STEP, Rows
+from estimator.signals import Floats, Role
+
+SEGMENT = 4096  # samples, 7 min: spectra are means over stretches of this length
+TURNING = 10.0  # rad/s, of the motor, below which its torque is taken as zero
+MAP = ["MOTION.VehicleSpeed=m/s*3.6", "MOTOR.MotorTorque=Nm", f"MOTOR.MotorSpeed=rad/s*{30 / np.pi:.6f}"]
+
+
+@dataclass(frozen=True)
+class Original:
+    """A real drive on the time grid, arrays (n,): ``speed`` as measured [m/s], model ``power`` [W], ``motor`` [rad/s].
+
+    ``frequency`` [Hz] and ``spectrum`` [W^2/Hz] are of the residual that the model left.
+    """
+
+    speed: Floats
+    motor: Floats
+    power: Floats
+    frequency: Floats
+    spectrum: Floats
+
+    @property
+    def noise(self) -> float:
+        """Root mean square [W] of the residual."""
+        return float(np.sqrt(np.trapezoid(self.spectrum, self.frequency)))
+
+
+def original(log: Path, config: Config) -> Original | None:
+    """The drive in ``log`` and what a model that feels the grade leaves of it; None where it cannot be fitted."""
+    record = drives(log, config, lambda share: None)[0]
+    kept = select(record.samples)
+    model = None if kept is None else fit(record.samples[kept])
+    if model is None:
+        return None
+    rows = _rows(log, config)
+    speed = rows.plausible_speed
+    smoother = kinematics.smoother_kernels(kinematics.fit_ratio(speed, STEP), STEP)
+    v, a = kinematics.convolve(speed, smoother.value), kinematics.convolve(speed, smoother.slope)
+    residual = model.base.residual
+    frequency, spectrum = welch(residual, 1 / STEP, nperseg=min(SEGMENT, len(residual)), detrend="constant")
+    return Original(rows.speed, rows.context[Role.ENGINE_SPEED], design(v, a) @ model.road_load, frequency, spectrum)
+
+
+def _rows(log: Path, config: Config) -> Rows:
+    """The time grid of a log; nothing is estimated."""
+    parts: list[Rows] = []
+    plain = msgspec.structs.replace(config, gate=msgspec.structs.replace(config.gate, interval_s=NEVER))
+    pipeline = Pipeline(plain, tap=parts.append)
+    for frames in read([log], lambda share: None, Counter()):
+        for _ in pipeline.feed(frames):
+            pass
+    for _ in pipeline.finish():
+        pass
+    return Rows.concatenate(*parts)
+
+
+def surrogate(like: Original, rng: np.random.Generator) -> Floats:
+    """Residual [W] (n,) with the spectrum of the real one and random phases."""
+    n = len(like.power)
+    density = np.interp(np.fft.rfftfreq(n, STEP), like.frequency, like.spectrum)
+    phases = rng.standard_normal((2, len(density)))
+    noise: Floats = np.fft.irfft(np.sqrt(density * n / STEP / 4) * (phases[0] + 1j * phases[1]), n)
+    return noise
+
+
+def write_surrogate(like: Original, dbc: Path, log: Path, rng: np.random.Generator) -> None:
+    """A clean drive as CAN frames of ``dbc``: the measured speed, and the torque of the model plus a surrogate."""
+    power = like.power + surrogate(like, rng)
+    turning = np.isfinite(power) & (like.motor > TURNING)
+    torque = np.where(turning, power, 0.0) / np.where(turning, like.motor, 1.0)
+    columns = {"m/s": like.speed, "Nm": torque, "rad/s": like.motor}
+    cells = {name: values.tolist() for name, values in columns.items()}
+    table = Table(log, list(range(1, len(power) + 1)), cells)
+    frames, _ = frames_of_table(table, np.arange(len(power)) * STEP, load_database([str(dbc)]), MAP)
+    write_log(frames, log)
