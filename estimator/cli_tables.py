@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from estimator.effects import BY_NAME
 from estimator.estimate import Marginal, Status
 from estimator.replay import Run
 
@@ -28,6 +29,11 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     console.print(Text.assemble((final.status.value, f"bold {style}"), reason), soft_wrap=True)
     if final.mass is not None:
         console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
+    for name in pipeline.effects:
+        size = final.effects.get(name)
+        what = BY_NAME[name]
+        found = "" if size is None else f": {size.mean:.4g} {what.unit} ({size.q05:.4g} .. {size.q95:.4g})"
+        say(console, f"effect    {name}{found}")
     evidence = pipeline.estimator.evidence
     if evidence is not None:
         say(console, f"lag       power comes {evidence.lag:.2f} s after speed, and has been aligned")

@@ -63,7 +63,7 @@ def rank(answer: Answer, name: str) -> float:
 def test_a_clean_drive_has_no_gap_however_noisy_its_speed(diagnose, speed_noise, resolution):
     """Noise of dv/dt is in the residual and in what a candidate makes of the force at once: a trap named load_loss."""
     seed = round(1000 * speed_noise)
-    answer = diagnose(drive("mixed", 25, seed, speed_noise=speed_noise, torque_resolution=resolution))
+    answer = diagnose(drive("mixed", 20, seed, speed_noise=speed_noise, torque_resolution=resolution))
     assert (answer["verdict"], named(answer), answer["configuration"]) == ("no gap", [], "")
     for name in ("load_loss", "mass_step", "sensor_drift", "rotating_inertia"):
         assert rank(answer, name) < 3

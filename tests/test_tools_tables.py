@@ -20,7 +20,7 @@ from estimator.signals import Role
 from estimator.units import STANDARD_GRAVITY
 
 TOOLS = Path(__file__).parents[1] / "tools"
-ROOMS = ("table", "table_to_log", "real_recordings", "second_world", "fastsim_world")
+ROOMS = ("table", "table_to_log", "surrogates", "real_recordings", "second_world", "second_drive", "fastsim_world")
 CAR = """VERSION ""
 NS_ :
 BS_:
@@ -41,7 +41,9 @@ def tools(monkeypatch):
     import fastsim_world.roads
     import fastsim_world.truck
     import real_recordings
+    import second_drive
     import second_world
+    import surrogates
     import table
     import table_to_log
 
@@ -51,6 +53,8 @@ def tools(monkeypatch):
         to_log=table_to_log,
         recordings=real_recordings,
         second=second_world,
+        pair=second_drive,
+        surrogates=surrogates,
         roads=world.roads,
         truck=world.truck,
         bus=world.bus,
@@ -401,6 +405,82 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
     }
     with pytest.raises(RoadloadError, match="no such trip; there are TripA02"):
         list(tools.recordings.bmw(tmp_path, tmp_path, ["TripZ99"]))
+
+
+MOTOR_CAR = """VERSION ""
+NS_ :
+BS_:
+BU_:
+BO_ 256 MOTION: 8 CAR
+ SG_ VehicleSpeed : 0|16@1+ (0.01,0) [0|655] "km/h" Vector__XXX
+BO_ 257 MOTOR: 8 CAR
+ SG_ MotorTorque : 0|16@1- (0.1,0) [-3000|3000] "N.m" Vector__XXX
+ SG_ MotorSpeed : 16|16@1+ (1,0) [0|65535] "rpm" Vector__XXX
+"""
+MOTOR_BINDING = """[bus]
+dbc = ["motor.dbc"]
+[signals]
+speed = "MOTION.VehicleSpeed"
+engine_torque = "MOTOR.MotorTorque"
+engine_speed = "MOTOR.MotorSpeed"
+[prior]
+mass_kg = [500, 5000]
+"""
+
+
+@pytest.fixture
+def original(tools):
+    """Half an hour of a car, and the spectrum of noise that is correlated over seconds."""
+    t = np.arange(0.0, 1800.0, 0.1)
+    v = 14 + 6 * np.sin(t / 11) + 4 * np.sin(t / 29)
+    a = 6 / 11 * np.cos(t / 11) + 4 / 29 * np.cos(t / 29)
+    frequency = np.linspace(0.0, 5.0, 2049)
+    spectrum = 4e6 / (1 + (frequency / 0.05) ** 2)
+    truth = np.array([200.0, 0.4, 1600.0])
+    return tools.surrogates.Original(v, 27.65 * v, design(v, a) @ truth, frequency, spectrum)
+
+
+def test_a_surrogate_has_the_spectrum_of_the_residual(tools, original):
+    rng = np.random.default_rng(5)
+    drawn = np.array([tools.surrogates.surrogate(original, rng) for _ in range(40)])
+    assert drawn.std() == pytest.approx(original.noise, rel=0.05)
+    power = (np.abs(np.fft.rfft(drawn)) ** 2).mean(axis=0) * 2 * 0.1 / drawn.shape[1]
+    frequency = np.fft.rfftfreq(drawn.shape[1], 0.1)
+    for low, high in ((0.01, 0.03), (0.1, 0.2), (1.0, 2.0)):
+        band, same = (frequency > low) & (frequency < high), (original.frequency > low) & (original.frequency < high)
+        assert power[band].mean() == pytest.approx(original.spectrum[same].mean(), rel=0.15)
+
+
+def test_a_surrogate_drive_obeys_the_road_load(tools, original, tmp_path):
+    (tmp_path / "motor.dbc").write_text(MOTOR_CAR)
+    (tmp_path / "motor.toml").write_text(MOTOR_BINDING)
+    log = tmp_path / "drive.blf"
+    tools.surrogates.write_surrogate(original, tmp_path / "motor.dbc", log, np.random.default_rng(6))
+    final = estimate([log], config.load(tmp_path / "motor.toml"), lambda share: None).final
+    assert final.mass.mean == pytest.approx(1600.0, abs=4 * final.mass.sd)
+    assert final.mass.sd < 40
+    assert final.A.mean == pytest.approx(200.0, abs=4 * final.A.sd)
+
+
+def test_what_a_drive_promises_is_tried_on_another(tools, tmp_path, monkeypatch):
+    asked = []
+
+    def roadload(command, *arguments):
+        asked.append((command, *map(str, arguments)))
+        if command == "simulate":
+            return {"truth": {"mass_kg": 2e4, "A_N": 1500.0, "C_N_s2_m2": 3.5}}
+        extended = "--effect" in arguments
+        return answer(verdict="no gap", base=13.0, final=13.0) if extended else answer("grade", "mass_step")
+
+    monkeypatch.setattr(tools.recordings, "roadload", roadload)
+    monkeypatch.setattr(tools.pair, "roadload", roadload)
+    pair = tools.pair.simulate_pair("grade", 30, 7, tmp_path)
+    row = tools.pair.row("grade", pair)
+    assert asked[1][-8:] == ("--mass", "20000.0", "--A", "1500.0", "--C", "3.5", "--seed", "8")
+    assert asked[-2] == ("diagnose", str(pair.second), "--effect", "grade")  # what has times cannot be configured
+    assert row["promised"] == "90 %"
+    assert row["reached on drive 2"] == f"{100 * (1 - (13**2 - 25) / (40**2 - 25)):.0f} %"
+    assert (row["kW before"], row["kW after"], row["left on drive 2"]) == ("40.00", "13.00", "no gap")
 
 
 def test_without_recordings_there_is_one_line(tools, tmp_path, monkeypatch, capsys):

@@ -36,6 +36,7 @@ from estimator.can_io.binding import bind, load_database
 from estimator.config import Config
 from estimator.daemon.assembly import estimation_key
 from estimator.daemon.filters import input_filters
+from estimator.daemon.worker import Worker
 from estimator.pipeline import Pipeline
 from estimator.state_store import StateStore
 
@@ -82,12 +83,11 @@ def write_state(folder: Path, minutes: float) -> None:
     settings = folder / "roadload.toml"
     settings.write_text(SETTINGS.format(folder=folder))
     config = configuration.load(settings)
-    pipeline = Pipeline(config)
     if minutes:
         frames = traffic.drive(60 * minutes, seed=1)
-        for _ in pipeline.feed(replace(frames, t=frames.t - frames.t[-1] + time.time())):
-            pass
-    StateStore(folder).save(pipeline.state(), estimation_key(config))
+        worker = Worker(Pipeline(config), len(frames), StateStore(folder), estimation_key(config))
+        worker.offer(replace(frames, t=frames.t - frames.t[-1] + time.time()))
+        worker.close()
 
 
 def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float) -> dict:

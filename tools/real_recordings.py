@@ -259,14 +259,10 @@ def surrogates(folder: Path, work: Path, trips: list[str], count: int) -> Iterat
             | _counted(verdicts)
             | {"named": ", ".join(_names(answer) for answer in said if answer.named) or "-"}
         )
-    alarm = binomtest(total["effect"], total.total()).proportion_ci(0.95, method="wilson")
-    yield (
-        {"like": "all", "kW of noise": "-"}
-        | _counted(total)
-        | {
-            "named": f"of all {share_text(total['effect'] / total.total())} ({share_text(alarm.low)} .. {share_text(alarm.high)})"
-        }
-    )
+    alarms, drawn = total["effect"], total.total()
+    interval = binomtest(alarms, drawn).proportion_ci(0.95, method="wilson")
+    alarm, low, high = map(share_text, (alarms / drawn, interval.low, interval.high))
+    yield {"like": "all", "kW of noise": "-"} | _counted(total) | {"named": f"in {alarm} ({low} .. {high})"}
 
 
 def _counted(verdicts: Counter[str]) -> dict[str, str]:

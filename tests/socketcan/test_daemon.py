@@ -27,6 +27,7 @@ from estimator.can_io.recorder import frames_of, write_log
 from estimator.config import load
 from estimator.daemon.assembly import estimation_key, plan
 from estimator.daemon.supervision import Signals, supervise
+from estimator.daemon.worker import Worker
 from estimator.pipeline import Pipeline
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
@@ -116,11 +117,10 @@ def values(message: can.Message) -> dict[str, float | str]:
 def remember(drive: Frames, settings: Path) -> None:
     """Leave the state of a daemon that heard the first part of the drive, until half a minute ago."""
     config = load(settings)
-    pipeline = Pipeline(config)
     before = drive[drive.t - drive.t[0] < KNOWN]
-    for _ in pipeline.feed(replace(before, t=before.t - before.t[-1] + time.time() - 30)):
-        pass
-    StateStore(settings.parent).save(pipeline.state(), estimation_key(config))
+    worker = Worker(Pipeline(config), len(before), StateStore(settings.parent), estimation_key(config))
+    worker.offer(replace(before, t=before.t - before.t[-1] + time.time() - 30))
+    worker.close()
 
 
 @contextmanager
