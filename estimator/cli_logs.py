@@ -85,6 +85,7 @@ def _settings(options: argparse.Namespace) -> Config:
         settings = msgspec.structs.replace(settings, effects=[*settings.effects, *options.effect])
     if getattr(options, "seed", None) is not None:
         settings = config.replace(settings, sampler=msgspec.structs.replace(settings.sampler, seed=options.seed))
+    config.check(settings)
     return settings
 
 

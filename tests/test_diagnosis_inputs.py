@@ -28,9 +28,7 @@ STILL = {
     Role.GEAR: 12.0,
     Role.PARK_BRAKE: 0.0,
 }
-NOTHING = {
-    "effects", "candidates", "where", "invisible", "advice",
-}  # fmt: skip
+NOTHING = ("effects", "candidates", "where", "invisible", "advice")
 
 
 @pytest.fixture(scope="module")

@@ -56,10 +56,11 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class Parameters(msgspec.Struct, frozen=True):
-    """A, C, m of the plain model and of that with the effects; null where there is no fit."""
+    """A, C, m of the plain model and of that with the effects, and sd of the latter; null where there is no fit."""
 
     base: dict[str, float | None] | None = None
     final: dict[str, float | None] | None = None
+    sd: dict[str, float | None] | None = None
 
 
 class Answer(msgspec.Struct, frozen=True):

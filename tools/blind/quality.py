@@ -6,10 +6,11 @@ import numpy as np
 
 from blind import answer
 from blind.case import Case, Measure, seen, share_of
-from blind.intervals import Floats, bootstrap, calibration_error
+from blind.intervals import Floats, bootstrap, calibration_error, share
 from blind.truth import HIDDEN, key_of
 
 LATE = 10.0  # s, the most that a log of 75 minutes may take
+NINETY = 1.645  # sd to either side of a Gaussian that hold 90 %
 CLOSE = 0.03  # of the gap closed
 
 
@@ -95,14 +96,21 @@ def parameters(cases: Sequence[Case]) -> list[Measure]:
     good = [c for c in good if not answer.invented(c.truth, c.run) and all(answer.found(c.truth, c.run))]
     for key, label in (("mass_kg", "mass"), ("A_N", "A"), ("C_N_s2_m2", "C")):
         errors = []
+        held: dict[str, bool] = {}
         for case in good:
-            final = case.run.answer.parameters.final if case.run.answer is not None else None
-            value = None if final is None else final.get(key)
+            said = case.run.answer.parameters if case.run.answer is not None else answer.Parameters()
+            value, sd = (None if part is None else part.get(key) for part in (said.final, said.sd))
             if value is not None:
                 errors.append(value / case.truth.parameters[key] - 1.0)
+            if value is not None and sd is not None:
+                held[case.truth.drive] = abs(value - case.truth.parameters[key]) < NINETY * sd
         x = 100 * _array(errors)
         lines.append(Measure(f"{label} with the right effects: median error", "0 %", bootstrap(_median, x), "per cent"))
         lines.append(Measure(f"{label} with the right effects: rms error", "small", bootstrap(_rms, x), "per cent"))
+        with_sd = [case.truth.drive for case in good if case.truth.drive in held]
+        failures = tuple(drive for drive in with_sd if not held[drive])
+        line = share(len(with_sd) - len(failures), len(with_sd))
+        lines.append(Measure(f"its 90 % interval holds {label}", "85..95 %", line, failures=failures))
     return lines
 
 
