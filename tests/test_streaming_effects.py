@@ -120,7 +120,6 @@ def test_what_contradicts_an_effect_is_refused(bends, tmp_path, capsys, command,
     assert complaint in refused(capsys, command, bends, "--config", file)
 
 
-@pytest.mark.xfail(strict=True, reason="--effect is added to the configuration after it was checked")
 @pytest.mark.parametrize(("table", "complaint"), CONFLICTS)
 @pytest.mark.parametrize("command", ["estimate", "diagnose"])
 def test_the_command_line_is_checked_like_the_file(bends, tmp_path, capsys, command, table, complaint):

@@ -4,7 +4,7 @@ Usual magnitudes are those of a heavy truck; what is not relative already goes w
 """
 
 from collections.abc import Callable, Sequence
-from math import pi
+from math import degrees, pi
 
 import numpy as np
 
@@ -83,6 +83,7 @@ CATALOGUE: tuple[Effect, ...] = (
         usual=_always(USUAL_WIND),
         needs=(Quantity.HEADING,),
         shapes=WINDS,
+        describe=lambda wind: f"from {degrees(wind[0]):.0f} deg",
         breaks="the way back over the same road, with the heading on the bus",
     ),
     Effect(
@@ -107,6 +108,7 @@ CATALOGUE: tuple[Effect, ...] = (
         usual=_always(0.25),
         needs=(Quantity.ELAPSED,),
         shapes=WARM_UP_TIMES,
+        describe=lambda time: f"time constant {time / 60:.0f} min",
         breaks="a drive that starts with warm tyres",
     ),
     Effect(

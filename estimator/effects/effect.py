@@ -90,6 +90,8 @@ class Effect:
         Context without which it cannot be computed.
     shapes
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
+    describe
+        A shape in words.
     timing
         When it acts.
     at_rest
@@ -117,6 +119,7 @@ class Effect:
     positive: bool = True
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
+    describe: Callable[[Shape], str] | None = None
     timing: Timing = Timing.ALWAYS
     at_rest: Callable[[float], float] | None = None
     dwells: tuple[float, ...] = (200.0,)

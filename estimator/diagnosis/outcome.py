@@ -1,0 +1,107 @@
+"""A finished search with the numbers that all of its report rests on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from estimator.diagnosis.hills import hidden_grade
+from estimator.diagnosis.joint import Drive, Joint, pooled, same_class
+from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover
+from estimator.diagnosis.result import Verdict
+from estimator.diagnosis.search import Found, Search
+from estimator.diagnosis.shrinkage import HeldOut
+from estimator.diagnosis.thresholds import AHEAD, EVIDENT, NAMED, SOMETHING, UNEXPLAINED
+from estimator.effects import Effect
+
+CLOSE = 10.0  # log Bayes factor by which a process may beat effects that leave nothing, and yet be them
+LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
+LOWEST_FLOOR = 0.05  # of the squared residual: some of it is always noise
+LARGEST_DOUBT = 0.5
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found on the ``plain`` models, and what randomness the bootstrap may use."""
+
+    result: Search
+    plain: tuple[Drive, ...]
+    effects: Sequence[Effect]
+    rng: np.random.Generator
+
+    @property
+    def final(self) -> tuple[Drive, ...]:
+        """The drives with all chosen effects."""
+        return self.result.drives
+
+    @cached_property
+    def longest(self) -> int:
+        """The drive that stands for all where one has to."""
+        return max(range(len(self.plain)), key=lambda i: len(self.plain[i].model.samples))
+
+    @cached_property
+    def grade(self) -> Leftover | None:
+        """A grade that no signal shows."""
+        return hidden_grade(self.result.ranking, self.result.at_first, self.plain)
+
+    @cached_property
+    def steps(self) -> list[HeldOut]:
+        """Held-out residuals before each chosen effect, and after the last, on the samples of the final model."""
+        return [pooled(drives, self.final) for drives in (*(f.before for f in self.result.chosen), self.final)]
+
+    @property
+    def left(self) -> Leftover:
+        """The process with most evidence on what is left."""
+        return self.result.at_last[0]
+
+    @property
+    def doubt(self) -> float:
+        """Share of what is taken for noise that a process could still be hiding."""
+        return min(self.left.variance / self.steps[-1].mean_square, LARGEST_DOUBT)
+
+    @property
+    def floor(self) -> float:
+        """Mean square [W^2] of what no effect could take away."""
+        after = self.steps[-1].mean_square
+        hidden = self.left.variance if self.left.log_bayes_factor > SOMETHING else 0.0
+        return max(after - hidden, LOWEST_FLOOR * after)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What the evidence comes to, a lag left aside."""
+        chosen, left = self.result.chosen, self.left.log_bayes_factor
+        if self.grade is not None:
+            return Verdict.EFFECT
+        if not chosen:
+            if left > EVIDENT:
+                return Verdict.UNKNOWN
+            best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
+            return Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP
+        at_first = self.result.at_first[0].log_bayes_factor
+        first = self.result.ranking[0].log_bayes_factor
+        total = max(first, sum(found.joint.log_bayes_factor for found in chosen))
+        outdone = first < at_first + AHEAD or left > LEFT * max(at_first, total)
+        # What a poor altimeter leaves of the hills goes with the place.
+        place = next(other for other in self.result.at_last if other.name == UNMEASURED_GRADE)
+        hills = any(f.joint.effect.is_gravity for f in chosen) and place.log_bayes_factor > left - NAMED
+        if not hills and (total < at_first - CLOSE or (left > UNEXPLAINED and outdone)):
+            return Verdict.UNKNOWN
+        return Verdict.CANNOT_TELL if ties(chosen[0]) else Verdict.EFFECT
+
+
+def _close(found: Found) -> list[Joint]:
+    """Effects that come within AHEAD of one that was chosen."""
+    limit = found.joint.log_bayes_factor - AHEAD
+    return [joint for joint in found.ranking if joint is not found.joint and joint.log_bayes_factor > limit]
+
+
+def ties(found: Found) -> list[str]:
+    """Names close to one that was chosen, of another class: another drive could tell."""
+    return [joint.name for joint in _close(found) if not same_class(found.joint, joint)]
+
+
+def alike(found: Found) -> list[str]:
+    """Names of its class that are close to one that was chosen, and those declared equivalent."""
+    near = {joint.name for joint in _close(found) if same_class(found.joint, joint)}
+    return sorted(near | set(found.joint.effect.equivalent))
