@@ -155,13 +155,6 @@ class Samples:
         context = {quantity: values[part] for quantity, values in self.context.items()}
         return Samples(**{name: values[part] for name, values in self._arrays().items()}, context=context)
 
-    def packed(self) -> "Samples":
-        """A copy in one piece of memory: little arrays that are kept for hours each hold on to a page of their own."""
-        plain = self._arrays()
-        values = np.stack([*plain.values(), *self.context.values()])
-        context = dict(zip(self.context, values[len(plain) :], strict=True))
-        return Samples(**dict(zip(plain, values, strict=False)), context=context)
-
     @classmethod
     def concatenate(cls, parts: "list[Samples]") -> "Samples":
         """Join in order; no parts give no samples."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.fft import dct
 from scipy.signal import lfilter
 
 from estimator.estimation import moments
@@ -178,3 +179,10 @@ def test_intervals_cover(rho):
         assert fit is not None
         hits += np.abs(fit.theta[:3] - THETA) < stats.t(fit.dof).ppf(0.95) * fit.sd[:3]
     assert np.all((hits >= 168) & (hits <= 192)), hits
+
+
+@pytest.mark.parametrize("n", [24, 25, 1009])
+def test_cosine_transforms_are_scipys(n):
+    x = np.random.default_rng(n).normal(size=(n, 3))
+    expected = dct(x, axis=0, norm="ortho")[1 : n // 2 + 1]
+    np.testing.assert_allclose(moments.cosine_transform(x, n // 2), expected, atol=1e-12)

@@ -18,7 +18,7 @@ from estimator.effects import BY_NAME, Timing
 from estimator.estimation.columns import PLAIN, Spans, Term
 from estimator.signals import Quantity
 
-ORDINARY_LAG = 0.12  # s, between control units
+ORDINARY_LAG = (-0.06, 0.12)  # s, of power behind speed: torque takes longer to the bus
 SURE_LAG = 4.0  # sd beyond it
 CORRELATED = 4.0  # residuals of 2 s that count as one
 HILL = 300.0  # samples in which the road changes its grade
@@ -38,7 +38,7 @@ def _chosen(outcome: Outcome, i: int, found: Found) -> Finding:
     earlier = outcome.final[which].without(joint.name).model
     return Finding(
         joint.name,
-        _probability(outcome, found),
+        outcome.probability(found),
         joint.log_bayes_factor,
         (*alike(found), *ties(found)),
         _magnitude(final, candidate),
@@ -49,13 +49,6 @@ def _chosen(outcome: Outcome, i: int, found: Found) -> Finding:
         _clock(outcome, which, term.spans or ()),
         _detail(term),
     )
-
-
-def _probability(outcome: Outcome, found: Found) -> float:
-    rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
-    if len(outcome.result.chosen) == 1:
-        rivals.append(outcome.result.at_first[0].log_bayes_factor)
-    return probabilities([found.joint.log_bayes_factor, *rivals])[0]
 
 
 def _clock(outcome: Outcome, which: int, spans: Spans) -> Spans:
@@ -93,7 +86,7 @@ def lag(outcome: Outcome) -> Finding | None:
     model, s = drive.model, drive.model.samples
     late = drive.record.lag + float(model.base.theta[PLAIN - 1])
     sd = parameter_sd(model.base, PLAIN - 1)
-    if abs(late) - ORDINARY_LAG < SURE_LAG * sd:
+    if max(late - ORDINARY_LAG[1], ORDINARY_LAG[0] - late) < SURE_LAG * sd:
         return None
     # As if nobody had aligned: the power of lag seconds ago, to first order, and no column for its rate.
     unaligned = replace(s, P=s.P - late * s.dP)

@@ -12,10 +12,10 @@ from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover
 from estimator.diagnosis.result import Verdict
 from estimator.diagnosis.search import Found, Search
 from estimator.diagnosis.shrinkage import HeldOut
-from estimator.diagnosis.thresholds import AHEAD, EVIDENT, NAMED, SOMETHING, UNEXPLAINED
+from estimator.diagnosis.thresholds import AHEAD, EVIDENT, NAMED, SOMETHING, UNEXPLAINED, probabilities
 from estimator.effects import Effect
 
-CLOSE = 10.0  # log Bayes factor by which a process may beat effects that leave nothing, and yet be them
+LIKELY = 0.5  # probability below which an effect is not named
 LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
 LOWEST_FLOOR = 0.05  # of the squared residual: some of it is always noise
 LARGEST_DOUBT = 0.5
@@ -67,6 +67,13 @@ class Outcome:
         hidden = self.left.variance if self.left.log_bayes_factor > SOMETHING else 0.0
         return max(after - hidden, LOWEST_FLOOR * after)
 
+    def probability(self, found: Found) -> float:
+        """Of a chosen effect, among all that the drive was asked about when it was chosen."""
+        rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
+        if len(self.result.chosen) == 1:
+            rivals.append(self.result.at_first[0].log_bayes_factor)
+        return probabilities([found.joint.log_bayes_factor, *rivals])[0]
+
     @cached_property
     def verdict(self) -> Verdict:
         """What the evidence comes to, a lag left aside."""
@@ -85,9 +92,12 @@ class Outcome:
         # What a poor altimeter leaves of the hills goes with the place.
         place = next(other for other in self.result.at_last if other.name == UNMEASURED_GRADE)
         hills = any(f.joint.effect.is_gravity for f in chosen) and place.log_bayes_factor > left - NAMED
-        if not hills and (total < at_first - CLOSE or (left > UNEXPLAINED and outdone)):
-            return Verdict.UNKNOWN
-        return Verdict.CANNOT_TELL if ties(chosen[0]) else Verdict.EFFECT
+        if not hills and (total < at_first or (left > UNEXPLAINED and outdone)):
+            return Verdict.UNKNOWN if max(at_first, left) > EVIDENT else Verdict.CANNOT_TELL
+        if hills:
+            return Verdict.EFFECT
+        alone = self.probability(chosen[0]) < LIKELY
+        return Verdict.CANNOT_TELL if alone or ties(chosen[0]) else Verdict.EFFECT
 
 
 def _close(found: Found) -> list[Joint]:

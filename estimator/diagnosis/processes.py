@@ -1,6 +1,6 @@
 """What is left, with no name: Gaussian processes that any unmodelled effect would excite.
 
-The residual is averaged over GRAIN of admitted driving, where noise of dv/dt is gone and what remains of the sensors'
+The residual is averaged over some seconds of admitted driving: noise of dv/dt is gone, and what remains of the sensors'
 noise is a first-order autoregression. A process adds the covariance s^2 g_i k(x_i, x_j) g_j: a force, power or drag g
 that wanders over time or distance x, or goes with gear, speed or power alone. Its evidence is the marginal likelihood
 of the averaged residual with A, C, m refitted (diffuse), averaged over its scales, divided by that of noise alone.
@@ -19,8 +19,9 @@ from estimator.diagnosis.model import Model
 from estimator.estimation.moments import ROAD_LOAD
 from estimator.signals import Floats, Mask, Quantity
 
-GRAIN = 80  # samples, 8 s
-CORRELATIONS = (0.0, 0.25, 0.5)  # of the noise, from one grain to the next
+SHORTEST_GRAIN = 40  # samples, 4 s
+GRAINS = 500  # about as many, for a long drive
+CORRELATIONS = (0.0, 0.25, 0.5, 0.7)  # of the noise, from one grain to the next
 STRENGTHS = (0.1, 0.3, 1.0, 3.0)  # variance of the process over that of the residual
 DIFFUSE = 1e4  # variance of the refitted base, over that of the residual
 SHORTEST_PERIOD, LONGEST_PERIOD = 20.0, 600.0  # s, of a ripple
@@ -132,10 +133,11 @@ def grains_of(model: Model) -> Grains:
     s = model.samples
     piece = np.concatenate([[0], np.cumsum(np.diff(s.t) > 3.0)])
     position = np.arange(len(s)) - np.searchsorted(piece, piece)
-    label = piece * (len(s) // GRAIN + 1) + position // GRAIN
+    grain = max(SHORTEST_GRAIN, len(s) // GRAINS)
+    label = piece * (len(s) // grain + 1) + position // grain
     starts = np.flatnonzero(np.diff(label, prepend=label[0] - 1))
     count = np.diff(np.append(starts, len(s)))
-    full = count >= GRAIN // 2
+    full = count >= grain // 2
 
     def mean(x: Floats) -> Floats:
         averaged: Floats = (np.add.reduceat(x, starts, axis=0).T / count).T[full]

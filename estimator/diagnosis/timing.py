@@ -18,7 +18,7 @@ SHORTEST_WINDOW = 60.0  # s, together where it switches
 DWELL_FACTOR = 6.0  # by which a usual stretch may be shorter or longer
 LONGEST_SHARE = 0.9  # of the drive
 EXCHANGES = 6  # of states and levels in turn
-STARTS = (0.25, 0.5, 0.75)  # quantiles of the residual at which the two levels are first told apart
+STARTS = (0.1, 0.25, 0.5, 0.75, 0.9)  # quantiles of the residual at which the two levels are first told apart
 CHANGE_COST = 5.5  # log: one time among those at which a change could as well have been
 GRAIN = 10.0  # s, of the windows that are tried
 

@@ -126,7 +126,7 @@ def _slow_time(residual: Floats) -> float:
 
 
 def cosine_transform(x: Floats, count: int) -> Floats:
-    """The first ``count`` <= n / 2 orthonormal cosine transforms (type II) of the columns of ``x`` (n, p), but the mean.
+    """Orthonormal cosine transforms 1 .. ``count`` <= n / 2, of type II, of the columns of ``x`` (n, p).
 
     By the Fourier transform of the even rows followed by the odd ones backwards (Makhoul 1980). `scipy.fft` has it
     ready, but keeps tables for the last sixteen lengths, and here each length is another: 27 MB for ever.

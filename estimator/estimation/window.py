@@ -79,7 +79,7 @@ class Window:
         if not len(block):
             return
         cells = self.grid.cell(block.zv, block.za)
-        self._blocks.append(block.packed())
+        self._blocks.append(block)
         self._cells.append(cells)
         self._counts += np.bincount(cells, minlength=self.grid.size)
         self.added += len(block)
@@ -121,7 +121,7 @@ class Window:
         ends = np.cumsum(lengths)
         if np.any(lengths <= 0) or len(samples) != lengths.sum() or len(samples) > self._capacity:
             raise StateError(f"window: {len(samples)} samples in {len(lengths)} blocks cannot be")
-        self._blocks = [samples[end - length : end].packed() for end, length in zip(ends, lengths, strict=True)]
+        self._blocks = [samples[end - length : end] for end, length in zip(ends, lengths, strict=True)]
         self._cells = [self.grid.cell(block.zv, block.za) for block in self._blocks]
         self._counts = np.bincount(self.grid.cell(samples.zv, samples.za), minlength=self.grid.size)
         self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)

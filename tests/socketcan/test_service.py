@@ -1,10 +1,16 @@
-"""The service file under a real systemd: hardened as it is, the daemon starts, hears the bus and says it is ready."""
+"""The service file under a real systemd: hardened as it is, the daemon starts, hears the bus and says it is ready.
+
+It reads its configuration again on SIGHUP, and is started anew when it hangs.
+"""
 
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -14,6 +20,7 @@ PROJECT = Path(__file__).parents[2]
 UNIT = PROJECT / "tools" / "systemd" / "roadload.service"
 SYSTEMD = Path("/lib/systemd/systemd")
 LONGEST = 70.0  # s until the daemon is ready; the machine is slow
+WATCHDOG = 10  # s, so that the test need not wait for longer
 # What is specific to this machine: where Python is, and that nothing else of the system is started. ExecStartPost runs
 # when systemd has read READY=1, and not before.
 DROP_IN = """
@@ -23,6 +30,8 @@ DefaultDependencies=no
 ProtectHome=tmpfs
 BindReadOnlyPaths={paths}
 ExecStartPost=/bin/sh -c "echo > /run/roadload/ready"
+WatchdogSec={watchdog}
+TimeoutAbortSec=1
 """
 TARGET = "[Unit]\nDefaultDependencies=no\nRequires=roadload.service\n"
 START = """
@@ -35,7 +44,7 @@ exec env -i container=other {systemd} --system --unit=test.target --log-target=c
 """
 
 
-def test_the_daemon_runs_as_the_hardened_service(buses, tmp_path):
+def test_the_daemon_runs_reloads_and_is_guarded_as_the_hardened_service(buses, tmp_path):
     if not SYSTEMD.exists() or shutil.which("unshare") is None:
         pytest.skip("no systemd or unshare here")
     if PROJECT.is_relative_to("/tmp") or PROJECT.is_relative_to("/run"):
@@ -47,7 +56,7 @@ def test_the_daemon_runs_as_the_hardened_service(buses, tmp_path):
     text = text.replace("/etc/roadload/roadload.toml", str(config)).replace("-c can0", f"-c {buses[0]}")
     (units / UNIT.name).write_text(text)
     paths = f"{sys.base_prefix} {sys.prefix} {PROJECT}"
-    (units / "roadload.service.d" / "here.conf").write_text(DROP_IN.format(paths=paths))
+    (units / "roadload.service.d" / "here.conf").write_text(DROP_IN.format(paths=paths, watchdog=WATCHDOG))
     (units / "test.target").write_text(TARGET)
 
     script = START.format(units=units, systemd=SYSTEMD)
@@ -58,24 +67,43 @@ def test_the_daemon_runs_as_the_hardened_service(buses, tmp_path):
         can.Bus(interface="socketcan", channel=buses[0], ignore_config=True) as player,
         subprocess.Popen(own_system, stdout=output, stderr=output) as systemd,
     ):
-        try:
+
+        def receiving(condition: Callable[[dict], bool]) -> dict:
+            """The status of a daemon that is ready and hears the bus, once it is as wanted."""
             status: dict = {}
-            ready = False
             deadline = time.monotonic() + LONGEST
-            while not ready or status.get("state") != "receiving":
-                assert time.monotonic() < deadline, f"ready: {ready}, {status}\n{log.read_text()}"
+            while status.get("state") != "receiving" or not condition(status):
+                assert time.monotonic() < deadline, f"{status}\n{log.read_text()}"
                 player.send(can.Message(arbitration_id=0x18FEF100, data=bytes(8)))
                 time.sleep(0.2)
-                if (folder := own_folder(systemd.pid)) is not None:
-                    ready = (folder / "ready").exists()
-                    shown = folder / "status.json"
-                    status = json.loads(shown.read_text()) if shown.exists() else {}
+                folder = own_folder(systemd.pid)
+                if folder is not None and (folder / "ready").exists() and (folder / "status.json").exists():
+                    status = json.loads((folder / "status.json").read_text())
+            return status
+
+        try:
+            first = receiving(lambda status: True)
+            os.kill(seen_from_here(first["pid"]), signal.SIGHUP)
+            again = receiving(lambda status: status["started_s"] > first["started_s"])
+            os.kill(seen_from_here(first["pid"]), signal.SIGSTOP)
+            anew = receiving(lambda status: status["pid"] != first["pid"])
         finally:
             systemd.kill()  # unshare heeds nothing milder, and takes systemd with it
-    assert status["input"]["open"]
+    assert again["pid"] == first["pid"]
+    assert all(status["input"]["open"] for status in (first, again, anew))
 
 
 def own_folder(pid: int) -> Path | None:
     """The daemon's folder as systemd, the child of ``pid``, sees it; None before there is a systemd."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return Path(f"/proc/{children[0]}/root/run/roadload") if children else None
+
+
+def seen_from_here(pid: int) -> int:
+    """The process that has this number in the name space of the service."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        lines = (folder / "status").read_text().splitlines() if (folder / "status").exists() else []
+        numbers = next((line.split()[1:] for line in lines if line.startswith("NSpid:")), [])
+        if len(numbers) > 1 and int(numbers[-1]) == pid:
+            return int(folder.name)
+    raise AssertionError(f"there is no process {pid}")
