@@ -198,7 +198,7 @@ class Daemon:
         if self.state != before:
             detail = f" ({self.detail})" if self.detail else ""
             level = logging.WARNING if self.state == State.FAULT else logging.INFO
-            log.log(level, "%s: %s%s", link.label, self.state.value, detail)
+            log.log(level, "%s: %s%s", self.state.value, link.label, detail)
 
     def _is_unwanted(self, now: float) -> bool:
         """Whether the device has received plenty of late, none of which passed the filters."""

@@ -67,6 +67,13 @@ class Outcome:
         hidden = self.left.variance if self.left.log_bayes_factor > SOMETHING else 0.0
         return max(after - hidden, LOWEST_FLOOR * after)
 
+    @property
+    def rough_hills(self) -> bool:
+        """Whether what is left is what a poor altimeter leaves of a grade in the model: it goes with the place."""
+        place = next(other for other in self.result.at_last if other.name == UNMEASURED_GRADE)
+        near = place.log_bayes_factor > self.left.log_bayes_factor - NAMED
+        return near and any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
+
     def probability(self, found: Found) -> float:
         """Of a chosen effect, among all that the drive was asked about when it was chosen."""
         rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
@@ -81,7 +88,7 @@ class Outcome:
         if self.grade is not None:
             return Verdict.EFFECT
         if not chosen:
-            if left > EVIDENT:
+            if left > EVIDENT and not self.rough_hills:
                 return Verdict.UNKNOWN
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
             return Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP
@@ -89,12 +96,9 @@ class Outcome:
         first = self.result.ranking[0].log_bayes_factor
         total = max(first, sum(found.joint.log_bayes_factor for found in chosen))
         outdone = first < at_first + AHEAD or left > LEFT * max(at_first, total)
-        # What a poor altimeter leaves of the hills goes with the place.
-        place = next(other for other in self.result.at_last if other.name == UNMEASURED_GRADE)
-        hills = any(f.joint.effect.is_gravity for f in chosen) and place.log_bayes_factor > left - NAMED
-        if not hills and (total < at_first or (left > UNEXPLAINED and outdone)):
+        if not self.rough_hills and (total < at_first or (left > UNEXPLAINED and outdone)):
             return Verdict.UNKNOWN if max(at_first, left) > EVIDENT else Verdict.CANNOT_TELL
-        if hills:
+        if self.rough_hills:
             return Verdict.EFFECT
         alone = self.probability(chosen[0]) < LIKELY
         return Verdict.CANNOT_TELL if alone or ties(chosen[0]) else Verdict.EFFECT
