@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.diagnosis.hills import hidden_grade
 from estimator.diagnosis.joint import Drive, Joint, pooled, same_class
-from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover
+from estimator.diagnosis.processes import POWER_OVER_TIME, UNMEASURED_GRADE, Leftover
 from estimator.diagnosis.result import Verdict
 from estimator.diagnosis.search import Found, Search
 from estimator.diagnosis.shrinkage import HeldOut
@@ -69,9 +69,9 @@ class Outcome:
 
     @property
     def rough_hills(self) -> bool:
-        """Whether what is left is what a poor altimeter leaves of a grade in the model: it goes with the place."""
-        place = next(other for other in self.result.at_last if other.name == UNMEASURED_GRADE)
-        near = place.log_bayes_factor > self.left.log_bayes_factor - NAMED
+        """Whether what is left is what a poor altimeter leaves of a grade in the model: it goes with place or time."""
+        altimeter = [other for other in self.result.at_last if other.name in (UNMEASURED_GRADE, POWER_OVER_TIME)]
+        near = max(other.log_bayes_factor for other in altimeter) > self.left.log_bayes_factor - NAMED
         return near and any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
 
     def probability(self, found: Found) -> float:

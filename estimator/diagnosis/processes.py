@@ -113,8 +113,9 @@ SPEEDS = (1.0, 3.0, 10.0)  # m/s
 ENGINE_SPEEDS = (5.0, 20.0)  # rad/s
 POWERS = (2e4, 6e4)  # W
 UNMEASURED_GRADE = "force over distance"
+POWER_OVER_TIME = "power over time"
 PROCESSES: tuple[Process, ...] = (
-    Process("power over time", lambda g: np.ones(len(g)), _wander(lambda g: g.t, MINUTES)),
+    Process(POWER_OVER_TIME, lambda g: np.ones(len(g)), _wander(lambda g: g.t, MINUTES)),
     Process("force over time", lambda g: g.v, _wander(lambda g: g.t, MINUTES)),
     Process("drag over time", lambda g: g.v**3, _wander(lambda g: g.t, MINUTES)),
     Process(UNMEASURED_GRADE, lambda g: g.v, _wander(lambda g: g.distance, HILLS)),
