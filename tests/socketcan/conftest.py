@@ -70,6 +70,8 @@ class Batch:
     def _read(self, path: Path) -> None:
         for line in path.read_text().splitlines() if path.exists() else []:
             report = self._config.hook.pytest_report_from_serializable(config=self._config, data=json.loads(line))
+            if isinstance(report.longrepr, list):  # JSON knows no tuples, and pytest takes a skip's reason from one
+                report.longrepr = tuple(report.longrepr)
             self.reports.setdefault(report.nodeid, []).append(report)
 
     def of(self, item: pytest.Item) -> list[pytest.TestReport]:
