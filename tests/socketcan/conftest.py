@@ -20,6 +20,7 @@ sys.path.append(str(Path(__file__).parents[2] / "tools"))
 from vm.debian import VmError
 from vm.machine import has_vcan, run
 
+HERE = Path(__file__).parent
 REPORTS = "ROADLOAD_TEST_REPORTS"  # where the pytest in the machine writes them
 LONGEST = 600.0  # s, of the whole batch
 STUCK = 150  # s, of one test
@@ -47,8 +48,7 @@ class Batch:
         self._config = session.config
         self.reports: dict[str, list[pytest.TestReport]] = {}
         self.missing = ("failed", "the machine gave no report of this test")
-        here = Path(__file__).parent
-        chosen = [item.nodeid for item in session.items if here in item.path.parents]
+        chosen = [item.nodeid for item in session.items if HERE in item.path.parents]
         with tempfile.TemporaryDirectory() as folder:
             try:
                 self._boot(chosen, Path(folder))
@@ -92,7 +92,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
-    if in_place():
+    if HERE not in item.path.parents or in_place():  # the hook is asked about every test of the session
         return None
     if BATCH not in item.config.stash:
         item.config.stash[BATCH] = Batch(item.session)
