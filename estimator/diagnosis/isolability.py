@@ -11,7 +11,6 @@ from estimator.effects import Effect, Timing
 from estimator.signals import Quantity
 
 VISIBLE = 5.0  # log Bayes factor to be expected of an effect of usual size that this drive can show
-ALIKE = 0.95  # |correlation| of traces beyond which two effects are one class
 
 
 def isolability(candidates: Sequence[Candidate], model: Model) -> Isolability:
@@ -26,12 +25,6 @@ def expected_evidence(candidate: Candidate, model: Model) -> float:
     """Log Bayes factor to be expected of an effect of usual size: Gaussian likelihood, Laplace's approximation."""
     strength = candidate.term.effect.usual(model.road_load) / candidate.sd
     return float(0.5 * strength**2 - np.log(max(strength, 1.0)) - candidate.cost)
-
-
-def classes(candidates: Sequence[Candidate], first: Candidate) -> tuple[str, ...]:
-    """Names of what cannot be told apart from ``first``: declared so, or alike on this drive."""
-    alike = [c.name for c in candidates if c is not first and abs(float(c.trace @ first.trace)) > ALIKE]
-    return tuple(sorted({*alike, *first.term.effect.equivalent}))
 
 
 def invisible(

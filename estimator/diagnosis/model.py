@@ -47,16 +47,6 @@ class Model:
         own, ring = views(self.samples, self.road_load)
         return own, replace(ring, P=self.base.Z @ self.base.theta)
 
-    def columns_of(self, term: Term) -> tuple[Floats, Floats]:
-        """Column and instrument (n,) of a term."""
-        own, ring = self.views()
-        return term.column(own), term.column(ring)
-
-    @property
-    def slow_rms(self) -> float:
-        """Root mean square [W] of the residual over 2 s."""
-        return float(np.sqrt(np.mean(block_means(self.base.residual, SLOW) ** 2)))
-
 
 def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
     """Which samples count: model power, as the instruments see it, clearly above 0; None where there are too few."""
