@@ -16,6 +16,7 @@ from estimator.can_io.frames import Frames
 from estimator.config import Config
 from estimator.errors import MissingInputsError
 from estimator.estimate import Estimate
+from estimator.estimation import engine_power
 from estimator.estimation.alignment import Aligner
 from estimator.estimation.estimator import Estimator
 from estimator.samples import STEP, Rows
@@ -173,22 +174,10 @@ class Pipeline:
             raise MissingInputsError(f"{place}: not one moment with both speed and power valid: {reasons}")
 
     def _needed(self) -> list[Role]:
-        bound = self._names
-        needed = [Role.SPEED if Role.SPEED in bound else Role.WHEEL_SPEEDS]
+        needed = [Role.SPEED if Role.SPEED in self._names else Role.WHEEL_SPEEDS]
         if self._config.kinematics.acceleration == "inertial":
             needed.append(Role.LONGITUDINAL_ACCELERATION)
-        if Role.ENGINE_POWER in bound:
-            return [*needed, Role.ENGINE_POWER]
-        if Role.ENGINE_TORQUE in bound:
-            return [*needed, Role.ENGINE_TORQUE, Role.ENGINE_SPEED]
-        needed += [Role.TORQUE_FRACTION, Role.ENGINE_SPEED]
-        if Role.FRICTION_FRACTION in bound:
-            needed.append(Role.FRICTION_FRACTION)
-        if self._config.vehicle.subtract_parasitic_losses:
-            needed.append(Role.PARASITIC_FRACTION)
-        if self._config.vehicle.reference_torque_Nm is None:
-            needed.append(Role.REFERENCE_TORQUE)
-        return needed
+        return [*needed, *engine_power.needed(self._config.vehicle, self._names.keys())]
 
     def _continue(self, frames: Frames) -> Iterator[Estimate]:
         if self._last is None:

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.config import Vehicle
-from estimator.estimation.alignment import Aligner, cell_means, despike
+from estimator.estimation.alignment import Aligner
+from estimator.estimation.engine_power import despike
 from estimator.estimation.friction import FrictionCurve
+from estimator.estimation.resampling import cell_means
 from estimator.samples import STEP, Rows
+from estimator.settings import Vehicle
 from estimator.signals import Role, Series
 
 REFERENCE = 2500.0  # N.m
@@ -210,7 +212,7 @@ def test_the_memory_of_the_aligner_is_bounded():
                 {Role.SPEED: [every(0.1, low, high, 9.0)], Role.ENGINE_POWER: [every(0.02, low, high, 1.0)]}, high
             )
         )
-    assert all(len(track.t) < 1000 for track in [*aligner._tracks.values(), aligner._power])
+    assert all(len(track.t) < 1000 for track in [*aligner._tracks.values(), aligner._engine.track])
 
 
 # Power

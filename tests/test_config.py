@@ -6,8 +6,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from estimator.config import J1939_BINDING, Config, Section, from_dict, load
+from estimator.config import J1939_BINDING, Config, from_dict, load
 from estimator.errors import ConfigError
+from estimator.settings import Section
 from estimator.signals import DIMENSION, Role
 
 

@@ -59,7 +59,8 @@ def view(n: int = 3000, **changes: object) -> View:
     }
     density = np.ones(n)
     values = {"t": t, "v": v, "a": a, "P": design(v, a, density) @ ROAD_LOAD, "density": density, "context": context}
-    return View(**(values | {"road_load": ROAD_LOAD} | changes))  # type: ignore[arg-type]
+    values |= {"road_load": ROAD_LOAD, "climb": np.zeros(n)}
+    return View(**(values | changes))  # type: ignore[arg-type]
 
 
 def with_context(quantity: Quantity, value: float) -> View:
@@ -150,12 +151,16 @@ def test_powers_are_those_of_the_equations():
     seen = view()
     v, C = seen.v, ROAD_LOAD[1]
     ahead = with_context(Quantity.HEADING, 0.0)
-    np.testing.assert_allclose(8 * BY_NAME["headwind"].power(ahead, (0.0, 8.0)), C * ((v + 8) ** 2 - v**2) * v)
-    np.testing.assert_allclose(8 * BY_NAME["headwind"].power(ahead, (np.pi, 8.0)), C * ((v - 8) ** 2 - v**2) * v)
+    np.testing.assert_allclose(5 * BY_NAME["headwind"].power(ahead, (0.0, 9.0)), C * ((v + 5) ** 2 - v**2) * v)
+    aside = with_context(Quantity.HEADING, np.pi / 2)
+    np.testing.assert_allclose(5 * BY_NAME["headwind"].power(aside, (0.0, 9.0)), C * 5 * 9 * v, rtol=1e-9)
     climb = v * 0.02
     hill = view(context={Quantity.CLIMB_BY_GRADE: climb})
     weight = ROAD_LOAD[2] * BY_NAME["grade"].power(hill, Quantity.CLIMB_BY_GRADE)
     np.testing.assert_allclose(weight, ROAD_LOAD[2] * STANDARD_GRAVITY * climb)
+    loaded = view(climb=climb)
+    force = ROAD_LOAD[0] + ROAD_LOAD[2] * (loaded.a + STANDARD_GRAVITY * 0.02)
+    np.testing.assert_allclose(BY_NAME["mass_step"].power(loaded, None), force * v)
     thin = view(density=np.full(3000, 0.9))
     np.testing.assert_allclose(BY_NAME["drafting"].power(thin, None), -0.9 * C * v**3)
     cold = with_context(Quantity.ELAPSED, 600.0)

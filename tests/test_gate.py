@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from estimator.config import Gate as GateConfig
-from estimator.config import Prior
 from estimator.estimate import Coverage
 from estimator.estimation.gate import Gate
 from estimator.estimation.moments import Fit
 from estimator.estimation.posterior import box
 from estimator.estimation.window import Grid
+from estimator.settings import Gate as GateConfig
+from estimator.settings import Prior
 
 THETA = np.array([1739.0, 3.74, 27_190.0, 0.0])
 GRID = Grid(2.5, 0.1)

@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.recorder import frames_of
-from estimator.config import Config, Load, from_dict
+from estimator.config import Config, from_dict
 from estimator.estimate import Estimate
 from estimator.estimation.load import Segment, Standstill, load_change
 from estimator.pipeline import Pipeline
+from estimator.settings import Load
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck

@@ -7,7 +7,8 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 
 from estimator.estimation import moments
-from estimator.estimation.kinematics import margin, smoother_kernels, to_samples
+from estimator.estimation.kinematics import margin, to_samples
+from estimator.estimation.smoothing import smoother_kernels
 from estimator.road_load import design
 from estimator.samples import STEP, Rows, Samples
 

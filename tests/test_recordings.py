@@ -9,6 +9,7 @@ from estimator import config, inspection
 from estimator.config import Config
 from estimator.estimate import Status
 from estimator.replay import Run, estimate, replay
+from estimator.settings import Bus
 
 KENWORTH = {"normal.log": 19_957, "tsc1.log": 21_568, "address_claim_attack.log": 15_723}
 PAYLOAD = {"TripB22", "TripB24", "TripB34"}  # +80, +60, +160 kg
@@ -57,7 +58,7 @@ def test_standing_trucks(recordings: Path, name: str) -> None:
 def trips(recordings: Path) -> dict[str, Run]:
     folder = recordings / "bmw_i3"
     settings = config.load(Path(__file__).parents[1] / "dbc" / "bmw_i3.toml")
-    bus = config.Bus(dbc=[str(folder / "bmw_i3.dbc")])
+    bus = Bus(dbc=[str(folder / "bmw_i3.dbc")])
     settings = config.replace(settings, bus=bus)
     return {path.stem: estimate([path], settings, silent) for path in sorted(folder.glob("*.blf"))}
 

@@ -11,7 +11,8 @@ from estimator.config import from_dict
 from estimator.errors import StateError
 from estimator.estimate import Status
 from estimator.estimation.estimator import Estimator
-from estimator.estimation.kinematics import REACH
+from estimator.estimation.inference import Inference
+from estimator.estimation.smoothing import REACH
 from estimator.pipeline import NEW_DRIVE, Pipeline
 from estimator.road_load import design
 from estimator.samples import STEP, Rows
@@ -24,7 +25,8 @@ from estimator.state_store import pack, unpack
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 SAVED = 1200.0  # s into the drive
 REBUILT = {  # what traffic or the configuration shows again
-    Estimator: {"_config", "_effects", "_gate", "_margin", "_given", "_evidence", "_resting"},
+    Estimator: {"_config", "_effects", "_gate", "_margin", "_resting"},
+    Inference: {"_config", "_effects", "_gate", "_given", "_rng", "evidence"},
     Pipeline: {
         "_config",
         "_messages",
@@ -94,10 +96,12 @@ def rows_of(n: int, first: int = 0) -> Rows:
     return Rows(index, v + rng.normal(0, 0.01, n + 2), P, fresh, {Role.BRAKE_SWITCH: brake})[:n]
 
 
-@pytest.mark.parametrize("n", [0, 50, 1000, 2500, 6017, 9000])
-def test_an_estimator_goes_on_to_the_bit(n):
+@pytest.mark.parametrize(
+    ("n", "likelihood"), [(n, "instruments") for n in (0, 50, 1000, 2500, 6017, 9000)] + [(9000, "paper")]
+)
+def test_an_estimator_goes_on_to_the_bit(n, likelihood):
     """Also before its smoother is settled, and when nothing has come yet."""
-    config = from_dict({})
+    config = from_dict({"sampler": {"likelihood": likelihood}})
 
     def new() -> Estimator:
         return Estimator(config, np.random.default_rng(1))
@@ -247,15 +251,16 @@ def test_restored_and_saved_again_is_the_same(state):
     assert pack(restored(state).state(), "k") == pack(state, "k")
 
 
-@pytest.mark.parametrize("kind", [Estimator, Pipeline])
+@pytest.mark.parametrize("kind", [Estimator, Inference, Pipeline])
 def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
     """A new attribute belongs into the state, or into REBUILT."""
     pipeline = Pipeline(from_dict({}))
     one, saved = {
         Estimator: (pipeline.estimator, state["estimator"]),
+        Inference: (pipeline.estimator._inference, state["estimator"]["inference"]),
         Pipeline: (pipeline, state),
     }[kind]
-    known = {f"_{name}" for name in saved} | set(saved) | REBUILT[kind] | ({"_rng"} if kind is Estimator else set())
+    known = {f"_{name}" for name in saved} | set(saved) | REBUILT[kind]
     assert set(vars(one)) <= known
 
 
@@ -327,9 +332,9 @@ def drive_end(drive) -> Frames:
         (("estimator", "window", "samples", "v"), "not finite"),
         (("estimator", "window", "samples", "P"), "cut"),
         (("estimator", "window", "lengths"), "negative"),
-        (("estimator", "shown", "covariance"), "negative"),
+        (("estimator", "inference", "shown", "covariance"), "negative"),
         (("estimator", "lag"), "not finite"),
-        (("estimator", "generator"), "cut"),
+        (("estimator", "inference", "generator"), "cut"),
         (("estimator", "rejected"), "other type"),
         (("aligner", "friction", "sums"), "negative"),
         (("decoder", "sources"), "none"),

@@ -10,7 +10,7 @@ from estimator.sampling.convergence import diagnose
 from estimator.sampling.identifiability import eigen_metrics
 from estimator.sampling.likelihood import StudentTarget, in_box
 from estimator.sampling.metropolis import KERNELS
-from estimator.sampling.run import overdispersed, run
+from estimator.sampling.run import HEAVIEST, overdispersed, run
 
 CENTRE = np.array([1800.0, 3.7, 27_000.0])
 SD = np.array([60.0, 0.1, 90.0])
@@ -50,7 +50,7 @@ def test_kernel_draws_from_the_target(kernel):
     starts = CENTRE + 3 * SD * rng.standard_normal((chains, 3))
     result = KERNELS[kernel](student(), starts, burn_in, draws, rng)
     assert result.draws.shape == (chains, draws, 3)
-    assert 0.1 < result.acceptance < 0.97
+    assert 0.1 < result.acceptance < 0.999
     for i in range(3):
         x = result.draws[:, :, i]
         diagnosis = diagnose(x)
@@ -135,6 +135,39 @@ def test_two_modes_are_both_found(p):
     assert np.mean(first > 3) == pytest.approx(0.5, abs=0.1)
     assert first.mean() == pytest.approx(3.0, abs=0.6)
     assert first.std() == pytest.approx(np.sqrt(10), rel=0.05)
+
+
+@pytest.mark.parametrize("p", [1, 2, 3])
+def test_a_proposal_that_hits_a_mode_far_away_is_enough_to_change_the_kernel(p):
+    """Nearly all are accepted, and nearly all draws are from the first mode."""
+    target = TwoModes(p, 7.0)
+    made = KERNELS["independence"](target, np.zeros((256, p)), 20, 100, np.random.default_rng(p))
+    assert made.acceptance > 0.9
+    assert made.heaviest > HEAVIEST
+    assert run(target, "independence", 256, 20, 100, np.random.default_rng(p)).kernel == "random_walk"
+
+
+def test_importance_weights_of_a_close_proposal_are_alike():
+    made = KERNELS["independence"](student(), np.tile(CENTRE, (64, 1)), 20, 100, np.random.default_rng(1))
+    assert 1.0 < made.heaviest < 1.5
+
+
+def test_a_density_with_tails_as_heavy_as_any_here_keeps_its_kernel():
+    result = run(student(dof=12.0), "independence", 64, 20, 100, np.random.default_rng(1))
+    assert result.kernel == "independence"
+    assert min(diagnosis.ess_tail for diagnosis in result.diagnoses) > 3000
+
+
+def test_long_runs_of_refusals_give_each_mode_its_share():
+    """A proposal that knows one of two modes is refused dozens of times in a row in the other."""
+    made = KERNELS["independence"](TwoModes(2, 3.5), np.zeros((64, 2)), 1000, 8000, np.random.default_rng(3))
+    first = made.draws[:, :, 0]
+    repeats = np.all(made.draws[:, 1:] == made.draws[:, :-1], axis=2)
+    assert np.diff(np.flatnonzero(~repeats[0])).max() > 20
+    assert made.acceptance == pytest.approx(1 - repeats.mean(), abs=1e-3)
+    assert np.mean(first > 1.75) == pytest.approx(0.5, abs=0.02)
+    assert first.mean() == pytest.approx(1.75, abs=0.06)
+    assert first.std() == pytest.approx(np.sqrt(1 + 1.75**2), rel=0.01)
 
 
 @pytest.mark.parametrize("p", [1, 2, 3])

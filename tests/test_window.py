@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.config import Admission, from_dict
+from estimator.config import from_dict
 from estimator.estimation.admission import ADMITTED, Reason, admit, row_reasons
 from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS, Grid, Window
 from estimator.samples import STEP, Rows, Samples
+from estimator.settings import Admission
 from estimator.signals import Role
 
 

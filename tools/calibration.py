@@ -25,7 +25,7 @@ from rich.table import Table
 from scipy.stats import chisquare
 
 from estimator.config import Config
-from estimator.estimation import kinematics, moments, posterior
+from estimator.estimation import kinematics, moments, posterior, smoothing
 from estimator.estimation.admission import admit, row_reasons
 from estimator.road_load import design
 from estimator.samples import STEP, Rows
@@ -163,14 +163,14 @@ class Outcome:
 
 def conclude(rows: Rows, theta: Floats, config: Config, rng: np.random.Generator) -> Outcome | None:
     """From ``rows`` to the posterior, and where the truth ``theta`` lies in it; None if there is no fit."""
-    smoother = kinematics.smoother_kernels(kinematics.fit_ratio(rows.speed, STEP), STEP)
+    smoother = smoothing.smoother_kernels(smoothing.fit_ratio(rows.speed, STEP), STEP)
     margin = kinematics.margin(STEP)
     codes = row_reasons(rows, config.admission)[margin : len(rows) - margin]
     samples = admit(kinematics.to_samples(rows, smoother, 0.0, False), codes, Counter())
     fit = moments.fit(samples, config.admission.power_sigmas)
     if fit is None:
         return None
-    result = posterior.sample(posterior.target_of(samples, fit, config), config, rng)
+    result = posterior.sample(posterior.target_of(fit, config), config, rng)
     marginals = [result.marginal(i) for i in range(3)]
     thinned = result.draws[:, THINNING - 1 :: THINNING, :3].reshape(-1, 3)[:RANKED]
     return Outcome(

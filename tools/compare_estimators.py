@@ -31,8 +31,8 @@ from rich.table import Table
 
 from estimator.can_io.recorder import frames_of
 from estimator.config import Config
-from estimator.estimation import kinematics
 from estimator.estimation.estimator import Estimator
+from estimator.estimation.lag import fit_lag
 from estimator.pipeline import Pipeline
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Mask
@@ -87,7 +87,7 @@ class Drive:
         rows = keeper.rows[0]
         for more in keeper.rows[1:]:
             rows = Rows.concatenate(rows, more)
-        lag = kinematics.fit_lag(rows.speed, rows.power, STEP, config.kinematics.maximum_lag_s)
+        lag = fit_lag(rows.speed, rows.power, STEP, config.kinematics.maximum_lag_s)
         truth = np.array([getattr(truck, name) for name in NAMES])
         marginals = [x for x in (getattr(final, name) for name in NAMES) if x is not None]
         return cls(

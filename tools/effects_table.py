@@ -19,7 +19,7 @@ PAGE = """\
 # Effects
 
 What the plain road load `P = A v + C v³ + m v dv/dt` leaves out, and `roadload diagnose` looks for. The tables are
-printed by `tools/effects_table.py` from the objects in `estimator/effects/catalogue.py`: the same objects are the
+printed by `tools/effects_table.py` from the objects in `estimator/effects/`: the same objects are the
 candidates of the diagnosis, the terms of the streaming model (`effects = ["grade"]`, `--effect grade`) and this page.
 
 ## What it adds to the power

@@ -22,9 +22,9 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.signal import butter, lfilter
 
-from estimator.config import Admission
 from estimator.estimation.admission import ADMITTED, row_reasons
 from estimator.samples import STEP, Rows
+from estimator.settings import Admission
 from estimator.signals import Floats, Mask
 
 START = np.array([1800.0, 4.0, 25e3])  # N, N s^2/m^2, kg: a class-8 truck of which nothing is known

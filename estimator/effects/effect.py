@@ -10,8 +10,10 @@ from typing import Any
 
 from estimator.signals import Floats, Quantity, Role
 
-Shape = Any  # what an effect is non-linear in: a time constant [s], a direction [rad], a source, None
+TYPICAL_MASS = 27e3  # kg, a loaded tractor and semi-trailer
 
+Shape = Any  # what an effect is non-linear in: a time constant [s], a direction [rad], a source, None
+Usual = Callable[[Floats], float]  # usual magnitude for a vehicle with road load [A, C, m]
 
 SOURCES: dict[Quantity, tuple[Role, ...]] = {  # any one of the roles will do
     Quantity.ENGINE_SPEED: (Role.ENGINE_SPEED,),
@@ -42,6 +44,7 @@ class View:
     density: Floats
     context: Context
     road_load: Floats
+    climb: Floats  # (n,) [m/s] that the model knows of
 
     @property
     def A(self) -> float:
@@ -68,6 +71,16 @@ class Timing(StrEnum):
     STEP = "step"  # from some standstill onwards
 
 
+def by_mass(value: float) -> Usual:
+    """A magnitude that goes with the mass; ``value`` is that of a heavy truck, of TYPICAL_MASS."""
+    return lambda road_load: value * float(road_load[2]) / TYPICAL_MASS
+
+
+def always(value: float) -> Usual:
+    """A magnitude that is relative already: the same for all vehicles."""
+    return lambda road_load: value
+
+
 @dataclass(frozen=True)
 class Effect:
     """An effect that the plain road load leaves out.
@@ -90,6 +103,8 @@ class Effect:
         Context without which it cannot be computed.
     shapes
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
+    finer
+        Shapes between one of ``shapes`` and its neighbours.
     describe
         A shape in words.
     timing
@@ -115,10 +130,11 @@ class Effect:
     symbol: str
     unit: str
     power: Callable[[View, Shape], Floats]
-    usual: Callable[[Floats], float]
+    usual: Usual
     positive: bool = True
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
+    finer: Callable[[Shape], tuple[Shape, ...]] | None = None
     describe: Callable[[Shape], str] | None = None
     timing: Timing = Timing.ALWAYS
     at_rest: Callable[[float], float] | None = None

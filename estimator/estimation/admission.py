@@ -6,8 +6,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.config import Admission
 from estimator.samples import STEP, Rows, Samples
+from estimator.settings import Admission
 from estimator.signals import Floats, Mask, Role
 
 

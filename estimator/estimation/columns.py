@@ -13,9 +13,11 @@ from estimator.effects import Effect, Shape, View
 from estimator.road_load import design
 from estimator.samples import Samples
 from estimator.signals import Floats, Quantity
+from estimator.units import STANDARD_GRAVITY
 
 PLAIN = 4  # columns without effects
 MASS = 2  # of the mass
+LEAST_ROLLING, LEAST_DRAG = 0.002, 2e-5  # coefficient of rolling [1], and C over mass [1/m]
 AGREEING = 0.1  # of the mass, between inertia and gravity
 Spans = tuple[tuple[float, float], ...]
 
@@ -43,14 +45,32 @@ def inside(t: Floats, spans: Spans) -> Floats:
     return within
 
 
-def views(samples: Samples, road_load: Floats) -> tuple[View, View]:
-    """``samples`` as measured, and as their instruments see them; ``road_load`` = [A, C, m] scales some effects."""
+def union(one: Spans, other: Spans) -> Spans:
+    """Times that are within either."""
+    joined: list[tuple[float, float]] = []
+    for start, end in sorted((*one, *other)):
+        if joined and start <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(end, joined[-1][1]))
+        else:
+            joined.append((start, end))
+    return tuple(joined)
+
+
+def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> tuple[View, View]:
+    """``samples`` as measured, and as their instruments see them.
+
+    Some effects scale with ``road_load`` = [A, C, m], and with the climb that other ``terms`` of the model know of.
+    """
     density, context = samples.relative_density, samples.context
-    road_load = np.maximum(road_load, 0.0)
-    own = View(samples.t, samples.v, samples.a, samples.P, density, context, road_load)
+    # What is missing in the model can push A or C below zero; effects in proportion to them must not vanish.
+    m = max(float(road_load[MASS]), 0.0)
+    road_load = np.maximum(road_load, np.array([LEAST_ROLLING * STANDARD_GRAVITY, LEAST_DRAG, 1.0]) * m)
+    gravity = [context[term.shape] for term in terms if term.effect.is_gravity]
+    climb = gravity[0] if gravity else np.zeros(len(samples))
+    own = View(samples.t, samples.v, samples.a, samples.P, density, context, road_load, climb)
     # The model's power, not the power measured around: what the model lacks outlasts the ring, and would be in both.
     around = design(samples.zv, samples.za, density) @ road_load
-    return own, View(samples.t, samples.zv, samples.za, around, density, context, road_load)
+    return own, View(samples.t, samples.zv, samples.za, around, density, context, road_load, climb)
 
 
 def columns(samples: Samples, terms: tuple[Term, ...] = (), road_load: Floats | None = None) -> tuple[Floats, Floats]:
@@ -60,7 +80,7 @@ def columns(samples: Samples, terms: tuple[Term, ...] = (), road_load: Floats | 
     Z = np.column_stack([design(samples.zv, samples.za, density), -samples.zdP])
     if not terms:
         return X, Z
-    own, ring = views(samples, np.zeros(3) if road_load is None else road_load)
+    own, ring = views(samples, np.zeros(3) if road_load is None else road_load, terms)
     for term in terms:
         x, z = term.column(own), term.column(ring)
         if term.joins_mass:
@@ -80,6 +100,8 @@ def settled(term: Term, samples: Samples) -> Term:
     if not term.effect.is_gravity:
         return term
     X, Z = columns(samples, (term,))
+    if not X[:, PLAIN].any():  # a flat road contradicts no mass, and a column of zeros would have no solution
+        return replace(term, joins_mass=True)
     theta = np.linalg.lstsq(Z.T @ X, Z.T @ samples.P, rcond=None)[0]
     return replace(term, joins_mass=bool(abs(theta[PLAIN] - theta[MASS]) < AGREEING * abs(theta[MASS])))
 

@@ -5,48 +5,32 @@ It owns the window and nothing else that moves: no clock, no bus, no thread. Fed
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.config import Config
 from estimator.effects import named
 from estimator.errors import StateError
-from estimator.estimate import Coverage, Estimate, Status
-from estimator.estimation import kinematics, moments, posterior
+from estimator.estimate import Estimate, Status
+from estimator.estimation import kinematics, smoothing
 from estimator.estimation.admission import Reason, admit, row_reasons
 from estimator.estimation.columns import wanted_by
 from estimator.estimation.gate import Gate
-from estimator.estimation.load import Segment, Standstill, load_change
-from estimator.estimation.model_check import SpeedScale, contradiction, misfit
-from estimator.estimation.moments import SMALL_LAG, Fit
-from estimator.estimation.posterior import Posterior
-from estimator.estimation.window import Grid, Window
-from estimator.samples import STEP, Rows, Samples
+from estimator.estimation.inference import Evidence, Inference
+from estimator.estimation.lag import LONGEST_LAG, fit_lag
+from estimator.estimation.load import Standstill
+from estimator.estimation.model_check import SpeedScale
+from estimator.estimation.window import Window
+from estimator.samples import STEP, Rows
 from estimator.signals import Quantity
-from estimator.state import Count, State, generator_state, optional, read, set_generator, substate
+from estimator.state import Count, State, optional, read, substate
 
 BLOCK = 200  # rows turned into samples at a time: 20 s
 CALIBRATION = 1800  # moving rows after which the smoother and the lag are settled: 3 min
 LONGEST_WAIT = 18_000  # rows kept waiting for that: 30 min
-PULLING = 0.1  # m/s^2
 HEARD = 0.05  # share of the first minutes in which a quantity must be known to be used
-NOTHING_COVERED = Coverage(0, 0)
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Samples, fit, draws, lag of power behind speed [s] and samples per cell of the grid behind an estimate."""
-
-    samples: Samples
-    fit: Fit
-    posterior: Posterior
-    lag: float
-    grid: Grid
-    counts: NDArray[np.int64]
 
 
 class Estimator:
@@ -64,12 +48,12 @@ class Estimator:
         self.window = Window(config)
         self._rejected: Counter[str] = Counter()
         self._config = config
-        self._rng = rng
         self._gate = Gate(config.gate, self.window.grid)
+        self._inference = Inference(config, self.window.grid, rng)
         # Rows that a sample needs on either side, for its instruments and for what it must keep away from.
         self._margin = max(kinematics.margin(STEP), round(config.admission.margin_s / STEP))
         self._pending: Rows | None = None
-        self._smoother: kinematics.Kernels | None = None
+        self._smoother: smoothing.Kernels | None = None
         self._lag = 0.0
         self._effects = named(config.effects)
         self._wanted: frozenset[Quantity] | None = None  # context that the effects need, once it is known what there is
@@ -78,13 +62,8 @@ class Estimator:
         self._next: int | None = None  # index of the row that would follow without a gap
         self._due: int | None = None
         self._at_last = 0
-        self._below = 0
         self._latest: Estimate | None = None
         self._standstill = Standstill(config.load, config.admission.minimum_speed_m_s)
-        self._given = posterior.belief_of(config.prior)
-        self._shown: Segment | None = None  # what this load has shown so far
-        self._before: Segment | None = None  # and the one before
-        self._evidence: Evidence | None = None
         self._scale = SpeedScale()
         self._resting = False  # restored, and nobody knows yet for how long it was away
 
@@ -101,12 +80,12 @@ class Estimator:
     @property
     def evidence(self) -> Evidence | None:
         """What the newest estimate rests on; None while there is none."""
-        return self._evidence
+        return self._inference.evidence
 
     @property
     def rejected(self) -> Counter[str]:
         """Rows that did not count, by reason; the fit's own choice is that of the newest update."""
-        own = {Reason.BELOW_MODEL_POWER: self._below, Reason.EVICTED: self.window.evicted}
+        own = {Reason.BELOW_MODEL_POWER: self._inference.below, Reason.EVICTED: self.window.evicted}
         return self._rejected + Counter({reason.value: count for reason, count in own.items()})
 
     def feed(self, rows: Rows) -> Iterator[Estimate]:
@@ -144,7 +123,7 @@ class Estimator:
         self._wanted, self._start = None, None
         self._start_segment()
         if vehicle:
-            self._before = None
+            self._inference.forget_vehicle()
             self._scale = SpeedScale()
 
     def state(self) -> dict[str, Any]:
@@ -152,7 +131,6 @@ class Estimator:
         return {
             "window": self.window.state(),
             "rejected": dict(self._rejected),
-            "generator": generator_state(self._rng),
             "pending": None if self._pending is None else self._pending.state(),
             "smoother": None if self._smoother is None else self._smoother.state(),
             "lag": self._lag,
@@ -162,12 +140,10 @@ class Estimator:
             "next": self._next,
             "due": self._due,
             "at_last": self._at_last,
-            "below": self._below,
             "latest": msgspec.to_builtins(self._latest),
             "standstill": self._standstill.state(),
-            "shown": None if self._shown is None else self._shown.state(),
-            "before": None if self._before is None else self._before.state(),
             "scale": self._scale.state(),
+            "inference": self._inference.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -180,20 +156,18 @@ class Estimator:
         """
         self.window.restore(substate(state, "window"))
         self._rejected = Counter(read(state, "rejected", dict[str, Count]))
-        set_generator(self._rng, state, "generator")
         self._pending = optional(state, "pending", Rows.restore)
-        self._smoother = optional(state, "smoother", kinematics.Kernels.restore)
+        self._smoother = optional(state, "smoother", smoothing.Kernels.restore)
         self._lag, self._moving = read(state, "lag", float), read(state, "moving", Count)
         wanted = read(state, "wanted", list[Quantity] | None)
         self._wanted, self._start = None if wanted is None else frozenset(wanted), read(state, "start", float | None)
         self._next, self._due = read(state, "next", int | None), read(state, "due", int | None)
-        self._at_last, self._below = read(state, "at_last", Count), read(state, "below", Count)
+        self._at_last = read(state, "at_last", Count)
         self._latest = read(state, "latest", Estimate | None)
         self._standstill.restore(substate(state, "standstill"))
-        self._shown = optional(state, "shown", Segment.restore)
-        self._before = optional(state, "before", Segment.restore)
         self._scale.restore(substate(state, "scale"))
-        if self._at_last > self.window.added or abs(self._lag) > kinematics.LONGEST_LAG:
+        self._inference.restore(substate(state, "inference"))
+        if self._at_last > self.window.added or abs(self._lag) > LONGEST_LAG:
             raise StateError("counts or lag: are out of range")
         if (self._wanted is None) != (self._start is None):
             raise StateError("start: does not go with what is wanted")
@@ -208,10 +182,10 @@ class Estimator:
         if not same_load:
             self.forget()
 
-    def _calibrate(self, rows: Rows) -> kinematics.Kernels:
+    def _calibrate(self, rows: Rows) -> smoothing.Kernels:
         speed = rows.plausible_speed
-        self._lag = kinematics.fit_lag(speed, rows.power, STEP, self._config.kinematics.maximum_lag_s)
-        return kinematics.smoother_kernels(kinematics.fit_ratio(speed, STEP), STEP)
+        self._lag = fit_lag(speed, rows.power, STEP, self._config.kinematics.maximum_lag_s)
+        return smoothing.smoother_kernels(smoothing.fit_ratio(speed, STEP), STEP)
 
     def _context_of(self, rows: Rows) -> frozenset[Quantity]:
         """What the effects are to be computed from, of what the bus carries."""
@@ -261,70 +235,15 @@ class Estimator:
 
     def _start_segment(self) -> None:
         """Another load, perhaps: forget the mass, keep what the vehicle has shown of itself."""
-        if self._shown is not None:
-            self._before = self._shown
+        self._inference.start_segment()
         self.window.clear()
-        self._latest, self._evidence, self._shown = None, None, None
+        self._latest = None
         self._at_last = self.window.added
 
     def _conclude(self, t: float) -> Estimate:
-        """Fit, judge, sample: one update."""
-        samples = self.window.samples
-        self._evidence = None
-        self._latest = self._estimate(t, samples)
+        rejected = self._rejected + Counter({Reason.EVICTED.value: self.window.evicted})
+        context, doubt = self._wanted or frozenset(), self._scale.verdict()
+        self._latest = self._inference.conclude(t, self.window, context, self._lag, doubt, rejected)
         if self._latest.status == Status.ESTIMATED:
             self._at_last = self.window.added
         return self._latest
-
-    def _contradicted(self, samples: Samples) -> str:
-        """Which belief of the configuration the drive contradicts, if any."""
-        if self._given is SMALL_LAG:
-            return ""
-        drive = moments.fit(samples, self._config.admission.power_sigmas, SMALL_LAG, self._effects)
-        if drive is None or drive.kept.sum() < self._config.gate.minimum_samples:
-            return ""
-        return contradiction(self._config.prior, drive)
-
-    def _estimate(self, t: float, samples: Samples) -> Estimate:
-        if reason := self._contradicted(samples):
-            return Estimate(t, Status.INVALID, reason, NOTHING_COVERED, len(samples))
-        belief = self._given
-        if self._before is not None:
-            belief = belief + self._before.carry_over(t, self._config.load)
-        for effect in self._effects:
-            if not effect.streaming_shapes(self._wanted or frozenset()):
-                needs = " or ".join(role.value for role in effect.wanted)
-                reason = f"the effect {effect.name} needs {needs}, which the bus does not carry"
-                return Estimate(t, Status.UNESTIMATED, reason, NOTHING_COVERED, len(samples))
-        fit = moments.fit(samples, self._config.admission.power_sigmas, belief, self._effects)
-        held = int(fit.kept.sum()) if fit else len(samples)
-        self._below = len(samples) - held
-
-        def unestimated(reason: str, coverage: Coverage = NOTHING_COVERED) -> Estimate:
-            return Estimate(t, Status.UNESTIMATED, reason, coverage, held)
-
-        reason = self._gate.is_calculable(fit, held, posterior.box(self._config.prior))
-        pulling = samples.P[samples.za > PULLING]
-        if fit is None and len(pulling) and np.median(pulling) <= 0:
-            return unestimated("power is not positive while the vehicle accelerates: check the sign of the torque")
-        if fit is None or reason:
-            common = self.rejected.most_common(1)
-            return unestimated(reason + (f"; most others: {common[0][0]}" if common else ""))
-        coverage = self._gate.coverage(self.window.counts, np.maximum(fit.theta[:3], 0.0), samples.P)
-        if reason := self._gate.is_covered(fit, coverage):
-            return unestimated(reason, coverage)
-        if reason := self._scale.verdict() or misfit(samples, fit):
-            return Estimate(t, Status.INVALID, reason, coverage, held, rms=fit.rms)
-        draws = posterior.sample(posterior.target_of(samples, fit, self._config), self._config, self._rng)
-        if not draws.has_converged:
-            c = draws.convergence
-            return unestimated(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
-        lag = self._lag + float(fit.theta[moments.ROAD_LOAD])
-        self._evidence = Evidence(samples, fit, draws, lag, self.window.grid, self.window.counts)
-        A, C, m = (draws.marginal(i) for i in range(3))
-        road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, : moments.ROAD_LOAD]
-        self._shown = Segment(road_load.mean(axis=0), np.cov(road_load.T), t)
-        own = enumerate(fit.own_terms, start=moments.PARAMETERS)
-        effects = {term.effect.name: draws.marginal(i) for i, term in own}
-        change = None if self._before is None else load_change(self._before, self._shown)
-        return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms, effects, change)

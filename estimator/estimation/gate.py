@@ -7,11 +7,11 @@ enough of the reachable speed-acceleration cells been seen, and is the predicted
 
 import numpy as np
 
-from estimator.config import Gate as GateConfig
 from estimator.estimate import Coverage
 from estimator.estimation.moments import Fit
 from estimator.estimation.window import Grid
 from estimator.road_load import design
+from estimator.settings import Gate as GateConfig
 from estimator.signals import Floats
 
 PEAK_QUANTILE = 0.999  # of the power seen: what this vehicle can do

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from estimator.config import Load
 from estimator.errors import StateError
 from estimator.estimate import LoadChange
 from estimator.estimation.moments import PARAMETERS, ROAD_LOAD, Belief
 from estimator.samples import STEP
+from estimator.settings import Load
 from estimator.signals import Floats
 from estimator.state import Count, State, array, read
 

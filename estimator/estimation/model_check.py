@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from estimator.config import Prior
 from estimator.estimation.moments import LAG_SD, ROAD_LOAD, Fit, block_means
 from estimator.samples import Rows, Samples
+from estimator.settings import Prior
 from estimator.signals import Floats, Role
 from estimator.state import Count, State, read
 

@@ -4,14 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.config import Config, Prior
+from estimator.config import Config
 from estimator.estimate import Convergence, Marginal
 from estimator.estimation.moments import SMALL_LAG, Belief, Fit
-from estimator.road_load import design
-from estimator.samples import Samples
-from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.likelihood import StudentTarget, Target
 from estimator.sampling.run import run
+from estimator.settings import Prior
 from estimator.signals import Floats
 
 LARGEST_R_HAT = 1.05
@@ -55,17 +53,13 @@ def belief_of(prior: Prior) -> Belief:
     return belief
 
 
-def target_of(samples: Samples, fit: Fit, config: Config) -> Target:
-    """The density to sample: the moment objective, or the paper's likelihood of all samples with power above 0."""
+def target_of(fit: Fit, config: Config) -> Target:
+    """The moment objective of a fit, in the box of the configuration and of what its effects can be."""
     lower, upper = box(config.prior)
     widest = [WIDEST * term.effect.usual(fit.theta) for term in fit.own_terms]
     lowest = [0.0 if term.effect.positive else -size for term, size in zip(fit.own_terms, widest, strict=True)]
     lower, upper = np.append(lower, lowest), np.append(upper, widest)
-    if config.sampler.likelihood == "instruments":
-        return StudentTarget(fit.theta, fit.covariance, fit.dof, lower, upper)
-    positive = samples[samples.P > 0]
-    X = design(positive.v, positive.a, positive.relative_density)
-    return ClippedGaussianTarget(X, positive.P, lower[:3], upper[:3])
+    return StudentTarget(fit.theta, fit.covariance, fit.dof, lower, upper)
 
 
 def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterior:

@@ -1,5 +1,6 @@
 """The bounded memory of admitted samples: blocks of consecutive driving, rare cells kept longest."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,8 +57,8 @@ class Window:
         self.added = 0  # samples ever admitted
         self._capacity = config.window.samples
         self._longest = config.window.hours * 3600.0
-        self._blocks: list[Samples] = []
-        self._cells: list[NDArray[np.int64]] = []
+        self._blocks: dict[int, Samples] = {}  # by number, in the order of time
+        self._cells: dict[int, NDArray[np.int64]] = {}
         self._counts = np.zeros(self.grid.size, dtype=np.int64)  # of instruments
 
     def __len__(self) -> int:
@@ -66,7 +67,12 @@ class Window:
     @property
     def samples(self) -> Samples:
         """Everything in the window, oldest first."""
-        return Samples.concatenate(self._blocks)
+        return Samples.concatenate(list(self._blocks.values()))
+
+    @property
+    def blocks(self) -> Mapping[int, Samples]:
+        """The same in blocks, each under a number that no other block ever has: of the samples ever admitted before."""
+        return self._blocks
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -79,29 +85,28 @@ class Window:
         if not len(block):
             return
         cells = self.grid.cell(block.zv, block.za)
-        self._blocks.append(block)
-        self._cells.append(cells)
+        self._blocks[self.added], self._cells[self.added] = block, cells
         self._counts += np.bincount(cells, minlength=self.grid.size)
         self.added += len(block)
-        while self._blocks and block.t[-1] - self._blocks[0].t[0] > self._longest:
-            self._drop(0)
+        while self._blocks and block.t[-1] - self._blocks[oldest := min(self._blocks)].t[0] > self._longest:
+            self._drop(oldest)
         while len(self) > self._capacity:
-            self._drop(int(np.argmax([self._counts[cells].mean() for cells in self._cells])))
+            self._drop(max(self._cells, key=lambda number: self._counts[self._cells[number]].mean()))
 
-    def _drop(self, i: int) -> None:
-        self._blocks.pop(i)
-        cells = self._cells.pop(i)
+    def _drop(self, number: int) -> None:
+        self._blocks.pop(number)
+        cells = self._cells.pop(number)
         self._counts -= np.bincount(cells, minlength=self.grid.size)
         self.evicted += len(cells)
 
     def clear(self) -> None:
         """Forget everything, as after a change of vehicle or an unexplained step in time."""
-        self._blocks, self._cells = [], []
+        self._blocks, self._cells = {}, {}
         self._counts[:] = 0
 
     def state(self) -> dict[str, Any]:
         """What `restore` makes the same window from."""
-        lengths = np.array([len(block) for block in self._blocks], dtype=np.int64)
+        lengths = np.array([len(block) for block in self._blocks.values()], dtype=np.int64)
         return {
             "samples": self.samples.state(),
             "lengths": lengths,
@@ -121,7 +126,9 @@ class Window:
         ends = np.cumsum(lengths)
         if np.any(lengths <= 0) or len(samples) != lengths.sum() or len(samples) > self._capacity:
             raise StateError(f"window: {len(samples)} samples in {len(lengths)} blocks cannot be")
-        self._blocks = [samples[end - length : end] for end, length in zip(ends, lengths, strict=True)]
-        self._cells = [self.grid.cell(block.zv, block.za) for block in self._blocks]
-        self._counts = np.bincount(self.grid.cell(samples.zv, samples.za), minlength=self.grid.size)
         self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)
+        first = self.added - len(samples)
+        slices = [slice(end - length, end) for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
+        self._blocks = {first + part.start: samples[part] for part in slices}
+        self._cells = {number: self.grid.cell(block.zv, block.za) for number, block in self._blocks.items()}
+        self._counts = np.bincount(self.grid.cell(samples.zv, samples.za), minlength=self.grid.size)

@@ -15,12 +15,14 @@ the residual e = P - max(u, 0), a sample whose power changes by h = max(w . z + 
 Source: Miller, Konan, Duran, "Bayesian Parameter Estimation for Heavy-Duty Vehicles", NREL.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.sampling.condensed import Condensed, Sums
 from estimator.sampling.likelihood import bound_precision, factor, highest_in_box, in_box
 from estimator.signals import Floats
 
@@ -30,44 +32,15 @@ FINEST = 1e-9  # smallest sd of the residual, over the root mean square of the p
 BATCH = 2**15  # numbers evaluated at once, to stay in the cache
 
 
-@dataclass(frozen=True)
-class Sums:
-    """Sufficient statistics of least squares of ``y`` (n,) on ``X`` (n, p): ``G`` = X' X, ``b`` = X' y, and ``n``.
-
-    Blocks of samples are added and removed, each at its own cost, whatever the number held.
-    """
-
-    G: Floats
-    b: Floats
-    n: int = 0
-
-    @classmethod
-    def empty(cls, p: int) -> "Sums":
-        """Of no samples."""
-        return cls(np.zeros((p, p)), np.zeros(p))
-
-    def add(self, X: Floats, y: Floats) -> "Sums":
-        """With a block of samples more."""
-        return Sums(self.G + X.T @ X, self.b + X.T @ y, self.n + len(y))
-
-    def remove(self, X: Floats, y: Floats) -> "Sums":
-        """With a block of samples less, all of which were added before."""
-        return Sums(self.G - X.T @ X, self.b - X.T @ y, self.n - len(y))
-
-    def excess(self, theta: Floats) -> Floats:
-        """What the columns of ``theta`` (p, k) add to the sum of squares that zero has (k,)."""
-        total: Floats = np.einsum("ij,ij->j", self.G @ theta - 2 * self.b[:, None], theta)
-        return total
-
-
-def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Sums]:
-    """Least squares (p,) of ``P`` (n,) on ``max(X theta, 0)`` inside the box, and the sums of the active samples.
+def clipped_least_squares(samples: Condensed, M: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Sums]:
+    """Least squares (p,) of P on ``max(X M theta, 0)`` inside the box, and the sums of P on X M where it is active.
 
     Gauss-Newton; it settles in a few steps because the model is linear where it is not cut. From step to step only
     the samples that changed sign are touched.
     """
+    X, P = samples.X @ M, samples.P
     active = np.ones(len(P), dtype=bool)
-    sums = Sums.empty(X.shape[1]).add(X, P)
+    sums = samples.active.about(-samples.region.origin).through(M) + Sums.of(X, P)
     weak = (upper - lower) ** -2.0
     for _ in range(ITERATIONS):
         # The whisper of a prior settles directions about which the active samples say nothing.
@@ -78,7 +51,7 @@ def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) ->
         entered, left = np.flatnonzero(active & ~before), np.flatnonzero(before & ~active)
         if len(entered) == len(left) == 0 or sums.n + len(entered) - len(left) <= len(theta):
             break
-        sums = sums.add(X[entered], P[entered]).remove(X[left], P[left])
+        sums = sums + Sums.of(X[entered], P[entered]) - Sums.of(X[left], P[left])
     return theta, sums
 
 
@@ -99,14 +72,14 @@ class _Ellipsoid:
 
     def excess(self, z: Floats) -> Floats:
         """Chi2 over that of the centre (k,) for columns [z, 1] (p + 1, k) inside."""
-        total = self.sure.excess(z[:-1])
+        total = self.sure.excess(z)
         if len(self.e):
             rows, floor, least = self._residual
-            step = max(BATCH // len(self.e), 1)
+            step, ones = max(BATCH // len(self.e), 1), np.ones(len(self.e))
             for i in range(0, z.shape[1], step):
                 residual = rows @ z[:, i : i + step]
                 np.maximum(residual, floor, out=residual)
-                total[i : i + step] += np.einsum("ij,ij->j", residual, residual) - least
+                total[i : i + step] += ones @ np.square(residual, out=residual) - least
         return total
 
     def information(self, z: Floats) -> Floats:
@@ -118,64 +91,96 @@ class _Ellipsoid:
 class ClippedGaussianTarget:
     """The paper's likelihood of all samples, and a flat prior in a finite box.
 
-    ``X`` (n, p) as from `road_load.design`; ``P`` (n,) [W]; ``lower`` and ``upper`` (p,) the box. The paper
+    ``samples`` condensed for a region of coefficients phi = ``M`` theta, M (q, p); ``everything`` gives X (n, q) and
+    P (n,) [W] of all of them, for what lies outside that region; ``lower`` and ``upper`` (p,) the box. The paper
     re-estimates sigma^2 = chi2 / (n - p) along the chain; fixed at the least-squares point, to which that settles,
     the chain has one invariant distribution from its first iteration on.
     """
 
-    def __init__(self, X: Floats, P: Floats, lower: Floats, upper: Floats) -> None:
-        n, p = X.shape
+    def __init__(
+        self,
+        samples: Condensed,
+        M: Floats,
+        everything: Callable[[], tuple[Floats, Floats]],
+        lower: Floats,
+        upper: Floats,
+    ) -> None:
         self.lower, self.upper = lower, upper
-        self.centre, sums = clipped_least_squares(X, P, lower, upper)
-        u = X @ self.centre
-        e = P - np.maximum(u, 0.0)
-        finest = FINEST**2 * float(P @ P) / max(n, 1)
-        self.variance = max(float(e @ e) / max(n - p, 1), finest, np.finfo(float).tiny)  # W^2
-        sigma = self.variance**0.5
+        self.centre, sums = clipped_least_squares(samples, M, lower, upper)
+        self._phi, self._everything = M @ self.centre, everything
+        u = samples.X @ self._phi
+        e = samples.P - np.maximum(u, 0.0)
+        sure = samples.active.about(self._phi - samples.region.origin)
+        finest = FINEST**2 * samples.squares / max(samples.n, 1)
+        chi2 = sure.s + samples.clipped + float(e @ e)
+        self.variance = max(chi2 / max(samples.n - len(lower), 1), finest, np.finfo(float).tiny)  # W^2
+        self._sigma = self.variance**0.5
         wide = np.diag((upper - lower) ** -2.0)  # as wide as the box where the data say nothing
         self._whiten = factor(sums.G / self.variance + wide)  # z = whiten' (theta - centre)
         self._colour = np.linalg.inv(self._whiten).T  # L
-        self._ellipsoids = _nest(X @ (self._colour / sigma), u / sigma, e / sigma)
-        self._squared_radii = np.array(RADII) ** 2
-        slope = X.T @ np.where(u > 0, e, 0.0) / self.variance
+        self.root = M @ self._colour  # (q, p), of phi: phi = M centre + root z
+        self.reach = samples.region.reach(self._phi, self.root)  # sd, up to which ``samples`` are enough
+        L = self.root / self._sigma
+        radii = np.array([radius for radius in RADII if radius <= self.reach])
+        self._squared_radii = radii**2
+        self._nest = _nest(samples.X @ L, u / self._sigma, e / self._sigma, sure.through(L, self._sigma), radii)
+        slope = M.T @ (sure.b + samples.X.T @ np.where(u > 0, e, 0.0)) / self.variance
         beyond_data = wide + bound_precision(self.centre, slope, lower, upper)
         self._beyond_data = self._colour.T @ beyond_data @ self._colour
 
-    def _locate(self, theta: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    @classmethod
+    def of(cls, X: Floats, P: Floats, lower: Floats, upper: Floats) -> "ClippedGaussianTarget":
+        """Of samples ``X`` (n, p), as from `road_load.design`, and ``P`` (n,)."""
+        return cls(Condensed.of(X, P), np.eye(X.shape[1]), lambda: (X, P), lower, upper)
+
+    @cached_property
+    def _endless(self) -> _Ellipsoid:
+        X, P = self._everything()
+        u = X @ self._phi
+        e = (P - np.maximum(u, 0.0)) / self._sigma
+        return _Ellipsoid(Sums.empty(len(self.centre)), X @ (self.root / self._sigma), u / self._sigma, e)
+
+    def _ellipsoid(self, i: int) -> _Ellipsoid:
+        return self._nest[i] if i < len(self._nest) else self._endless
+
+    def _locate(self, theta: Floats) -> tuple[Floats, NDArray[np.int8]]:
         """Columns [z, 1] (p + 1, k) of ``theta`` (k, p), and the innermost ellipsoid that holds each (k,)."""
         z = np.ones((theta.shape[1] + 1, len(theta)))
-        z[:-1] = self._whiten.T @ (theta.T - self.centre[:, None])
-        return z, np.searchsorted(self._squared_radii, np.einsum("ij,ij->j", z[:-1], z[:-1]))
+        np.matmul(self._whiten.T, theta.T - self.centre[:, None], out=z[:-1])
+        squared = np.einsum("ij,ij->j", z[:-1], z[:-1])
+        place = np.zeros(len(theta), dtype=np.int8)
+        for limit in self._squared_radii:  # several times faster than a search for each
+            place += squared > limit
+        return z, place
 
     def log_density(self, theta: Floats) -> Floats:
         """See `Target.log_density`; zero at the centre."""
         z, place = self._locate(theta)
         place[~in_box(theta, self.lower, self.upper)] = -1
         density = np.full(len(theta), -np.inf)
-        for i, ellipsoid in enumerate(self._ellipsoids):
+        for i in range(len(self._nest) + 1):
             members = np.flatnonzero(place == i)
             if len(members):
-                density[members] = -0.5 * ellipsoid.excess(z.take(members, axis=1))
+                density[members] = -0.5 * self._ellipsoid(i).excess(z.take(members, axis=1))
         return density
 
     def curvature(self, theta: Floats) -> Floats:
         """See `Target.curvature`: sigma^2 (J' J)^-1 with J the Jacobian of the clipped power, no wider than the box."""
         z, place = self._locate(theta)
-        information = np.stack([self._ellipsoids[i].information(column) for i, column in zip(place, z.T, strict=True)])
+        information = np.stack([self._ellipsoid(i).information(column) for i, column in zip(place, z.T, strict=True)])
         covariance: Floats = self._colour @ np.linalg.inv(information + self._beyond_data) @ self._colour.T
         return covariance
 
 
-def _nest(w: Floats, u: Floats, e: Floats) -> list[_Ellipsoid]:
-    """Ellipsoids of all RADII, and the one without end, for samples ``w`` (n, p), ``u`` and ``e`` (n,)."""
-    sure = Sums.empty(w.shape[1])
-    nest = [_Ellipsoid(sure, w, u, e)]
+def _nest(w: Floats, u: Floats, e: Floats, sure: Sums, radii: Floats) -> list[_Ellipsoid]:
+    """Ellipsoids of the ``radii``, for undecided samples ``w`` (n, p), ``u``, ``e`` (n,) beside the ``sure`` ones."""
+    nest = []
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = np.abs(u) / np.sqrt(np.einsum("ij,ij->i", w, w))  # |z| where the sample can change sign first
-    for radius in reversed(RADII):
+    for radius in radii[::-1]:
         decided = turn > radius
         active = np.flatnonzero(decided & (u > 0))
-        sure = sure.add(w[active], e[active])
+        sure = sure + Sums.of(w[active], e[active])
         rest = np.flatnonzero(~decided)
         w, u, e, turn = w[rest], u[rest], e[rest], turn[rest]
         nest.append(_Ellipsoid(sure, w, u, e))

@@ -5,6 +5,7 @@ Both are pure functions of a target, starting points and a generator. Metropolis
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import exp, lgamma
 
 import numpy as np
 
@@ -14,15 +15,17 @@ from estimator.signals import Floats
 REFRESH = 100  # iterations between new proposal covariances of the random walk
 ACCEPTANCE = 0.3  # that the steps of the random walk are scaled to
 SCALING = 2.0  # log of the scale, per excess of acceptance over ACCEPTANCE, at every refresh
-PROPOSAL_DOF = 12.0  # of the independence proposal: tails as heavy as those of any target here
+WIDE_SHARE = 0.2  # of the independence proposals that come from a t distribution, the others from a Gaussian
+WIDE_DOF = 6.0  # of that t: tails heavier than those of any target here
 
 
 @dataclass(frozen=True, slots=True)
 class Chains:
-    """``draws`` (chains, draws, p), those of the burn-in left out, and the share of proposals accepted."""
+    """``draws`` (chains, draws, p), those of the burn-in left out, and how they came about."""
 
     draws: Floats
-    acceptance: float
+    acceptance: float  # share of the proposals
+    heaviest: float = 1.0  # importance weight of a proposal, over their mean; 1 where proposals have none
 
 
 Kernel = Callable[[Target, Floats, int, int, np.random.Generator], Chains]
@@ -58,33 +61,54 @@ def random_walk(target: Target, starts: Floats, burn_in: int, draws: int, rng: n
 
 
 def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: np.random.Generator) -> Chains:
-    """Proposals from one heavy-tailed t distribution around the target's centre; ``starts`` (k, p), one row a chain.
+    """Proposals from one heavy-tailed distribution around the target's centre; ``starts`` (k, p), one row a chain.
 
     Proposals do not depend on the chain's state, so all of them are drawn and evaluated in one batch; what is left
-    of the iteration is a comparison of numbers.
+    of the iterations is to follow the few that are refused. The chains forget their past by the factor 1 - 1 / M an
+    iteration, with M the largest importance weight over their mean (Mengersen & Tweedie 1996): a single proposal that
+    hits a mode far away makes it large.
     """
     k, p = starts.shape
-    n = burn_in + draws
+    n = burn_in + draws + 1  # states of a chain, which stand in a row, its start first
     width = factor(target.curvature(target.centre[None])[0])
-    # Columns are proposals: chain by chain within an iteration, the starting points first.
-    z = np.empty((p, (n + 1) * k))
-    z[:, :k] = np.linalg.solve(width, (starts - target.centre).T)
-    z[:, k:] = rng.standard_normal((p, n * k))
-    z[:, k:] *= np.sqrt(PROPOSAL_DOF / 2 / rng.standard_gamma(PROPOSAL_DOF / 2, n * k))
-    states = (width @ z).T + target.centre
-    states[:k] = starts
+    z = rng.standard_normal((p, k * n))
+    scale, wide = np.ones(k * n), np.flatnonzero(rng.random(k * n) < WIDE_SHARE)
+    scale[wide] = np.sqrt(WIDE_DOF / 2 / rng.standard_gamma(WIDE_DOF / 2, len(wide)))
+    z *= scale
+    z[:, ::n] = np.linalg.solve(width, (starts - target.centre).T)
+    columns = width @ z
+    columns += target.centre[:, None]
+    states = columns.T
+    states[::n] = starts
     # An independence chain compares log(target / proposal), the importance weights of the states.
     weight = target.log_density(states)
-    weight += 0.5 * (PROPOSAL_DOF + p) * np.log1p(np.einsum("ij,ij->j", z, z) / PROPOSAL_DOF)
-    weight = weight.reshape(n + 1, k)
-    hurdle = weight[1:] + rng.standard_exponential((n, k))
-    # Whoever does not clear the hurdle stays: takes over weight and place of the iteration before.
-    place, stay = np.arange(len(states)).reshape(n + 1, k), np.empty((n, k), dtype=bool)
-    for i, stays in enumerate(stay):
-        np.less_equal(hurdle[i], weight[i], out=stays)
-        np.copyto(weight[i + 1], weight[i], where=stays)
-        np.copyto(place[i + 1], place[i], where=stays)
-    return Chains(states.take(place[burn_in + 1 :].T, axis=0), 1.0 - float(stay[burn_in:].mean()))
+    weight -= _log_proposal(z)
+    hurdle = rng.standard_exponential(k * n + 1)
+    hurdle[:-1] += weight
+    hurdle[::n] = np.inf
+    heaviest = 1 / float(np.exp(weight - weight.max()).mean())
+    # Whoever does not clear the hurdle against the state before stays there, and so may those that come next: against
+    # a state that refused its successor. That has the larger weight, so no refusal is ever taken back.
+    refused = np.zeros(k * n, dtype=bool)
+    place = np.flatnonzero(hurdle[1:-1] <= weight[:-1]) + 1
+    stay = place - 1
+    while len(place):
+        refused[place] = True
+        states[place] = states[stay]
+        again = hurdle[place + 1] <= weight[stay]
+        place, stay = place[again] + 1, stay[again]
+    kept = slice(burn_in + 1, None)
+    acceptance = 1.0 - float(refused.reshape(k, n)[:, kept].mean())
+    return Chains(states.reshape(k, n, p)[:, kept], acceptance, heaviest)
+
+
+def _log_proposal(z: Floats) -> Floats:
+    """Log density (k,) at columns ``z`` (p, k) of the defensive mixture (Hesterberg 1995), up to a constant."""
+    p, squared = len(z), np.einsum("ij,ij->j", z, z)
+    constant = exp(lgamma((WIDE_DOF + p) / 2) - lgamma(WIDE_DOF / 2)) * (2 / WIDE_DOF) ** (p / 2)
+    t = np.exp(-0.5 * (WIDE_DOF + p) * np.log1p(squared / WIDE_DOF))
+    density: Floats = np.log((1 - WIDE_SHARE) * np.exp(-0.5 * squared) + WIDE_SHARE * constant * t)
+    return density
 
 
 KERNELS: dict[str, Kernel] = {"independence": independence, "random_walk": random_walk}

@@ -12,6 +12,7 @@ from estimator.signals import Floats
 SPREAD = 3.0  # sd of the chains' starting points around the centre
 LEAST_ACCEPTANCE = 0.2  # of independence proposals that resemble the target
 LEAST_ESS = 0.05  # per draw, of the worst parameter
+HEAVIEST = 20.0  # importance weight of them, over the mean
 WALK_BURN_IN = 1000  # iterations of the random walk that steps in
 WALK_DRAWS = 5000  # of it, the paper's number
 
@@ -43,15 +44,16 @@ def run(target: Target, kernel: str, chains: int, burn_in: int, draws: int, rng:
     """Draw from ``target`` with one of `metropolis.KERNELS`, ``chains`` x ``draws`` after ``burn_in`` iterations.
 
     Independence proposals are only as good as the local Gaussian they come from. Where the density has several
-    modes or an odd shape they are hardly ever accepted, or few draws are worth anything; then the random walk, which
-    needs no such resemblance, takes over with more iterations. Whether it converged its diagnoses say: chains that
-    stay in different modes give a large R-hat.
+    modes or an odd shape they are hardly ever accepted, few draws are worth anything, or a few have all the weight;
+    then the random walk, which needs no such resemblance, takes over with more iterations. Whether it converged its
+    diagnoses say: chains that stay in different modes give a large R-hat.
     """
     starts = overdispersed(target, chains, rng)
     if kernel == "independence":
-        proposed = _judged(kernel, KERNELS[kernel](target, starts, burn_in, draws, rng))
-        if _resembles(proposed):
-            return proposed
+        made = KERNELS[kernel](target, starts, burn_in, draws, rng)
+        judged = _judged(kernel, made)
+        if made.heaviest <= HEAVIEST and _resembles(judged):
+            return judged
     burn_in, draws = max(burn_in, WALK_BURN_IN), max(draws, WALK_DRAWS)
     return _judged("random_walk", KERNELS["random_walk"](target, starts, burn_in, draws, rng))
 

@@ -1,0 +1,171 @@
+"""One update: fit, judge, sample. What the window says, given what was known before.
+
+Known before are the beliefs of the configuration, and what the vehicle has shown of itself under other loads.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.config import Config
+from estimator.effects import named
+from estimator.estimate import Coverage, Estimate, Status
+from estimator.estimation import moments, posterior
+from estimator.estimation.admission import Reason
+from estimator.estimation.gate import Gate
+from estimator.estimation.load import Segment, load_change
+from estimator.estimation.model_check import contradiction, misfit
+from estimator.estimation.moments import SMALL_LAG, Fit
+from estimator.estimation.paper_likelihood import PaperLikelihood
+from estimator.estimation.posterior import Posterior
+from estimator.estimation.window import Grid, Window
+from estimator.samples import Samples
+from estimator.sampling.likelihood import Target
+from estimator.signals import Quantity
+from estimator.state import Count, State, generator_state, optional, read, set_generator, substate
+
+PULLING = 0.1  # m/s^2
+NOTHING_COVERED = Coverage(0, 0)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Samples, fit, draws, lag of power behind speed [s] and samples per cell of the grid behind an estimate."""
+
+    samples: Samples
+    fit: Fit
+    posterior: Posterior
+    lag: float
+    grid: Grid
+    counts: NDArray[np.int64]
+
+
+class Inference:
+    """Concludes from a window, and remembers what each load has shown.
+
+    Parameters
+    ----------
+    config
+        All settings.
+    grid
+        Cells of the window.
+    rng
+        Source of all randomness.
+    """
+
+    def __init__(self, config: Config, grid: Grid, rng: np.random.Generator) -> None:
+        self.evidence: Evidence | None = None  # what the newest estimate rests on; None while there is none
+        self.below = 0  # samples that the newest fit left out for their model power
+        self._config = config
+        self._gate = Gate(config.gate, grid)
+        self._effects = named(config.effects)
+        self._given = posterior.belief_of(config.prior)
+        self._rng = rng
+        self._paper = PaperLikelihood()
+        self._shown: Segment | None = None  # what this load has shown so far
+        self._before: Segment | None = None  # and the one before
+
+    def start_segment(self) -> None:
+        """Another load, perhaps: what this one has shown becomes what was shown before."""
+        if self._shown is not None:
+            self._before = self._shown
+        self.evidence, self._shown = None, None
+
+    def forget_vehicle(self) -> None:
+        """It may be another vehicle."""
+        self._before = None
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from: all but the evidence, which the next update makes anew."""
+        return {
+            "generator": generator_state(self._rng),
+            "below": self.below,
+            "paper": self._paper.state(),
+            "shown": None if self._shown is None else self._shown.state(),
+            "before": None if self._before is None else self._before.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Know what another knew.
+
+        Raises
+        ------
+        StateError
+            The state is not that of an inference.
+        """
+        set_generator(self._rng, state, "generator")
+        self.below = read(state, "below", Count)
+        self._paper.restore(substate(state, "paper"))
+        self._shown = optional(state, "shown", Segment.restore)
+        self._before = optional(state, "before", Segment.restore)
+
+    def conclude(
+        self, t: float, window: Window, context: frozenset[Quantity], lag: float, doubt: str, rejected: Counter[str]
+    ) -> Estimate:
+        """The estimate at time ``t`` [s].
+
+        ``context`` that the samples carry; ``lag`` [s] by which power was moved; ``doubt`` about the signals, or
+        empty; rows ``rejected`` before the fit, by reason.
+        """
+        self.evidence = None
+        samples = window.samples
+        if reason := self._contradicted(samples):
+            return Estimate(t, Status.INVALID, reason, NOTHING_COVERED, len(samples))
+        belief = self._given
+        if self._before is not None:
+            belief = belief + self._before.carry_over(t, self._config.load)
+        for effect in self._effects:
+            if not effect.streaming_shapes(context):
+                needs = " or ".join(role.value for role in effect.wanted)
+                reason = f"the effect {effect.name} needs {needs}, which the bus does not carry"
+                return Estimate(t, Status.UNESTIMATED, reason, NOTHING_COVERED, len(samples))
+        fit = moments.fit(samples, self._config.admission.power_sigmas, belief, self._effects)
+        held = int(fit.kept.sum()) if fit else len(samples)
+        self.below = len(samples) - held
+
+        def unestimated(reason: str, coverage: Coverage = NOTHING_COVERED) -> Estimate:
+            return Estimate(t, Status.UNESTIMATED, reason, coverage, held)
+
+        reason = self._gate.is_calculable(fit, held, posterior.box(self._config.prior))
+        pulling = samples.P[samples.za > PULLING]
+        if fit is None and len(pulling) and np.median(pulling) <= 0:
+            return unestimated("power is not positive while the vehicle accelerates: check the sign of the torque")
+        if fit is None or reason:
+            common = (rejected + Counter({Reason.BELOW_MODEL_POWER.value: self.below})).most_common(1)
+            return unestimated(reason + (f"; most others: {common[0][0]}" if common else ""))
+        counts = window.counts
+        coverage = self._gate.coverage(counts, np.maximum(fit.theta[:3], 0.0), samples.P)
+        if reason := self._gate.is_covered(fit, coverage):
+            return unestimated(reason, coverage)
+        if reason := doubt or misfit(samples, fit):
+            return Estimate(t, Status.INVALID, reason, coverage, held, rms=fit.rms)
+        draws = posterior.sample(self._target(window, fit), self._config, self._rng)
+        if not draws.has_converged:
+            c = draws.convergence
+            return unestimated(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
+        self.evidence = Evidence(samples, fit, draws, lag + float(fit.theta[moments.ROAD_LOAD]), window.grid, counts)
+        A, C, m = (draws.marginal(i) for i in range(3))
+        road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, : moments.ROAD_LOAD]
+        self._shown = Segment(road_load.mean(axis=0), np.cov(road_load.T), t)
+        own = enumerate(fit.own_terms, start=moments.PARAMETERS)
+        effects = {term.effect.name: draws.marginal(i) for i, term in own}
+        change = None if self._before is None else load_change(self._before, self._shown)
+        return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms, effects, change)
+
+    def _contradicted(self, samples: Samples) -> str:
+        """Which belief of the configuration the drive contradicts, if any."""
+        if self._given is SMALL_LAG:
+            return ""
+        drive = moments.fit(samples, self._config.admission.power_sigmas, SMALL_LAG, self._effects)
+        if drive is None or drive.kept.sum() < self._config.gate.minimum_samples:
+            return ""
+        return contradiction(self._config.prior, drive)
+
+    def _target(self, window: Window, fit: Fit) -> Target:
+        if self._config.sampler.likelihood == "instruments":
+            return posterior.target_of(fit, self._config)
+        lower, upper = posterior.box(self._config.prior)
+        return self._paper.target(window.blocks, lower[: moments.ROAD_LOAD], upper[: moments.ROAD_LOAD])

@@ -1,0 +1,157 @@
+"""The tables of the configuration: every key typed, ranged and defaulted here."""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=1)]
+Address = Annotated[int, Meta(ge=0, le=253)]
+Range = tuple[float, float]
+Belief = tuple[Positive, Positive]
+SignalPaths = str | list[str]
+
+
+class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all tables: immutable, and strict about its keys."""
+
+
+class Vehicle(Section, frozen=True):
+    """What is known of the vehicle beforehand."""
+
+    driveline_efficiency: Annotated[float, Meta(gt=0, le=1)] = 1.0  # wheel power over crank power
+    reference_torque_Nm: Positive | None = None  # instead of the EC1 broadcast
+    subtract_parasitic_losses: bool = False  # some ECUs already count them as friction
+
+
+class Bus(Section, frozen=True):
+    """How traffic is decoded: databases, and which source address may speak for a message."""
+
+    dbc: list[str] = []  # paths relative to the configuration file; empty: the shipped j1939.dbc
+    match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC says J1939
+    source_addresses: dict[str, Address] = {}  # MESSAGE = address; others lock on the first valid sender
+
+
+class Kinematics(Section, frozen=True):
+    """How speed becomes acceleration."""
+
+    acceleration: Literal["wheel_speed", "inertial"] = "wheel_speed"  # inertial: senses gravity, so grade too
+    despike: bool = True  # replace lone gross errors of power by the median of their neighbours
+    maximum_lag_s: Annotated[float, Meta(ge=0, le=2)] = 0.6  # of torque against speed, searched on either side
+
+
+class Admission(Section, frozen=True):
+    """Which samples may enter the window."""
+
+    minimum_speed_m_s: NotNegative = 1.0
+    margin_s: NotNegative = 1.5  # kept away from brake use, shifts and gaps, on either side
+    power_sigmas: NotNegative = 3.0  # model power must exceed this many sd of the residual
+
+
+class Window(Section, frozen=True):
+    """What is remembered."""
+
+    samples: Annotated[int, Meta(ge=600, le=1_000_000)] = 36_000  # at 10 Hz: an hour of admitted driving
+    hours: Positive = 24.0
+
+
+class Gate(Section, frozen=True):
+    """When an estimate may be made."""
+
+    interval_s: Annotated[float, Meta(ge=5)] = 60.0  # between updates, message time
+    minimum_samples: Count = 600
+    minimum_cells: Count = 8  # occupied cells of the speed x acceleration grid
+    cell_count: Count = 10  # samples that make a cell occupied
+    coverage: Fraction = 0.15
+    speed_step_m_s: Positive = 2.5
+    acceleration_step_m_s2: Positive = 0.1
+    new_samples: Fraction = 0.02  # share of the window that must be new since the last estimate
+    relative_sd: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.1)  # largest predicted, of A, C, m
+
+
+class Load(Section, frozen=True):
+    """When the load may change, and how well the vehicle is remembered across such a stop."""
+
+    stop_s: Positive = 300.0  # standing this long starts a new load segment
+    change_sd: NotNegative = 0.1  # relative sd of what A / m and C may change with the load: trailers differ
+    drift_per_hour: NotNegative = 0.03  # relative sd by which A / m and C may wander, growing with the square root
+
+
+class Prior(Section, frozen=True):
+    """Box priors: the posterior lives inside; and beliefs as (mean, sd), e.g. from a weigh ticket or data sheet."""
+
+    mass_kg: Range = (500.0, 100_000.0)
+    A_N: Range = (0.0, 10_000.0)
+    C_N_s2_m2: Range = (0.0, 20.0)
+    mass_belief_kg: Belief | None = None
+    A_belief_N: Belief | None = None
+    C_belief_N_s2_m2: Belief | None = None
+
+
+class Sampler(Section, frozen=True):
+    """Metropolis-Hastings."""
+
+    likelihood: Literal["instruments", "paper"] = "instruments"
+    kernel: Literal["independence", "random_walk"] = "independence"
+    chains: Annotated[int, Meta(ge=2, le=256)] = 64
+    burn_in: Annotated[int, Meta(ge=1, le=20_000)] = 20  # the random walk takes more of both: it moves slowly
+    draws: Annotated[int, Meta(ge=8, le=20_000)] = 100  # kept, per chain
+    seed: Annotated[int, Meta(ge=0)] = 1
+
+
+class Publish(Section, frozen=True):
+    """What is broadcast."""
+
+    source_address: Address = 0xFB  # the on-board data logger's
+    priority: Annotated[int, Meta(ge=0, le=7)] = 6
+    status_period_s: Positive = 1.0
+    value_period_s: Positive = 10.0
+    stale_after_s: Positive = 3600.0
+    cvw: bool = False  # also the mass as CVW, PGN 65136; a node of the vehicle may already send that
+
+
+class BusOptions(Section, frozen=True):
+    """Which bus, where the command line does not say it; what is missing here is looked up in can.conf."""
+
+    interface: str | None = None  # of python-can: "socketcan", "udp_multicast", ...
+    channel: str | None = None
+    bitrate: Count | None = None
+    context: str | None = None  # section of can.conf
+
+
+class Reception(BusOptions, frozen=True):
+    """How the daemon hears the bus."""
+
+    filter: bool = True  # have the kernel pass on the wanted messages only
+    buffer_bytes: Annotated[int, Meta(ge=4096, le=1 << 28)] = 4 << 20  # of the kernel, for the socket
+    queue_frames: Annotated[int, Meta(ge=1000, le=10_000_000)] = 200_000  # that may wait for the estimator
+    silence_s: Positive = 5.0  # without a frame: the ignition is off
+    reopen_s: NotNegative = 60.0  # of silence after which a bus without a network device is opened anew; 0: never
+
+
+class Transmit(BusOptions, frozen=True):
+    """Whether and how the daemon sends; without a bus of its own it sends on the one it hears."""
+
+    enabled: bool = False
+    frames_per_second: Positive = 10.0  # on average; three times as many at once
+    identity: Annotated[int, Meta(ge=0, lt=1 << 21)] = 1  # of the J1939 NAME: the number of this device
+    manufacturer: Annotated[int, Meta(ge=0, lt=1 << 11)] = 0x7FF  # assigned by SAE; none is assigned to this project
+    function: Annotated[int, Meta(ge=0, le=255)] = 255  # not available
+    function_instance: Annotated[int, Meta(ge=0, le=31)] = 0
+    ecu_instance: Annotated[int, Meta(ge=0, le=7)] = 0
+    vehicle_system: Annotated[int, Meta(ge=0, le=127)] = 0
+    vehicle_system_instance: Annotated[int, Meta(ge=0, le=15)] = 0
+    industry_group: Annotated[int, Meta(ge=0, le=7)] = 1  # on-highway
+    arbitrary_address: bool = True  # take another address when the preferred one is lost
+
+
+class Service(Section, frozen=True):
+    """Where the daemon keeps what it knows."""
+
+    state_directory: str | None = None  # default: that of systemd, else the user's own
+    runtime_directory: str | None = None  # of the status file; default: that of systemd, else the user's own
+    save_interval_s: Annotated[float, Meta(ge=10)] = 60.0  # at most that much is lost with the power
+    metrics: str | None = None  # file for the node exporter of Prometheus
