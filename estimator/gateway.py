@@ -7,24 +7,12 @@ import can
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.publisher import Publisher
-from estimator.config import Config, Publish
+from estimator.config import Config
 from estimator.estimate import Estimate
 from estimator.pipeline import Pipeline
 
 TICK = 0.25  # s of traffic taken at a time; well below the shortest period of what is broadcast
 LONGEST_LIST = 10_000  # updates remembered: a week of them
-
-
-def publisher_of(publish: Publish) -> Publisher:
-    """A publisher as configured."""
-    return Publisher(
-        source_address=publish.source_address,
-        priority=publish.priority,
-        status_period=publish.status_period_s,
-        value_period=publish.value_period_s,
-        stale_after=publish.stale_after_s,
-        cvw=publish.cvw,
-    )
 
 
 class Gateway(can.Listener):
@@ -43,7 +31,7 @@ class Gateway(can.Listener):
         self.updates: deque[Estimate] = deque(maxlen=LONGEST_LIST)
         self.skipped: Counter[str] = Counter()
         self.sent: Counter[int] = Counter()  # messages broadcast, by arbitration id
-        self._publisher = publisher_of(config.publish)
+        self._publisher = Publisher(config.publish)
         self._send = send
         self._waiting: list[can.Message] = []
         self._due: float | None = None

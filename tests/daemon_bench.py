@@ -9,7 +9,8 @@ import numpy as np
 
 from estimator.can_io.frames import Frames
 from estimator.config import Config
-from estimator.daemon.buses import BusSpec, Device
+from estimator.daemon.buses import BusSpec
+from estimator.daemon.device import Device
 from estimator.daemon.link import Link
 from estimator.daemon.loop import Daemon
 from estimator.daemon.reader import Batch

@@ -26,6 +26,7 @@ from estimator.daemon.supervision import Signals, supervise
 from estimator.daemon.worker import Worker
 from estimator.errors import ConfigError, RoadloadError
 from estimator.pipeline import Pipeline
+from estimator.settings import Transmit, Vehicle
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
@@ -132,8 +133,8 @@ def test_a_state_belongs_to_what_it_was_estimated_with(settings: Path, tmp_path:
     (tmp_path / "own.dbc").write_text((DBC / "j1939.dbc").read_text())
     base = config.from_dict({"bus": {"dbc": [str(tmp_path / "own.dbc")]}})
     key = estimation_key(base)
-    assert estimation_key(config.replace(base, transmit=config.Transmit(enabled=True))) == key
-    assert estimation_key(config.replace(base, vehicle=config.Vehicle(driveline_efficiency=0.9))) != key
+    assert estimation_key(config.replace(base, transmit=Transmit(enabled=True))) == key
+    assert estimation_key(config.replace(base, vehicle=Vehicle(driveline_efficiency=0.9))) != key
     (tmp_path / "own.dbc").write_text((DBC / "j1939.dbc").read_text() + "\n")
     assert estimation_key(base) != key
 

@@ -10,7 +10,8 @@ from daemon_bench import Bench, frame
 
 from estimator import config
 from estimator.can_io.node import FREE
-from estimator.daemon.buses import BusSpec, Device, open_bus
+from estimator.daemon.buses import BusSpec, open_bus
+from estimator.daemon.device import Device
 from estimator.daemon.filters import node_filters
 from estimator.daemon.reader import Batch
 from estimator.daemon.status import State

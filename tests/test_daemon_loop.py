@@ -18,7 +18,7 @@ from estimator.can_io.name import Name
 from estimator.can_io.protection import verify
 from estimator.can_io.publisher import output_database, output_groups
 from estimator.can_io.recorder import frames_of
-from estimator.config import Config, Reception
+from estimator.config import Config
 from estimator.daemon import status
 from estimator.daemon.reader import Batch
 from estimator.daemon.service import Notifier
@@ -27,6 +27,7 @@ from estimator.daemon.worker import Worker
 from estimator.errors import RoadloadError
 from estimator.pipeline import Pipeline
 from estimator.replay import estimate
+from estimator.settings import Reception
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck

@@ -16,6 +16,7 @@ from estimator.can_io.node import ANSWER_BURST, ANSWER_RATE, CLAIM_BURST, CLAIM_
 from estimator.can_io.protection import verify
 from estimator.can_io.publisher import Publisher
 from estimator.errors import ConfigError
+from estimator.settings import Publish
 
 OURS = Name(identity=1000, manufacturer=500, function=130)
 STUBBORN = Name(identity=1000, manufacturer=500, function=130, arbitrary_address_capable=0)
@@ -226,7 +227,7 @@ def test_what_we_do_not_have_is_refused_to_one_and_passed_over_for_all():
 
 
 def test_what_we_publish_is_sent_on_request():
-    publisher = Publisher(cvw=True)
+    publisher = Publisher(Publish(cvw=True))
     node = settled(answer=lambda pgn: publisher.answer(pgn, None))
     publisher.poll(0.5, None)
     for pgn, destination in ((0xFF61, 0xFB), (0xFF60, 0xFF), (CVW, 0xFF)):

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from estimator.can_io.protection import crc8, verify
 from estimator.can_io.publisher import Publisher, output_database
+from estimator.config import from_dict
 from estimator.errors import ConfigError
 from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
+from estimator.settings import Publish
 
 MARGINAL = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 PUBLISHED = {"mean": "Mean", "q05": "Q05", "q95": "Q95", "sd": "Deviation"}
@@ -78,7 +80,7 @@ def test_database_loads_without_a_warning(caplog: pytest.LogCaptureFixture) -> N
 @given(estimates, st.floats(0, 7200))
 def test_any_estimate_survives_the_wire(given_estimate: Estimate, age: float) -> None:
     t = given_estimate.t + age
-    frames = Publisher(cvw=True).poll(t, given_estimate)
+    frames = Publisher(Publish(cvw=True)).poll(t, given_estimate)
     assert len(frames) == 6
     assert all(len(frame.data) == 8 and frame.timestamp == t for frame in frames)
     assert all(verify(frame) for frame in frames[:5])
@@ -103,7 +105,7 @@ def test_any_estimate_survives_the_wire(given_estimate: Estimate, age: float) ->
 
 def test_frame_bytes() -> None:
     """A frame written out by hand: 2 kg/bit little endian, counter 0, status 1, CRC."""
-    mass = Publisher().poll(0.0, estimate())[1]
+    mass = Publisher(Publish()).poll(0.0, estimate())[1]
     assert mass.arbitration_id == 0x18FF61FB
     assert mass.is_extended_id
     body = (13595).to_bytes(2, "little") + (13350).to_bytes(2, "little") + (13850).to_bytes(2, "little") + b"\x10"
@@ -111,12 +113,12 @@ def test_frame_bytes() -> None:
 
 
 def test_withheld_values_are_the_raw_codes_of_j1939() -> None:
-    assert bytes(Publisher().poll(0.0, None)[1].data[:6]) == b"\xff" * 6
-    assert bytes(Publisher().poll(0.0, estimate(status=Status.INVALID))[1].data[:6]) == b"\x00\xfe" * 3
+    assert bytes(Publisher(Publish()).poll(0.0, None)[1].data[:6]) == b"\xff" * 6
+    assert bytes(Publisher(Publish()).poll(0.0, estimate(status=Status.INVALID))[1].data[:6]) == b"\x00\xfe" * 3
 
 
 def test_without_an_estimate_nothing_is_available() -> None:
-    sent = decoded(Publisher(cvw=True).poll(5.0, None))
+    sent = decoded(Publisher(Publish(cvw=True)).poll(5.0, None))
     assert sent.pop("EstimateStatus") == "unestimated"
     assert sent.pop("AliveCounter") == 0
     sent.pop("Checksum")
@@ -124,15 +126,15 @@ def test_without_an_estimate_nothing_is_available() -> None:
 
 
 def test_cvw_is_off_by_default_and_carries_the_mass() -> None:
-    assert all(frame.arbitration_id >> 8 & 0xFFFF != 0xFE70 for frame in Publisher().poll(0.0, estimate()))
-    frame = Publisher(cvw=True).poll(0.0, estimate())[-1]
+    assert all(frame.arbitration_id >> 8 & 0xFFFF != 0xFE70 for frame in Publisher(Publish()).poll(0.0, estimate()))
+    frame = Publisher(Publish(cvw=True)).poll(0.0, estimate())[-1]
     assert frame.arbitration_id == 0x18FE70FB
     assert bytes(frame.data) == b"\xff\xff" + (2719).to_bytes(2, "little") + b"\xff" * 4
 
 
 @given(st.integers(0, 253), st.integers(0, 7))
 def test_source_address_and_priority_are_in_the_id(address: int, priority: int) -> None:
-    publisher = Publisher(source_address=address, priority=priority)
+    publisher = Publisher(Publish(source_address=address, priority=priority))
     for frame in publisher.poll(0.0, estimate()):
         unpacked = cantools.j1939.frame_id_unpack(frame.arbitration_id)
         assert (unpacked.priority, unpacked.pdu_format, unpacked.source_address) == (priority, 0xFF, address)
@@ -143,11 +145,17 @@ def test_source_address_and_priority_are_in_the_id(address: int, priority: int) 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"source_address": 254}, {"priority": 8}, {"status_period": 0}, {"value_period": math.nan}, {"stale_after": -1}],
+    [
+        {"source_address": 254},
+        {"priority": 8},
+        {"status_period_s": 0},
+        {"value_period_s": math.nan},
+        {"stale_after_s": -1},
+    ],
 )
-def test_arguments_out_of_range_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ConfigError):
-        Publisher(**wrong)  # type: ignore[arg-type]
+def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=f"publish.{next(iter(wrong))}"):
+        from_dict({"publish": wrong})
 
 
 def test_crc_check_value() -> None:
@@ -156,7 +164,7 @@ def test_crc_check_value() -> None:
 
 @given(estimates)
 def test_checksum_detects_every_flipped_bit_and_a_foreign_id(given_estimate: Estimate) -> None:
-    frame = Publisher().poll(given_estimate.t, given_estimate)[1]
+    frame = Publisher(Publish()).poll(given_estimate.t, given_estimate)[1]
     data, ident = bytes(frame.data), frame.arbitration_id
     for bit in range(64):
         damaged = (int.from_bytes(data, "big") ^ 1 << bit).to_bytes(8, "big")

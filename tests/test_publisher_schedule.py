@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from estimator.can_io.publisher import Publisher, output_database
 from estimator.estimate import Coverage, Estimate, Marginal, Status
+from estimator.settings import Publish
 
 STATUS, MASS = 0x18FF60FB, 0x18FF61FB
 MARGINAL = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
@@ -40,7 +41,7 @@ def times(start: float, distances: list[float]) -> list[float]:
 
 @given(starts, steps)
 def test_rates_over_random_polls(start: float, distances: list[float]) -> None:
-    publisher = Publisher()
+    publisher = Publisher(Publish())
     stamps = defaultdict(list)
     polls = times(start, distances)
     for t in polls:
@@ -55,7 +56,7 @@ def test_rates_over_random_polls(start: float, distances: list[float]) -> None:
 
 @given(starts, st.lists(st.floats(0.0, 5000.0), max_size=50))
 def test_no_burst_after_a_gap_and_stamps_in_order(start: float, distances: list[float]) -> None:
-    publisher = Publisher()
+    publisher = Publisher(Publish())
     last = start
     for t in times(start, distances):
         frames = publisher.poll(t, None)
@@ -68,7 +69,7 @@ def test_no_burst_after_a_gap_and_stamps_in_order(start: float, distances: list[
 @given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.none() | st.sampled_from(Status))))
 def test_same_polls_same_bytes(polls: list[tuple[float, Status | None]]) -> None:
     def run() -> list[tuple[float, int, bytes]]:
-        publisher = Publisher(cvw=True)
+        publisher = Publisher(Publish(cvw=True))
         frames = [f for t, status in polls for f in publisher.poll(t, status and estimate(t - 5, status))]
         return [(f.timestamp, f.arbitration_id, bytes(f.data)) for f in frames]
 
@@ -76,7 +77,7 @@ def test_same_polls_same_bytes(polls: list[tuple[float, Status | None]]) -> None
 
 
 def test_after_a_gap_the_grid_goes_on() -> None:
-    publisher = Publisher()
+    publisher = Publisher(Publish())
     publisher.poll(0.0, None)
     assert [f.timestamp for f in publisher.poll(34.5, None)] == [30.0] * 4 + [34.0]
     assert publisher.poll(34.9, None) == []
@@ -84,7 +85,7 @@ def test_after_a_gap_the_grid_goes_on() -> None:
 
 
 def test_counter_rolls_past_14_and_counts_each_message_alone() -> None:
-    publisher = Publisher()
+    publisher = Publisher(Publish())
     frames = [f for t in range(40) for f in publisher.poll(float(t), None)]
     for ident, n in ((STATUS, 40), (MASS, 4)):
         seen = [f.data[6] & 0xF for f in frames if f.arbitration_id == ident]
@@ -92,7 +93,7 @@ def test_counter_rolls_past_14_and_counts_each_message_alone() -> None:
 
 
 def test_change_of_status_is_sent_at_once() -> None:
-    publisher = Publisher()
+    publisher = Publisher(Publish())
     publisher.poll(0.0, None)
     frames = publisher.poll(0.25, estimate(0.25))
     assert len(frames) == 5
@@ -107,7 +108,7 @@ def test_change_of_status_is_sent_at_once() -> None:
 
 
 def test_values_are_withdrawn_when_stale_and_return_with_a_new_estimate() -> None:
-    publisher = Publisher(stale_after=60.0)
+    publisher = Publisher(Publish(stale_after_s=60.0))
     assert read(publisher.poll(0.0, estimate(0.0)), "EstimateStatus") == "estimated"
     publisher.poll(59.5, estimate(0.0))
     assert publisher.poll(59.9, estimate(0.0)) == []
@@ -120,7 +121,7 @@ def test_values_are_withdrawn_when_stale_and_return_with_a_new_estimate() -> Non
 
 
 def test_clock_set_back_starts_anew_and_does_not_make_an_estimate_young() -> None:
-    publisher = Publisher(stale_after=60.0)
+    publisher = Publisher(Publish(stale_after_s=60.0))
     old = estimate(10_000.0)
     publisher.poll(10_030.0, old)
     frames = publisher.poll(5_000.0, old)
@@ -132,14 +133,14 @@ def test_clock_set_back_starts_anew_and_does_not_make_an_estimate_young() -> Non
 
 
 def test_estimate_from_a_time_to_come_is_not_trusted() -> None:
-    frames = Publisher().poll(10.0, estimate(1e6))
+    frames = Publisher(Publish()).poll(10.0, estimate(1e6))
     assert read(frames, "EstimateStatus") == "stale"
     assert read(frames, "EstimateAge") == read(frames, "MassMean") == "not available"
 
 
 @given(st.lists(st.floats(0.0, 0.5), min_size=2, max_size=100))
 def test_jitter_of_time_stamps_sends_nothing_twice(jitter: list[float]) -> None:
-    publisher = Publisher()
+    publisher = Publisher(Publish())
     stamps = []
     for k, back in enumerate(jitter):
         stamps += [f.timestamp for f in publisher.poll(0.1 * k - back, None) if f.arbitration_id == STATUS]
@@ -147,6 +148,6 @@ def test_jitter_of_time_stamps_sends_nothing_twice(jitter: list[float]) -> None:
 
 
 def test_jitter_at_the_stale_limit_does_not_toggle_the_status() -> None:
-    publisher = Publisher(stale_after=60.0)
+    publisher = Publisher(Publish(stale_after_s=60.0))
     sent = [publisher.poll(t, estimate(0.0)) for t in (0.0, 60.1, 59.9, 60.2, 59.8, 60.3)]
     assert [len(frames) for frames in sent] == [5, 5, 0, 0, 0, 0]

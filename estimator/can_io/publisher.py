@@ -3,7 +3,7 @@
 The layout is that of the shipped ``roadload.dbc`` and nowhere else: positions, scales, limits and the raw values of
 "error" and "not available" (J1939-71: a number is valid while its top byte is at most 0xFA) are read from there.
 Parameters are sent only while the status is "estimated"; they read "error" when it is "invalid", "not available"
-otherwise. A conclusion older than ``stale_after`` is "stale": only its age is sent, never its values.
+otherwise. A conclusion older than ``stale_after_s`` is "stale": only its age is sent, never its values.
 """
 
 from functools import cache
@@ -14,8 +14,8 @@ import can
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.protection import COUNTS, checksum
-from estimator.errors import ConfigError
 from estimator.estimate import Estimate, Status
+from estimator.settings import Publish
 
 STALE = "stale"  # beside the values of `Status` in the signal EstimateStatus
 _ERROR, _NOT_AVAILABLE = "error", "not available"  # labels in roadload.dbc
@@ -62,49 +62,19 @@ class Schedule:
 class Publisher:
     """Turns the current estimate into frames, in time given by the caller alone.
 
-    Parameters
-    ----------
-    source_address
-        J1939 address to send from, 0..253; 0xFB (251) is the on-board data logger's. The attribute of the same name
-        may be changed between polls, e.g. when the address was lost to another node.
-    priority
-        J1939 priority, 0 (highest) .. 7.
-    status_period, value_period
-        Distance of the status frames and of the value frames [s].
-    stale_after
-        Age at which a conclusion is no longer published [s of message time].
-    cvw
-        Also send the mean mass as gross combination weight (CVW, PGN 65136, SPN 1760) with the value frames. Off by
-        default: a node of the vehicle may already send that group.
-
-    Raises
-    ------
-    ConfigError
-        An argument is out of its range.
+    ``source_address`` may be changed between polls, e.g. when the address was lost to another node.
     """
 
-    def __init__(
-        self,
-        *,
-        source_address: int = 0xFB,
-        priority: int = 6,
-        status_period: float = 1.0,
-        value_period: float = 10.0,
-        stale_after: float = 3600.0,
-        cvw: bool = False,
-    ) -> None:
-        if not (0 <= source_address <= 253 and 0 <= priority <= 7):
-            raise ConfigError(f"source address {source_address} / priority {priority}: give 0..253 / 0..7")
-        if not (0 < status_period < inf and 0 < value_period < inf and stale_after > 0):
-            raise ConfigError(f"periods {status_period}, {value_period} s, stale after {stale_after} s: make them > 0")
-        self.source_address = source_address
-        self._priority = priority
-        self._slack = status_period  # steps back up to this much are taken for jitter of the time stamps
-        self._stale_after = stale_after
+    def __init__(self, publish: Publish) -> None:
+        self.source_address = publish.source_address
+        self._priority = publish.priority
+        self._slack = publish.status_period_s  # steps back up to this much are taken for jitter of the time stamps
+        self._stale_after = publish.stale_after_s
         database = output_database()
+        values = (*_VALUES, _CVW) if publish.cvw else _VALUES
         self._groups = [
-            (Schedule(status_period), [database.get_message_by_name(_STATUS)]),
-            (Schedule(value_period), [database.get_message_by_name(name) for name in (*_VALUES, *[_CVW] * cvw)]),
+            (Schedule(publish.status_period_s), [database.get_message_by_name(_STATUS)]),
+            (Schedule(publish.value_period_s), [database.get_message_by_name(name) for name in values]),
         ]
         self._counters: dict[str, int] = {}
         self._status: str | None = None  # as last sent
@@ -115,7 +85,7 @@ class Publisher:
     def poll(self, t: float, estimate: Estimate | None) -> list[can.Message]:
         """Frames that are due at message time ``t`` [s], in order of time and stamped with the time they were due.
 
-        Call it at least once per ``status_period``: after a longer gap each frame is sent once. The first call, a
+        Call it at least once per ``status_period_s``: after a longer gap each frame is sent once. The first call, a
         new conclusion, a change of status and a clock set back send everything at once and start the periods anew.
         A step back within one status period sends nothing twice.
         """

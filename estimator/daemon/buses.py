@@ -2,8 +2,6 @@
 
 import argparse
 import errno
-import socket
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,8 +10,8 @@ import can
 import msgspec
 from can.typechecking import CanFilter
 
-from estimator.config import BusOptions
 from estimator.errors import ConfigError, RoadloadError
+from estimator.settings import BusOptions
 
 CONFIGURABLE = ("interface", "channel", "bitrate")
 OPTIONS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")  # of `can.cli.add_bus_arguments`
@@ -118,35 +116,3 @@ def _check_type(name: str) -> None:
         return
     if kind != ARPHRD_CAN:
         raise ConfigError(f"socketcan {name}: is not a CAN interface; CAN interfaces are listed by: ip link")
-
-
-@dataclass(frozen=True, slots=True)
-class Device:
-    """State of a network device: its number changes when it is made anew; ``received`` counts all its frames."""
-
-    index: int
-    is_up: bool
-    received: int
-
-
-Probe = Callable[[], "Device | bool | None"]
-
-
-def probe_of(spec: BusSpec) -> Probe:
-    """How to look at the device behind a bus: a `Device`, None while it is gone, True where it has none."""
-    found = spec.resolved()
-    if found["interface"] != "socketcan" or not hasattr(socket, "AF_CAN") or not INTERFACES.is_dir():
-        return lambda: True
-    folder = INTERFACES / str(found["channel"])
-
-    def look() -> "Device | bool | None":
-        try:
-            return Device(
-                int((folder / "ifindex").read_text()),
-                bool(int((folder / "flags").read_text(), 16) & 1),
-                int((folder / "statistics" / "rx_packets").read_text()),
-            )
-        except (OSError, ValueError):
-            return None
-
-    return look

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from estimator.config import Service
 from estimator.daemon.trust import refuse_if_writable_by_all
 from estimator.errors import ConfigError
+from estimator.settings import Service
 
 NAME = "roadload"
 STATUS_FILE = "status.json"

@@ -1,53 +1,31 @@
 """One bus, for years: opened when it is there, drained by a thread of its own, opened anew when it has gone.
 
-The thread does nothing but drain, so that nothing which computes can make the kernel drop frames. What it drains
-waits in a bounded queue; when that is full the newest frames are dropped, as the kernel does, and counted.
+The thread does nothing but drain, into an `Inbox`, so that nothing which computes can make the kernel drop frames.
 """
 
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import can
-import numpy as np
 from can.typechecking import CanFilter
 
-from estimator.can_io.frames import EXTENDED, Frames
-from estimator.config import Reception
-from estimator.daemon.buses import BusSpec, Device, NotThereError, Probe, open_bus, probe_of
+from estimator.daemon.buses import BusSpec, NotThereError, open_bus
+from estimator.daemon.counts import Counts
+from estimator.daemon.device import Device, DeviceWatch, Probe, probe_of
+from estimator.daemon.echoes import Echoes
+from estimator.daemon.inbox import Inbox
 from estimator.daemon.reader import Batch, Reader, reader_of
 from estimator.errors import ConfigError
+from estimator.settings import Reception
 
 log = logging.getLogger(__name__)
 
 SHORTEST_WAIT, LONGEST_WAIT = 1.0, 30.0  # s between attempts to open a bus
-PROBE_PERIOD = 1.0  # s between looks at the network device
 READ_TIMEOUT = 0.2  # s
-MOST_ECHOES = 100  # frames of our own that may still come back
 BUS_OFF_WAIT = 2.0  # s without a data frame after "bus off" before the bus is opened anew
-
-
-@dataclass
-class Counts:
-    """What a link has met since the start."""
-
-    frames: int = 0
-    errors: int = 0
-    remote: int = 0
-    malformed: int = 0
-    bus_off: int = 0
-    kernel_drops: int = 0
-    queue_drops: int = 0
-    opened: int = 0
-    attempts_failed: int = 0
-
-    @property
-    def reopened(self) -> int:
-        """How often the bus was opened after the first time."""
-        return max(self.opened - 1, 0)
 
 
 class Link:
@@ -61,7 +39,7 @@ class Link:
         Buffers and patience.
     clock
         Monotonic time [s].
-    open_bus, probe, reader_of
+    opener, probe, make_reader
         How to open, look at and drain the bus.
     """
 
@@ -80,25 +58,18 @@ class Link:
         self.hopeless: ConfigError | None = None  # why this bus can never be opened
         self.failure: Exception | None = None  # what the thread died of
         self.problem = ""  # why it is not open, or was closed last
-        self.device: Device | bool | None = None
         self._spec, self._filters, self._settings, self._clock = spec, filters, settings, clock
         self._opener, self._make_reader = opener, make_reader
-        self._probe = probe_of(spec) if probe is None else probe
-        # A multicast group gives everybody's frames back to everybody; a CAN controller does not.
-        self._echoes: deque[tuple[int, bytes]] | None = None
-        if spec.resolved()["interface"] == "udp_multicast":
-            self._echoes = deque(maxlen=MOST_ECHOES)
+        self._watch = DeviceWatch(probe_of(spec) if probe is None else probe)
+        self._echoes = Echoes() if spec.resolved()["interface"] == "udp_multicast" else None
         self._bus: can.BusABC | None = None
         self._reader: Reader | None = None
-        self._inbox: deque[tuple[float, Batch]] = deque()
-        self._waiting = 0  # frames in the inbox
-        self._lock = threading.Lock()
+        self._inbox: Inbox[tuple[float, Batch]] = Inbox(settings.queue_frames)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._drops_before = 0  # of the sockets that were open before this one
         self._wait = SHORTEST_WAIT
-        self._next_attempt = self._next_probe = -float("inf")
-        self._device_then: Device | bool | None = True
+        self._next_attempt = -float("inf")
         self._bus_off_at: float | None = None
         self.beat = self.last_frame = self.last_error = self.opened_at = -float("inf")  # [s] monotonic
 
@@ -108,9 +79,14 @@ class Link:
         return self._bus is not None
 
     @property
+    def device(self) -> Device | bool | None:
+        """The network device as seen last; see `DeviceWatch`."""
+        return self._watch.device
+
+    @property
     def is_up(self) -> bool:
         """Whether the network device is up, as far as there is one."""
-        return self.device.is_up if isinstance(self.device, Device) else True
+        return self._watch.is_up
 
     @property
     def buffer_bytes(self) -> int | None:
@@ -131,11 +107,7 @@ class Link:
 
     def take(self) -> list[tuple[float, Batch]]:
         """All batches that wait, each with the monotonic time [s] at which it was drained."""
-        with self._lock:
-            batches = list(self._inbox)
-            self._inbox.clear()
-            self._waiting = 0
-        return batches
+        return self._inbox.take()
 
     def send(self, message: can.Message) -> None:
         """Put a message on the bus; tried twice, for after the link has come up the first attempt fails.
@@ -149,8 +121,7 @@ class Link:
         if bus is None:
             raise can.CanOperationError(f"{self.label} is not open")
         if self._echoes is not None:
-            with self._lock:
-                self._echoes.append((message.arbitration_id | EXTENDED, bytes(message.data)))
+            self._echoes.expect(message)
         try:
             bus.send(message)
         except (OSError, can.CanError):
@@ -171,7 +142,7 @@ class Link:
             assert self._reader is not None
             self._receive(self._reader.read(timeout))
             now = self._clock()
-            if now >= self._next_probe and (trouble := self._look(now)):
+            if self._watch.is_due(now) and (trouble := self._look(now)):
                 self._lose(trouble, now)
                 return False
             if self._is_stale(now):
@@ -205,20 +176,14 @@ class Link:
 
     def _is_time(self, now: float) -> bool:
         """Whether to try and open: after a pause that grows, or at once when the device has come up."""
-        if now >= self._next_attempt:
-            return True
-        if now < self._next_probe:
-            return False
-        self._next_probe = now + PROBE_PERIOD
-        then, self.device = self.device, self._probe()
-        if not isinstance(self.device, Device) or not self.device.is_up or (isinstance(then, Device) and then.is_up):
-            return False
-        self._wait = SHORTEST_WAIT
+        if now < self._next_attempt:
+            if not self._watch.is_due(now) or not self._watch.sees_it_come_up(now):
+                return False
+            self._wait = SHORTEST_WAIT
         return True
 
     def _open(self, now: float) -> bool:
-        self.device = self._probe()
-        self._next_probe = now + PROBE_PERIOD
+        self._watch.look(now)
         try:
             if not self.is_up:  # it could be opened, and would say so only at the first reading
                 raise NotThereError("the interface is down")
@@ -231,22 +196,18 @@ class Link:
             return False
         self.counts.opened += 1
         self.opened_at = now
-        self._device_then = self.device
+        self._watch.keep()
         self._bus_off_at = None
         log.log(logging.INFO if self.problem or self.counts.opened == 1 else logging.DEBUG, "%s: open", self.label)
         return True
 
     def _look(self, now: float) -> str:
         """Trouble with the device, if any; counts what the kernel has dropped meanwhile."""
-        self._next_probe = now + PROBE_PERIOD
+        self._watch.look(now)
         assert self._reader is not None
         self.counts.kernel_drops = self._drops_before + self._reader.kernel_drops()
-        device = self.device = self._probe()
-        if device is None:
-            return "the interface is gone"
-        then = self._device_then
-        if isinstance(device, Device) and isinstance(then, Device) and device.index != then.index:
-            return "the interface was made anew"
+        if self._watch.trouble:
+            return self._watch.trouble
         if self._bus_off_at is not None and now - self._bus_off_at > BUS_OFF_WAIT:
             return "bus off"
         self._wait = SHORTEST_WAIT
@@ -258,29 +219,19 @@ class Link:
         return self.device is True and 0 < patience < now - max(self.last_frame, self.opened_at)
 
     def _receive(self, batch: Batch) -> None:
-        if self._echoes:
-            with self._lock:
-                batch = replace(batch, frames=_without(batch.frames, self._echoes))
-        now, counts, count = self._clock(), self.counts, len(batch.frames)
-        counts.errors += batch.errors
-        counts.remote += batch.remote
-        counts.malformed += batch.malformed
-        counts.bus_off += batch.bus_off
+        if self._echoes is not None:
+            batch = replace(batch, frames=self._echoes.without(batch.frames))
+        now, count = self._clock(), len(batch.frames)
+        self.counts.add(batch)
         if batch.errors:
             self.last_error = now
         if count:
             self.last_frame, self._bus_off_at, self.problem = now, None, ""
         if batch.bus_off and not count:
             self._bus_off_at = now if self._bus_off_at is None else self._bus_off_at
-        counts.frames += count
-        if not count:
-            return
-        with self._lock:
-            if self._waiting + count <= self._settings.queue_frames:
-                self._inbox.append((now, batch))
-                self._waiting += count
-            else:
-                counts.queue_drops += count
+        if count:
+            self._inbox.offer((now, batch), count)
+            self.counts.queue_drops = self._inbox.dropped
 
     def _lose(self, why: str, now: float) -> None:
         self.problem = why
@@ -296,14 +247,3 @@ class Link:
                 bus.shutdown()
             except (OSError, can.CanError) as error:
                 log.debug("%s: closing: %s", self.label, error)
-
-
-def _without(frames: Frames, echoes: deque[tuple[int, bytes]]) -> Frames:
-    """Frames other than ``echoes``, each of which can come back once."""
-    keep = np.ones(len(frames), dtype=bool)
-    for i in np.flatnonzero(np.isin(frames.ident, [ident for ident, _ in echoes])).tolist():
-        echo = (int(frames.ident[i]), frames.data[i, : frames.length[i]].tobytes())
-        if echo in echoes:
-            echoes.remove(echo)
-            keep[i] = False
-    return frames[keep]

@@ -15,10 +15,9 @@ from estimator.can_io.j1939 import pgn_of
 from estimator.can_io.name import Name
 from estimator.can_io.neighbours import CVW, Neighbours
 from estimator.can_io.node import ADDRESS_CLAIMED, REQUEST, Node, TokenBucket
-from estimator.can_io.publisher import output_groups
-from estimator.config import Publish, Transmit
+from estimator.can_io.publisher import Publisher, output_groups
 from estimator.estimate import Estimate
-from estimator.gateway import publisher_of
+from estimator.settings import Publish, Transmit
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +47,7 @@ class Transmitter:
         self._send, self._rng = send, rng
         self._preferred = publish.source_address
         self._name = _name_of(transmit)
-        self._publisher = publisher_of(publish)
+        self._publisher = Publisher(publish)
         self._neighbours = Neighbours(output_groups())
         self._bucket = TokenBucket(transmit.frames_per_second, max(1, round(BURST * transmit.frames_per_second)))
         self._estimate: Estimate | None = None

@@ -7,13 +7,14 @@ here, not the reception of what follows.
 import logging
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from estimator.can_io.frames import Frames
 from estimator.daemon.boot import boot_id
+from estimator.daemon.inbox import Inbox
 from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
 from estimator.pipeline import Pipeline
@@ -75,28 +76,29 @@ class Worker:
     ) -> None:
         self.pipeline = pipeline
         self.knowledge = Knowledge(estimate=pipeline.estimator.latest)
-        self.drops = 0
         self.longest = self.last_conclusion = 0.0  # [s] that a batch with a conclusion took
         self.saves: Counter[str] = Counter()
         self.saved_at: float | None = None  # [s] monotonic
         self.failure: Exception | None = None
-        self._most, self._store, self._key, self._interval, self._clock = most, store, key, save_interval, clock
-        self._queue: deque[Frames] = deque()
-        self._waiting = 0
-        self._condition = threading.Condition()
+        self._store, self._key, self._interval, self._clock = store, key, save_interval, clock
+        self._inbox: Inbox[Frames] = Inbox(most)
         self._busy_since: float | None = None
         self._survey_due = -float("inf")
         self._save_due = clock() + save_interval
         self._fed = False  # since the last save
         self._kept = pipeline.estimator.progress  # by the last save
-        self._stop = False
         self._thread: threading.Thread | None = None
         self._t: float | None = None
 
     @property
     def backlog(self) -> int:
         """Frames that wait."""
-        return self._waiting
+        return self._inbox.waiting
+
+    @property
+    def drops(self) -> int:
+        """Frames that found no room."""
+        return self._inbox.dropped
 
     def stuck_for(self, now: float) -> float:
         """For how long [s] the work at hand has taken so far."""
@@ -105,13 +107,7 @@ class Worker:
 
     def offer(self, frames: Frames) -> None:
         """Hand over frames; what does not fit is dropped, whole batches at a time."""
-        with self._condition:
-            if self._waiting + len(frames) > self._most:
-                self.drops += len(frames)
-                return
-            self._queue.append(frames)
-            self._waiting += len(frames)
-            self._condition.notify()
+        self._inbox.offer(frames, len(frames))
 
     def start(self) -> None:
         """Work in a thread from now on."""
@@ -120,9 +116,7 @@ class Worker:
 
     def close(self, timeout: float = 10.0) -> None:
         """Finish what waits, as far as time allows, and save."""
-        with self._condition:
-            self._stop = True
-            self._condition.notify()
+        self._inbox.close()
         if self._thread is not None:
             self._thread.join(timeout)
             if self._thread.is_alive():
@@ -134,9 +128,7 @@ class Worker:
 
     def turn(self) -> None:
         """Work through all that waits; then save and survey when due."""
-        with self._condition:
-            waiting, self._waiting = list(self._queue), 0
-            self._queue.clear()
+        waiting = self._inbox.take()
         began = self._busy_since = self._clock()
         if waiting:
             self._feed(Frames.concatenate(waiting), began)
@@ -168,10 +160,7 @@ class Worker:
 
     def _run(self) -> None:
         try:
-            while not self._stop:
-                with self._condition:
-                    if not self._queue and not self._stop:
-                        self._condition.wait(SURVEY_PERIOD)
+            while self._inbox.wait(SURVEY_PERIOD):
                 self.turn()
                 time.sleep(IDLE)  # so that little batches gather into larger ones
         except Exception as error:  # whatever it is: the main thread is told, and ends the process

@@ -8,6 +8,7 @@ import pytest
 from estimator.can_io.protection import verify
 from estimator.can_io.publisher import Publisher, output_database
 from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
+from estimator.settings import Publish
 
 MASS = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 ESTIMATE = Estimate(0.0, Status.ESTIMATED, "", Coverage(30, 40), 12345, MASS, MASS, MASS, Convergence(1, 1, 1, 1, 3))
@@ -22,7 +23,7 @@ def test_the_kernels_j1939_stack_hears_what_we_broadcast(buses):
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         peer.bind((buses[0], socket.J1939_NO_NAME, socket.J1939_NO_PGN, socket.J1939_NO_ADDR))
         peer.settimeout(5.0)
-        sent = Publisher(cvw=True).poll(0.0, ESTIMATE)
+        sent = Publisher(Publish(cvw=True)).poll(0.0, ESTIMATE)
         heard = {}
         for message in sent:
             bus.send(message)

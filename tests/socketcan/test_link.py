@@ -12,12 +12,13 @@ import pytest
 from conftest import ip
 
 from estimator.can_io.binding import bind, load_database
-from estimator.config import Config, Reception
+from estimator.config import Config
 from estimator.daemon.buses import BusSpec, open_bus
 from estimator.daemon.filters import input_filters
 from estimator.daemon.link import Link
 from estimator.daemon.reader import reader_of
 from estimator.errors import ConfigError
+from estimator.settings import Reception
 
 # python-can leaves the socket of an attempt that failed to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")

@@ -23,13 +23,14 @@ from rich.table import Table
 
 from daemon_bench import traffic
 from estimator.can_io.frames import Frames
-from estimator.config import Config, Reception
+from estimator.config import Config
 from estimator.daemon.buses import BusSpec
 from estimator.daemon.link import Link
 from estimator.daemon.loop import Daemon
 from estimator.daemon.reader import Batch
 from estimator.daemon.worker import Worker
 from estimator.pipeline import Pipeline
+from estimator.settings import Reception
 from estimator.state_store import StateStore
 
 HOUR, PARKED = 3600.0, 60.0  # s
