@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from estimator import readable
 from estimator.diagnosis.result import Diagnosis, Finding, Shift, Verdict
 from estimator.report import wording
 
@@ -28,12 +29,14 @@ def print_diagnosis(console: Console, d: Diagnosis) -> None:
 
 
 def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
+    if len(d.logs) > 1:
+        yield "logs", wording.logs(d)
     steps = wording.ladder(d)
     if steps:
         residual = ", ".join(f"{name} {wording.kilowatts(rms)}" for name, rms in steps)
         yield "residual", f"{residual}; noise floor {wording.kilowatts(d.noise_floor)}"
     for effect in d.effects:
-        yield "found", _found(effect)
+        yield "found", _found(effect, len(d.logs) > 1)
     if d.effects and d.base is not None and d.final is not None:
         change = Shift(d.final.mass - d.base.mass, d.final.A - d.base.A, d.final.C - d.base.C)
         yield "shift", wording.shift(change)
@@ -51,12 +54,12 @@ def _limits(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "would tell", advice
 
 
-def _found(effect: Finding) -> str:
+def _found(effect: Finding, several: bool) -> str:
     others = ", ".join(wording.label(name) for name in effect.equivalent)
     parts = [
         wording.label(effect.name),
         wording.size(effect.magnitude),
-        wording.action(effect) if effect.detail or effect.span else "",
+        wording.action(effect, several) if effect.detail or effect.span else "",
         f"closes {wording.interval(effect.gap_closed)} of the gap" if effect.gap_closed else "",
         f"not told apart from {others}" if others else "",
     ]
@@ -74,7 +77,7 @@ def _ranking(d: Diagnosis) -> Table:
 def _places(d: Diagnosis) -> Table:
     table = _table("where", "from", "to", "mean residual", "of the gap", right=(1, 2, 3, 4))
     for p in d.where[:PLACES]:
-        ends = [f"{wording.number(at)} {p.unit}" for at in (p.start, p.end)]
+        ends = [f"{readable.number(at)} {p.unit}" for at in (p.start, p.end)]
         row = (wording.label(p.axis), *ends, wording.kilowatts(p.bias), wording.percent(p.share))
         table.add_row(*map(Text, row))
     return table

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from estimator import readable
 from estimator.effects import BY_NAME
 from estimator.estimate import Marginal, Status
 from estimator.replay import Run
@@ -32,7 +33,7 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     for name in pipeline.effects:
         size = final.effects.get(name)
         what = BY_NAME[name]
-        found = "" if size is None else f": {size.mean:.4g} {what.unit} ({size.q05:.4g} .. {size.q95:.4g})"
+        found = "" if size is None else f": {readable.with_interval(size.mean, size.q05, size.q95, what.unit)}"
         say(console, f"effect    {name}{found}")
     evidence = pipeline.estimator.evidence
     if evidence is not None:

@@ -21,7 +21,12 @@ def of_diagnosis(d: Diagnosis) -> dict[str, Any]:
         "noise_floor_kW": _kilowatts(d.noise_floor),
         "rms_base_kW": _kilowatts(d.rms_base),
         "rms_final_kW": _kilowatts(d.rms_final),
-        "parameters": {"base": _parameters(d.base), "final": _parameters(d.final), "sd": _parameters(d.deviation)},
+        "parameters": {
+            "base": _parameters(d.base),
+            "base_sd": _parameters(d.base_deviation),
+            "final": _parameters(d.final),
+            "sd": _parameters(d.deviation),
+        },
         "where": [
             {
                 "axis": place.axis,
@@ -69,7 +74,8 @@ def _finding(f: Finding) -> dict[str, Any]:
         "rms_before_kW": _kilowatts(f.rms_before),
         "rms_after_kW": _kilowatts(f.rms_after),
         "parameter_shift": _parameters(f.shift),
-        "span_s": [[_number(start), _number(end)] for start, end in f.span],
+        "span_s": [[_number(span.start), _number(span.end)] for span in f.span],
+        "span_log": [span.log for span in f.span],
         "detail": f.detail,
     }
 

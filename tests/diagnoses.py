@@ -1,5 +1,7 @@
 """Diagnoses made by hand, for what shows them."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 
 from estimator.diagnosis.result import (
@@ -13,6 +15,7 @@ from estimator.diagnosis.result import (
     NotTestable,
     Place,
     Shift,
+    Span,
     Traces,
     Verdict,
 )
@@ -49,7 +52,7 @@ def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
     driving = (base > 0) & (t % 1500 > 90)
     v, a, t = v[driving], a[driving], t[driving]
     measured, extended = (base + wind + fan + noise)[driving], (base + 0.96 * wind + 0.97 * fan)[driving]
-    traces = Traces(t, np.cumsum(v), v, measured, base[driving], extended)
+    traces = Traces(t, np.cumsum(v), v, measured, base[driving], extended, np.zeros(len(t)))
     speeds, accelerations = np.linspace(0, 28, 15), np.linspace(-0.6, 0.6, 13)
     count = np.histogram2d(v, a, [speeds, accelerations])[0]
 
@@ -86,7 +89,7 @@ def rich() -> Diagnosis:
         rms_before=7_600.0,
         rms_after=3_600.0,
         shift=Shift(35.0, -60.0, 0.02),
-        span=tuple((700.0 * i + 420, 700.0 * i + 520) for i in range(6)),
+        span=tuple(Span(700.0 * i + 420, 700.0 * i + 520) for i in range(6)),
         detail="two levels, 14 % of the time",
     )
     others = [finding(n, 0.02 * 0.5**i) for i, n in enumerate(n for n in names if n not in (wind.name, fan.name))]
@@ -123,10 +126,22 @@ def rich() -> Diagnosis:
     )
 
 
+def several() -> Diagnosis:
+    """Two logs of the same vehicle, days apart; what acts for a time does so in both."""
+    d = rich()
+    first, second = d.traces, drive(40, seed=8)[0]
+    assert first is not None
+    second = replace(second, t=second.t + 7.0, log=second.log + 1)
+    both = [np.concatenate([getattr(part, f.name) for part in (first, second)]) for f in fields(Traces)]
+    fan = d.effects[1]
+    fan = replace(fan, span=(*fan.span[:1], Span(427.0, 527.0, 1), Span(1127.0, 1227.0, 1)))
+    return replace(d, effects=(d.effects[0], fan), traces=Traces(*both), logs=("monday.blf", "tuesday.blf"))
+
+
 def unknown() -> Diagnosis:
     """Something outside the catalogue acts: no effect chosen, traces without change."""
     traces, maps = drive(30, seed=5)
-    traces = Traces(traces.t, traces.distance, traces.speed, traces.measured, traces.base, traces.base)
+    traces = replace(traces, extended=traces.base)
     return Diagnosis(
         verdict=Verdict.UNKNOWN,
         reason="The residual follows time and no effect of the catalogue follows it as well.",

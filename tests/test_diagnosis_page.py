@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from html.parser import HTMLParser
@@ -10,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnoses import empty, finding, rich, unknown
+from diagnoses import empty, finding, rich, several, unknown
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
+from estimator import readable
 from estimator.cli_diagnosis_tables import print_diagnosis
 from estimator.diagnosis.result import Diagnosis, GapClosed, Isolability, Magnitude, NotTestable, Traces, Verdict
 from estimator.diagnosis_summary import of_diagnosis
@@ -22,7 +24,7 @@ from estimator.errors import ConfigError, RoadloadError
 from estimator.report import wording
 from estimator.report.diagnosis_page import page, write_page
 
-DIAGNOSES = {"rich": rich, "unknown": unknown, "empty": empty}
+DIAGNOSES = {"rich": rich, "several": several, "unknown": unknown, "empty": empty}
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FINDING_KEYS = {
     "name", "probability", "log_bayes_factor", "equivalent", "magnitude", "gap_closed", "rms_before_kW",
@@ -77,6 +79,15 @@ def test_json_says_null_for_what_is_not_known() -> None:
     assert (content["noise_floor_kW"], content["rms_base_kW"], content["rms_final_kW"]) == (None, 2.0, None)
 
 
+def test_json_says_which_log_a_time_belongs_to() -> None:
+    content = of_diagnosis(several())
+    wind, fan = content["effects"]
+    assert fan["span_s"] == [[420.0, 520.0], [427.0, 527.0], [1127.0, 1227.0]]
+    assert fan["span_log"] == [0, 1, 1]
+    assert (wind["span_s"], wind["span_log"]) == ([], [])
+    assert content["logs"] == ["monday.blf", "tuesday.blf"]
+
+
 # page
 
 
@@ -121,7 +132,7 @@ BENIGN = Skeleton(page(named("benign"))).tags
 
 
 @given(
-    st.text(min_size=1).filter(lambda text: text != wording.NOTHING)
+    st.text(min_size=1).filter(lambda text: text != readable.NOTHING)
     | st.sampled_from(
         [
             "</style><script>alert(1)</script>",
@@ -178,7 +189,7 @@ def test_power_shows_the_minutes_that_say_most() -> None:
     t = np.arange(3600.0)
     flat = np.full(3600, 50e3)
     measured = flat + 20e3 * ((t > 2400) & (t < 2640))
-    traces = Traces(t, 20 * t, flat / 2500, measured, flat, measured)
+    traces = Traces(t, 20 * t, flat / 2500, measured, flat, measured, 0 * t)
     d = dataclasses.replace(rich(), traces=traces, gap_map=None)
     assert 'aria-label="Power from 39 to 44 min' in page(d) or 'aria-label="Power from 40 to 45 min' in page(d)
 
@@ -192,10 +203,24 @@ def test_a_break_between_two_logs_is_cut_out() -> None:
     assert "driving time" not in page(d)
 
 
+def test_several_logs_are_drawn_one_after_the_other() -> None:
+    d = several()
+    document = page(d)
+    assert "driving time [min], log after log" in document
+    assert "log 1: monday.blf, log 2: tuesday.blf" in document
+    assert "log 1 7:00 to 8:40, log 2 7:07 to 8:47, 18:47 to 20:27 min" in document
+    # The first log is 75 minutes long: each shaded time lies in its own, from left to right.
+    strip = document.split('class="plot strip"')[1]
+    left = [float(x) for x in re.findall(r'class="span" x="([0-9.]+)"', strip)]
+    assert left == sorted(left)
+    assert left[0] < 1000 * 10 / 115 < 1000 * 75 / 115 < left[1]
+    assert wording.action(d.effects[1], several=True) in " ".join(printed(d, 400).split())
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 50])
 @pytest.mark.parametrize("value", [0.0, 5.0, np.nan])
 def test_traces_without_extent_leave_a_page(count: int, value: float) -> None:
-    traces = Traces(np.arange(count) * 1.0, *np.full((5, count), value))
+    traces = Traces(np.arange(count) * 1.0, *np.full((5, count), value), np.zeros(count))
     document = page(dataclasses.replace(rich(), traces=traces, noise_floor=value))
     assert ("Power, measured" in document) == (count >= 2 and np.isfinite(value))
     assert "Which effect?" in document
@@ -240,7 +265,7 @@ def test_page_opens_in_a_browser(browser: object, tmp_path: Path, name: str, wid
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.locator("h1").inner_text() == wording.headline(d)
     plots = tab.locator(".plot").all()
-    assert len(plots) == {"rich": 7, "unknown": 4, "empty": 0}[name]
+    assert len(plots) == {"rich": 7, "several": 7, "unknown": 4, "empty": 0}[name]
     for plot in plots:
         box = plot.locator("svg").bounding_box()
         assert box["width"] > 250
@@ -289,7 +314,7 @@ def test_terminal_prints_names_as_they_are(text: str) -> None:
 @pytest.mark.parametrize(
     ("fraction", "words"),
     [(0.914, "91 %"), (1.0, "100 %"), (0.0, "0 %"), (0.9962, "99.6 %"), (0.99999, "> 99.9 %"), (0.004, "0.4 %"),
-     (1e-7, "< 0.1 %"), (-0.123, "\N{MINUS SIGN}12 %"), (np.nan, wording.NOTHING)],
+     (1e-7, "< 0.1 %"), (-0.123, "\N{MINUS SIGN}12 %"), (np.nan, readable.NOTHING)],
 )  # fmt: skip
 def test_percent(fraction: float, words: str) -> None:
     assert wording.percent(fraction) == words
@@ -299,7 +324,7 @@ def test_percent(fraction: float, words: str) -> None:
     ("magnitude", "words"),
     [(Magnitude("wind", 6.123, 0.41, "m/s"), "wind 6.12 ± 0.41 m/s"),
      (Magnitude("loss", 0.0123, 0.0021, ""), "loss 0.0123 ± 0.0021"),
-     (Magnitude("mass", -4512.3, 120.0, "kg"), "mass \N{MINUS SIGN}4,512 ± 120 kg"),
+     (Magnitude("mass", -4512.3, 120.0, "kg"), "mass \N{MINUS SIGN}4,510 ± 120 kg"),
      (Magnitude("lag", 0.25, np.nan, "s"), "lag 0.250 s")],
 )  # fmt: skip
 def test_size_has_the_digits_it_deserves(magnitude: Magnitude, words: str) -> None:
@@ -308,7 +333,7 @@ def test_size_has_the_digits_it_deserves(magnitude: Magnitude, words: str) -> No
 
 @given(st.floats(allow_nan=True, allow_infinity=True))
 def test_any_number_can_be_written(x: float) -> None:
-    for text in (wording.number(x), wording.percent(x), wording.kilowatts(x), wording.bayes(x)):
+    for text in (readable.number(x), wording.percent(x), wording.kilowatts(x), wording.bayes(x)):
         assert text
         assert "nan" not in text
         assert "inf" not in text

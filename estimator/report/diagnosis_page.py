@@ -69,7 +69,7 @@ def page(d: Diagnosis) -> str:
 
 
 def _verdict(d: Diagnosis) -> str:
-    logs = html.escape(", ".join(d.logs))
+    logs = html.escape(wording.logs(d))
     line = ""
     if d.configuration:
         line = (
@@ -88,7 +88,7 @@ def _sections(d: Diagnosis) -> list[tuple[str, str, str]]:
         ("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
         ("power", "Power, measured and modelled", _power(d)),
         ("where", "Where does it lie?", _where(d)),
-        ("which", "Which effect?", tables.ranking(d.candidates)),
+        ("which", "Which effect?", tables.ranking(d.candidates, len(d.logs) > 1)),
         ("apart", "What can be told apart here?", "" if d.isolability is None else tables.isolability(d.isolability)),
         ("unseen", "What this log cannot say", _unseen(d)),
         ("left", "What is left?", _left(d)),

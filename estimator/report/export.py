@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from estimator.errors import ConfigError
-from estimator.estimation.estimator import Evidence
+from estimator.estimation.inference import Evidence
 from estimator.estimation.posterior import Posterior
 from estimator.report.files import check_suffix, whole
 from estimator.road_load import design

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import MaxNLocator
 
-from estimator.estimation.estimator import Evidence
+from estimator.estimation.inference import Evidence
 from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS
 from estimator.report.files import check_suffix, whole
 from estimator.road_load import power

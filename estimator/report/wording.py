@@ -2,10 +2,11 @@
 
 import math
 
-from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Magnitude, Shift, Verdict
+from estimator import readable
+from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Magnitude, Shift, Span, Verdict
+from estimator.readable import NOTHING, signed
 
-NOTHING = "\N{EN DASH}"
-MINUS = "\N{MINUS SIGN}"
+SPANS = 3  # times that are told
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
 
 
@@ -79,24 +80,10 @@ def kilowatts(watts: float | None) -> str:
 
 
 def size(magnitude: Magnitude) -> str:
-    """``wind 6.1 ± 0.4 m/s``, with as many digits as its standard deviation deserves."""
+    """``wind 6.12 ± 0.41 m/s``."""
     if not math.isfinite(magnitude.value):
         return NOTHING
-    known = math.isfinite(magnitude.sd) and magnitude.sd > 0
-    digits = 1 - math.floor(math.log10(magnitude.sd)) if known else 2 - _exponent(magnitude.value)
-    digits = min(max(digits, 0), 12)
-    spread = f" ± {magnitude.sd:,.{digits}f}" if known else ""
-    value = signed(f"{magnitude.value:,.{digits}f}")
-    return f"{label(magnitude.name)} {value}{spread} {magnitude.unit}".strip()
-
-
-def number(x: float) -> str:
-    """Three or four significant digits, no exponent where a person would write none."""
-    if not math.isfinite(x):
-        return NOTHING
-    if x != 0 and not 1e-3 <= abs(x) < 1e7:
-        return signed(f"{x:.2e}")
-    return signed(f"{x:,.0f}" if abs(x) >= 1000 else f"{x:.3g}")
+    return f"{label(magnitude.name)} {readable.with_sd(magnitude.value, magnitude.sd, magnitude.unit)}"
 
 
 def bayes(x: float | None) -> str:
@@ -123,24 +110,27 @@ def parameter(value: float, step: float, sign: str = "") -> str:
     return signed(f"{value:{sign},.{0 if step >= 1 else 3}f}") if math.isfinite(value) else NOTHING
 
 
-def times(spans: tuple[tuple[float, float], ...]) -> str:
-    """``12:30 to 14:05 min``, at most three of them; empty for an effect that acts always."""
+def times(spans: tuple[Span, ...], several: bool = False) -> str:
+    """``12:30 to 14:05 min``, at most three of them, of ``several`` logs with their number; empty for always."""
     if not spans:
         return ""
-    shown = ", ".join(f"{_clock(start)} to {_clock(end)}" for start, end in spans[:3])
-    return f"{shown} min" + (f" and {len(spans) - 3} more" if len(spans) > 3 else "")
+    parts = []
+    for i, (start, end, log) in enumerate(spans[:SPANS]):
+        named = several and (i == 0 or log != spans[i - 1].log)
+        parts.append(f"{f'log {log + 1} ' if named else ''}{_clock(start)} to {_clock(end)}")
+    return f"{', '.join(parts)} min" + (f" and {len(spans) - SPANS} more" if len(spans) > SPANS else "")
 
 
-def action(finding: Finding) -> str:
-    """How and when an effect acts, as far as the log shows it."""
-    return "; ".join(filter(None, (finding.detail, times(finding.span)))) or NOTHING
+def action(finding: Finding, several: bool = False) -> str:
+    """How and when an effect acts, as far as the log, or ``several``, show it."""
+    return "; ".join(filter(None, (finding.detail, times(finding.span, several)))) or NOTHING
 
 
-def signed(text: str) -> str:
-    """A true minus sign, none before a number that is all zeros."""
-    if text.startswith("-"):
-        return text[1:] if not any(c in "123456789" for c in text) else MINUS + text[1:]
-    return text
+def logs(d: Diagnosis) -> str:
+    """Their names, numbered where there are several: times are told by log."""
+    if len(d.logs) < 2:
+        return "".join(d.logs)
+    return ", ".join(f"log {i}: {name}" for i, name in enumerate(d.logs, start=1))
 
 
 def listed(names: list[str]) -> str:
@@ -162,7 +152,3 @@ def _clock(seconds: float) -> str:
         return NOTHING
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d}"
-
-
-def _exponent(x: float) -> int:
-    return math.floor(math.log10(abs(x))) if x else 0

@@ -6,10 +6,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.result import Diagnosis, GapMap, Traces
+from estimator.diagnosis.result import Diagnosis, GapMap, Span, Traces
+from estimator.readable import MINUS, number
 from estimator.report import wording
 from estimator.report.page.plot import SIDE, Axis, axis, band, bar, cell, line, plot
-from estimator.report.wording import MINUS
 from estimator.signals import Floats
 
 BINS = 600  # of an overview: each shows its least, greatest and, in blocks, its mean residual
@@ -61,25 +61,43 @@ def _covered(edges: Floats, seen: NDArray[np.intp], label: str) -> Axis:
 
 def in_time(traces: Traces, d: Diagnosis) -> str:
     """Residual over the drive, before and after, with the times in which effects act."""
-    minutes = _without_long_breaks(traces.t)
-    order = np.argsort(traces.t)
-    acting = np.array([span for effect in d.effects for span in effect.span]).reshape(-1, 2)
-    spans = np.interp(acting, traces.t[order], minutes[order])
-    cut = minutes[-1] * 60 < (traces.t[-1] - traces.t[0]) - 1 if len(minutes) else False
+    clock = _clock(traces)
+    acting = [span for effect in d.effects for span in effect.span]
+    spans = np.array([_placed(span, traces, clock) for span in acting]).reshape(-1, 2)
+    cut = clock[-1] < (traces.t[-1] - traces.t[0]) - 1
     label = "driving time [min], long breaks left out" if cut else "time since the first frame [min]"
+    if _several(traces):
+        label = "driving time [min], log after log"
     note = '<p class="soft">Shaded: when an effect acts.</p>' if len(spans) else ""
-    return note + _residuals(minutes, traces, bool(d.effects), label, spans)
+    return note + _residuals(clock / 60, traces, bool(d.effects), label, spans / 60)
 
 
 def along_the_road(traces: Traces, d: Diagnosis) -> str:
     """Residual over the distance driven, before and after."""
-    return _residuals(traces.distance / 1e3, traces, bool(d.effects), "distance [km]", np.empty((0, 2)))
+    # Each drive counts from zero: they are laid end to end.
+    steps = np.maximum(np.diff(traces.distance, prepend=traces.distance[:1]), 0.0)
+    distance = float(traces.distance[0]) + np.cumsum(steps)
+    return _residuals(distance / 1e3, traces, bool(d.effects), "distance [km]", np.empty((0, 2)))
 
 
-def _without_long_breaks(t: Floats) -> Floats:
-    steps = np.diff(t, prepend=t[:1])
-    steps[steps > LONGEST_BREAK] = CUT
-    return (float(t[0]) + np.cumsum(steps)) / 60 if len(t) else t
+def _several(traces: Traces) -> bool:
+    return bool(traces.log[0] != traces.log[-1])
+
+
+def _clock(traces: Traces) -> Floats:
+    """Time [s] (n,) that only goes forward: long breaks, and what lies between two logs, become CUT."""
+    steps = np.diff(traces.t, prepend=traces.t[:1])
+    steps[(steps > LONGEST_BREAK) | (steps < 0) | (np.diff(traces.log, prepend=traces.log[:1]) > 0)] = CUT
+    running: Floats = float(traces.t[0]) + np.cumsum(steps)
+    return running
+
+
+def _placed(span: Span, traces: Traces, clock: Floats) -> Floats:
+    """From and to [s] of a span on the running clock (2,)."""
+    own = traces.log == span.log
+    order = np.argsort(traces.t[own])
+    placed: Floats = np.interp([span.start, span.end], traces.t[own][order], clock[own][order])
+    return placed
 
 
 def _residuals(position: Floats, traces: Traces, changed: bool, label: str, spans: Floats) -> str:
@@ -123,13 +141,17 @@ def power(traces: Traces, changed: bool) -> str:
     """Power as measured and by the models in the five minutes that say most; empty without data."""
     squared = (traces.measured - traces.base) ** 2
     worth = np.nan_to_num(squared - (traces.measured - traces.extended) ** 2 if changed else squared)
-    ends = np.searchsorted(traces.t, traces.t + DETAIL, side="right")
+    clock = _clock(traces)
+    ends = np.minimum(
+        np.searchsorted(clock, clock + DETAIL, side="right"), np.searchsorted(traces.log, traces.log, side="right")
+    )
     total = np.concatenate([[0.0], np.cumsum(worth)])
     start = int(np.argmax(total[ends] - total[:-1]))
     window = slice(start, int(ends[start]))
     t = traces.t[window]
-    late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(traces.t))  # no line across a stop
-    x = axis((t / 60).tolist(), "time since the first frame [min]")
+    late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(clock))  # no line across a stop
+    frame = f"the first frame of log {traces.log[start] + 1:.0f}" if _several(traces) else "the first frame"
+    x = axis((t / 60).tolist(), f"time since {frame} [min]")
     curves = [("measured", traces.measured), ("before", traces.base)] + (
         [("after", traces.extended)] if changed else []
     )
@@ -138,9 +160,7 @@ def power(traces: Traces, changed: bool) -> str:
     shapes = "".join(line(x, y, t / 60, v, f"line {kind}") for kind, v in values.items())
     names = {"measured": "measured", "before": "plain model", "after": "with the effects"}
     key = "".join(f'<span class="{kind}">{names[kind]}</span>' for kind in values)
-    words = f"Power from {wording.number(x.low)} to {wording.number(x.high)} min: " + ", ".join(
-        names[k] for k in values
-    )
+    words = f"Power from {number(x.low)} to {number(x.high)} min: " + ", ".join(names[k] for k in values)
     return f'<p class="key">{key}</p>' + plot(shapes, x, y, words, kind="trace")
 
 

@@ -4,6 +4,7 @@ import html
 import math
 from collections.abc import Sequence
 
+from estimator import readable
 from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Invisible, Isolability, NotTestable, Place
 from estimator.report import wording
 
@@ -12,8 +13,8 @@ ALIKE = 0.95  # |correlation| from which two effects cannot be told apart
 VISIBLE = 5.0  # expected log Bayes factor from which an effect would be named
 
 
-def ranking(candidates: Sequence[Finding]) -> str:
-    """Candidates with their probabilities, best first."""
+def ranking(candidates: Sequence[Finding], several: bool) -> str:
+    """Candidates with their probabilities, best first; ``several`` logs have numbers."""
     headings = ("effect", "probability", "log Bayes factor", "size", "gap closed", "acts", "not told apart from")
     rows = [
         (
@@ -22,8 +23,8 @@ def ranking(candidates: Sequence[Finding]) -> str:
             wording.bayes(f.log_bayes_factor),
             html.escape(wording.size(f.magnitude)),
             html.escape(wording.interval(f.gap_closed)),
-            html.escape(f.detail or wording.times(f.span) or wording.NOTHING),
-            html.escape(", ".join(wording.label(e) for e in f.equivalent) or wording.NOTHING),
+            html.escape(f.detail or wording.times(f.span, several) or readable.NOTHING),
+            html.escape(", ".join(wording.label(e) for e in f.equivalent) or readable.NOTHING),
         )
         for f in candidates
     ]
@@ -42,7 +43,7 @@ def chosen(d: Diagnosis) -> str:
         blocks.append(
             f"<li><h3>{_name(f.name)}</h3><p>{html.escape(wording.size(f.magnitude))}, "
             f"<span class='whole'>probability {html.escape(wording.percent(f.probability))}</span></p>"
-            f"<p class='soft'>{html.escape(wording.action(f))}</p>"
+            f"<p class='soft'>{html.escape(wording.action(f, len(d.logs) > 1))}</p>"
             f"<p>gap closed {html.escape(wording.interval(f.gap_closed))}</p>{share}</li>"
         )
     return f'<ul class="chosen">{"".join(blocks)}</ul>' if blocks else ""
@@ -59,7 +60,7 @@ def parameters(d: Diagnosis) -> str:
         if d.final is not None and d.effects:
             after = getattr(d.final, attribute)
             relative = (after - before) / before if before else math.nan
-            share = f" ({wording.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
+            share = f" ({readable.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
             row += [wording.parameter(after, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
     headings = ("parameter", "plain model", "with the effects", "shift")
@@ -73,10 +74,10 @@ def where(places: Sequence[Place]) -> str:
     rows = [
         (
             html.escape(wording.label(p.axis)),
-            *(html.escape(f"{wording.number(at)} {p.unit}".replace(" °", "°")) for at in (p.start, p.end)),
+            *(html.escape(f"{readable.number(at)} {p.unit}".replace(" °", "°")) for at in (p.start, p.end)),
             wording.kilowatts(p.bias),
             _meter(p.share, html.escape(wording.percent(p.share))),
-            "&lt; 0.001" if p.q_value < 0.001 else wording.number(p.q_value),
+            "&lt; 0.001" if p.q_value < 0.001 else readable.number(p.q_value),
         )
         for p in places
     ]
@@ -135,7 +136,7 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> 
     """A table of cells that are HTML already, without columns that say nothing; empty without rows."""
     if not rows:
         return ""
-    said = [i for i in range(len(headings)) if any(row[i] != wording.NOTHING for row in rows)]
+    said = [i for i in range(len(headings)) if any(row[i] != readable.NOTHING for row in rows)]
     headings, rows = [headings[i] for i in said], [[row[i] for i in said] for row in rows]
     head = "".join(f'<th scope="col">{h}</th>' for h in headings)
     body = "".join(
@@ -159,7 +160,7 @@ def _correlation(of: Isolability, i: int, j: int) -> str:
 
 
 def _none(content: str) -> str:
-    return ' class="none"' if content == wording.NOTHING else ""
+    return ' class="none"' if content == readable.NOTHING else ""
 
 
 def _name(name: str) -> str:
