@@ -36,7 +36,8 @@ def diagnose_logs(paths: list[Path], config: Config, progress: Progress) -> Diag
     given = named(config.effects)
     records: list[Record] = []
     for i, path in enumerate(paths):
-        records += drives(path, config, partial(_part, progress, i, len(paths)))
+        found = drives(path, config, partial(_part, progress, i, len(paths)))
+        records += [replace(drive, log=i, log_start=found[0].start) for drive in found]
     result = diagnose(records, given, np.random.default_rng(config.sampler.seed))
     progress(1.0)
     return replace(result, logs=tuple(str(path) for path in paths))

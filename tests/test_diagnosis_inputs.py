@@ -192,6 +192,8 @@ def test_an_event_may_be_in_one_log_only(several, tmp_path):
     assert named(alone) == named(beside) == ["auxiliary_cycling"]
     assert beside["effects"][0]["magnitude"] == alone["effects"][0]["magnitude"]
     assert beside["effects"][0]["span_s"] == alone["effects"][0]["span_s"]
+    assert set(alone["effects"][0]["span_log"]) == {0}
+    assert beside["effects"][0]["span_log"] == [1] * len(beside["effects"][0]["span_s"])
 
 
 def test_the_same_log_gives_the_same_bytes(several, capsys):

@@ -1,6 +1,6 @@
 """Every effect of the catalogue, judged on what the model so far leaves."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,10 +8,10 @@ from scipy.special import logsumexp
 
 from estimator.diagnosis import timing
 from estimator.diagnosis.evidence import log_bayes_factor, score
+from estimator.diagnosis.grains import Grains, weigh
 from estimator.diagnosis.model import Model
-from estimator.diagnosis.processes import Grains, weigh
 from estimator.effects import Effect, Timing
-from estimator.estimation.columns import Term, inside
+from estimator.estimation.columns import Spans, Term, inside
 from estimator.signals import Floats, Quantity
 
 ALIKE = 0.95  # |correlation| of traces beyond which two effects are one class
@@ -62,21 +62,46 @@ def assess(
     """All ``effects`` that this drive can test and the model does not have, most evidence first."""
     present = {term.effect.name for term in model.terms}
     absent = [effect for effect in effects if not effect.absorbed and effect.name not in present]
-    judged = [_judge(model, grains, effect, known) for effect in absent]
+    proposals = _proposals(model, absent)
+    judged = [_judge(model, grains, effect, known, proposals) for effect in absent]
     found = [candidate for candidate in judged if candidate is not None]
     if rest is not None:
         found = [replace(c, log_bayes_factor=c.log_bayes_factor + rest.log_bayes_factor(c)) for c in found]
     return sorted(found, key=lambda candidate: -candidate.log_bayes_factor)
 
 
-def _judge(model: Model, grains: Grains, effect: Effect, known: frozenset[Quantity]) -> Candidate | None:
+def _proposals(model: Model, effects: Sequence[Effect]) -> dict[Timing, list[Spans]]:
+    """Times at which something may have been on, whatever it was: found for each effect, and put to all."""
+    own, _ = model.views()
+    found: dict[Timing, dict[Spans, None]] = {Timing.WINDOW: {}, Timing.SWITCHING: {}}
+    for effect in effects:
+        if effect.timing not in found:
+            continue
+        profile = effect.power(own, None)
+        if max(effect.dwells) > timing.SHORTEST_WINDOW:
+            found[Timing.WINDOW] |= dict.fromkeys(timing.windows(model, profile))
+        if effect.timing is Timing.SWITCHING:
+            for dwell in effect.dwells:
+                on = timing.switching(model, profile, dwell)
+                # On behind a vehicle ahead, or off a fan: at a steady speed the same.
+                found[Timing.SWITCHING] |= dict.fromkeys((*on, *(timing.between(model, spans) for spans in on)))
+    return {when: list(spans) for when, spans in found.items()}
+
+
+def _judge(
+    model: Model,
+    grains: Grains,
+    effect: Effect,
+    known: frozenset[Quantity],
+    proposals: Mapping[Timing, list[Spans]],
+) -> Candidate | None:
     shapes = effect.usable_shapes(known)
     if not shapes:
         return None
     terms = [Term(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None]
     if effect.timing is Timing.STEP:
         terms = [Term(effect, None, spans) for spans in timing.steps(model)]
-    both = [_judge_terms(model, grains, terms), _judge_times(model, grains, effect)]
+    both = [_judge_terms(model, grains, terms), _judge_times(model, grains, effect, proposals)]
     return max((c for c in both if c is not None), key=lambda candidate: candidate.log_bayes_factor, default=None)
 
 
@@ -98,7 +123,9 @@ def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate |
         h = np.column_stack([term.column(own) for term in terms])
         scores = score(model.base, h, z)
         clean = np.nan_to_num(log_bayes_factor(scores, usual, effect.positive), nan=NEVER)
-        evidence = np.where(clean >= CERTAIN, np.maximum(evidence, clean), np.minimum(evidence, clean))
+        # Beside a process the averaged residual alone knows what the process explains.
+        found = np.maximum(evidence, clean) if grains.nuisance is None else evidence
+        evidence = np.where(clean >= CERTAIN, found, np.minimum(evidence, clean))
         value, sd = scores.value, scores.sd
     best = int(np.argmax(evidence))
     cost = timing.CHANGE_COST if effect.timing is Timing.STEP else 0.0
@@ -114,25 +141,39 @@ def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate |
     )
 
 
-def _judge_times(model: Model, grains: Grains, effect: Effect) -> Candidate | None:
+def refined(model: Model, grains: Grains, term: Term) -> Term:
+    """The term with the best of the shapes near its own, finer than those that were tried."""
+    effect = term.effect
+    if effect.finer is None or term.spans is not None or isinstance(term.shape, Quantity):
+        return term
+    _, ring = model.views()
+    shapes = (term.shape, *effect.finer(term.shape))
+    columns = grains.mean(np.column_stack([replace(term, shape=shape).column(ring) for shape in shapes]))
+    evidence = weigh(grains, columns, effect.usual(model.road_load), effect.positive).log_bayes_factor
+    return replace(term, shape=shapes[int(np.argmax(evidence))])
+
+
+def _judge_times(
+    model: Model, grains: Grains, effect: Effect, proposals: Mapping[Timing, list[Spans]]
+) -> Candidate | None:
     """The best of the times proposed for an effect of which no signal shows when it acts."""
-    if effect.timing not in (Timing.WINDOW, Timing.SWITCHING):
+    if effect.timing not in proposals:
         return None
     own, ring = model.views()
     profile = effect.power(own, None)
-    proposals = timing.windows(model, profile) if max(effect.dwells) > timing.SHORTEST_WINDOW else []
+    times = proposals[Timing.WINDOW] if max(effect.dwells) > timing.SHORTEST_WINDOW else []
     if effect.timing is Timing.SWITCHING:
-        proposals += [spans for dwell in effect.dwells for spans in timing.switching(model, profile, dwell)]
-    if not proposals:
+        times = [*times, *(spans for spans in proposals[Timing.SWITCHING] if timing.is_usual(spans, effect.dwells))]
+    if not times:
         return None
-    on = np.column_stack([inside(model.samples.t, spans) for spans in proposals])
-    cost = np.array([timing.CHANGE_COST * timing.changes(model, spans) for spans in proposals])
+    on = np.column_stack([inside(model.samples.t, spans) for spans in times])
+    cost = np.array([timing.CHANGE_COST * timing.changes(model, spans) for spans in times])
     weight = weigh(grains, grains.mean(profile[:, None] * on), effect.usual(model.road_load), effect.positive)
     evidence = weight.log_bayes_factor - cost
     best = int(np.argmax(evidence))
     shape = trace(model, effect.power(ring, None) * on[:, best])
     value, sd = float(weight.value[best]), float(weight.sd[best])
-    term = Term(effect, None, proposals[best])
+    term = Term(effect, None, times[best])
     return Candidate(term, max(float(evidence[best]), NEVER), value, sd, float(cost[best]), shape)
 
 

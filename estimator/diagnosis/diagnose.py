@@ -1,17 +1,19 @@
 """The diagnosis: where the gap lies, which effect causes it, how far it shrinks, and what is left."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 
 from estimator.diagnosis import findings, words
+from estimator.diagnosis.averaging import averaged
 from estimator.diagnosis.candidates import assess
 from estimator.diagnosis.evidence import parameter_sd
+from estimator.diagnosis.grains import grains_of
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
 from estimator.diagnosis.joint import Drive
 from estimator.diagnosis.model import FEWEST, Model, fit, select
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.processes import grains_of
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces, Verdict
 from estimator.diagnosis.search import search
@@ -72,10 +74,11 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     verdict, late, hills = outcome.verdict, findings.lag(outcome), findings.hidden_grade(outcome)
     if late is not None and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL) and not outcome.result.chosen:
         verdict = Verdict.EFFECT
-    found = (*findings.chosen(outcome), *(finding for finding in (hills, late) if finding is not None))
+    found = tuple(f for f in (hills, *findings.chosen(outcome), late) if f is not None)
     named = found if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
     drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
     before, after, left = plain.model, drive.model, outcome.left.log_bayes_factor
+    mean, deviation = averaged(drive)
     at_last = assess(after, grains_of(after), outcome.effects, drive.record.known, drive.rest)
     unseen = tuple(invisible(outcome.effects, at_last, after, drive.record.known))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
@@ -90,9 +93,10 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
         float(np.sqrt(outcome.floor)),
         outcome.steps[0].rms,
         outcome.steps[-1].rms,
-        _road_load(before),
-        _road_load(after),
-        _deviation(after),
+        _road_load(before.road_load),
+        _deviation(before),
+        _road_load(mean),
+        _road_load(deviation),
         tuple(places(before)),
         isolability(candidates, before),
         missing,
@@ -104,24 +108,24 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     )
 
 
-def _road_load(model: Model) -> Shift:
-    A, C, m = model.road_load.tolist()
+def _road_load(parameters: Floats) -> Shift:
+    A, C, m = parameters.tolist()
     return Shift(mass=m, A=A, C=C)
 
 
 def _deviation(model: Model) -> Shift:
-    A, C, m = (parameter_sd(model.base, i) for i in range(3))
-    return Shift(mass=m, A=A, C=C)
+    return _road_load(np.array([parameter_sd(model.base, i) for i in range(3)]))
 
 
 def _traces(outcome: Outcome) -> Traces:
     """Means over a second."""
-    parts: list[list[Floats]] = [[] for _ in range(6)]
+    parts: list[list[Floats]] = [[] for _ in fields(Traces)]
     for before, after in zip(outcome.plain, outcome.final, strict=True):
         samples = after.model.samples
         X, _ = columns(samples, before.model.terms, before.model.road_load)
         base, extended = X @ before.model.base.theta, samples.P - after.model.base.residual
-        t, distance = samples.t - before.record.start, samples.context[Quantity.DISTANCE]
-        for part, array in zip(parts, (t, distance, samples.v, samples.P, base, extended), strict=True):
+        t, distance = samples.t - before.record.log_start, samples.context[Quantity.DISTANCE]
+        log = np.full(len(samples), float(before.record.log))
+        for part, array in zip(parts, (t, distance, samples.v, samples.P, base, extended, log), strict=True):
             part.append(block_means(array, SECOND))
     return Traces(*(np.concatenate(part) for part in parts))

@@ -27,6 +27,7 @@ FEWEST_COSINES = 16
 TIMES_PER_COSINE = 3.0
 POINTS = 161  # of the grid over a magnitude
 WIDEST = 6.0  # sd of the prior, and of the likelihood, that the grid spans
+LEAST_DOF = 4.0
 SINGULAR = 1e7  # condition number of the base's equations, columns scaled to one
 WEAK = 1e-4  # instruments that explain less of a column than this say nothing about it
 
@@ -93,8 +94,10 @@ def score(base: Base, h: Floats, z: Floats) -> Score:
 def parameter_sd(base: Base, i: int) -> float:
     """Standard deviation of the base model's parameter ``i``, autocorrelated as its residual may be."""
     influence = (base.Z * base.residual[:, None]) @ base.inverse[i]
-    variance, _ = long_run_variance(block_sums(influence[:, None], base.block))
-    return float(np.sqrt(variance[0]))
+    variance, dof = long_run_variance(block_sums(influence[:, None], base.block))
+    # The fit has taken from the residual what its parameters can follow, and the rest is Student distributed.
+    left = max(float(dof[0]) - base.X.shape[1], LEAST_DOF)
+    return float(np.sqrt(variance[0] * dof[0] / left * left / (left - 2.0)))
 
 
 def block_sums(values: Floats, block: Blocks) -> Floats:

@@ -5,23 +5,22 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.diagnosis.candidates import Candidate
-from estimator.diagnosis.evidence import parameter_sd
 from estimator.diagnosis.hills import grade_sd
-from estimator.diagnosis.joint import same_class
+from estimator.diagnosis.joint import Drive, same_class
+from estimator.diagnosis.lateness import lateness
 from estimator.diagnosis.model import Model, fit
 from estimator.diagnosis.outcome import Outcome, alike, ties
-from estimator.diagnosis.result import Finding, GapClosed, Magnitude, Shift, Verdict
+from estimator.diagnosis.processes import Leftover
+from estimator.diagnosis.result import Finding, GapClosed, Magnitude, Shift, Span, Verdict
 from estimator.diagnosis.search import Found
-from estimator.diagnosis.shrinkage import gap_closed, held_out
-from estimator.diagnosis.thresholds import NAMED, probabilities
+from estimator.diagnosis.shrinkage import gap_closed
+from estimator.diagnosis.thresholds import probabilities
 from estimator.effects import BY_NAME, Timing
-from estimator.estimation.columns import PLAIN, Spans, Term
+from estimator.estimation.columns import Spans, Term
 from estimator.signals import Quantity
 
-ORDINARY_LAG = (-0.06, 0.12)  # s, of power behind speed: torque takes longer to the bus
-SURE_LAG = 4.0  # sd beyond it
-CORRELATED = 4.0  # residuals of 2 s that count as one
 HILL = 300.0  # samples in which the road changes its grade
+NINETY = 1.645  # sd to either side that hold 90 %
 HIDDEN_GRADE = "sd of the grade"
 
 
@@ -46,14 +45,20 @@ def _chosen(outcome: Outcome, i: int, found: Found) -> Finding:
         before.rms,
         after.rms,
         difference(earlier, final),
-        _clock(outcome, which, term.spans or ()),
+        _acting(outcome, joint.name),
         _detail(term),
     )
 
 
-def _clock(outcome: Outcome, which: int, spans: Spans) -> Spans:
-    start = outcome.plain[which].record.start
-    return tuple((a - start, b - start) for a, b in spans)
+def _acting(outcome: Outcome, name: str) -> tuple[Span, ...]:
+    """When an effect acts in the final models of all drives."""
+    found = [(drive, term) for drive in outcome.final for term in drive.model.terms if term.effect.name == name]
+    return tuple(span for drive, term in found for span in _clock(drive, term.spans or ()))
+
+
+def _clock(drive: Drive, spans: Spans) -> tuple[Span, ...]:
+    record = drive.record
+    return tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in spans)
 
 
 def _magnitude(model: Model, candidate: Candidate) -> Magnitude:
@@ -83,30 +88,21 @@ def difference(before: Model, after: Model) -> Shift:
 def lag(outcome: Outcome) -> Finding | None:
     """A lag between power and speed that no sensor's ordinary delay explains; the alignment has taken it out."""
     drive = outcome.final[outcome.longest]
-    model, s = drive.model, drive.model.samples
-    late = drive.record.lag + float(model.base.theta[PLAIN - 1])
-    sd = parameter_sd(model.base, PLAIN - 1)
-    if max(late - ORDINARY_LAG[1], ORDINARY_LAG[0] - late) < SURE_LAG * sd:
+    late = lateness(drive)
+    if late is None:
         return None
-    # As if nobody had aligned: the power of lag seconds ago, to first order, and no column for its rate.
-    unaligned = replace(s, P=s.P - late * s.dP)
-    before = held_out(unaligned, model.terms, model.road_load, lagged=False)
-    after = held_out(s, model.terms, model.road_load)
-    evidence = len(before.squares) / 2 * float(np.log(before.mean_square / after.mean_square)) / CORRELATED
-    if evidence < NAMED:
-        return None
-    plain = fit(unaligned, model.terms)
-    effect = BY_NAME["time_lag" if late > 0 else "speed_filter"]
+    plain = fit(late.unaligned, drive.model.terms)
+    effect = BY_NAME["time_lag" if late.lag > 0 else "speed_filter"]
     return Finding(
         effect.name,
-        probabilities([evidence])[0],
-        evidence,
+        probabilities([late.log_bayes_factor])[0],
+        late.log_bayes_factor,
         effect.equivalent,
-        Magnitude(effect.symbol, late, sd, effect.unit),
-        gap_closed(before, after, min(outcome.floor, after.mean_square), outcome.doubt, outcome.rng),
-        before.rms,
-        after.rms,
-        None if plain is None else difference(plain, model),
+        Magnitude(effect.symbol, late.lag, late.sd, effect.unit),
+        gap_closed(late.before, late.after, min(outcome.floor, late.after.mean_square), outcome.doubt, outcome.rng),
+        late.before.rms,
+        late.after.rms,
+        None if plain is None else difference(plain, drive.model),
         detail="taken out by the alignment",
     )
 
@@ -118,19 +114,27 @@ def hidden_grade(outcome: Outcome) -> Finding | None:
         return None
     before = outcome.steps[-1]
     sd = grade_sd(force, outcome.plain)
-    hills = max(len(outcome.final[outcome.longest].model.samples) / HILL, 1.0)
+    spread = float(np.sqrt(2 / max(len(outcome.final[outcome.longest].model.samples) / HILL, 1.0)))  # of a variance
     return Finding(
         "grade",
         probabilities([force.log_bayes_factor, *(joint.log_bayes_factor for joint in outcome.result.ranking)])[0],
         force.log_bayes_factor,
         (),
-        Magnitude(HIDDEN_GRADE, sd, sd / float(np.sqrt(2 * hills)), "1"),
-        GapClosed(1.0 if before.mean_square > outcome.floor else 0.0, float("nan"), float("nan")),
+        Magnitude(HIDDEN_GRADE, sd, sd * spread / 2, "1"),
+        _promised(outcome, force, spread),
         before.rms,
         float(np.sqrt(outcome.floor)),
         None,
         detail="goes with the place; no signal on the bus shows it",
     )
+
+
+def _promised(outcome: Outcome, force: Leftover, spread: float) -> GapClosed:
+    """Share of the gap that a signal of the grade could close: all of it, or what is force alone, as far as known."""
+    gap = outcome.steps[-1].mean_square - outcome.floor
+    if gap <= 0:
+        return GapClosed(0.0, 0.0, 1.0)
+    return GapClosed(1.0, float(np.clip(force.variance * (1 - NINETY * spread) / gap, 0.0, 1.0)), 1.0)
 
 
 def ranking(outcome: Outcome, late: Finding | None) -> tuple[Finding, ...]:
@@ -145,7 +149,7 @@ def ranking(outcome: Outcome, late: Finding | None) -> tuple[Finding, ...]:
         term = candidate.term
         same = tuple(sorted(other.name for other in joints if other is not joint and same_class(joint, other)))
         size = Magnitude(term.effect.symbol, candidate.value, candidate.sd, term.effect.unit)
-        spans = _clock(outcome, which, term.spans or ())
+        spans = _clock(outcome.plain[which], term.spans or ())
         value = joint.log_bayes_factor
         listed.append(Finding(joint.name, share, value, same, size, None, rms, rms, None, spans, _detail(term)))
     size = Magnitude("rms", float(np.sqrt(process.variance)), float("nan"), "W")

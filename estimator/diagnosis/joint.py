@@ -5,17 +5,18 @@ drive only.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.diagnosis.candidates import ALIKE, Candidate, Rest, assess
+from estimator.diagnosis.grains import grains_of
 from estimator.diagnosis.model import Model, fit, select
-from estimator.diagnosis.processes import grains_of
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.shrinkage import HeldOut, held_out
 from estimator.effects import Effect, Timing
 from estimator.estimation.columns import Term
+from estimator.signals import Floats
 
 
 @dataclass(frozen=True)
@@ -66,18 +67,28 @@ class Joint:
         return self.effect.timing is not Timing.ALWAYS
 
     @property
+    def is_timed(self) -> bool:
+        """Whether its times are free, so that it fits what others left not quite right."""
+        return self.best[1].term.spans is not None
+
+    @property
     def best(self) -> tuple[int, Candidate]:
         """The drive that says most, and what it says."""
         found = [(i, candidate) for i, candidate in enumerate(self.each) if candidate is not None]
         return max(found, key=lambda pair: pair[1].log_bayes_factor)
 
 
-def ranked(drives: tuple[Drive, ...], effects: Sequence[Effect]) -> tuple[Joint, ...]:
-    """All effects that some drive can test, most evidence first."""
-    judged = [
-        {c.name: c for c in assess(drive.model, grains_of(drive.model), effects, drive.record.known, drive.rest)}
-        for drive in drives
-    ]
+def ranked(
+    drives: tuple[Drive, ...], effects: Sequence[Effect], beside: Sequence[Floats] | None = None
+) -> tuple[Joint, ...]:
+    """All effects that some drive can test, most evidence first; ``beside`` a process with these covariances."""
+    judged = []
+    for i, drive in enumerate(drives):
+        grains = grains_of(drive.model)
+        if beside is not None:
+            grains = replace(grains, nuisance=beside[i])
+        found = assess(drive.model, grains, effects, drive.record.known, drive.rest)
+        judged.append({candidate.name: candidate for candidate in found})
     joints = [Joint(effect, tuple(found.get(effect.name) for found in judged)) for effect in effects]
     tested = [joint for joint in joints if any(joint.each)]
     return tuple(sorted(tested, key=lambda joint: -joint.log_bayes_factor))

@@ -16,6 +16,7 @@ SIGMAS = 3.0  # model power must exceed this many sd of the slow residual
 SHARE = 0.25  # and need not exceed this share of the mean power
 SLOW = 20  # samples, 2 s: noise of dv/dt is gone from means over them
 FEWEST = 600  # samples that a fit can rest on
+CHANGE = 2.0  # s around a change of state that are not used: it is no sharper known, and power is smoothed
 MAD_TO_SD = 1.4826
 
 
@@ -44,13 +45,14 @@ class Model:
 
     def views(self) -> tuple[View, View]:
         """The samples as measured, and as their instruments see them."""
-        own, ring = views(self.samples, self.road_load)
+        own, ring = views(self.samples, self.road_load, self.terms)
         return own, replace(ring, P=self.base.Z @ self.base.theta)
 
 
 def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
     """Which samples count: model power, as the instruments see it, clearly above 0; None where there are too few."""
-    kept = np.ones(len(samples), dtype=bool)
+    settled = away_from_changes(samples.t, terms)
+    kept = settled
     road_load: Floats = np.zeros(3)
     for _ in range(SELECTIONS):
         if kept.sum() < FEWEST:
@@ -62,10 +64,22 @@ def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
         _, Z = columns(samples, terms, road_load)
         predicted = Z @ fitted.theta
         slow = MAD_TO_SD * float(np.median(np.abs(block_means(fitted.residual, SLOW))))
-        previous, kept = kept, predicted > min(SIGMAS * slow, SHARE * float(np.abs(samples.P).mean()))
+        pulling = predicted > min(SIGMAS * slow, SHARE * float(np.abs(samples.P).mean()))
+        previous, kept = kept, pulling & settled
         if np.array_equal(kept, previous):
             break
     return kept if kept.sum() >= FEWEST else None
+
+
+def away_from_changes(t: Floats, terms: tuple[Term, ...]) -> Mask:
+    """Which times [s] (n,) are not near one at which a term is switched: that is known to CHANGE only."""
+    edges = np.sort([edge for term in terms for span in term.spans or () for edge in span])
+    if not len(edges):
+        return np.ones(len(t), dtype=bool)
+    nearest = np.clip(np.searchsorted(edges, t), 1, len(edges) - 1)
+    away = np.minimum(np.abs(t - edges[nearest]), np.abs(t - edges[nearest - 1]))
+    distant: Mask = away > CHANGE
+    return distant
 
 
 def fit(samples: Samples, terms: tuple[Term, ...] = ()) -> Model | None:
@@ -76,6 +90,12 @@ def fit(samples: Samples, terms: tuple[Term, ...] = ()) -> Model | None:
     for _ in terms:  # they scale with the road load
         base = base and _fit(samples, terms, base.theta[:3])
     return None if base is None else Model(samples, terms, base)
+
+
+def refit(model: Model, terms: tuple[Term, ...]) -> Model | None:
+    """The same samples with other ``terms``, scaled by the road load of ``model``; None where they are not enough."""
+    base = _fit(model.samples, terms, model.road_load)
+    return None if base is None else Model(model.samples, terms, base)
 
 
 def _fit(samples: Samples, terms: tuple[Term, ...], road_load: Floats) -> Base | None:

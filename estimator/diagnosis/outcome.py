@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.diagnosis.hills import hidden_grade
 from estimator.diagnosis.joint import Drive, Joint, pooled, same_class
-from estimator.diagnosis.processes import POWER_OVER_TIME, UNMEASURED_GRADE, Leftover
+from estimator.diagnosis.processes import FORCE_OVER_TIME, POWER_OVER_TIME, UNMEASURED_GRADE, Leftover
 from estimator.diagnosis.result import Verdict
 from estimator.diagnosis.search import Found, Search
 from estimator.diagnosis.shrinkage import HeldOut
@@ -64,28 +64,29 @@ class Outcome:
     def floor(self) -> float:
         """Mean square [W^2] of what no effect could take away."""
         after = self.steps[-1].mean_square
-        hidden = self.left.variance if self.left.log_bayes_factor > SOMETHING else 0.0
+        hidden = self.left.variance if self.left.log_bayes_factor > UNEXPLAINED else 0.0
         return max(after - hidden, LOWEST_FLOOR * after)
 
     @property
     def rough_hills(self) -> bool:
         """Whether what is left is what a poor altimeter leaves of a grade in the model: it goes with place or time."""
-        altimeter = [other for other in self.result.at_last if other.name in (UNMEASURED_GRADE, POWER_OVER_TIME)]
+        wanders = (UNMEASURED_GRADE, POWER_OVER_TIME, FORCE_OVER_TIME)
+        altimeter = [other for other in self.result.at_last if other.name in wanders]
         near = max(other.log_bayes_factor for other in altimeter) > self.left.log_bayes_factor - NAMED
         return near and any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
 
     def probability(self, found: Found) -> float:
         """Of a chosen effect, among all that the drive was asked about when it was chosen."""
         rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
-        if len(self.result.chosen) == 1:
-            rivals.append(self.result.at_first[0].log_bayes_factor)
+        if not found.is_beside:
+            rivals.append(found.joint.log_bayes_factor - found.margin)
         return probabilities([found.joint.log_bayes_factor, *rivals])[0]
 
     @cached_property
     def verdict(self) -> Verdict:
         """What the evidence comes to, a lag left aside."""
         chosen, left = self.result.chosen, self.left.log_bayes_factor
-        if self.grade is not None:
+        if self.grade is not None or (chosen and self.rough_hills):
             return Verdict.EFFECT
         if not chosen:
             if left > EVIDENT and not self.rough_hills:
@@ -93,13 +94,10 @@ class Outcome:
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
             return Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP
         at_first = self.result.at_first[0].log_bayes_factor
-        first = self.result.ranking[0].log_bayes_factor
-        total = max(first, sum(found.joint.log_bayes_factor for found in chosen))
-        outdone = first < at_first + AHEAD or left > LEFT * max(at_first, total)
-        if not self.rough_hills and (total < at_first or (left > UNEXPLAINED and outdone)):
+        total = sum(found.joint.log_bayes_factor for found in chosen)
+        outdone = total < at_first + AHEAD or left > LEFT * max(at_first, total)
+        if total < at_first or (left > UNEXPLAINED and outdone):
             return Verdict.UNKNOWN if max(at_first, left) > EVIDENT else Verdict.CANNOT_TELL
-        if self.rough_hills:
-            return Verdict.EFFECT
         alone = self.probability(chosen[0]) < LIKELY
         return Verdict.CANNOT_TELL if alone or ties(chosen[0]) else Verdict.EFFECT
 
@@ -116,6 +114,7 @@ def ties(found: Found) -> list[str]:
 
 
 def alike(found: Found) -> list[str]:
-    """Names of its class that are close to one that was chosen, and those declared equivalent."""
-    near = {joint.name for joint in _close(found) if same_class(found.joint, joint)}
+    """Names of its class that the drive speaks for as well, and those declared equivalent."""
+    others = (joint for joint in found.ranking if joint is not found.joint and joint.log_bayes_factor > NAMED)
+    near = {joint.name for joint in others if same_class(found.joint, joint)}
     return sorted(near | set(found.joint.effect.equivalent))

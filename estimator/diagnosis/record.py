@@ -4,10 +4,13 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.config import Config
-from estimator.estimation import kinematics
+from estimator.estimation import kinematics, smoothing
 from estimator.estimation.admission import admit, row_reasons
+from estimator.estimation.lag import fit_lag
+from estimator.estimation.smoothing import Kernels
 from estimator.samples import STEP, Rows, Samples
 from estimator.signals import Floats, Quantity, Role
 
@@ -22,7 +25,9 @@ HEARD = 0.5  # share of the drive for which a quantity must be known to be used
 class Record:
     """Admitted samples of one drive, the lag [s] that was taken out, and rows not used by reason.
 
-    ``idle`` holds the power [W] of rows at rest, ``idle_speed`` the engine speed [rad/s] then.
+    It is the whole of a log, or one of several drives in it: ``log`` says which, ``log_start`` when that began [s].
+    ``idle`` holds the power [W] of rows at rest, ``idle_speed`` the engine speed [rad/s] then. ``speed`` [m/s] is that
+    of every STEP from the start, straight across what is not known; ``smoother`` made the samples of it.
     """
 
     samples: Samples
@@ -31,6 +36,10 @@ class Record:
     rejected: Counter[str]
     idle: Floats
     idle_speed: Floats
+    speed: Floats
+    smoother: Kernels
+    log: int = 0
+    log_start: float = 0.0
 
     @property
     def idling(self) -> tuple[float, float] | None:
@@ -38,6 +47,11 @@ class Record:
         if len(self.idle) < SHORTEST_IDLE / STEP:
             return None
         return float(np.median(self.idle)), float(np.median(self.idle_speed))
+
+    def at(self, samples: Samples) -> NDArray[np.int64]:
+        """Where in ``speed`` each of the samples is (n,)."""
+        place: NDArray[np.int64] = np.rint((samples.t - self.start) / STEP).astype(np.int64)
+        return place
 
     @property
     def known(self) -> frozenset[Quantity]:
@@ -49,12 +63,14 @@ def record(pieces: list[Rows], config: Config) -> Record:
     """Samples of a drive from its ``pieces``, each without a gap, in order."""
     rejected: Counter[str] = Counter()
     if not pieces:
-        return Record(Samples.concatenate([]), 0.0, 0.0, rejected, np.empty(0), np.empty(0))
+        nothing = np.empty(0)
+        smoother = smoothing.smoother_kernels(smoothing.fit_ratio(nothing, STEP), STEP)
+        return Record(Samples.concatenate([]), 0.0, 0.0, rejected, nothing, nothing, nothing, smoother)
     gap = np.full(round(BREAK / STEP), np.nan)
     speed = np.concatenate([part for piece in pieces for part in (piece.plausible_speed, gap)])
     power = np.concatenate([part for piece in pieces for part in (piece.power, gap)])
-    lag = kinematics.fit_lag(speed, power, STEP, config.kinematics.maximum_lag_s)
-    smoother = kinematics.smoother_kernels(kinematics.fit_ratio(speed, STEP), STEP)
+    lag = fit_lag(speed, power, STEP, config.kinematics.maximum_lag_s)
+    smoother = smoothing.smoother_kernels(smoothing.fit_ratio(speed, STEP), STEP)
     inertial = config.kinematics.acceleration == "inertial"
     start = float(pieces[0].t[0])
     heard = _heard(pieces, start)
@@ -76,7 +92,8 @@ def record(pieces: list[Rows], config: Config) -> Record:
             _bridge(values)
         found.append(admit(samples, row_reasons(piece, config.admission)[inner], rejected))
     idle, idle_speed = _idle(pieces)
-    return Record(Samples.concatenate(found), start, lag, rejected, idle, idle_speed)
+    driven, every = Samples.concatenate(found), _whole_speed(pieces)
+    return Record(driven, start, lag, rejected, idle, idle_speed, every, smoother, log_start=start)
 
 
 def _heard(pieces: list[Rows], start: float) -> frozenset[Quantity]:
@@ -93,6 +110,16 @@ def _bridge(values: Floats) -> None:
     known = np.isfinite(values)
     if known.any() and not known.all():
         values[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
+
+
+def _whole_speed(pieces: list[Rows]) -> Floats:
+    """Speed [m/s] on the grid from the first row to the last."""
+    first = int(pieces[0].index[0])
+    speed = np.full(int(pieces[-1].index[-1]) - first + 1, np.nan)
+    for piece in pieces:
+        speed[piece.index - first] = piece.plausible_speed
+    _bridge(speed)
+    return speed
 
 
 def _halts(speed: Floats) -> Floats:

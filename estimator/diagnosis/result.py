@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 from estimator.signals import Floats
 
@@ -43,6 +44,14 @@ class Shift:
     C: float  # [N s^2/m^2]
 
 
+class Span(NamedTuple):
+    """When an effect acts: from and to [s] of the time since the first row of a log, and which of the logs."""
+
+    start: float
+    end: float
+    log: int = 0
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One candidate effect, judged on the log."""
@@ -56,7 +65,7 @@ class Finding:
     rms_before: float  # [W], of held-out residuals
     rms_after: float  # [W]
     shift: Shift | None
-    span: tuple[tuple[float, float], ...] = ()  # when it acts, from and to [s]; empty: always
+    span: tuple[Span, ...] = ()  # when it acts; empty: always
     detail: str = ""  # shape found, e.g. "from 31 deg", "two levels, 14 % of the time"
 
 
@@ -113,14 +122,15 @@ class GapMap:
 
 @dataclass(frozen=True, slots=True)
 class Traces:
-    """Seconds of admitted driving, oldest first; all arrays (n,)."""
+    """Seconds of admitted driving, log by log; all arrays (n,)."""
 
-    t: Floats  # [s] from the first frame
-    distance: Floats  # [m]
+    t: Floats  # [s] since the first row of the log
+    distance: Floats  # [m], of the drive
     speed: Floats  # [m/s]
     measured: Floats  # [W]
     base: Floats  # [W], model without effects
     extended: Floats  # [W], model with the chosen effects
+    log: Floats  # which of the logs
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +147,9 @@ class Diagnosis:
     rms_base: float | None = None  # [W]
     rms_final: float | None = None  # [W]
     base: Shift | None = None  # A, C, m of the plain model
-    final: Shift | None = None  # and with the effects
-    deviation: Shift | None = None  # sd of the latter
+    base_deviation: Shift | None = None  # and their sd
+    final: Shift | None = None  # with the effects
+    deviation: Shift | None = None
     where: tuple[Place, ...] = ()
     isolability: Isolability | None = None
     not_testable: tuple[NotTestable, ...] = ()

@@ -3,24 +3,47 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from estimator.diagnosis.growth import grown, merged
 from estimator.diagnosis.hills import hidden_grade
 from estimator.diagnosis.joint import Drive, Joint, pooled, ranked
-from estimator.diagnosis.processes import Leftover, grains_of, leftovers
-from estimator.diagnosis.thresholds import NAMED, NEXT, NEXT_TIMED
+from estimator.diagnosis.lateness import lateness
+from estimator.diagnosis.processes import Leftover
+from estimator.diagnosis.remainders import beside_swing, remainders
+from estimator.diagnosis.thresholds import EVIDENT, NAMED, NAMED_TIMED, NEXT, NEXT_TIMED, UNEXPLAINED
 from estimator.effects import Effect
-from estimator.estimation.columns import settled
 
-LEAST, LEAST_TIMED = 0.003, 0.04  # of what the first effect took away: none has exactly its textbook form
+LEAST, LEAST_TIMED = 0.001, 0.01  # of what the first effect took away: none has exactly its textbook form
 MOST = 4  # effects that are looked for
+STEPS = 8  # of the search; some only lengthen an effect that is there
 
 
 @dataclass(frozen=True)
 class Found:
-    """An effect as it was chosen: among which others, and on top of what."""
+    """An effect as it was chosen: among which others, on top of what, and what was left before and after."""
 
     joint: Joint
     ranking: tuple[Joint, ...]
     before: tuple[Drive, ...]
+    unnamed: float  # log Bayes factor of the best process, before
+    unnamed_after: float
+    is_beside: bool  # it was judged beside that process
+
+    @property
+    def margin(self) -> float:
+        """Log Bayes factor of the effect, with or without a process beside it, over the best process alone."""
+        if self.is_beside:
+            return self.joint.log_bayes_factor
+        return self.joint.log_bayes_factor + max(self.unnamed_after, 0.0) - max(self.unnamed, 0.0)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect more, or one that acts for longer (no ``found``); what it takes away [W^2], and what it leaves."""
+
+    found: Found | None
+    taken: float
+    drives: tuple[Drive, ...]
+    left: tuple[Leftover, ...]
 
 
 @dataclass(frozen=True)
@@ -37,47 +60,57 @@ class Search:
 def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
     """Choose effects for the drives."""
     drives, chosen = plain, list[Found]()
-    first, most = ranked(plain, effects), 0.0
-    at_first = _leftovers(plain)
-    if hidden_grade(first, at_first, plain) is not None:
-        return Search((), first, at_first, at_first, plain)
-    while len(chosen) < MOST:
-        ranking = first if not chosen else ranked(drives, effects)
-        if not ranking or ranking[0].log_bayes_factor < _needed(ranking[0], len(chosen)):
+    first = ranked(plain, effects)
+    late = [found for found in map(lateness, plain) if found is not None]
+    most = max((found.taken for found in late), default=0.0)
+    left = at_first = remainders(plain)
+    grade = hidden_grade(first, at_first, plain)
+    for _ in range(STEPS):
+        rest = beside_swing(drives, left[0])
+        ranking = first if drives is rest is plain else ranked(rest, effects)
+        process = left[0] if chosen or grade is None else grade
+        others = len(chosen) + bool(late)
+        step = _step(drives, ranking, process, others, most, beside=False) if process is not grade else None
+        if step is None and process.log_bayes_factor > EVIDENT:
+            ranking = ranked(rest, effects, process.covariances)
+            step = _step(drives, ranking, process, others + 1, most, beside=True)
+        if step is None or len(chosen) == MOST:
             break
-        grown = _add(drives, ranking[0])
-        taken = pooled(drives, grown).mean_square - pooled(grown, grown).mean_square
-        if taken <= 0 or (chosen and taken < _share(ranking[0]) * most):
-            break
-        most = max(taken, most)
-        chosen.append(Found(ranking[0], ranking, drives))
-        drives = grown
+        drives, left, most = step.drives, step.left, max(step.taken, most)
+        if step.found is None:
+            continue
+        chosen.append(step.found)
         if len(chosen) > 1:
-            chosen, drives = _exchange(plain, chosen, drives, effects)
-    return Search(tuple(chosen), first, at_first, _leftovers(drives) if chosen else at_first, drives)
+            chosen, exchanged = _exchange(plain, chosen, drives, effects)
+            if exchanged is not drives:
+                drives, left = exchanged, remainders(exchanged)
+    return Search(tuple(chosen), first, at_first, left, drives)
 
 
-def _needed(joint: Joint, chosen: int) -> float:
-    """Log Bayes factor that names an effect beside those already ``chosen``."""
-    if not chosen:
-        return NAMED
-    return NEXT_TIMED if joint.best[1].term.spans is not None else NEXT
+def _step(
+    drives: tuple[Drive, ...], ranking: tuple[Joint, ...], process: Leftover, others: int, most: float, beside: bool
+) -> Step | None:
+    """Add the effect with most evidence, if it earns its place among ``others``."""
+    if not ranking or ranking[0].log_bayes_factor < _needed(ranking[0], others):
+        return None
+    bigger = grown(drives, ranking[0])
+    longer = merged(drives, ranking[0], bigger)
+    if any(one is not other for one, other in zip(longer, bigger, strict=True)):
+        return Step(None, 0.0, longer, remainders(longer))
+    taken = pooled(drives, bigger).mean_square - pooled(bigger, bigger).mean_square
+    if taken <= 0 or taken < (LEAST_TIMED if ranking[0].is_timed else LEAST) * most:
+        return None
+    left = remainders(bigger)
+    found = Found(ranking[0], ranking, drives, process.log_bayes_factor, left[0].log_bayes_factor, beside)
+    least = NEXT if found.unnamed_after > UNEXPLAINED or (others and ranking[0].is_timed) else 0.0
+    return Step(found, taken, bigger, left) if found.margin >= least else None
 
 
-def _share(joint: Joint) -> float:
-    """Of the squared residual that the largest effect takes away, what one more has to take at least."""
-    return LEAST_TIMED if joint.best[1].term.spans is not None else LEAST
-
-
-def _add(drives: tuple[Drive, ...], joint: Joint) -> tuple[Drive, ...]:
-    grown = []
-    for drive, candidate in zip(drives, joint.each, strict=True):
-        if candidate is None or (joint.is_event and candidate.log_bayes_factor < NAMED):
-            grown.append(drive)
-        else:
-            term = settled(candidate.term, drive.model.samples)
-            grown.append(drive.having((*drive.model.terms, term)))
-    return tuple(grown)
+def _needed(joint: Joint, others: int) -> float:
+    """Log Bayes factor that names an effect beside ``others``."""
+    if joint.is_timed:
+        return NEXT_TIMED if others else NAMED_TIMED
+    return NEXT if others else NAMED
 
 
 def _exchange(
@@ -89,29 +122,6 @@ def _exchange(
         ranking = ranked(rest, effects)
         if not ranking or ranking[0].log_bayes_factor < NAMED:
             return [*chosen[:i], *chosen[i + 1 :]], rest
-        chosen[i] = Found(ranking[0], ranking, found.before)
-        drives = _add(rest, ranking[0])
+        chosen[i] = replace(found, joint=ranking[0], ranking=ranking)
+        drives = grown(rest, ranking[0])
     return chosen, drives
-
-
-def _leftovers(drives: tuple[Drive, ...]) -> tuple[Leftover, ...]:
-    """Processes over all drives: evidence adds up."""
-    each = [{_kind(left): left for left in leftovers(grains_of(drive.model))} for drive in drives]
-    samples = [len(drive.model.samples) for drive in drives]
-    joined = []
-    for name in each[0]:
-        found = [left[name] for left in each if name in left]
-        variance = sum(left[name].variance * n for left, n in zip(each, samples, strict=True) if name in left)
-        joined.append(
-            replace(
-                found[0],
-                log_bayes_factor=sum(left.log_bayes_factor for left in found),
-                variance=variance / sum(samples),
-            )
-        )
-    return tuple(sorted(joined, key=lambda left: -left.log_bayes_factor))
-
-
-def _kind(left: Leftover) -> str:
-    """Ripples of any period are one."""
-    return "swings" if left.name.startswith("swings") else left.name

@@ -7,6 +7,7 @@ from scipy.special import logsumexp
 
 SOMETHING = 3.0  # below this there is no gap to speak of
 NAMED = 5.0  # over none, names an effect
+NAMED_TIMED = 11.0  # and if its times are free
 AHEAD = 3.0  # over the next that is not of its class
 NEXT = 8.0  # of an effect beside another: each one more has to earn its place
 NEXT_TIMED = 20.0  # and if its times are free, it fits what the others left not quite right

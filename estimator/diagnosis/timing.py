@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.model import Model
-from estimator.estimation.columns import Spans
+from estimator.estimation.columns import Spans, inside
 from estimator.signals import Floats, Mask, Quantity
 
 BEAT = 2.0  # s
@@ -72,18 +72,15 @@ def switching(model: Model, profile: Floats, dwell: float) -> list[Spans]:
             if np.array_equal(new, on):
                 break
             on = new
-        if fitted is not None and fitted[1] > 0 and _is_usual(b, on, dwell):
+        if fitted is not None and fitted[1] > 0 and SHORTEST_WINDOW < on.sum() * BEAT < LONGEST_SHARE * len(on) * BEAT:
             proposals.append(_spans(model, on[b.of]))
     return proposals
 
 
-def _is_usual(b: Beats, on: Mask, dwell: float) -> bool:
-    """Whether the states last about as long as they usually do, and are off for some of the drive."""
-    starts = int(on[0]) + int((np.diff(on.astype(int)) == 1).sum())
-    lasting = float(on.sum()) * BEAT
-    if not starts or lasting < SHORTEST_WINDOW or lasting > LONGEST_SHARE * len(on) * BEAT:
-        return False
-    return dwell / DWELL_FACTOR < lasting / starts < dwell * DWELL_FACTOR
+def is_usual(spans: Spans, dwells: tuple[float, ...]) -> bool:
+    """Whether what switches stays on about as long as it usually does, one of ``dwells`` [s]."""
+    lasting = sum(end - start for start, end in spans) / len(spans) + BEAT
+    return any(dwell / DWELL_FACTOR < lasting < dwell * DWELL_FACTOR for dwell in dwells)
 
 
 def _beat_columns(model: Model, b: Beats) -> Floats:
@@ -103,9 +100,13 @@ def _levels(b: Beats, on: Mask, columns: Floats) -> tuple[Floats, float, float] 
     level = float(solution[-1]) / max(np.abs(h).max(), 1e-9)
     rest = b.residual - X[:, :-1] @ solution[:-1]
     left = rest - level * h
-    # Neighbouring beats hang together: each tells less than if they did not.
+    return rest, level, _independent_sd(left)
+
+
+def _independent_sd(left: Floats) -> float:
+    """Standard deviation of beats as if they were independent: neighbours hang together, each tells less."""
     correlation = float(np.clip(np.corrcoef(left[1:], left[:-1])[0, 1], 0.0, 0.9))
-    return rest, level, float(left.std()) * np.sqrt((1 + correlation) / (1 - correlation))
+    return float(left.std()) * float(np.sqrt((1 + correlation) / (1 - correlation)))
 
 
 def _viterbi(b: Beats, rest: Floats, level: float, spread: float, dwell: float) -> Mask:
@@ -134,6 +135,16 @@ def _viterbi(b: Beats, rest: Floats, level: float, spread: float, dwell: float) 
         states[k] = state
         state = (not came_from_off[k]) if state else bool(came_from_on[k])
     return states
+
+
+def again(model: Model, i: int, dwell: float) -> Spans:
+    """When the switching term ``i`` of ``model`` was on, now that the road load is known beside it."""
+    own, _ = model.views()
+    term, value = model.terms[i], model.magnitudes[i]
+    b = beats(model, value * term.effect.power(own, None))
+    on = inside(b.t, term.spans or ()) > 0
+    rest = b.residual + b.profile * on
+    return _spans(model, _viterbi(b, rest, 1.0, _independent_sd(rest - b.profile * on), dwell)[b.of])
 
 
 def windows(model: Model, profile: Floats) -> list[Spans]:
@@ -200,6 +211,11 @@ def _spans(model: Model, on: Mask) -> Spans:
     t = model.samples.t
     edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
     return tuple((float(t[a]), float(t[b - 1])) for a, b in edges.reshape(-1, 2).tolist())
+
+
+def between(model: Model, spans: Spans) -> Spans:
+    """When something was off that was on within ``spans``."""
+    return _spans(model, inside(model.samples.t, spans) == 0)
 
 
 def changes(model: Model, spans: Spans) -> int:

@@ -1,9 +1,10 @@
 """The diagnosis in sentences, and the line of configuration to add."""
 
+from estimator import readable
 from estimator.diagnosis.findings import HIDDEN_GRADE
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import Finding, Invisible, Magnitude, Verdict
-from estimator.diagnosis.thresholds import NAMED
+from estimator.diagnosis.thresholds import NAMED, NAMED_TIMED
 from estimator.effects import BY_NAME
 from estimator.estimation.columns import Term
 
@@ -34,7 +35,7 @@ def _doubt(outcome: Outcome, named: tuple[Finding, ...]) -> str:
         return f"The drive shows {' or '.join([named[0].name, *named[0].equivalent])}, and cannot tell which."
     best = outcome.result.ranking[0]
     doubt = "too weak on this drive to be sure"
-    if best.log_bayes_factor > NAMED:
+    if best.log_bayes_factor > (NAMED_TIMED if best.is_timed else NAMED):
         doubt = "but it does not foretell stretches of the drive that were kept from the fit"
     return f"There may be {best.name}, {doubt}."
 
@@ -60,4 +61,4 @@ def configuration(named: tuple[Finding, ...], given: tuple[Term, ...]) -> str:
 
 
 def _size(magnitude: Magnitude) -> str:
-    return f"{magnitude.value:.3g} ± {magnitude.sd:.1g} {magnitude.unit}".replace(" 1/h", "/h").removesuffix(" 1")
+    return readable.with_sd(magnitude.value, magnitude.sd, magnitude.unit)

@@ -1,0 +1,66 @@
+"""The road load beside effects whose shape is not known for sure: averaged over the shapes that the drive allows.
+
+A wind from 30 deg or from 45, a time constant of 25 min or 40: each leaves another A. With weights w_i from the
+marginal likelihood of what the model leaves without the effect,
+
+    mean = sum w_i theta_i,    variance = variance of the fit + sum w_i (theta_i - mean)^2
+
+(Bayesian model averaging: Hoeting, Madigan, Raftery, Volinsky 1999). Likewise for a lag: a delay and a low-pass are as
+likely as one another.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.diagnosis.evidence import parameter_sd
+from estimator.diagnosis.grains import grains_of, weigh
+from estimator.diagnosis.joint import Drive
+from estimator.diagnosis.lateness import lateness
+from estimator.diagnosis.lowpass import as_filtered
+from estimator.diagnosis.model import Model, refit
+from estimator.diagnosis.thresholds import TEMPER
+from estimator.estimation.columns import Term
+from estimator.signals import Floats, Quantity
+
+LEAST = 0.01  # weight of a shape that is worth a fit
+ROAD_LOAD = slice(0, 3)
+
+
+def averaged(drive: Drive) -> tuple[Floats, Floats]:
+    """Mean and standard deviation of A [N], C [N s^2/m^2], m [kg] (3,)."""
+    model = drive.model
+    mean = model.road_load.copy()
+    variance = np.array([parameter_sd(model.base, i) ** 2 for i in range(3)])
+    for i, term in enumerate(model.terms):
+        shapes = [shape for shape in term.effect.usable_shapes(drive.record.known) if not isinstance(shape, Quantity)]
+        if term.spans is None and len(shapes) > 1:
+            shift, spread = _over_shapes(model, i, [replace(term, shape=shape) for shape in shapes])
+            mean += shift
+            variance += spread
+    filtered = as_filtered(drive.record, model) if lateness(drive) is not None else None
+    if filtered is not None:
+        half = (filtered.theta[ROAD_LOAD] - model.base.theta[ROAD_LOAD]) / 2
+        mean += half
+        variance += half**2
+    return mean, np.sqrt(variance)
+
+
+def _over_shapes(model: Model, i: int, variants: list[Term]) -> tuple[Floats, Floats]:
+    """What allowing the other shapes of term ``i`` does to the road load: shift (3,), and variance it adds (3,)."""
+    others = (*model.terms[:i], *model.terms[i + 1 :])
+    rest = refit(model, others)
+    if rest is None:
+        return np.zeros(3), np.zeros(3)
+    _, ring = rest.views()
+    grains, effect = grains_of(rest), model.terms[i].effect
+    columns = grains.mean(np.column_stack([term.column(ring) for term in variants]))
+    evidence = weigh(grains, columns, effect.usual(model.road_load), effect.positive).log_bayes_factor / TEMPER
+    weights = np.exp(evidence - evidence.max())
+    weights /= weights.sum()
+    likely = np.flatnonzero(weights > LEAST)
+    fits = [refit(model, (*model.terms[:i], variants[k], *model.terms[i + 1 :])) for k in likely]
+    theta = np.array([model.road_load if found is None else found.road_load for found in fits])
+    share = weights[likely] / weights[likely].sum()
+    mean = share @ theta
+    return mean - model.road_load, share @ (theta - mean) ** 2
