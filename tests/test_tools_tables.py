@@ -20,7 +20,10 @@ from estimator.signals import Role
 from estimator.units import STANDARD_GRAVITY
 
 TOOLS = Path(__file__).parents[1] / "tools"
-ROOMS = ("table", "table_to_log", "surrogates", "real_recordings", "second_world", "second_drive", "fastsim_world")
+ROOMS = (
+    "table", "table_to_log", "vt_truck", "surrogates", "real_recordings", "second_world", "second_drive",
+    "fastsim_world",
+)  # fmt: skip
 CAR = """VERSION ""
 NS_ :
 BS_:
@@ -46,11 +49,13 @@ def tools(monkeypatch):
     import surrogates
     import table
     import table_to_log
+    import vt_truck
 
     world = fastsim_world
     yield SimpleNamespace(
         table=table,
         to_log=table_to_log,
+        vt=vt_truck,
         recordings=real_recordings,
         second=second_world,
         pair=second_drive,
@@ -199,12 +204,65 @@ def test_a_table_at_one_hertz_is_enough_for_the_estimator(tools, tmp_path):
     assert final.C.mean == pytest.approx(truth[1], rel=0.1)
 
 
-def test_flat_roads_of_a_real_truck_weigh_it(tools, recordings, tmp_path):
+def truck_table(tools, phase, speed, elevation):
+    columns = {"vel (mph)": speed, "fuel (g/s)": 0 * speed + 5, "engine (rpm)": 0 * speed + 1200}
+    cells = columns | {"elevation (m)": elevation, "phase_num": phase}
+    return tools.table.Table(
+        Path("truck.csv"), list(range(2, len(speed) + 2)), {k: v.tolist() for k, v in cells.items()}
+    )
+
+
+def test_recordings_of_a_table_are_taken_apart(tools):
+    phase = np.repeat([1, 2, 1], [200, 100, 100])
+    speed, elevation = np.full(400, 50.0), np.arange(400.0) / 10
+    elevation[80:] += 40.0  # rows are missing here, and a few moments later again
+    speed[100:] += 10.0
+    found = dict(tools.vt.recordings(truck_table(tools, phase, speed, elevation)))
+    assert list(found) == ["1a", "2a", "1b"]
+    assert [len(rows) for rows in found.values()] == [180, 100, 100]  # 20 rows between two jumps are no drive
+    t, height = found["1a"].numbers("s"), found["1a"].numbers("elevation (m)")
+    assert np.flatnonzero(np.diff(t) > 1).tolist() == [79]
+    assert t[80] - t[79] > 100
+    # The low-pass does not reach across: on a ramp without a jump it changes nothing but the ends.
+    assert np.allclose(height[20:60], elevation[20:60])
+    assert np.allclose(height[100:160], elevation[120:180])
+
+
+def test_a_low_pass_takes_jitter_from_all_columns_alike(tools):
+    rng = np.random.default_rng(1)
+    t = np.arange(600.0)
+    speed, elevation = 40 + 5 * np.sin(t / 40) + rng.normal(0, 0.5, 600), rng.normal(0, 0.3, 600)
+    ((_, rough),) = tools.vt.recordings(truck_table(tools, 0 * t + 1, speed, elevation), low_pass=0.0)
+    ((_, calm),) = tools.vt.recordings(truck_table(tools, 0 * t + 1, speed, elevation))
+    assert np.allclose(rough.numbers("vel (mph)"), speed)
+    assert np.diff(calm.numbers("vel (mph)"), 2).std() < 0.1 * np.diff(speed, 2).std()
+    assert np.diff(calm.numbers("elevation (m)"), 2).std() < 0.1 * np.diff(elevation, 2).std()
+    assert calm.numbers("vel (mph)") == pytest.approx(40 + 5 * np.sin(t / 40), abs=1.0)
+
+
+def test_without_fuel_the_power_of_the_truck_is_not_known(tools, tmp_path):
+    t = np.arange(100.0)
+    table = truck_table(tools, 0 * t + 1, 0 * t + 50, 0 * t)
+    table.cells["fuel (g/s)"][40:60] = [0.0] * 20
+    ((_, recording),) = tools.vt.recordings(table, low_pass=0.0)
+    tools.vt.write(recording, tmp_path / "truck.blf")
+    ids = [message.arbitration_id for message in can.LogReader(tmp_path / "truck.blf")]
+    assert (ids.count(256), ids.count(257), ids.count(258)) == (100, 80, 100)
+
+
+def test_hills_without_a_signal_of_them_make_a_real_truck_too_light(tools, recordings, tmp_path):
+    """On the first recording, an hour with hills of some hundred metres; it weighs about 32 t."""
     table = tools.table.read_table(recordings / "vt_hd_trucks" / "veh002_all.csv")
-    log, dbc = tmp_path / "truck.blf", [str(TOOLS / "vt_truck.dbc")]
-    tools.to_log.convert(table, log, dbc, tools.recordings.VT_MAP, None, 1.0, ["phase_num=10"])
-    final = estimate([log], config.load(TOOLS / "vt_truck.toml"), lambda share: None).final
-    assert 28e3 < final.mass.mean < 37e3  # it is about 32 t
+    log, shown = tmp_path / "truck.blf", TOOLS / "vt_truck.toml"
+    hidden = tmp_path / "hidden.toml"
+    hidden.write_text(tools.recordings.without(shown.read_text(), "altitude"))
+    tools.vt.write(next(rows for name, rows in tools.vt.recordings(table) if name == "1a"), log)
+    before = tools.recordings.diagnose(log, "--config", hidden, "--dbc", tools.vt.DBC)
+    assert before.named == ("grade",)
+    assert before.mass[0] + 3 * before.mass[1] < 20e3
+    answer = tools.recordings.roadload("estimate", log, "--config", shown, "--effect", "grade")
+    mass = answer["parameters"]["mass_kg"]
+    assert mass["q05"] < 32e3 < mass["q95"]
 
 
 @pytest.fixture
@@ -321,6 +379,8 @@ def answer(*names, verdict="effect", base=40.0, final=10.0, equivalent=()):
         "rms_base_kW": base,
         "rms_final_kW": final,
         "noise_floor_kW": 5.0,
+        "parameters": {"base": {"mass_kg": 2e4}, "base_sd": {"mass_kg": 1e3}},
+        "reason": "",
     }
 
 
@@ -343,7 +403,10 @@ def test_a_promise_counts_before_any_signal_can_keep_it(tools):
     ("grade", "said", "right", "invented"),
     [
         ("withheld", answer("grade"), "yes", "-"),
-        ("withheld", answer("headwind", equivalent=["grade"]), "NO", "headwind"),
+        ("withheld", answer("headwind"), "NO", "headwind"),
+        ("withheld", answer("headwind", equivalent=["grade"]), "yes", "-"),  # it says itself that it cannot tell
+        ("given", answer("torque_bias", equivalent=["auxiliary_load"]), "yes", "-"),
+        ("given", answer("torque_bias"), "NO", "torque_bias"),
         ("withheld", answer(verdict="no gap"), "NO", "-"),
         ("withheld", answer("grade", "load_loss"), "NO", "load_loss"),
         ("shown", answer(verdict="no gap"), "yes", "-"),

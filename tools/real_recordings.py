@@ -23,25 +23,18 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import vt_truck
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 from surrogates import original, write_surrogate
 from table import read_table
-from table_to_log import convert
 
 from estimator import config
 from estimator.errors import InputError, RoadloadError
 
 ROOT = Path(__file__).parents[1]
-LOWER_HEATING_VALUE = 42.8  # kJ/g, of diesel
-EFFICIENCY = 0.42  # of the truck's engine, assumed
-VT_MAP = [
-    "MOTION.Speed=vel (mph)",
-    f"ENGINE.Power=fuel (g/s)*{LOWER_HEATING_VALUE * EFFICIENCY:.3f}",
-    "ENGINE.Speed=engine (rpm)",
-    "ROAD.Elevation=elevation (m)",
-]
+LEAST_ROWS = 480  # of a recording of the truck, one a second
 SEED = 1  # of the surrogates
 WIDE = 180  # columns, where the output is no terminal
 
@@ -52,13 +45,14 @@ class Diagnosis:
 
     verdict: str
     named: tuple[str, ...]  # effects in order of adding
-    equivalent: frozenset[str]  # what the named effects cannot be told apart from
+    classes: tuple[frozenset[str], ...]  # each of them with what it cannot be told apart from
     probability: float | None  # of the first one
     promised: tuple[float, float, float] | None  # share of the gap that the first one closes: value, 5 %, 95 %
     rms_base: float | None
     rms_final: float | None
     rms_promised: float | None  # with all that is named: less than rms_final where no signal shows it yet
     floor: float | None
+    mass: tuple[float, float] | None  # [kg] of the plain model, and its sd
     reason: str
 
     @classmethod
@@ -67,17 +61,19 @@ class Diagnosis:
         effects = content["effects"]
         first = effects[0] if effects else None
         closed = first and first["gap_closed"]
+        base, sd = content["parameters"]["base"], content["parameters"]["base_sd"]
         return cls(
             verdict=content["verdict"],
             named=tuple(effect["name"] for effect in effects),
-            equivalent=frozenset(name for effect in effects for name in effect["equivalent"]),
+            classes=tuple(frozenset([effect["name"], *effect["equivalent"]]) for effect in effects),
             probability=first and first["probability"],
             promised=(closed["fraction"], closed["q05"], closed["q95"]) if closed else None,
             rms_base=content["rms_base_kW"],
             rms_final=content["rms_final_kW"],
             rms_promised=min((effect["rms_after_kW"] for effect in effects), default=content["rms_final_kW"]),
             floor=content["noise_floor_kW"],
-            reason=content.get("reason") or "",
+            mass=(base["mass_kg"], sd["mass_kg"]) if base and sd else None,
+            reason=content["reason"],
         )
 
     def shrunk(self, rms: float | None) -> float | None:
@@ -196,34 +192,50 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
 
 
 def _mass(log: Path, *arguments: str | Path) -> str:
+    """Of `roadload estimate` [t], with its 90 % interval, or why there is none."""
     answer = roadload("estimate", log, *arguments)
     mass = answer["parameters"]["mass_kg"]
-    return answer["status"] if mass is None else f"{mass['mean'] / 1e3:.1f} +- {mass['sd'] / 1e3:.1f}"
+    if mass is None:
+        return str(answer["status"])
+    mean, low, high = (mass[key] / 1e3 for key in ("mean", "q05", "q95"))
+    return f"{mean:.1f} ({low:.1f} .. {high:.1f})"
+
+
+def _tonnes(said: Diagnosis) -> str:
+    return "-" if said.mass is None else f"{said.mass[0] / 1e3:.1f} +- {said.mass[1] / 1e3:.1f}"
 
 
 def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
-    """Per phase of the study: elevation withheld and revealed, with the mass [t] by either."""
+    """Per recording of the truck: elevation withheld and revealed, with the mass [t] by either.
+
+    The first two masses are those of the diagnosis, which knows nothing beforehand; the others of the estimate, which
+    knows what C a truck may have.
+    """
     table = read_table(folder / "vt_hd_trucks" / "veh002_all.csv")
     shown = ROOT / "tools" / "vt_truck.toml"
-    withheld = work / "vt_withheld.toml"
-    withheld.write_text(without(shown.read_text(), "altitude"))
-    dbc = ROOT / "tools" / "vt_truck.dbc"
-    for phase in sorted(set(table.column("phase_num")), key=int):
-        log = work / f"vt_phase{phase}.blf"
-        convert(table, log, [str(dbc)], VT_MAP, None, 1.0, [f"phase_num={phase}"])
-        before = diagnose(log, "--config", withheld, "--dbc", dbc)
-        after = diagnose(log, "--config", shown)
+    hidden = work / "vt_withheld.toml"
+    hidden.write_text(without(shown.read_text(), "altitude"))
+    withheld: tuple[str | Path, ...] = ("--config", hidden, "--dbc", vt_truck.DBC)
+    revealed: tuple[str | Path, ...] = ("--config", shown, "--effect", "grade")
+    for name, recording in vt_truck.recordings(table):
+        if len(recording) < LEAST_ROWS:
+            continue
+        log = work / f"vt_{name}.blf"
+        vt_truck.write(recording, log)
+        before, after = diagnose(log, *withheld), diagnose(log, *revealed[:2])
         yield {
-            "phase": phase,
+            "recording": name,
+            "min": f"{len(recording) / 60:.0f}",
             "named, withheld": _names(before),
             "kW before": _kilowatts(before.rms_base),
-            "kW promised": _kilowatts(before.rms_promised),
             "promised": share_text(before.shrunk(before.rms_promised)),
             "reached": share_text(before.shrunk(after.rms_final)),
             "named, revealed": _names(after),
             "kW revealed": _kilowatts(after.rms_final),
-            "t before": _mass(log, "--config", withheld, "--dbc", dbc),
-            "t, grade": _mass(log, "--config", shown, "--effect", "grade"),
+            "t withheld": _tonnes(before),
+            "t revealed": _tonnes(diagnose(log, *revealed)),
+            "estimate withheld": _mass(log, *withheld),
+            "estimate revealed": _mass(log, *revealed),
         }
 
 

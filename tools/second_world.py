@@ -48,17 +48,21 @@ def truth_of(vehicle: Vehicle, drive: Drive) -> dict[str, Any]:
 
 
 def judge(truth: dict[str, Any], grade: str, said: Diagnosis) -> dict[str, str]:
-    """A row of the table: grade has to be named where it is withheld, and nothing invented either way."""
-    named = set(said.named)
-    alike = named | said.equivalent if said.verdict == "effect" else named
-    wanted = grade == "withheld" and "grade" in truth["effects"]
-    invented = sorted(named - set(truth["effects"]))
+    """A row of the table: grade has to be named where it is withheld, and nothing invented anywhere.
+
+    A name is no invention if the answer says itself that it cannot be told apart from what is there.
+    """
+    there = frozenset(truth["effects"])
+    wanted = grade == "withheld" and "grade" in there
+    invented = sorted(name for name, alike in zip(said.named, said.classes, strict=True) if not alike & there)
+    found = any("grade" in alike for alike in said.classes)
     return {
         "grade": grade,
         "grade sd": f"{100 * truth['grade_sd']:.2f} %",
         "verdict": said.verdict,
-        "named": ", ".join(said.named) or "-",
-        "as it should": "yes" if not invented and (not wanted or "grade" in alike) else "NO",
+        "named": ", ".join(" or ".join([n, *sorted(c - {n})]) for n, c in zip(said.named, said.classes, strict=True))
+        or "-",
+        "as it should": "yes" if not invented and (found or not wanted) else "NO",
         "invented": ", ".join(invented) or "-",
         "kW before": "-" if said.rms_base is None else f"{said.rms_base:.2f}",
         "kW after": "-" if said.rms_final is None else f"{said.rms_final:.2f}",
@@ -74,7 +78,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--speed-noise", type=float, default=0.01, metavar="m/s")
     parser.add_argument("--torque-resolution", type=float, default=FINE, metavar="FRACTION")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--diagnose", action="store_true", help="run `roadload diagnose` on them and print a table")
+    parser.add_argument(
+        "--diagnose",
+        action="store_true",
+        help="run `roadload diagnose` on them, with grade shown also as part of the model, and print a table",
+    )
     options = parser.parse_args(arguments)
     rows = []
     try:
@@ -102,6 +110,8 @@ def main(arguments: list[str] | None = None) -> int:
                 print(f"{log}: {len(frames):,} frames, {truth['minutes']:.0f} min")
                 if options.diagnose:
                     rows.append({"route": route} | judge(truth, grade, diagnose(log)))
+                if options.diagnose and grade == "shown":
+                    rows.append({"route": route} | judge(truth, "given", diagnose(log, "--effect", "grade")))
     except RoadloadError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_status

@@ -21,7 +21,7 @@ from estimator.can_io.recorder import write_log
 from estimator.config import Config
 from estimator.diagnosing import NEVER, drives
 from estimator.diagnosis.model import fit, select
-from estimator.estimation import kinematics
+from estimator.estimation import smoothing
 from estimator.pipeline import Pipeline
 from estimator.replay import read
 from estimator.road_load import design
@@ -61,8 +61,8 @@ def original(log: Path, config: Config) -> Original | None:
         return None
     rows = _rows(log, config)
     speed = rows.plausible_speed
-    smoother = kinematics.smoother_kernels(kinematics.fit_ratio(speed, STEP), STEP)
-    v, a = kinematics.convolve(speed, smoother.value), kinematics.convolve(speed, smoother.slope)
+    smoother = smoothing.smoother_kernels(smoothing.fit_ratio(speed, STEP), STEP)
+    v, a = smoothing.convolve(speed, smoother.value), smoothing.convolve(speed, smoother.slope)
     residual = model.base.residual
     frequency, spectrum = welch(residual, 1 / STEP, nperseg=min(SEGMENT, len(residual)), detrend="constant")
     return Original(rows.speed, rows.context[Role.ENGINE_SPEED], design(v, a) @ model.road_load, frequency, spectrum)

@@ -32,8 +32,8 @@ from blind.truth import Truth
 from estimator.config import Config
 from estimator.diagnosing import drives
 from estimator.diagnosis.candidates import assess
+from estimator.diagnosis.grains import grains_of
 from estimator.diagnosis.model import fit, select
-from estimator.diagnosis.processes import grains_of
 from estimator.effects import CATALOGUE
 
 THRESHOLD = 0.1  # of STLSQ, as in the published study of discrepancy models

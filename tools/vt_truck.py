@@ -1,0 +1,72 @@
+"""A class-8 truck's table at 1 Hz (Wang and Rakha 2017) as the recordings it was put together from, and their logs.
+
+The table joins recordings phase by phase, and rows are missing inside some: speed or elevation jumps there. Each row's
+fuel, which stands for power, is smeared against its speed: the mass comes out too low, the more so the finer the time
+scale. So recordings are cut where they jump, and all columns pass one low-pass.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from table import Table
+from table_to_log import frames_of_table
+
+from estimator.can_io.binding import load_database
+from estimator.can_io.recorder import write_log
+from estimator.signals import Mask
+
+DBC = Path(__file__).with_suffix(".dbc")
+LOWER_HEATING_VALUE = 42.8  # kJ/g, of diesel
+EFFICIENCY = 0.42  # of the truck's engine, assumed
+SPEED, FUEL, ENGINE, ELEVATION = "vel (mph)", "fuel (g/s)", "engine (rpm)", "elevation (m)"
+PHASE, TIME = "phase_num", "s"
+MAP = [
+    f"MOTION.Speed={SPEED}",
+    f"ENGINE.Power={FUEL}*{LOWER_HEATING_VALUE * EFFICIENCY:.3f}",
+    f"ENGINE.Speed={ENGINE}",
+    f"ROAD.Elevation={ELEVATION}",
+]
+LARGEST_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # from one row to the next: 2.5 m/s^2, and steeper than any road
+SHORTEST = 30  # rows between jumps
+PAUSE = 60.0  # s put in at a jump, for no signal to be held across
+LOW_PASS = 4.0  # s, sd of the Gaussian
+
+
+def recordings(table: Table, low_pass: float = LOW_PASS) -> Iterator[tuple[str, Table]]:
+    """Name, such as ``1b`` for the second of phase 1, and rows of each recording, with a column TIME [s]."""
+    phase = np.array([int(float(cell)) for cell in table.column(PHASE)])
+    seen: Counter[int] = Counter()
+    for rows in _runs(np.diff(phase) != 0):
+        number = int(phase[rows[0]])
+        chosen = np.zeros(len(table), dtype=bool)
+        chosen[rows] = True
+        yield f"{number}{chr(ord('a') + seen[number])}", _smoothed(table[chosen], low_pass)
+        seen[number] += 1
+
+
+def _smoothed(recording: Table, low_pass: float) -> Table:
+    """The recording between its jumps, each column low-passed there."""
+    columns = {name: recording.numbers(name) for name in (SPEED, FUEL, ENGINE, ELEVATION)}
+    jumps = np.any([np.abs(np.diff(columns[name])) > most for name, most in LARGEST_STEPS.items()], axis=0)
+    pieces = [(i, rows) for i, rows in enumerate(_runs(jumps)) if len(rows) >= SHORTEST]
+    chosen = np.concatenate([rows for _, rows in pieces]) if pieces else np.empty(0, np.int64)
+    cells = {TIME: [float(row + PAUSE * i) for i, rows in pieces for row in rows.tolist()]}
+    for name, values in columns.items():
+        parts = [gaussian_filter1d(values[rows], low_pass) if low_pass else values[rows] for _, rows in pieces]
+        cells[name] = np.concatenate(parts).tolist() if parts else []
+    return Table(recording.path, [recording.line[row] for row in chosen.tolist()], cells)
+
+
+def _runs(ends: Mask) -> list[NDArray[np.intp]]:
+    """Places (n,) in stretches; ``ends`` (n - 1,) says after which of them one ends."""
+    return np.split(np.arange(len(ends) + 1), np.flatnonzero(ends) + 1)
+
+
+def write(recording: Table, log: Path) -> None:
+    """The recording as CAN frames of DBC."""
+    frames, _ = frames_of_table(recording, recording.numbers(TIME), load_database([str(DBC)]), MAP)
+    write_log(frames, log)
