@@ -82,7 +82,9 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     at_last = assess(after, grains_of(after), outcome.effects, drive.record.known, drive.rest)
     unseen = tuple(invisible(outcome.effects, at_last, after, drive.record.known))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
-    remaining = Verdict.UNKNOWN if left > UNEXPLAINED else Verdict.NO_GAP
+    remaining = Verdict.NO_GAP
+    if left > UNEXPLAINED:
+        remaining = Verdict.CANNOT_TELL if outcome.rough_hills else Verdict.UNKNOWN
     return Diagnosis(
         verdict,
         words.reason(outcome, verdict, named, unseen),

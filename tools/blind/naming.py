@@ -15,6 +15,8 @@ def naming(cases: Sequence[Case]) -> list[Measure]:
     clear = [c for c in kinds["single"] if seen(c)]
     outside = [c for c in kinds["outside"] if seen(c)]
     pairs = [c for c in kinds["pair"] if seen(c)]
+    level = [c for c in pairs if all(effect.world != "grade" for effect in c.truth.effects)]
+    blind = [c for c in pairs if c not in level and {"grade", "altitude"} <= set(c.truth.without)]
 
     def wrong(case: Case) -> bool:
         return bool(answer.invented(case.truth, case.run))
@@ -31,6 +33,8 @@ def naming(cases: Sequence[Case]) -> list[Measure]:
         ),
         share_of("outside the catalogue: a wrong name", "<= 5 %", kinds["outside"], wrong, lower=True),
         share_of("two effects: both named", ">= 85 %", pairs, lambda c: all(answer.found(c.truth, c.run))),
+        share_of("... no grade among them", "-", level, lambda c: all(answer.found(c.truth, c.run))),
+        share_of("... a grade that no signal shows", "-", blind, lambda c: all(answer.found(c.truth, c.run))),
         share_of("two effects: at least one named", ">= 98 %", pairs, lambda c: any(answer.found(c.truth, c.run))),
         share_of("two effects: a wrong name besides", "low", pairs, wrong, lower=True),
     ]
