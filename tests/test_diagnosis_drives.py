@@ -224,6 +224,34 @@ def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
     assert left["rms_base_kW"] < both["rms_base_kW"]
 
 
+# Two at once
+
+
+@pytest.mark.parametrize(
+    ("large", "small"),
+    [
+        (Effect("auxiliary_cycling", 30e3), Effect("sensor_drift", 0.1)),
+        (Effect("mass_step", -0.3, start=700.0), Effect("grade", 0.008)),
+        (Effect("brake_use", 4000.0), Effect("torque_bias", 60.0)),
+    ],
+    ids=lambda effect: effect.name,
+)
+def test_one_effect_does_not_hide_another(diagnose, large, small):
+    answer = diagnose(drive("mixed", 45, 4, large, small, speed_noise=0.008))
+    assert (answer["verdict"], set(named(answer))) == ("effect", {large.name, small.name})
+    mass, sd = (answer["parameters"][which]["mass_kg"] for which in ("final", "sd"))
+    assert mass == pytest.approx(TRUCK.mass, abs=4 * sd)
+
+
+def test_a_filter_of_the_speed_is_all_there_is(diagnose):
+    """What a low-pass leaves of its lag is neither a swing nor inertia of the engine, and the mass allows for it."""
+    answer = diagnose(drive("highway", 40, 3, Effect("speed_filter", 0.5)))
+    effect = only(answer, "speed_filter")
+    assert effect["equivalent"] == ["time_lag"]
+    mass, sd = (answer["parameters"][which]["mass_kg"] for which in ("final", "sd"))
+    assert mass == pytest.approx(TRUCK.mass, abs=3 * sd)
+
+
 # Something else
 
 
