@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.diagnosis.joint import Drive, Joint
-from estimator.diagnosis.processes import UNMEASURED_GRADE, Leftover
+from estimator.diagnosis.processes import DRAG_OVER_TIME, FORCE_OVER_TIME, UNMEASURED_GRADE, Leftover
 from estimator.diagnosis.thresholds import AHEAD, EVIDENT, NAMED
 from estimator.estimation.columns import MASS
 from estimator.units import STANDARD_GRAVITY
 
+NEAR = 0.5  # of the best evidence
 FLATTEST = 0.002  # sd of a grade
 SURE = 2.0  # sd by which what a signal shows lifts less than the vehicle
 
@@ -17,16 +18,20 @@ SURE = 2.0  # sd by which what a signal shows lifts less than the vehicle
 def hidden_grade(ranking: Sequence[Joint], processes: Sequence[Leftover], drives: Sequence[Drive]) -> Leftover | None:
     """A force that goes with the place and beats all that has a name: a grade that no signal shows, or None.
 
-    It has to go with the place rather than with time, as gusts do, or with anything else; and no road is so flat that
-    a force worth less than FLATTEST would be it. A signal of the climb may have the last word: see `_settled`.
+    Every road has one, so it need only come near the best of other processes: a force that goes with time is much the
+    same on a road driven once. But it must be a force, and not a drag, as gusts are; and no road is so flat that a
+    force worth less than FLATTEST would be it. A signal of the climb may have the last word: see `_settled`.
     """
-    grade = next(left for left in processes if left.name == UNMEASURED_GRADE)
+    by_name = {left.name: left for left in processes}
+    grade, drag = by_name[UNMEASURED_GRADE], by_name[DRAG_OVER_TIME]
+    force = max(grade.log_bayes_factor, by_name[FORCE_OVER_TIME].log_bayes_factor)
     settled = any(_settled(joint, grade, drives) for joint in ranking if joint.effect.is_gravity)
     named = max((joint.log_bayes_factor for joint in ranking), default=0.0)
     evident = grade.log_bayes_factor > max(EVIDENT, named + AHEAD)
-    ahead = all(grade.log_bayes_factor > other.log_bayes_factor + AHEAD for other in processes if other is not grade)
+    near = grade.log_bayes_factor > NEAR * processes[0].log_bayes_factor
+    is_force = force > drag.log_bayes_factor + AHEAD
     steep = grade_sd(grade, drives) > FLATTEST
-    return grade if evident and ahead and steep and not settled else None
+    return grade if evident and near and is_force and steep and not settled else None
 
 
 def _settled(gravity: Joint, force: Leftover, drives: Sequence[Drive]) -> bool:

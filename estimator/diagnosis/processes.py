@@ -66,11 +66,11 @@ SPEEDS = (1.0, 3.0, 10.0)  # m/s
 ENGINE_SPEEDS = (5.0, 20.0)  # rad/s
 POWERS = (2e4, 6e4)  # W
 UNMEASURED_GRADE = "force over distance"
-POWER_OVER_TIME, FORCE_OVER_TIME = "power over time", "force over time"
+POWER_OVER_TIME, FORCE_OVER_TIME, DRAG_OVER_TIME = "power over time", "force over time", "drag over time"
 PROCESSES: tuple[Process, ...] = (
     Process(POWER_OVER_TIME, lambda g: np.ones(len(g)), _wander(lambda g: g.t, MINUTES)),
     Process(FORCE_OVER_TIME, lambda g: g.v, _wander(lambda g: g.t, MINUTES)),
-    Process("drag over time", lambda g: g.v**3, _wander(lambda g: g.t, MINUTES)),
+    Process(DRAG_OVER_TIME, lambda g: g.v**3, _wander(lambda g: g.t, MINUTES)),
     Process(UNMEASURED_GRADE, lambda g: g.v, _wander(lambda g: g.distance, HILLS)),
     Process("gain over time", lambda g: g.power, _wander(lambda g: g.t, MINUTES)),
     Process("power by gear", lambda g: np.ones(len(g)), _gears),
