@@ -58,7 +58,7 @@ def library_of(log: Path) -> Library | None:
     model = None if kept is None else fit(record.samples[kept])
     if model is None:
         return None
-    candidates = assess(model, grains_of(model), CATALOGUE, record.known)
+    candidates = assess(model, grains_of(model), CATALOGUE, record.known, None)
     own, _ = model.views()
     X = model.base.X
     raw = np.column_stack([own.P, *(candidate.term.column(own) for candidate in candidates)])
