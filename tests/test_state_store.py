@@ -94,7 +94,7 @@ def test_another_schema_is_discarded(tmp_path, monkeypatch):
     monkeypatch.setattr("estimator.state_store.SCHEMA", 7)
     StateStore(tmp_path).save({"n": 1}, "k")
     monkeypatch.undo()
-    assert StateStore(tmp_path).load("k")[1].endswith("has schema 7 instead of 2")
+    assert StateStore(tmp_path).load("k")[1].endswith(f"has schema 7 instead of {SCHEMA}")
 
 
 def test_lengths_that_lie(tmp_path):
