@@ -15,6 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 BIN = ENVIRONMENT / ("Scripts" if os.name == "nt" else "bin")
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # matrices are small here: more threads wait for each other
 TASKS = {
     "demo": ("", [["python", "tools/demo.py"]]),
     "test": (
@@ -55,7 +56,8 @@ def main() -> int:
         for program, *arguments in steps:
             print(f"> {program} {' '.join(arguments)}", flush=True)
             last = program == steps[-1][0]
-            subprocess.run([str(BIN / program), *arguments, *(sys.argv[2:] if last else [])], cwd=ROOT, check=True)
+            command = [str(BIN / program), *arguments, *(sys.argv[2:] if last else [])]
+            subprocess.run(command, cwd=ROOT, check=True, env=ONE_THREAD | os.environ)
     except subprocess.CalledProcessError as error:
         return error.returncode
     return 0
