@@ -1,3 +1,35 @@
-"""Bayesian road-load estimation from CAN traffic: vehicle mass, rolling resistance and drag."""
+"""Bayesian road-load estimation from CAN traffic: vehicle mass, rolling resistance and drag.
+
+The names in ``__all__`` are public; all other modules may change. They are imported when they are first used, so that
+the command line starts fast and a daemon does not load what it does not need.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from estimator.config import load as load_config
+    from estimator.fleet.library import estimate_drives
+    from estimator.model.effects import Effect
+    from estimator.streaming.drive_extraction import diagnose_logs
+    from estimator.streaming.listener import Listener
+    from estimator.streaming.replay import estimate_logs
 
 __version__ = "0.1.0"
+__all__ = ["Effect", "Listener", "diagnose_logs", "estimate_drives", "estimate_logs", "load_config"]
+
+_HOMES = {  # module and name there
+    "Effect": ("estimator.model.effects", "Effect"),
+    "Listener": ("estimator.streaming.listener", "Listener"),
+    "diagnose_logs": ("estimator.streaming.drive_extraction", "diagnose_logs"),
+    "estimate_drives": ("estimator.fleet.library", "estimate_drives"),
+    "estimate_logs": ("estimator.streaming.replay", "estimate_logs"),
+    "load_config": ("estimator.config", "load"),
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, attribute = _HOMES[name]
+    return getattr(import_module(module), attribute)

@@ -2,6 +2,6 @@
 
 import sys
 
-from estimator.cli import main
+from estimator.commands.main import main
 
 sys.exit(main())

@@ -4,12 +4,15 @@ import math
 import tomllib
 from collections.abc import Iterator
 from functools import reduce
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from estimator.errors import ConfigError
+from estimator.input_files import read_bounded
+from estimator.roles import Role
 from estimator.settings import (
     Address,
     Admission,
@@ -28,8 +31,9 @@ from estimator.settings import (
     Vehicle,
     Window,
 )
-from estimator.signals import Role
 
+LARGEST_FILE = 1 << 20  # bytes
+DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
 FREE_TABLES: dict[str, Any] = {"signals": SignalPaths, "bus.source_addresses": Address}  # keys are the user's
 
 J1939_BINDING: dict[str, SignalPaths] = {
@@ -167,7 +171,7 @@ def _named(place: str, tables: dict[str, Any]) -> str:
     return place
 
 
-def load(path: Path | None) -> Config:
+def load(path: Path | str | None = None) -> Config:
     """Read a TOML file, or the defaults when there is none; DBC paths become relative to the file.
 
     Raises
@@ -177,9 +181,9 @@ def load(path: Path | None) -> Config:
     """
     if path is None:
         return Config()
+    path = Path(path)
     try:
-        with path.open("rb") as file:
-            tables = tomllib.load(file)
+        tables = tomllib.loads(read_bounded(path, LARGEST_FILE).decode("utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # also bytes that are not UTF-8, and numbers of thousands of digits
@@ -195,3 +199,13 @@ def load(path: Path | None) -> Config:
 def replace(config: Config, **sections: Section) -> Config:
     """A copy of ``config`` with whole tables exchanged."""
     return msgspec.structs.replace(config, **sections)
+
+
+def estimation_key(config: Config) -> str:
+    """Digest of everything that the meaning of a saved state depends on: vehicle, databases, settings."""
+    relevant = {name: getattr(config, name) for name in config.__struct_fields__ if name not in DAEMON_TABLES}
+    relevant["bus"] = msgspec.structs.replace(config.bus, dbc=[])
+    digest = blake2b(msgspec.json.encode(relevant, order="sorted"), digest_size=16)
+    for name in config.bus.dbc:
+        digest.update(Path(name).read_bytes())
+    return digest.hexdigest()

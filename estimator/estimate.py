@@ -59,8 +59,25 @@ class LoadChange:
 
 
 @dataclass(frozen=True, slots=True)
+class Road:
+    """Slopes of the road as the model sees them.
+
+    ``slope_sd`` standard deviation of the slope [1], ``length`` over which it changes [m], ``shown_by`` the signals
+    that show it, none for a hidden road; ``climbed`` height gained on the way up [m], None where no signal shows it.
+    """
+
+    slope_sd: float
+    length: float
+    shown_by: tuple[str, ...]
+    climbed: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
-    """Conclusion at message time ``t`` [s]; the marginals are None unless the status is "estimated"."""
+    """Conclusion at message time ``t`` [s]; "estimated" when the mass is.
+
+    The marginals are None unless they are estimated.
+    """
 
     t: float
     status: Status
@@ -74,3 +91,16 @@ class Estimate:
     rms: float | None = None  # [W] of the power residual
     effects: dict[str, Marginal] = field(default_factory=dict)  # magnitudes of effects in the model
     load: LoadChange | None = None  # against the load before the last long stop, where that was estimated
+    withheld: dict[str, str] = field(default_factory=dict)  # reason, for each of PARAMETERS that is not known yet
+    road: Road | None = None  # what the drive says of the road, where the model has one
+
+    @property
+    def marginals(self) -> dict[str, Marginal | None]:
+        """The marginals in the order of PARAMETERS."""
+        return {"A": self.A, "C": self.C, "m": self.mass}
+
+    def status_of(self, parameter: str) -> tuple[Status, str]:
+        """Whether one of PARAMETERS may be used, and the reason why not."""
+        if self.status is Status.ESTIMATED and self.marginals[parameter] is None:
+            return Status.UNESTIMATED, self.withheld.get(parameter, "")
+        return self.status, self.reason

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.checkpoint.validation import State, array, names, substate, table
 from estimator.errors import StateError
 from estimator.signals import Floats, Mask, Quantity, Role
-from estimator.state import State, array, names, substate, table
 
 STEP = 0.1  # s, the time grid: wheel speed comes at 10 Hz on nearly every bus
 HARDEST = 12.0  # m/s^2: no tyre holds more, so a speed that changes faster is not the vehicle's
@@ -118,6 +118,19 @@ class Samples:
         needed = [values for name, values in self._arrays().items() if name != "density"]
         known: Mask = np.all(np.isfinite([*needed, *self.context.values()]), axis=0)
         return known
+
+    @property
+    def cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Speed [m/s], acceleration [m/s^2] and rows of each sample, by its instruments.
+
+        What is kept for its rare acceleration would be kept for the noise in it; that of the instruments is another.
+        """
+        return self.zv, self.za, np.ones(len(self), dtype=np.int64)
+
+    @property
+    def own_cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Speed [m/s], acceleration [m/s^2] and rows of each sample, as measured."""
+        return self.v, self.a, np.ones(len(self), dtype=np.int64)
 
     def state(self) -> dict[str, Any]:
         """What `restore` makes the same samples from."""

@@ -5,12 +5,15 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
+LARGEST = 1e9  # in any unit used here: larger numbers are mistakes, and their products overflow
+SMALLEST = 1e-6
+Positive = Annotated[float, Meta(ge=SMALLEST, le=LARGEST)]
+NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
-Count = Annotated[int, Meta(ge=1)]
+Count = Annotated[int, Meta(ge=1, le=int(LARGEST))]
 Address = Annotated[int, Meta(ge=0, le=253)]
-Range = tuple[float, float]
+Bound = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Range = tuple[Bound, Bound]
 Belief = tuple[Positive, Positive]
 SignalPaths = str | list[str]
 
@@ -22,7 +25,7 @@ class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Vehicle(Section, frozen=True):
     """What is known of the vehicle beforehand."""
 
-    driveline_efficiency: Annotated[float, Meta(gt=0, le=1)] = 1.0  # wheel power over crank power
+    driveline_efficiency: Annotated[float, Meta(ge=0.01, le=1)] = 1.0  # wheel power over crank power
     reference_torque_Nm: Positive | None = None  # instead of the EC1 broadcast
     subtract_parasitic_losses: bool = False  # some ECUs already count them as friction
 
@@ -32,7 +35,9 @@ class Bus(Section, frozen=True):
 
     dbc: list[str] = []  # paths relative to the configuration file; empty: the shipped j1939.dbc
     match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC says J1939
-    source_addresses: dict[str, Address] = {}  # MESSAGE = address; others lock on the first valid sender
+    source_addresses: dict[str, Address] = {}  # MESSAGE = address; others are found, and contested if they disagree
+    release_s: Positive = 10.0  # of silence after which a signal may be taken from another address
+    contest_s: Annotated[float, Meta(ge=10)] = 30.0  # without a contradiction after which a signal is believed again
 
 
 class Kinematics(Section, frozen=True):
@@ -48,6 +53,7 @@ class Admission(Section, frozen=True):
 
     minimum_speed_m_s: NotNegative = 1.0
     margin_s: NotNegative = 1.5  # kept away from brake use, shifts and gaps, on either side
+    stride_margin_s: NotNegative = 0.8  # the same for the road model, whose averages reach less far
     power_sigmas: NotNegative = 3.0  # model power must exceed this many sd of the residual
 
 
@@ -61,7 +67,7 @@ class Window(Section, frozen=True):
 class Gate(Section, frozen=True):
     """When an estimate may be made."""
 
-    interval_s: Annotated[float, Meta(ge=5)] = 60.0  # between updates, message time
+    interval_s: Annotated[float, Meta(ge=5, le=LARGEST)] = 60.0  # between updates, message time
     minimum_samples: Count = 600
     minimum_cells: Count = 8  # occupied cells of the speed x acceleration grid
     cell_count: Count = 10  # samples that make a cell occupied
@@ -94,7 +100,7 @@ class Prior(Section, frozen=True):
 class Sampler(Section, frozen=True):
     """Metropolis-Hastings."""
 
-    likelihood: Literal["instruments", "paper"] = "instruments"
+    likelihood: Literal["road", "instruments", "paper"] = "road"
     kernel: Literal["independence", "random_walk"] = "independence"
     chains: Annotated[int, Meta(ge=2, le=256)] = 64
     burn_in: Annotated[int, Meta(ge=1, le=20_000)] = 20  # the random walk takes more of both: it moves slowly
@@ -153,5 +159,5 @@ class Service(Section, frozen=True):
 
     state_directory: str | None = None  # default: that of systemd, else the user's own
     runtime_directory: str | None = None  # of the status file; default: that of systemd, else the user's own
-    save_interval_s: Annotated[float, Meta(ge=10)] = 60.0  # at most that much is lost with the power
+    save_interval_s: Annotated[float, Meta(ge=10, le=LARGEST)] = 60.0  # lost with the power: at most that and 10 s
     metrics: str | None = None  # file for the node exporter of Prometheus

@@ -1,98 +1,19 @@
-"""What the estimator can take from a bus: roles, their SI units, and time series of them."""
+"""Signals from a bus: time series by role."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.roles import DIMENSION as DIMENSION
+from estimator.roles import STATE as STATE
+from estimator.roles import Quantity as Quantity
+from estimator.roles import Role as Role
+
 Floats = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
-
-
-class Role(StrEnum):
-    """The part a CAN signal plays in the estimate; the value is its name in the configuration."""
-
-    SPEED = "speed"
-    WHEEL_SPEEDS = "wheel_speeds"
-    ENGINE_POWER = "engine_power"
-    ENGINE_TORQUE = "engine_torque"
-    ENGINE_SPEED = "engine_speed"
-    TORQUE_FRACTION = "torque_fraction"
-    TORQUE_FRACTION_FINE = "torque_fraction_fine"
-    FRICTION_FRACTION = "friction_fraction"
-    PARASITIC_FRACTION = "parasitic_fraction"
-    REFERENCE_TORQUE = "reference_torque"
-    GEAR = "gear"
-    BRAKE_SWITCH = "brake_switch"
-    BRAKE_PEDAL = "brake_pedal"
-    CLUTCH_SWITCH = "clutch_switch"
-    SHIFT_IN_PROCESS = "shift_in_process"
-    DRIVELINE_ENGAGED = "driveline_engaged"
-    RETARDER_FRACTION = "retarder_fraction"
-    PARK_BRAKE = "park_brake"
-    GRADE = "grade"
-    ALTITUDE = "altitude"
-    LONGITUDINAL_ACCELERATION = "longitudinal_acceleration"
-    LATERAL_ACCELERATION = "lateral_acceleration"
-    YAW_RATE = "yaw_rate"
-    HEADING = "heading"
-    GPS_SPEED = "gps_speed"
-    AMBIENT_TEMPERATURE = "ambient_temperature"
-    AIR_PRESSURE = "air_pressure"
-    COOLANT_TEMPERATURE = "coolant_temperature"
-    FAN_SPEED = "fan_speed"
-
-
-class Quantity(StrEnum):
-    """What is known about a moment besides speed and power: derived from roles, in SI."""
-
-    ENGINE_SPEED = "engine speed"  # [rad/s]
-    GEAR = "gear"
-    HEADING = "heading"  # [rad], clockwise from north
-    LATERAL_ACCELERATION = "lateral acceleration"  # [m/s^2]
-    FAN_SPEED = "fan speed"  # [rad/s]
-    CLIMB_BY_GRADE = "climb by grade"  # [m/s], vertical speed
-    CLIMB_BY_ALTITUDE = "climb by altitude"  # [m/s]
-    CLIMB_BY_ACCELEROMETER = "climb by accelerometer"  # [m/s]
-    TEMPERATURE = "temperature"  # [K], of the air
-    ELAPSED = "elapsed"  # [s] since the drive began
-    DISTANCE = "distance"  # [m] since the drive began
-    STOPS = "stops"  # standstills so far
-
-
-STATE = "state"  # dimension of switches and gear numbers: taken as they are
-_DIMENSIONS: dict[str, tuple[Role, ...]] = {
-    "m/s": (Role.SPEED, Role.WHEEL_SPEEDS, Role.GPS_SPEED),
-    "W": (Role.ENGINE_POWER,),
-    "N.m": (Role.ENGINE_TORQUE, Role.REFERENCE_TORQUE),
-    "rad/s": (Role.ENGINE_SPEED, Role.YAW_RATE, Role.FAN_SPEED),
-    "1": (
-        Role.TORQUE_FRACTION,
-        Role.TORQUE_FRACTION_FINE,
-        Role.FRICTION_FRACTION,
-        Role.PARASITIC_FRACTION,
-        Role.BRAKE_PEDAL,
-        Role.RETARDER_FRACTION,
-        Role.GRADE,
-    ),
-    STATE: (
-        Role.GEAR,
-        Role.BRAKE_SWITCH,
-        Role.CLUTCH_SWITCH,
-        Role.SHIFT_IN_PROCESS,
-        Role.DRIVELINE_ENGAGED,
-        Role.PARK_BRAKE,
-    ),
-    "m": (Role.ALTITUDE,),
-    "m/s^2": (Role.LONGITUDINAL_ACCELERATION, Role.LATERAL_ACCELERATION),
-    "rad": (Role.HEADING,),
-    "K": (Role.AMBIENT_TEMPERATURE, Role.COOLANT_TEMPERATURE),
-    "Pa": (Role.AIR_PRESSURE,),
-}
-DIMENSION: dict[Role, str] = {role: unit for unit, roles in _DIMENSIONS.items() for role in roles}
 
 
 @dataclass(frozen=True, slots=True)

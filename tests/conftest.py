@@ -2,8 +2,34 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+HERE = Path(__file__).parent
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Property tests with the same examples in every run, and without limits of time, which a busy machine exceeds."""
+    if config.pluginmanager.hasplugin("hypothesispytest"):  # the machine of tests/socketcan does without
+        from hypothesis import HealthCheck, settings
+
+        settings.register_profile(
+            "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+        )
+        settings.load_profile("steady")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep the tests of a module, or of a folder below this one, in one worker: they share what fixtures compute."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByModule(LoadScopeScheduling):  # type: ignore[misc]  # pytest-xdist is not typed everywhere
+        def _split_scope(self, nodeid: str) -> str:
+            return Path(nodeid.partition("::")[0]).relative_to(HERE.name).parts[0]
+
+    return ByModule(config, log)
 
 
 @pytest.fixture(scope="session")

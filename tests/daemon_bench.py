@@ -8,17 +8,19 @@ import can
 import numpy as np
 
 from estimator.can_io.frames import Frames
+from estimator.checkpoint.store import StateStore
 from estimator.config import Config
-from estimator.daemon.buses import BusSpec
-from estimator.daemon.device import Device
-from estimator.daemon.link import Link
-from estimator.daemon.loop import Daemon
-from estimator.daemon.reader import Batch
+from estimator.daemon.reception.buses import BusSpec
+from estimator.daemon.reception.device import Device
+from estimator.daemon.reception.link import Link
+from estimator.daemon.reception.reader import Batch
+from estimator.daemon.service.loop import Daemon
+from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
-from estimator.daemon.worker import Worker
-from estimator.pipeline import Pipeline
+from estimator.streaming.pipeline import Pipeline
 
 EPOCH = 1_700_000_000.0  # s, wall time when the monotonic clock shows 0
+SAVE_INTERVAL = 10.0  # s
 
 
 @dataclass
@@ -31,11 +33,15 @@ class FakeBus:
     send_failures: list[Exception] = field(default_factory=list)
     drops: int = 0
     closed: bool = False
+    busy: bool | None = None  # for too long to let our frames through; None on a bus that does not confirm them
+    held: list[can.Message] = field(default_factory=list)  # until the bus is busy no more
 
     def send(self, message: can.Message) -> None:
         if self.send_failures:
             raise self.send_failures.pop(0)
         self.sent.append(message)
+        if self.busy is not None:
+            self.held.append(message)
 
     def shutdown(self) -> None:
         self.closed = True
@@ -43,7 +49,13 @@ class FakeBus:
     def read(self, timeout: float) -> Batch:
         if self.failures:
             raise self.failures.pop(0)
+        if self.busy is False and self.held:
+            own, self.held = Frames.from_messages(self.held), []
+            return Batch(own=own)
         return self.waiting.pop(0) if self.waiting else Batch()
+
+    def confirms(self) -> bool:
+        return self.busy is not None
 
     def kernel_drops(self) -> int:
         return self.drops
@@ -61,6 +73,7 @@ class Bench:
         config: Config | None = None,
         transmit: bool = False,
         opener: Callable[[BusSpec, object], can.BusABC] | None = None,
+        store: StateStore | None = None,
     ) -> None:
         self.now = 100.0
         self.ahead = EPOCH
@@ -77,7 +90,9 @@ class Bench:
             probe=lambda: self.device,
             make_reader=lambda bus, size: bus,  # type: ignore[arg-type, return-value]
         )
-        self.worker = Worker(Pipeline(settings), settings.reception.queue_frames, clock=lambda: self.now)
+        self.worker = Worker(
+            Pipeline(settings), settings.reception.queue_frames, store, "key", SAVE_INTERVAL, clock=lambda: self.now
+        )
         self.transmitter = None
         if transmit:
             rng = np.random.default_rng(1)
@@ -102,7 +117,7 @@ class Bench:
         return self.buses[-1]
 
     def _open(self, spec: BusSpec, filters: object) -> can.BusABC:
-        from estimator.daemon.buses import NotThereError
+        from estimator.daemon.reception.buses import NotThereError
 
         if self.absent:
             self.absent -= 1

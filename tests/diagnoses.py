@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from estimator.diagnosis.result import (
+    Advice,
     Diagnosis,
     Finding,
     GapClosed,
@@ -14,6 +15,7 @@ from estimator.diagnosis.result import (
     Magnitude,
     NotTestable,
     Place,
+    Remainder,
     Shift,
     Span,
     Traces,
@@ -70,7 +72,7 @@ def rich() -> Diagnosis:
     names = NAMES + MORE
     factors = np.random.default_rng(1).normal(size=(len(names), 6))
     factors[5] = 1.02 * factors[4] + 0.05 * factors[5]
-    correlation = np.corrcoef(factors)
+    correlation = np.asarray(np.corrcoef(factors))
     wind = finding(
         "headwind",
         0.9996,
@@ -95,8 +97,6 @@ def rich() -> Diagnosis:
     others = [finding(n, 0.02 * 0.5**i) for i, n in enumerate(n for n in names if n not in (wind.name, fan.name))]
     return Diagnosis(
         verdict=Verdict.EFFECT,
-        reason="The wind came from 31° at about 5 m/s, and a fan of about 23 kW ran one seventh of the time. A return "
-        "leg would tell the fan from a segment of wet road.",
         effects=(wind, fan),
         candidates=(wind, fan, *others),
         remaining_verdict=Verdict.NO_GAP,
@@ -118,8 +118,8 @@ def rich() -> Diagnosis:
             Invisible("viscous_drag", 0.8, Shift(0.0, -310.0, -0.4), "a coast-down from 25 to 5 m/s"),
             Invisible("auxiliary_load", 2.1, Shift(12.0, -260.0, 0.0), "two minutes of idling"),
         ),
-        advice=("Drive the same road back: wind changes its sign, a dragging brake does not.", "A weigh ticket."),
-        configuration='effects = ["headwind", "auxiliary_cycling"]',
+        advice=(Advice("headwind", "the same road back"), Advice("mass_step", "a weigh ticket")),
+        streaming_effects=("headwind", "auxiliary_cycling"),
         gap_map=maps,
         traces=traces,
         logs=("monday/drive_0412.blf",),
@@ -144,10 +144,10 @@ def unknown() -> Diagnosis:
     traces = replace(traces, extended=traces.base)
     return Diagnosis(
         verdict=Verdict.UNKNOWN,
-        reason="The residual follows time and no effect of the catalogue follows it as well.",
         candidates=(finding("unknown_time", 0.97), finding("headwind", 0.03)),
         remaining_verdict=Verdict.UNKNOWN,
         remaining_log_bayes_factor=74.0,
+        remainder=Remainder("power over time", 6_100.0, 74.0),
         noise_floor=3_300.0,
         rms_base=9_100.0,
         rms_final=9_100.0,
@@ -160,4 +160,5 @@ def unknown() -> Diagnosis:
 
 def empty() -> Diagnosis:
     """Nothing could be fitted."""
-    return Diagnosis(Verdict.CANNOT_TELL, "The log holds 40 s of driving; ten minutes are needed.", logs=("short.log",))
+    obstacle = "the log holds 40 s of driving; ten minutes are needed"
+    return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=obstacle, logs=("short.log",))

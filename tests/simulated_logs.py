@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from estimator.can_io.recorder import frames_of, write_log
-from estimator.cli import main
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
+from estimator.commands.main import main
 from estimator.signals import Role
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.itinerary import Shape

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.estimation.alignment import Aligner
-from estimator.estimation.engine_power import despike
-from estimator.estimation.friction import FrictionCurve
-from estimator.estimation.resampling import cell_means
 from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
 from estimator.signals import Role, Series
+from estimator.streaming.alignment import Aligner
+from estimator.streaming.engine_power import despike
+from estimator.streaming.friction import FrictionCurve
+from estimator.streaming.resampling import cell_means
 
 REFERENCE = 2500.0  # N.m
 SPEED_AND_POWER = frozenset({Role.SPEED, Role.ENGINE_POWER})

@@ -260,6 +260,7 @@ def test_answers_are_kept_with_their_cost_and_failures_with_their_reason(tmp_pat
     assert (runs["drive-0001"].verdict, runs["drive-0001"].error) == ("error", "error: no power in the log")
 
 
+@pytest.mark.slow
 def test_logs_and_truths_lie_apart_and_come_again_from_the_same_seed(tmp_path):
     from blind import draw, seal, world
 
@@ -323,6 +324,7 @@ def cases(tmp_path_factory):
     return score.pair(seal.unseal(out), diagnose.answers(out))
 
 
+@pytest.mark.slow
 def test_fixed_set_is_diagnosed_as_promised(cases):
     """Floors against getting worse, far below the goals: a few drives of each kind can say no more.
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.road_load import design
+from estimator.model.road_load import design
 from estimator.sampling.clipped import ClippedGaussianTarget, clipped_least_squares
 from estimator.sampling.condensed import Condensed, Sums
 from estimator.sampling.likelihood import in_box

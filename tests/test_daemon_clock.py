@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.daemon.message_clock import STEP, MessageClock
+from estimator.daemon.reception.message_clock import STEP, MessageClock
 
 EPOCH = 1_700_000_000.0
 
@@ -34,6 +34,40 @@ def test_time_runs_on_through_many_steps() -> None:
     t = drained(clock, truth, ahead)
     assert clock.steps == 5
     np.testing.assert_allclose(t - t[0], truth - truth[0], atol=0.2)
+
+
+@pytest.mark.parametrize("size", [0.15, 0.3, 0.9])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_small_steps_every_minute_are_taken_out_too(size: float, sign: int) -> None:
+    clock = MessageClock(EPOCH)
+    truth = np.arange(0.0, 600.0, 0.02)
+    ahead = EPOCH + sign * size * np.floor((truth + 30.007) / 60)
+    t = drained(clock, truth, ahead)
+    assert clock.steps == 10
+    np.testing.assert_allclose(t - t[0], truth - truth[0], atol=0.08)
+
+
+def test_batches_that_come_late_at_random_are_no_step() -> None:
+    clock, rng = MessageClock(EPOCH), np.random.default_rng(1)
+    out, now = [], 0.0
+    truth = np.arange(0.0, 300.0, 0.02)
+    while len(truth):
+        now += rng.uniform(0.01, 0.1) + (rng.random() < 0.05) * rng.uniform(0, 0.8)
+        waiting = truth < now - rng.uniform(0.0, 0.03)
+        if waiting.any():
+            out.append(clock.correct(EPOCH + truth[waiting], now))
+            truth = truth[~waiting]
+    assert clock.steps == 0
+    t = np.concatenate(out)
+    np.testing.assert_allclose(t, EPOCH + np.arange(len(t)) * 0.02, atol=1e-6)
+
+
+def test_lateness_that_ends_is_no_step() -> None:
+    clock = MessageClock(EPOCH)
+    truth = np.arange(0.0, 100.0, 0.02)
+    late = np.concatenate([drained(clock, truth[:2500], EPOCH, 0.4), drained(clock, truth[2500:], EPOCH, 0.02)])
+    assert clock.steps == 0
+    np.testing.assert_allclose(late, EPOCH + truth, atol=1e-6)
 
 
 def test_drift_is_no_step() -> None:

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.can_io.frames import Frames
-from estimator.daemon.echoes import MOST_ECHOES, Echoes
-from estimator.daemon.inbox import Inbox
+from estimator.daemon.reception.echoes import MOST_ECHOES, Echoes
+from estimator.daemon.reception.inbox import Inbox
 
 sizes = st.lists(st.integers(1, 40), max_size=60)
 
@@ -61,9 +61,10 @@ def test_what_we_sent_is_taken_out_once_and_what_others_send_stays() -> None:
     echoes = Echoes()
     ours, theirs = message(0x18FF60FB, b"\x01\x02"), message(0x18FF60FB, b"\x01\x03")
     echoes.expect(ours)
-    heard = echoes.without(Frames.from_messages([theirs, ours, ours]))
+    heard, own = echoes.split(Frames.from_messages([theirs, ours, ours]))
     assert [bytes(frame.data) for frame in heard.messages()] == [b"\x01\x03", b"\x01\x02"]
-    assert len(echoes.without(Frames.from_messages([ours]))) == 1
+    assert [bytes(frame.data) for frame in own.messages()] == [b"\x01\x02"]
+    assert len(echoes.split(Frames.from_messages([ours]))[0]) == 1
 
 
 def test_only_the_latest_of_what_we_sent_is_remembered() -> None:
@@ -71,5 +72,5 @@ def test_only_the_latest_of_what_we_sent_is_remembered() -> None:
     sent = [message(0x18FF60FB, i.to_bytes(2, "big")) for i in range(MOST_ECHOES + 5)]
     for each in sent:
         echoes.expect(each)
-    heard = echoes.without(Frames.from_messages(sent))
+    heard, _ = echoes.split(Frames.from_messages(sent))
     assert [int.from_bytes(bytes(frame.data), "big") for frame in heard.messages()] == list(range(5))

@@ -9,12 +9,12 @@ import pytest
 from daemon_bench import Bench, frame
 
 from estimator import config
-from estimator.can_io.node import FREE
-from estimator.daemon.buses import BusSpec, open_bus
-from estimator.daemon.device import Device
-from estimator.daemon.filters import node_filters
-from estimator.daemon.reader import Batch
-from estimator.daemon.status import State
+from estimator.can_io.j1939_node import FREE
+from estimator.daemon.reception.buses import BusSpec, open_bus
+from estimator.daemon.reception.device import Device
+from estimator.daemon.reception.filters import node_filters
+from estimator.daemon.reception.reader import Batch
+from estimator.daemon.service.status_file import State
 from estimator.errors import ConfigError
 
 GONE = can.CanOperationError("Failed to receive: No such device", errno.ENODEV)
@@ -209,11 +209,11 @@ def test_what_can_never_be_opened_ends_the_daemon_at_the_start_only() -> None:
 
 
 def test_messages_do_not_repeat_without_end(caplog: pytest.LogCaptureFixture) -> None:
-    from estimator.daemon.journal import Once
+    from estimator.daemon.service.logging_setup import Once
 
     once = Once()
-    logger = logging.getLogger("estimator.daemon.link")
-    caplog.set_level(logging.INFO, logger="estimator.daemon.link")
+    logger = logging.getLogger("estimator.daemon.reception.link")
+    caplog.set_level(logging.INFO, logger="estimator.daemon.reception.link")
     record = logger.makeRecord(logger.name, logging.WARNING, __file__, 1, "%s: gone", ("can0",), None)
     passed = [once.filter(record) for _ in range(1000)]
     assert passed == [True] + [False] * 999

@@ -18,8 +18,9 @@ from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.publisher import output_groups
 from estimator.config import Config
-from estimator.daemon.filters import input_filters, node_filters
-from estimator.daemon.reader import TIMESTAMP, MessageReader, SocketReader, reader_of, unpack
+from estimator.daemon.reception.filters import input_filters, node_filters
+from estimator.daemon.reception.reader import TIMESTAMP, MessageReader, SocketReader, reader_of, unpack
+from estimator.settings import Bus
 
 MESSAGES = st.builds(
     lambda extended, ident, data: can.Message(
@@ -31,10 +32,13 @@ MESSAGES = st.builds(
 )
 
 
+NONE = np.zeros(20, dtype=bool)  # frames that we sent ourselves
+
+
 @given(st.lists(MESSAGES, min_size=1, max_size=20))
 def test_frames_of_the_kernel_are_unpacked_as_python_can_packs_them(messages: list[can.Message]) -> None:
     t = np.arange(len(messages), dtype=np.float64)
-    batch = unpack([build_can_frame(message) for message in messages], t)
+    batch = unpack([build_can_frame(message) for message in messages], t, NONE[: len(t)])
     assert batch.malformed == batch.errors == batch.remote == 0
     for message, found in zip(messages, batch.frames.messages(), strict=True):
         assert found.arbitration_id == message.arbitration_id
@@ -45,7 +49,7 @@ def test_frames_of_the_kernel_are_unpacked_as_python_can_packs_them(messages: li
 
 @given(st.lists(st.binary(min_size=16, max_size=16) | st.binary(min_size=72, max_size=72), max_size=20))
 def test_any_bytes_are_sorted_and_counted(raw: list[bytes]) -> None:
-    batch = unpack(raw, np.zeros(len(raw)))
+    batch = unpack(raw, np.zeros(len(raw)), NONE[: len(raw)])
     assert len(batch.frames) + batch.errors + batch.remote + batch.malformed == len(raw)
     beyond = np.arange(batch.frames.data.shape[1]) >= batch.frames.length[:, None]
     assert not batch.frames.data[beyond].any()
@@ -53,8 +57,15 @@ def test_any_bytes_are_sorted_and_counted(raw: list[bytes]) -> None:
 
 def test_error_frames_are_told_from_data() -> None:
     raw = [struct.pack("=IB3x8s", ident, 8, bytes(8)) for ident in (0x20000040, 0x20000004, 0x40000123, 0x123)]
-    batch = unpack(raw, np.zeros(4))
+    batch = unpack(raw, np.zeros(4), NONE[:4])
     assert (batch.errors, batch.bus_off, batch.remote, len(batch.frames)) == (2, 1, 1, 1)
+
+
+def test_our_own_frames_are_told_from_those_of_others() -> None:
+    raw = [build_can_frame(can.Message(arbitration_id=i, is_extended_id=True)) for i in range(4)]
+    batch = unpack(raw, np.arange(4.0), np.array([False, True, False, True]))
+    assert batch.frames.t.tolist() == [0.0, 2.0]
+    assert batch.own.t.tolist() == [1.0, 3.0]
 
 
 @pytest.fixture
@@ -124,6 +135,7 @@ def passes(message: can.Message, filters: list[dict[str, int]]) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_filters_let_through_what_is_decoded_and_little_else() -> None:
     settings = Config()
     messages = bind(settings, load_database([]))
@@ -134,7 +146,7 @@ def test_filters_let_through_what_is_decoded_and_little_else() -> None:
     idents += [0x1CECFF00, 0x1CEBFF00]
     for ident in idents:
         message = can.Message(arbitration_id=ident, data=bytes(8), is_extended_id=True)
-        decoder = Decoder(messages)
+        decoder = Decoder(messages, Bus())
         decoder.decode(Frames.from_messages([message]))
         counted = decoder.used or any(decoder.rejected.values()) or ident & 0x03FFFF00 in (0xECFF00, 0xEBFF00)
         assert passes(message, filters) == bool(counted)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from simulated_logs import ask, drive, named, written
 
-from estimator.cli import main
+from estimator.commands.main import main
 from estimator.signals import Role, Series
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.recording import Recording
@@ -108,8 +108,7 @@ def test_the_reason_is_read_on_the_terminal_and_on_the_page(urban, log, tmp_path
 )
 def test_without_power_or_speed_it_is_an_error(urban, log, capsys, without, missing):
     error = fails(capsys, "diagnose", log(urban, without=without), "--json")
-    assert f"missing inputs: {missing}; found: " in error
-    assert "[signals]" in error
+    assert f"missing inputs: {missing}; start the configuration (--config FILE.toml) with signals = " in error
 
 
 # Effects that are asked for
@@ -172,6 +171,7 @@ def several(tmp_path_factory):
     ]
 
 
+@pytest.mark.slow
 def test_evidence_of_an_effect_adds_up_over_logs(several):
     few, many, none = several
 
@@ -186,6 +186,7 @@ def test_evidence_of_an_effect_adds_up_over_logs(several):
     assert evidence(many, none) < alone[1]  # it does not hold there
 
 
+@pytest.mark.slow
 def test_an_event_may_be_in_one_log_only(several, tmp_path):
     fan = written(drive("highway", 20, 3, Effect("auxiliary_cycling", 30e3)), tmp_path / "fan.blf")
     alone, beside = ask("diagnose", fan), ask("diagnose", several[2], fan)
@@ -196,6 +197,7 @@ def test_an_event_may_be_in_one_log_only(several, tmp_path):
     assert beside["effects"][0]["span_log"] == [1] * len(beside["effects"][0]["span_s"])
 
 
+@pytest.mark.slow
 def test_the_same_log_gives_the_same_bytes(several, capsys):
     """In another process, with sets in another order, too."""
     arguments = ["diagnose", str(several[1]), "--json"]

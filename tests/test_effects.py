@@ -10,13 +10,13 @@ import pytest
 from simulated_logs import TRUCK, drive, written
 
 from estimator.config import Config
-from estimator.diagnosing import drives
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.result import Verdict
-from estimator.effects import BY_NAME, CATALOGUE, SOURCES, Effect, Timing, View, named
 from estimator.errors import ConfigError
-from estimator.road_load import design
+from estimator.model.effects import BY_NAME, CATALOGUE, SOURCES, Effect, Timing, View, named
+from estimator.model.road_load import design
 from estimator.signals import Floats, Quantity, Role, Series
+from estimator.streaming.drive_extraction import drives
 from estimator.units import STANDARD_GRAVITY
 
 PAGE = Path(__file__).parents[1] / "docs" / "effects.md"
@@ -245,6 +245,7 @@ def example() -> Effect:
     return effect
 
 
+@pytest.mark.slow
 def test_one_object_more_is_one_effect_more(tmp_path):
     """The page's effect acts on a truck: something without a name, until there is an object of that name."""
     shimmy, size = example(), 800.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.estimate import Coverage
-from estimator.estimation.gate import Gate
+from estimator.estimation.gate import Gate, has_news
 from estimator.estimation.moments import Fit
 from estimator.estimation.posterior import box
 from estimator.estimation.window import Grid
@@ -118,8 +118,8 @@ def test_an_empty_window_covers_nothing():
 
 
 def test_news():
-    assert not gate().has_news(0, 0, 0)
-    assert gate().has_news(1, 0, 1)
-    assert not gate(new_samples=0.1).has_news(1099, 1000, 1000)
-    assert gate(new_samples=0.1).has_news(1100, 1000, 1000)
-    assert not gate(new_samples=0.0).has_news(1000, 1000, 1000)
+    assert not has_news(GateConfig(), 0, 0, 0)
+    assert has_news(GateConfig(), 1, 0, 1)
+    assert not has_news(GateConfig(new_samples=0.1), 1099, 1000, 1000)
+    assert has_news(GateConfig(new_samples=0.1), 1100, 1000, 1000)
+    assert not has_news(GateConfig(new_samples=0.0), 1000, 1000, 1000)

@@ -5,9 +5,10 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.ndimage import shift as moved
 
-from estimator.estimation.kinematics import margin, to_samples
-from estimator.estimation.lag import fit_lag
-from estimator.estimation.smoothing import (
+from estimator.model.road_load import design, power
+from estimator.preparation.kinematics import margin, to_samples
+from estimator.preparation.lag import fit_lag
+from estimator.preparation.smoothing import (
     HALF_WIDTH,
     HOLE,
     RATIO_BOUNDS,
@@ -18,7 +19,6 @@ from estimator.estimation.smoothing import (
     slow_kernel,
     smoother_kernels,
 )
-from estimator.road_load import design, power
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
 from estimator.units import STANDARD_GRAVITY

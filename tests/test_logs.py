@@ -3,6 +3,7 @@
 import gzip
 import re
 import tempfile
+from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.can_io.frames import EXTENDED, Frames
-from estimator.can_io.logs import MAX_STEP_BACK, Log, TimeOrder, open_log
+from estimator.can_io.logs import Log, open_log
 from estimator.can_io.logs.log import BATCH, regroup
+from estimator.can_io.logs.time_check import MAX_STEPS_BACK, TimeCheck
 from estimator.errors import LogError
 
 FD_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]
@@ -226,36 +228,28 @@ def times(*t: float) -> Frames:
     return Frames.from_messages(can.Message(timestamp=one, arbitration_id=1) for one in t)
 
 
-def test_small_steps_back_are_counted_across_batches() -> None:
-    order = TimeOrder(Path("a.log"))
-    order.check(times(1.0, 2.0, 1.95))
-    order.check(times(1.95, 2.1))
-    assert order.reordered == 2
+@pytest.mark.parametrize("back", [0.1, 0.999, 3600.0])
+def test_a_log_is_read_in_the_order_of_the_file(tmp_path: Path, back: float) -> None:
+    t = [5000.0, 5001.0, 5001.0 - back, 5002.0]
+    write(tmp_path / "a.csv", [can.Message(timestamp=one, arbitration_id=1) for one in t])
+    assert read(tmp_path / "a.csv")[1].t.tolist() == t
 
 
-@pytest.mark.parametrize("batches", [[(5.0, 6.0, 5.5)], [(5.0, 6.0), (5.5,)]])
-def test_a_large_step_back_is_refused(batches: list[tuple[float, ...]]) -> None:
-    order = TimeOrder(Path("a.log"))
-    for batch in batches[:-1]:
-        order.check(times(*batch))
-    with pytest.raises(LogError, match=r"a.log: time steps back at frame 3, from 6\.0* s to 5\.50* s"):
-        order.check(times(*batches[-1]))
+@pytest.mark.parametrize("batch", [7, 10_000])
+def test_a_clock_that_steps_back_again_and_again_is_refused(batch: int) -> None:
+    """As where two channels with clocks of their own are in one log."""
+    t = np.column_stack([1000 + 0.01 * np.arange(200), 0.01 * np.arange(200)]).ravel()
+    check = TimeCheck(Path("a.log"))
+    refusal = rf"a.log: time steps back {MAX_STEPS_BACK} times .* first at frame 2, from 1000\.0* s to 0\.0* s"
+    batches = [times(*t[start : start + batch]) for start in range(0, len(t), batch)]
+    with pytest.raises(LogError, match=refusal):
+        deque(map(check.check, batches), maxlen=0)
 
 
-def test_creeping_back_is_refused() -> None:
-    with pytest.raises(LogError, match="steps back"):
-        TimeOrder(Path("a.log")).check(times(*(10 - 0.9 * MAX_STEP_BACK * i for i in range(3))))
-
-
-@pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf"), 1e17])
 def test_times_must_be_numbers_from_zero_on(bad: float) -> None:
-    with pytest.raises(LogError, match=r"frame 2 has the time"):
-        TimeOrder(Path("a.log")).check(times(0.0, bad))
-
-
-def test_time_order_is_checked_on_reading(tmp_path: Path) -> None:
-    write(tmp_path / "a.csv", [can.Message(timestamp=t, arbitration_id=1) for t in (3.0, 2.95, 4.0, 1.0)])
-    assert "frame 4" in message_of(tmp_path / "a.csv")
+    with pytest.raises(LogError, match=r"a.log: frame 3 has the time"):
+        TimeCheck(Path("a.log")).check(times(0.0, 0.5, bad))
 
 
 # Text formats
@@ -316,6 +310,63 @@ def test_asc_bad_lines_are_named(tmp_path: Path, line: str, reason: str) -> None
     text = message_of(asc(tmp_path, head + line))
     assert f"{tmp_path / 'drive.asc'}:4: " in text
     assert reason in text
+
+
+TRC_HEADS = {
+    "1.0": ";##########\n",
+    "1.1": ";$FILEVERSION=1.1\n;$STARTTIME=43008.920986006946\n",
+    "2.0": ";$FILEVERSION=2.0\n;$STARTTIME=43008.920986006946\n;$COLUMNS=N,O,T,I,d,l,D\n",
+    "2.1": ";$FILEVERSION=2.1\n;$STARTTIME=43008.920986006946\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n",
+}
+TRC_LINES = {
+    "1.0": ["    1)      1841  00000101  8  00 01 02 03 04 05 06 07", "   12)     48937      0704  1  RTR"],
+    "1.1": ["   1)  17535.4  Tx     00000100  3  00 00 0A", "  12)  19980.6  Rx         0704  1  RTR"],
+    "2.0": ["  1  17535.400 DT 00000100 Tx 2  00 FF", " 12  48937.600 RR     0704 Rx 1"],
+    "2.1": ["  1  17535.400 DT 1  00000100 Tx -  1    07", " 12  48937.600 RR 1      0704 Rx -  1"],
+}
+
+
+@pytest.mark.parametrize("version", TRC_HEADS)
+@pytest.mark.parametrize("last", [0, 1], ids=["data", "remote"])
+@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
+def test_trc_is_read_as_python_can_reads_it_whether_or_not_the_last_line_is_ended(
+    tmp_path: Path, version: str, last: int, end: str
+) -> None:
+    path = tmp_path / "drive.trc"
+    lines = [TRC_LINES[version][0], TRC_LINES[version][0], TRC_LINES[version][last]]
+    path.write_text(TRC_HEADS[version] + "\n".join(lines) + end, newline="")
+    log, frames = read(path)
+    with can.LogReader(path) as reader:
+        messages = list(reader)
+    assert len(messages) == 3
+    want = Frames.from_messages(m for m in messages if not m.is_remote_frame)
+    for field in ("t", "ident", "length", "data"):
+        assert np.array_equal(getattr(frames, field), getattr(want, field)), field
+    assert log.skipped["remote frame"] == last
+
+
+@pytest.mark.parametrize("version", TRC_HEADS)
+def test_trc_a_cut_last_line_is_named(tmp_path: Path, version: str) -> None:
+    path = tmp_path / "drive.trc"
+    whole = TRC_HEADS[version] + TRC_LINES[version][0]
+    for lost in (1, 2, 6):
+        path.write_text(whole + "\n" + TRC_LINES[version][0][:-lost])
+        assert f"{path}:{whole.count(chr(10)) + 2}: " in message_of(path)
+
+
+@pytest.mark.parametrize("tail", ["", "  Length = 1704 BitCount = 11", "  Length = 17"])
+def test_asc_a_last_line_that_parses_needs_no_line_break(tmp_path: Path, tail: str) -> None:
+    _, frames = read(asc(tmp_path, "base hex  timestamps absolute\n0.1 1  18FEF100x  Rx   d 2 01 02" + tail))
+    assert bytes(frames.data[0, :2]) == b"\x01\x02"
+
+
+@pytest.mark.parametrize(("byte", "whole"), [("255", True), ("25", False), ("2", False)])
+def test_asc_a_decimal_byte_at_the_end_may_lack_digits(tmp_path: Path, byte: str, whole: bool) -> None:
+    path = asc(tmp_path, f"base dec  timestamps absolute\n0.1 1  100  Rx   d 2 01 {byte}")
+    if whole:
+        assert len(read(path)[1]) == 1
+    else:
+        assert "end it with a line break" in message_of(path)
 
 
 def test_csv_of_something_else(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import tempfile
 import tracemalloc
 import zlib
 from pathlib import Path
+from unittest import mock
 
 import can
 import numpy as np
@@ -15,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.logs import open_log
+from estimator.can_io.logs import inflate, open_log
 from estimator.errors import LogError
 
 START = (2024, 2, 4, 29, 12, 30, 15, 250)  # SYSTEMTIME of a leap day
@@ -102,13 +103,74 @@ def stream(draw: st.DrawFn) -> bytes:
     return b"".join(parts)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
-@given(payload=stream(), container=st.sampled_from([61, 200, 1000, 1 << 17]), pack=st.booleans())
-def test_equals_python_can(payload: bytes, container: int, pack: bool) -> None:
-    with tempfile.TemporaryDirectory() as folder:
+@pytest.mark.slow
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(
+    payload=stream(),
+    container=st.sampled_from([61, 200, 1000, 1 << 17]),
+    pack=st.booleans(),
+    run=st.sampled_from([1, 2, 64]),
+    stretch=st.sampled_from([20, 200, 1 << 17]),
+    joined=st.sampled_from([1, 500, 1 << 19]),
+)
+def test_equals_python_can(payload: bytes, container: int, pack: bool, run: int, stretch: int, joined: int) -> None:
+    """Whatever is taken for a run, and however much is looked at and decoded at once."""
+    objects = "estimator.can_io.logs.blf_objects"
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch(f"{objects}.SHORTEST_RUN", run),
+        mock.patch(f"{objects}.STRETCH", stretch),
+        mock.patch("estimator.can_io.logs.blf.JOINED", joined),
+    ):
         path = Path(folder) / "a.blf"
         path.write_bytes(blf(payload, container, pack))
         assert_as_python_can(path)
+
+
+def test_runs_with_other_objects_between(tmp_path: Path) -> None:
+    runs = [
+        (300, CAN, classic(0x98FEF100, b"12345678")),
+        (1, MARKER, b"LOBJ in a marker"),
+        (200, FD, fd(0x123, bytes(range(64)))),
+        (70, CAN2, classic(0x124, b"1234") + bytes(8)),
+        (1, CAN, classic(0x125, b"", flags=0x80)),
+        (500, CAN, classic(0x126, b"12")),
+        (100, FD64, fd64(0x127, bytes(12))),
+    ]
+    every = [(kind, body) for count, kind, body in runs for _ in range(count)]
+    path = tmp_path / "a.blf"
+    path.write_bytes(blf(b"".join(obj(kind, body, i * 1000) for i, (kind, body) in enumerate(every)), 3000))
+    assert len(assert_as_python_can(path)) == 1170
+
+
+def test_a_wrong_frame_in_a_run_is_found(tmp_path: Path) -> None:
+    good, wrong = obj(CAN, classic(0x123, b"12345678")), obj(CAN, classic(0x123, b"", dlc=8)[:-8])
+    path = tmp_path / "a.blf"
+    path.write_bytes(blf(good * 200 + wrong + good))
+    with pytest.raises(LogError, match=r"a CAN frame longer than its object\) after 200 frames"):
+        list(open_log(path))
+
+
+def test_without_libdeflate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = written(tmp_path / "a.blf", 3000, 4096)
+    want = assert_as_python_can(tmp_path / "a.blf")
+
+    def refuse(data: bytes, originalsize: int) -> bytes:
+        raise inflate.DeflateError
+
+    monkeypatch.setattr(inflate, "zlib_decompress", refuse)
+    (tmp_path / "b.blf").write_bytes(raw)
+    assert np.array_equal(assert_as_python_can(tmp_path / "b.blf").data, want.data)
+
+
+@pytest.mark.parametrize("said", [0, 1, 30_000, 2**31])
+def test_a_container_that_gives_a_wrong_size(tmp_path: Path, said: int) -> None:
+    """As python-can, which ignores it."""
+    payload = b"".join(obj(CAN, classic(0x123, b"12345678"), i) for i in range(100))
+    raw = bytearray(blf(payload))
+    struct.pack_into("<L", raw, 144 + 24, said)
+    (tmp_path / "a.blf").write_bytes(raw)
+    assert len(assert_as_python_can(tmp_path / "a.blf")) == 100
 
 
 def test_values_and_counts(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.logs import Log, open_log
-from estimator.can_io.logs.candump import CHUNK
+from estimator.can_io.logs.line_log import CHUNK
 from estimator.errors import LogError
 
 
@@ -134,7 +134,7 @@ def test_the_first_bad_line_is_named(path: Path, bad: str, reason: str, before: 
 
 
 @pytest.mark.parametrize(
-    "last", ["(1.0) can0 123#1", "(1.0) can0 123#11", "(1.", "(1.0)  can0  123   [2]  11", "(1.0)  can0  123   [1]  1"]
+    "last", ["(1.0) can0 123#1", "(1.0) can0 18FEF1", "(1.", "(1.0)  can0  123   [2]  11", "(1.0)  can0  123   [1]  1"]
 )
 def test_a_last_line_cut_short_is_named(path: Path, last: str) -> None:
     path.write_text(GOOD + last)
@@ -143,9 +143,10 @@ def test_a_last_line_cut_short_is_named(path: Path, last: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "last", ["(1.0) can0 123#1122334455667788", "(1.0) can0 123#11 R", " (1.0)  can0  123   [1]  11"]
+    "last",
+    ["(1.0) can0 123#1122334455667788", "(1.0) can0 123#11", "(1.0) can0 123#11 R", " (1.0)  can0  123   [1]  11"],
 )
-def test_a_whole_last_line_needs_no_newline(path: Path, last: str) -> None:
+def test_a_last_line_that_parses_needs_no_line_break(path: Path, last: str) -> None:
     assert len(read(path, GOOD + last)[1]) == 2
 
 

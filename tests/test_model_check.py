@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
-from estimator.can_io.recorder import frames_of
+from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict
 from estimator.estimate import Estimate, Status
 from estimator.estimation import moments
 from estimator.estimation.model_check import misfit
-from estimator.pipeline import Pipeline
 from estimator.samples import STEP, Samples
 from estimator.signals import Floats, Role, Series
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import Truck
+from estimator.streaming.pipeline import Pipeline
 
-WIDE = {"gate": {"relative_sd": [9.0, 9.0, 9.0], "coverage": 0.0}}
+ONCE = {"interval_s": 3600.0}  # of the gate: only the conclusion at the end of the drive
+WIDE = {"gate": {**ONCE, "relative_sd": [9.0, 9.0, 9.0], "coverage": 0.0}}
 
 
 def samples_of(power, n: int = 6000) -> Samples:
@@ -71,6 +72,7 @@ def broken() -> Estimate:
     return [*pipeline.feed(frames_of(signals)), *pipeline.finish()][-1]
 
 
+@pytest.mark.slow
 def test_invalid_says_why_and_gives_no_numbers(broken):
     assert broken.status in (Status.INVALID, Status.UNESTIMATED)
     assert broken.reason
@@ -83,7 +85,7 @@ def conclude(change, tables: dict | None = None) -> Estimate:
     truck = Truck(mass=27_190.0, A=1739.0, C=3.74)
     signals = dict(record(truck, generate_route("mixed", 60e3, rng), 1500.0, rng).signals)
     change(signals)
-    pipeline = Pipeline(from_dict(tables or {}))
+    pipeline = Pipeline(from_dict({"gate": ONCE} | (tables or {})))
     return [*pipeline.feed(frames_of(signals)), *pipeline.finish()][-1]
 
 
@@ -94,12 +96,14 @@ def rescale(role: Role, factor: float, delay: float = 0.0):
     return change
 
 
+@pytest.mark.slow
 def test_a_speed_in_the_wrong_unit_is_seen_by_the_gps():
     final = conclude(rescale(Role.SPEED, 1 / 1.609))
     assert final.status == Status.INVALID
     assert "0.62 times the GPS speed" in final.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.7, 1.0, 2.0, 5.0])
 def test_a_speed_that_comes_far_too_late_gives_no_number_or_an_honest_one(delay):
     final = conclude(rescale(Role.SPEED, 1.0, delay))
@@ -116,12 +120,14 @@ def test_torque_of_the_wrong_sign_is_named():
     assert "sign of the torque" in final.reason
 
 
+@pytest.mark.slow
 def test_a_belief_that_the_drive_contradicts_is_not_averaged_in():
     final = conclude(lambda signals: None, {"prior": {"mass_belief_kg": [10_000, 10]}})
     assert final.status == Status.INVALID
     assert "the configuration believes 1e+04" in final.reason
 
 
+@pytest.mark.slow
 def test_a_poor_speed_sensor_is_no_misfit():
     rng = np.random.default_rng(11_001)
     truck = Truck(mass=30_000.0, A=2000.0, C=3.7)

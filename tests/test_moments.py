@@ -7,9 +7,9 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 
 from estimator.estimation import moments
-from estimator.estimation.kinematics import margin, to_samples
-from estimator.estimation.smoothing import smoother_kernels
-from estimator.road_load import design
+from estimator.model.road_load import design
+from estimator.preparation.kinematics import margin, to_samples
+from estimator.preparation.smoothing import smoother_kernels
 from estimator.samples import STEP, Rows, Samples
 
 THETA = np.array([1739.0, 3.74, 27_190.0])

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.can_io.recorder import frames_of
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.checkpoint.store import CURRENT, StateStore, pack
 from estimator.config import Config
-from estimator.pipeline import Pipeline
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
-from estimator.state_store import CURRENT, StateStore, pack
+from estimator.streaming.pipeline import Pipeline
+
+pytestmark = pytest.mark.slow
 
 TOOL = Path(__file__).parents[1] / "tools" / "power_loss.py"
 KILLS = 200

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.can_io.protection import crc8, verify
+from estimator.can_io.counter_crc import crc8, verify
 from estimator.can_io.publisher import Publisher, output_database
 from estimator.config import from_dict
 from estimator.errors import ConfigError

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator import config, inspection
+from estimator import config
 from estimator.config import Config
 from estimator.estimate import Status
-from estimator.replay import Run, estimate, replay
 from estimator.settings import Bus
+from estimator.streaming import inspection
+from estimator.streaming.replay import Run, estimate_logs, replay
 
 KENWORTH = {"normal.log": 19_957, "tsc1.log": 21_568, "address_claim_attack.log": 15_723}
 PAYLOAD = {"TripB22", "TripB24", "TripB34"}  # +80, +60, +160 kg
@@ -22,7 +23,7 @@ def silent(share: float) -> None:
 @pytest.mark.parametrize("name", KENWORTH)
 def test_kenworth_is_read_whole_and_not_over_interpreted(recordings: Path, name: str) -> None:
     run = replay([recordings / "j1939_trucks/kenworth_t270" / name], Config(), silent)
-    assert run.pipeline.frames == KENWORTH[name]
+    assert run.pipeline.traffic.frames == KENWORTH[name]
     assert run.final.status == Status.UNESTIMATED
     assert "usable samples" in run.final.reason
     assert run.final.mass is None
@@ -40,8 +41,8 @@ def test_kenworth_inputs_and_reference_torque(recordings: Path) -> None:
 
 
 def test_kenworth_drop_out_is_a_gap(recordings: Path) -> None:
-    run: Run = estimate([recordings / "j1939_trucks/kenworth_t270/address_claim_attack.log"], Config(), silent)
-    start, end = max(run.pipeline.gaps, key=lambda gap: gap[1] - gap[0])
+    run: Run = estimate_logs([recordings / "j1939_trucks/kenworth_t270/address_claim_attack.log"], Config(), silent)
+    start, end = max(run.pipeline.traffic.gaps, key=lambda gap: gap[1] - gap[0])
     assert start - run.start == pytest.approx(15.5, abs=0.3)
     assert end - run.start > 29
     assert run.pipeline.estimator.rejected["speed stale"] > 50
@@ -49,7 +50,7 @@ def test_kenworth_drop_out_is_a_gap(recordings: Path) -> None:
 
 @pytest.mark.parametrize("name", ["css_truck_idle_11111111.MF4", "paccar_mx.trc"])
 def test_standing_trucks(recordings: Path, name: str) -> None:
-    run = estimate([recordings / "j1939_trucks/stationary_format_samples" / name], Config(), silent)
+    run = estimate_logs([recordings / "j1939_trucks/stationary_format_samples" / name], Config(), silent)
     assert run.final.status == Status.UNESTIMATED
     assert run.final.admitted == 0
 
@@ -60,9 +61,10 @@ def trips(recordings: Path) -> dict[str, Run]:
     settings = config.load(Path(__file__).parents[1] / "dbc" / "bmw_i3.toml")
     bus = Bus(dbc=[str(folder / "bmw_i3.dbc")])
     settings = config.replace(settings, bus=bus)
-    return {path.stem: estimate([path], settings, silent) for path in sorted(folder.glob("*.blf"))}
+    return {path.stem: estimate_logs([path], settings, silent) for path in sorted(folder.glob("*.blf"))}
 
 
+@pytest.mark.slow
 def test_bmw_masses_agree_between_trips(trips: dict[str, Run]) -> None:
     mass = {name: run.final.mass.mean for name, run in trips.items() if run.final.mass is not None}
     assert len(trips) == 29

@@ -6,38 +6,50 @@ import numpy as np
 import pytest
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.recorder import EPOCH, frames_of
+from estimator.can_io.j1939_encoder import EPOCH, frames_of
+from estimator.can_io.time_order import MAX_DELAY
+from estimator.checkpoint.store import pack, unpack
 from estimator.config import from_dict
 from estimator.errors import StateError
 from estimator.estimate import Status
 from estimator.estimation.estimator import Estimator
 from estimator.estimation.inference import Inference
-from estimator.estimation.smoothing import REACH
-from estimator.pipeline import NEW_DRIVE, Pipeline
-from estimator.road_load import design
+from estimator.estimation.road_inference import RoadInference
+from estimator.model.road_load import design
+from estimator.preparation.stage import SampleStage, StrideStage
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
-from estimator.state_store import pack, unpack
+from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.row_stream import NEW_DRIVE, RowStream
+from estimator.strides import DURATION
+
+pytestmark = pytest.mark.slow
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 SAVED = 1200.0  # s into the drive
 REBUILT = {  # what traffic or the configuration shows again
-    Estimator: {"_config", "_effects", "_gate", "_margin", "_resting"},
-    Inference: {"_config", "_effects", "_gate", "_given", "_rng", "evidence"},
-    Pipeline: {
+    Estimator: {"_config", "_resting", "segment"},
+    StrideStage: {"_config", "_effects", "wanted"},
+    SampleStage: {"_config", "_effects", "_maker"},
+    RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "below", "evidence"},
+    Inference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
+    Pipeline: {"config", "_is_restored"},
+    RowStream: {
         "_config",
         "_messages",
         "_names",
-        "_tap",
         "_waiting",
         "_last",
         "_block_end",
-        "_restored",
+        "_is_restored",
         "_same_clock",
         "newest",
+        "order",
+        "start",
+        "unusable",
     },
 }
 
@@ -97,11 +109,12 @@ def rows_of(n: int, first: int = 0) -> Rows:
 
 
 @pytest.mark.parametrize(
-    ("n", "likelihood"), [(n, "instruments") for n in (0, 50, 1000, 2500, 6017, 9000)] + [(9000, "paper")]
+    ("n", "likelihood"),
+    [(n, kind) for kind in ("instruments", "road") for n in (0, 50, 2500, 9000)] + [(9000, "paper")],
 )
 def test_an_estimator_goes_on_to_the_bit(n, likelihood):
     """Also before its smoother is settled, and when nothing has come yet."""
-    config = from_dict({"sampler": {"likelihood": likelihood}})
+    config = from_dict({"sampler": {"likelihood": likelihood}, "gate": {"interval_s": 180.0}})
 
     def new() -> Estimator:
         return Estimator(config, np.random.default_rng(1))
@@ -139,23 +152,27 @@ def test_a_short_absence_changes_next_to_nothing(drive, state, uninterrupted, aw
     assert estimate.status == Status.ESTIMATED
     for name in ("mass", "A", "C"):
         one, other = getattr(estimate, name), getattr(expected, name)
-        assert one.mean == pytest.approx(other.mean, abs=0.3 * other.sd)
-        assert one.sd == pytest.approx(other.sd, rel=0.1)
-    # Lost: the absence, and what had not become rows: at most BLOCK + SETTLE before and a moment after it.
-    assert 0 <= (uninterrupted.valid_rows - pipeline.valid_rows) * STEP - away < 12
-    assert any(a == pytest.approx(EPOCH + SAVED, abs=1) for a, b in pipeline.gaps)
+        assert one.mean == pytest.approx(other.mean, abs=0.5 * other.sd)
+        assert one.sd == pytest.approx(other.sd, rel=0.2)
+    # Lost: the absence, and what had not become rows: at most BLOCK + SETTLE + MAX_DELAY before and a moment after it.
+    assert 0 <= (uninterrupted.traffic.valid_rows - pipeline.traffic.valid_rows) * STEP - away < 12
+    assert any(a == pytest.approx(EPOCH + SAVED, abs=1 + MAX_DELAY) for a, b in pipeline.traffic.gaps)
     missed = between(drive, SAVED, SAVED + away)
-    assert pipeline.frames + len(missed) == uninterrupted.frames
+    assert pipeline.traffic.frames + len(missed) == uninterrupted.traffic.frames
 
 
 @pytest.mark.parametrize("away", [0.0, 0.5, 20.0, 60.0])
 def test_rows_are_never_joined_over_the_absence(drive, state, away):
     pipeline = restored(state)
     run(pipeline, between(drive, SAVED + away, SAVED + away + 200))
-    t = pipeline.estimator.window.samples.t - EPOCH
+    strides = pipeline.estimator.window.samples
+    t = strides.t[strides.known] - EPOCH
     assert np.any(t < SAVED)
     assert np.any(t > SAVED + away)
-    assert not np.any((t > SAVED - REACH) & (t < SAVED + away + REACH))
+    assert not np.any((t > SAVED - DURATION / 2) & (t < SAVED + away + DURATION / 2))
+    after = np.searchsorted(strides.t - EPOCH, SAVED)
+    assert not strides.joined[after]
+    assert strides.s0[after] - strides.s1[after - 1] > 10_000.0  # no road connects them
 
 
 @pytest.mark.parametrize(
@@ -207,7 +224,7 @@ def test_columns_of_effects_come_back(drive):
     assert len(again.estimator.window) > len(pipeline.estimator.window)
     assert again.estimator.window.samples.context.keys() == pipeline.estimator.window.samples.context.keys() != set()
     with pytest.raises(StateError, match="other columns"):
-        restored(spoilt(state, ("estimator", "wanted"), "cut"), effects=["warm_up"])
+        restored(spoilt(state, ("estimator", "stage", "strider", "wanted"), "cut"), effects=["warm_up"])
 
 
 def test_the_engine_is_remembered(drive, state):
@@ -215,9 +232,9 @@ def test_the_engine_is_remembered(drive, state):
     part = between(drive, SAVED + 60, SAVED + 200)
     without = part[((part.ident >> 16) & 0xFF) != 0xEC]
     pipeline = restored(state)
-    before = pipeline.valid_rows
+    before = pipeline.traffic.valid_rows
     run(pipeline, without)
-    assert pipeline.valid_rows - before > 1300
+    assert pipeline.traffic.valid_rows - before > 1300
 
 
 def test_the_engine_is_remembered_over_a_silence_and_forgotten_when_time_steps_back(drive):
@@ -225,11 +242,11 @@ def test_the_engine_is_remembered_over_a_silence_and_forgotten_when_time_steps_b
     list(pipeline.feed(between(drive, 0, 100)))
     learnt = pipeline.state()["aligner"]
     assert learnt["reference"] is not None
-    list(pipeline.feed(between(drive, 200, 201)))
+    list(pipeline.feed(between(drive, 200, 203)))
     after = pipeline.state()["aligner"]
     assert after["reference"] == learnt["reference"]
     assert after["friction"]["sums"][0].sum() > 0.9 * learnt["friction"]["sums"][0].sum() > 0
-    list(pipeline.feed(between(drive, 50, 51)))
+    list(pipeline.feed(between(drive, 50, 53)))
     assert pipeline.state()["aligner"]["reference"] is None
     assert pipeline.state()["aligner"]["friction"]["sums"].sum() == 0
 
@@ -238,27 +255,34 @@ def test_a_sender_that_was_exchanged_is_found_on_the_next_drive(drive, state):
     def by(frames: Frames, source: int) -> Frames:
         return replace(frames, ident=(frames.ident & np.uint32(0xFFFFFF00)) | np.uint32(source))
 
-    assert set(state["decoder"]["sources"].values()) != {0x77}
+    assert {choice["source"] for choice in state["decoder"]["choices"].values()} != {0x77}
     same = restored(state)
-    list(same.feed(by(between(drive, SAVED, SAVED + 30), 0x77)))
-    assert 0x77 not in same.sources.values()
+    list(same.feed(by(between(drive, SAVED, SAVED + 8), 0x77)))
+    assert same.traffic.sources["EEC1.EngSpeed"] != 0x77
     later = restored(state)
     list(later.feed(moved(by(between(drive, SAVED, SAVED + 30), 0x77), 2 * NEW_DRIVE)))
-    assert set(later.sources.values()) == {0x77}
+    assert set(later.traffic.sources.values()) == {0x77}
 
 
 def test_restored_and_saved_again_is_the_same(state):
     assert pack(restored(state).state(), "k") == pack(state, "k")
 
 
-@pytest.mark.parametrize("kind", [Estimator, Inference, Pipeline])
+@pytest.mark.parametrize("kind", [Estimator, StrideStage, RoadInference, SampleStage, Inference, Pipeline, RowStream])
 def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
     """A new attribute belongs into the state, or into REBUILT."""
-    pipeline = Pipeline(from_dict({}))
+    samples = kind in (SampleStage, Inference)
+    pipeline = Pipeline(from_dict({"sampler": {"likelihood": "instruments"}} if samples else {}))
+    if samples:
+        state = pipeline.state()
     one, saved = {
         Estimator: (pipeline.estimator, state["estimator"]),
+        StrideStage: (pipeline.estimator._stage, state["estimator"]["stage"]),
+        SampleStage: (pipeline.estimator._stage, state["estimator"]["stage"]),
+        RoadInference: (pipeline.estimator._inference, state["estimator"]["inference"]),
         Inference: (pipeline.estimator._inference, state["estimator"]["inference"]),
-        Pipeline: (pipeline, state),
+        Pipeline: (pipeline, {"traffic": None, **state}),
+        RowStream: (pipeline.traffic, state),
     }[kind]
     known = {f"_{name}" for name in saved} | set(saved) | REBUILT[kind]
     assert set(vars(one)) <= known
@@ -307,14 +331,15 @@ HOWS = ["gone", "other type", "none", "negative", "not finite", "cut"]
 def test_a_spoilt_state_is_refused_whole_or_harmless(state, drive_end, how):
     pipeline = Pipeline(from_dict({}))
     untouched, refused = pack(pipeline.state(), "k"), 0
-    for path in leaves(state):
+    for number, path in enumerate(leaves(state)):
         try:
             pipeline.restore(spoilt(state, path, how))
         except StateError:
             refused += 1
             assert pack(pipeline.state(), "k") == untouched
             continue
-        for estimate in pipeline.feed(drive_end):
+        # An update takes a second: each way of spoiling looks at another fifth of what was taken up.
+        for estimate in pipeline.feed(drive_end) if number % 5 == HOWS.index(how) % 5 else ():
             if estimate.status == Status.ESTIMATED:
                 assert estimate.mass.mean == pytest.approx(TRUCK.mass, rel=0.1)
         pipeline = Pipeline(from_dict({}))
@@ -329,15 +354,16 @@ def drive_end(drive) -> Frames:
 @pytest.mark.parametrize(
     ("path", "how"),
     [
-        (("estimator", "window", "samples", "v"), "not finite"),
-        (("estimator", "window", "samples", "P"), "cut"),
+        (("estimator", "window", "samples", "v0"), "not finite"),
+        (("estimator", "window", "samples", "force"), "cut"),
         (("estimator", "window", "lengths"), "negative"),
-        (("estimator", "inference", "shown", "covariance"), "negative"),
-        (("estimator", "lag"), "not finite"),
+        (("estimator", "inference", "loads", "shown", "covariance"), "negative"),
+        (("estimator", "inference", "scales", "values"), "negative"),
+        (("estimator", "stage", "strider", "distance"), "not finite"),
         (("estimator", "inference", "generator"), "cut"),
-        (("estimator", "rejected"), "other type"),
+        (("estimator", "stage", "rejected"), "other type"),
         (("aligner", "friction", "sums"), "negative"),
-        (("decoder", "sources"), "none"),
+        (("decoder", "contested"), "none"),
         (("until",), "gone"),
     ],
 )
@@ -347,7 +373,7 @@ def test_the_worst_spoils_are_refused(state, path, how):
 
 
 def test_a_state_of_another_configuration_is_refused(state):
-    with pytest.raises(StateError, match=r"window: \d+ samples"):
+    with pytest.raises(StateError, match=r"window: \d+ rows"):
         restored(state, window={"samples": 600})
-    with pytest.raises(StateError, match="not bound"):
+    with pytest.raises(StateError, match="choices: of other signals than are bound"):
         restored(state, signals={"speed": "CCVS1.WheelBasedVehicleSpeed"})

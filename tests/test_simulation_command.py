@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from estimator.can_io.binding import load_database
-from estimator.can_io.recorder import frames_of
-from estimator.cli import main
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.commands.main import main
 from estimator.signals import Role
 from estimator.simulation.effects.catalogue import KINDS
 from estimator.simulation.recording import simulate

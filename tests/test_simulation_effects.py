@@ -15,6 +15,8 @@ from estimator.simulation.route import RoadKind, Route, generate_route
 from estimator.simulation.truck import Truck
 from estimator.simulation.truth import Truth
 
+pytestmark = pytest.mark.slow
+
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 GRAVITY = 9.80665
 

@@ -52,6 +52,7 @@ def test_the_truck_is_back_in_time(kind):
     assert truth.s[-1] > 0.88 * route.length
 
 
+@pytest.mark.slow
 def test_a_loop_closes_and_repeats():
     rng = np.random.default_rng(8)
     route = plan_route("mixed", 3600.0, rng, "loop")

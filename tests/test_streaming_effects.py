@@ -6,9 +6,11 @@ from typing import Any
 import pytest
 from simulated_logs import CLIMB, TRUCK, ask, drive, written
 
-from estimator.cli import main
+from estimator.commands.main import main
 from estimator.signals import Role
 from estimator.simulation.effects.effect import Effect
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +48,12 @@ def holds(marginal: dict[str, float], truth: float, sds: float = 3.0) -> bool:
     return abs(marginal["mean"] - truth) < sds * marginal["sd"]
 
 
-def test_with_the_grade_the_mass_is_right_and_without_it_nothing_is_said(hills, graded):
+def test_signals_of_the_road_are_used_without_being_asked_for(hills, graded):
     plain = ask("estimate", hills)
-    assert plain["status"] != "estimated"
-    assert plain["effects"] == []
-    assert (graded["status"], graded["effects"]) == ("estimated", ["grade"])
+    assert (plain["effects"], graded["effects"]) == ([], ["grade"])
+    assert plain["parameters"] == graded["parameters"]
+    assert "altitude" in graded["road"]["shown_by"]
+    assert graded["status"] == "estimated"
     mass = graded["parameters"]["mass_kg"]
     assert mass["q05"] < TRUCK.mass < mass["q95"]
     assert mass["sd"] < 0.05 * TRUCK.mass
@@ -85,7 +88,6 @@ def test_an_effect_of_its_own_size_has_a_posterior(bends):
 @pytest.mark.parametrize(
     ("name", "needs"),
     [
-        ("grade", "grade or altitude or longitudinal_acceleration"),
         ("headwind", "heading"),
         ("auxiliary_cycling", "fan_speed"),
     ],
@@ -94,7 +96,8 @@ def test_an_effect_without_its_signal_is_a_reason_not_a_guess(bends, name, needs
     answer = ask("estimate", bends, "--effect", name)
     assert answer["status"] == "unestimated"
     assert answer["reason"] == f"the effect {name} needs {needs}, which the bus does not carry"
-    assert answer["parameters"]["mass_kg"] is None
+    mass = answer["parameters"]["mass_kg"]
+    assert (mass["status"], mass["reason"], mass["mean"]) == ("unestimated", answer["reason"], None)
 
 
 def test_names_are_checked(bends, tmp_path, capsys):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from estimator.cli import main
+from estimator.commands.main import main
 from estimator.config import load
 
 FOLDER = Path(__file__).parents[1] / "tools" / "systemd"

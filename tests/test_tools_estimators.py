@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from estimator.config import Config
-from estimator.road_load import design
+from estimator.model.road_load import design
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.config import from_dict
-from estimator.estimation.admission import ADMITTED, Reason, admit, row_reasons
 from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS, Grid, Window
+from estimator.preparation.admission import ADMITTED, Reason, admit, row_reasons
 from estimator.samples import STEP, Rows, Samples
 from estimator.settings import Admission
 from estimator.signals import Role
@@ -24,7 +24,7 @@ def block(n: int, start: float = 0.0, v=20.0, a=0.0) -> Samples:
 
 
 def window(samples: int = 600, hours: float = 24.0) -> Window:
-    return Window(from_dict({"window": {"samples": samples, "hours": hours}}))
+    return Window(from_dict({"window": {"samples": samples, "hours": hours}}), Samples)
 
 
 def consistent(w: Window) -> bool:
@@ -71,6 +71,7 @@ def test_rare_driving_survives_a_flood_of_cruising():
     assert consistent(w)
 
 
+@pytest.mark.slow
 def test_what_stays_is_not_chosen_by_its_noise():
     """In a day the rarest twentieth is left; it is rare driving, not readings that noise made look rare."""
     w, rng, n = window(2000), np.random.default_rng(3), 10

@@ -2,6 +2,7 @@
 
 import difflib
 import logging
+import re
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +15,7 @@ from estimator.can_io.frames import EXTENDED
 from estimator.can_io.j1939 import pgn_of
 from estimator.config import Config
 from estimator.errors import ConfigError, DatabaseError
+from estimator.input_files import read_bounded
 from estimator.signals import DIMENSION, STATE, Role
 from estimator.units import KNOWN_UNITS, Conversion, conversion_of
 
@@ -21,6 +23,10 @@ logging.getLogger("cantools").setLevel(logging.ERROR)
 
 LONGEST = 64  # bits of a signal
 FLOATS = (16, 32, 64)  # bits of a floating-point signal
+LARGEST_FILE = 32 << 20  # bytes of a database
+LARGEST_MESSAGE = 1785  # bytes: what J1939-21 can transport
+LARGEST_LAYOUT = 1 << 19  # bits; cantools lays out every bit of a message, so a larger number fills the memory
+_LAYOUT = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")  # start bit and length of a signal
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,7 @@ class BoundMessage:
     by_pgn: bool
     j1939: bool
     source: int | None  # the only source address to believe, if configured
+    cycle: float | None  # s between two of them as the database says, if it does
     signals: tuple[BoundSignal, ...]
 
 
@@ -64,7 +71,7 @@ def load_database(paths: list[str]) -> Database:
     texts = []
     for path in paths:
         try:
-            texts.append((path, _text(Path(path).read_bytes())))
+            texts.append((path, _text(read_bounded(Path(path), LARGEST_FILE))))
         except OSError as error:
             raise DatabaseError(f"{path}: {error.strerror}; correct bus.dbc, or give --dbc FILE.dbc") from error
     database = _parse(*texts[0])
@@ -85,6 +92,7 @@ def _text(data: bytes) -> str:
 
 
 def _parse(path: str, text: str) -> Database:
+    _check_layouts(path, text)
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except (cantools.Error, ValueError, KeyError, IndexError, AttributeError) as error:
@@ -93,6 +101,17 @@ def _parse(path: str, text: str) -> Database:
     if not isinstance(database, Database) or not database.messages:
         raise DatabaseError(f"{path}: holds no CAN messages")
     return database
+
+
+def _check_layouts(path: str, text: str) -> None:
+    """Refuse a signal of absurd size before cantools reserves memory for it."""
+    for match in _LAYOUT.finditer(text):
+        digits = max(map(len, match.groups()))
+        if digits > len(str(LARGEST_LAYOUT)) or sum(map(int, match.groups())) > LARGEST_LAYOUT:
+            line = text.count("\n", 0, match.start()) + 1
+            raise DatabaseError(
+                f"{path}:{line}: a signal beyond bit {LARGEST_LAYOUT:,} of its message; correct the DBC"
+            )
 
 
 def bind(config: Config, database: Database) -> list[BoundMessage]:
@@ -136,6 +155,8 @@ def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSi
     if signal.length > LONGEST or (signal.is_float and signal.length not in FLOATS):
         kind = "floating-point signal" if signal.is_float else "signal"
         raise DatabaseError(f"{path}: a {kind} of {signal.length} bits is no number; correct the DBC")
+    if signal.start + signal.length > 8 * LARGEST_MESSAGE:
+        raise DatabaseError(f"{path}: lies beyond byte {LARGEST_MESSAGE} of its message; correct the DBC")
     multiplexers = _multiplexers(signal, message, path)
     dimension = DIMENSION[role]
     if dimension == STATE:
@@ -171,7 +192,8 @@ def _bound(message: Message, signals: tuple[BoundSignal, ...], config: Config) -
     if source is not None and not by_pgn:
         raise ConfigError(f"bus.source_addresses.{name}: matched by its whole id, not by PGN; leave it out")
     key = _pgn(message.frame_id) if by_pgn else message.frame_id | (EXTENDED if extended else 0)
-    return BoundMessage(name, key, by_pgn, j1939, source, signals)
+    cycle = message.cycle_time / 1000 if message.cycle_time else None
+    return BoundMessage(name, key, by_pgn, j1939, source, cycle, signals)
 
 
 def _pgn(ident: int) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
 from estimator.signals import Mask
 
 PDU1_LIMIT = 0xF0  # PDU formats below address one node: their low byte is a destination, not part of the PGN
@@ -20,6 +20,9 @@ ABORT = 0xFF  # control byte: connection abort
 GLOBAL = 0xFF  # destination address of a broadcast
 T1 = 0.75  # s between packets after which a receiver gives up (J1939-21, 5.13.3)
 PACKET_BYTES = 7
+GROUP_MASK = EXTENDED | 0x3FFFF00  # of an id: all but priority and source
+ANNOUNCEMENT = EXTENDED | (TP_CM | GLOBAL) << 8
+PACKET = EXTENDED | (TP_DT | GLOBAL) << 8
 MAXIMUM_BYTES = 1785
 
 
@@ -27,6 +30,13 @@ def pgn_of(ident: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Parameter group number of 29-bit ids (n,)."""
     pdu2 = (ident >> 16 & 0xFF) >= PDU1_LIMIT
     return np.where(pdu2, ident >> 8 & 0x3FFFF, ident >> 8 & 0x3FF00).astype(np.uint32)
+
+
+def highest_valid(length: int) -> int:
+    """The highest raw value of ``length`` bits that is one, see `classify`."""
+    if length >= 8:
+        return (0xFB << length - 8) - 1
+    return (1 << length) - (3 if length in (2, 4) else 1)
 
 
 def classify(raw: NDArray[np.uint64], length: int) -> tuple[Mask, Mask, Mask]:
@@ -45,7 +55,7 @@ def classify(raw: NDArray[np.uint64], length: int) -> tuple[Mask, Mask, Mask]:
     return no, no, no
 
 
-@dataclass
+@dataclass(slots=True)
 class _Session:
     pgn: int
     size: int
@@ -77,22 +87,21 @@ class Transport:
 
     def feed(self, frames: Frames) -> list[MultiPacket]:
         """Messages that these frames complete; frames that are not of the transport protocol are passed over."""
-        extended = frames.ident & EXTENDED != 0
         # Broadcasts only: the destination byte of the id is the global address.
-        kind = frames.ident >> 8 & 0x3FFFF
-        management, transfer = kind == (TP_CM | GLOBAL), kind == (TP_DT | GLOBAL)
+        group = frames.ident & np.uint32(GROUP_MASK)
+        rows = np.flatnonzero((group == ANNOUNCEMENT) | (group == PACKET))
+        whole = frames.length[rows] >= CLASSIC_BYTES
+        if not whole.all():
+            self.rejected["transport: short frame"] += int(np.count_nonzero(~whole))
+            rows = rows[whole]
+        payload = frames.data[rows, :CLASSIC_BYTES].tobytes()
         messages = []
-        for i in np.flatnonzero(extended & (management | transfer)).tolist():
-            t, source = float(frames.t[i]), int(frames.ident[i] & 0xFF)
-            data = frames.data[i, : frames.length[i]].tobytes()
-            if len(data) < 8:
-                self.rejected["transport: short frame"] += 1
-            elif management[i]:
-                self._open(t, source, data)
-            else:
-                message = self._extend(t, source, data)
-                if message is not None:
-                    messages.append(message)
+        for i, (t, ident) in enumerate(zip(frames.t[rows].tolist(), frames.ident[rows].tolist(), strict=True)):
+            data = payload[CLASSIC_BYTES * i : CLASSIC_BYTES * (i + 1)]
+            if ident & GROUP_MASK == ANNOUNCEMENT:
+                self._open(t, ident & 0xFF, data)
+            elif (message := self._extend(t, ident & 0xFF, data)) is not None:
+                messages.append(message)
         return messages
 
     def _open(self, t: float, source: int, data: bytes) -> None:
@@ -112,16 +121,17 @@ class Transport:
         session = self._sessions.get(source)
         if session is None:
             return None
-        if 0 < data[0] == session.received and session.payload.endswith(data[1:8]):
+        number = data[0]
+        if 0 < number == session.received and session.payload.endswith(data[1:]):
             self.rejected["transport: packet repeated"] += 1
             return None
-        if not 0 <= t - session.t <= T1 or data[0] != session.received + 1:
+        if not 0 <= t - session.t <= T1 or number != session.received + 1:
             self.rejected["transport: packet late or lost"] += 1
             del self._sessions[source]
             return None
-        session.t, session.received = t, session.received + 1
-        session.payload += data[1:8]
-        if session.received < session.packets:
+        session.t, session.received = t, number
+        session.payload += data[1:]
+        if number < session.packets:
             return None
         del self._sessions[source]
         return MultiPacket(t, session.pgn, source, bytes(session.payload[: session.size]))

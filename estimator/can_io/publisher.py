@@ -13,13 +13,14 @@ from math import floor, inf, isnan, nan
 import can
 from cantools.database.can import Database, Message, Signal
 
-from estimator.can_io.protection import COUNTS, checksum
+from estimator.can_io.counter_crc import COUNTS, checksum
 from estimator.estimate import Estimate, Status
 from estimator.settings import Publish
 
 STALE = "stale"  # beside the values of `Status` in the signal EstimateStatus
 _ERROR, _NOT_AVAILABLE = "error", "not available"  # labels in roadload.dbc
 _STATUS, _VALUES = "RoadloadStatus", ("RoadloadMass", "RoadloadA", "RoadloadC", "RoadloadDeviation")
+_PARAMETER = {"Mass": "m", "A": "A", "C": "C"}  # of the estimate, by its name in the messages
 _CVW = "CVW"  # SAE's own group, PGN 65136: no counter, no checksum
 _PGN_MASK = 0x03FFFF00  # of the 29-bit id; every group here is a broadcast one (PDU2)
 
@@ -137,7 +138,9 @@ class Publisher:
         if protected:
             contents = contents | {"AliveCounter": self._counters.get(message.name, 0), "Checksum": 0}
             self._counters[message.name] = (self._counters.get(message.name, 0) + 1) % COUNTS
-        raw: dict[str, int | float | str] = {s.name: _raw(s, contents[s.name]) for s in message.signals}
+        # A message about one parameter carries the status of that parameter.
+        own = {s.name: contents.get(f"{message.name}.{s.name}", contents.get(s.name, nan)) for s in message.signals}
+        raw: dict[str, int | float | str] = {s.name: _raw(s, own[s.name]) for s in message.signals}
         data = message.encode(raw, scaling=False, padding=True, strict=False)
         ident = self._priority << 26 | message.frame_id & _PGN_MASK | self.source_address
         if protected:
@@ -166,6 +169,8 @@ def _contents(estimate: Estimate | None, status: str, age: float) -> dict[str, f
         contents[f"{name}Q05"] = marginal.q05 if marginal else withheld
         contents[f"{name}Q95"] = marginal.q95 if marginal else withheld
         contents[f"{name}Deviation"] = marginal.sd if marginal else withheld
+        own, _ = usable.status_of(_PARAMETER[name]) if usable else (status, "")
+        contents[f"Roadload{name}.EstimateStatus"] = str(own)
     contents["GrossCombinationVehicleWeight"] = contents["MassMean"]
     contents["PoweredVehicleWeight"] = _NOT_AVAILABLE
     return contents

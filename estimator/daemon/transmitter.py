@@ -6,15 +6,16 @@ Whatever keeps a frame back is counted by name; a frame that was kept back is no
 import logging
 from collections import Counter
 from collections.abc import Callable
+from enum import StrEnum
 
 import can
 import numpy as np
 
+from estimator.can_io.foreign_senders import CVW, Neighbours
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
-from estimator.can_io.name import Name
-from estimator.can_io.neighbours import CVW, Neighbours
-from estimator.can_io.node import ADDRESS_CLAIMED, REQUEST, Node, TokenBucket
+from estimator.can_io.j1939_name import Name
+from estimator.can_io.j1939_node import ADDRESS_CLAIMED, REQUEST, Node, TokenBucket
 from estimator.can_io.publisher import Publisher, output_groups
 from estimator.estimate import Estimate
 from estimator.settings import Publish, Transmit
@@ -23,6 +24,16 @@ log = logging.getLogger(__name__)
 
 BURST = 3.0  # seconds' worth of frames that may go out at once
 NEW_CLAIM = 1.0  # s after a claim that could not be sent
+SHORTEST_RETRY, LONGEST_RETRY = 10.0, 300.0  # s without an address, before it is claimed anew
+CALM = 600.0  # s with an address, after which the pause is the shortest again
+
+
+class Withheld(StrEnum):
+    """Why a frame was not sent."""
+
+    FOREIGN_CVW = "another node sends the CVW"
+    COLLISION = "another node sends from our address"
+    TOO_MANY = "too many frames"
 
 
 class Transmitter:
@@ -42,7 +53,7 @@ class Transmitter:
         self, publish: Publish, transmit: Transmit, send: Callable[[can.Message], None], rng: np.random.Generator
     ) -> None:
         self.published = 0
-        self.withheld: Counter[str] = Counter()  # frames, by reason
+        self.withheld: Counter[Withheld] = Counter()  # frames, by reason
         self.failed = 0
         self._send, self._rng = send, rng
         self._preferred = publish.source_address
@@ -54,7 +65,11 @@ class Transmitter:
         self._t = 0.0  # message time [s] of the latest turn
         self._foreign: list[int] = []
         self._quiet_until = -np.inf
-        self.restart()
+        self._past: Counter[str] = Counter()  # events of earlier nodes
+        self._pause = SHORTEST_RETRY
+        self._lost_at: float | None = None  # [s]
+        self._gained_at: float | None = None  # [s]
+        self.node = self._new_node()
 
     @property
     def address(self) -> int | None:
@@ -66,18 +81,40 @@ class Transmitter:
         """Source addresses from which others send the combination vehicle weight."""
         return self._foreign
 
+    @property
+    def colliding_groups(self) -> list[int]:
+        """PGNs that others send from our address."""
+        own = -1 if self.address is None else self.address
+        return [pgn for pgn in sorted(output_groups(cvw=False)) if self._neighbours.occupied(pgn, own, self._t)]
+
+    @property
+    def events(self) -> Counter[str]:
+        """What happened to our address, by name."""
+        return self._past + self.node.counts
+
     def restart(self) -> None:
         """Claim an address anew, as after the bus has been away."""
-        self.node = Node(self._name, self._preferred, self._rng, self._answer)
+        self._past += self.node.counts
+        self.node = self._new_node()
 
-    def hear(self, frames: Frames, now: float) -> None:
-        """Take what others sent, by the monotonic time ``now`` [s]; answer what is asked."""
+    def _new_node(self) -> Node:
+        self._lost_at = self._gained_at = None
+        return Node(self._name, self._preferred, self._rng, self._answer)
+
+    def hear(self, frames: Frames, own: Frames, now: float) -> None:
+        """Take what others sent, and our ``own`` frames that have been on the bus by monotonic time ``now`` [s].
+
+        Requests and claims of others are answered.
+        """
         self._neighbours.watch(frames)
         if now < self._quiet_until:
             return
+        for message in own[pgn_of(own.ident) == ADDRESS_CLAIMED].messages():
+            message.is_rx = False
+            self._put(self.node.hear(message, now), now)
         pgn = pgn_of(frames.ident)
-        own = frames.ident & 0xFF == (-1 if self.address is None else self.address)
-        concerned = (frames.ident & EXTENDED != 0) & ((pgn == ADDRESS_CLAIMED) | (pgn == REQUEST) | own)
+        from_ours = frames.ident & 0xFF == (-1 if self.address is None else self.address)
+        concerned = (frames.ident & EXTENDED != 0) & ((pgn == ADDRESS_CLAIMED) | (pgn == REQUEST) | from_ours)
         for message in frames[concerned].messages():
             self._put(self.node.hear(message, now), now)
 
@@ -91,12 +128,29 @@ class Transmitter:
         if now < self._quiet_until or not is_receiving:
             return
         self._put(self.node.poll(now), now)
+        self._retry(now)
         address = self.node.address
         if address is None:
             return
         self._publisher.source_address = address
         for message in self._publisher.poll(t, estimate):
             self._broadcast(message, now, t)
+
+    def _retry(self, now: float) -> None:
+        """Claim anew some time after the address was lost, ever later if it is lost again and again."""
+        if not self.node.lost:
+            if self.address is not None:
+                self._gained_at = now if self._gained_at is None else self._gained_at
+                if now - self._gained_at > CALM:
+                    self._pause = SHORTEST_RETRY
+            return
+        if self._lost_at is None:
+            self._lost_at = now
+            why = self.node.fault or "others have all addresses that we may take"
+            log.warning("no address: %s; claimed anew in %g s", why, self._pause)
+        elif now - self._lost_at >= self._pause:
+            self._pause = min(2 * self._pause, LONGEST_RETRY)
+            self.restart()
 
     def bid_farewell(self, now: float, t: float) -> None:
         """Tell receivers that from now on nothing is known."""
@@ -112,11 +166,11 @@ class Transmitter:
 
     def _broadcast(self, message: can.Message, now: float, t: float) -> None:
         reason = self._reason_to_withhold(message, t)
-        if not reason and not self._bucket.take(now):
-            reason = "too many frames"
-        if reason:
+        if reason is None and not self._bucket.take(now):
+            reason = Withheld.TOO_MANY
+        if reason is not None:
             self.withheld[reason] += 1
-            log.warning("frame withheld: %s", reason)
+            log.warning("frames withheld: %s", reason.value)
             return
         try:
             self._send(message)
@@ -126,13 +180,11 @@ class Transmitter:
         else:
             self.published += 1
 
-    def _reason_to_withhold(self, message: can.Message, t: float) -> str:
+    def _reason_to_withhold(self, message: can.Message, t: float) -> Withheld | None:
         group, source = message.arbitration_id >> 8 & 0x3FFFF, message.arbitration_id & 0xFF
         if not self._neighbours.occupied(group, source, t):
-            return ""
-        what = "CVW" if group == CVW else f"PGN {group:05X} from address {source:02X}"
-        senders = ", ".join(f"{address:02X}" for address in self._neighbours.senders(group, t))
-        return f"{what} is sent by another node (address {senders})"
+            return None
+        return Withheld.FOREIGN_CVW if group == CVW else Withheld.COLLISION
 
     def _put(self, messages: list[can.Message], now: float) -> None:
         """Send what the node says; a claim that nobody heard is none."""

@@ -13,14 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.diagnosis.averaged_residual import grains_of, weigh
 from estimator.diagnosis.evidence import parameter_sd
-from estimator.diagnosis.grains import grains_of, weigh
-from estimator.diagnosis.joint import Drive
-from estimator.diagnosis.lateness import lateness
+from estimator.diagnosis.excess_lag import lateness
 from estimator.diagnosis.lowpass import as_filtered
 from estimator.diagnosis.model import Model, refit
+from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.thresholds import TEMPER
-from estimator.estimation.columns import Term
+from estimator.model.design_matrix import Term
 from estimator.signals import Floats, Quantity
 
 LEAST = 0.01  # weight of a shape that is worth a fit

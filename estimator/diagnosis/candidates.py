@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from estimator.diagnosis import timing
+from estimator.diagnosis import switching_times
+from estimator.diagnosis.averaged_residual import Grains, weigh
 from estimator.diagnosis.evidence import log_bayes_factor, score
-from estimator.diagnosis.grains import Grains, weigh
 from estimator.diagnosis.model import Model
-from estimator.effects import Effect, Timing
-from estimator.estimation.columns import Spans, Term, inside
+from estimator.model.design_matrix import Spans, Term, inside
+from estimator.model.effects import Effect, Timing
 from estimator.signals import Floats, Quantity
 
 ALIKE = 0.95  # |correlation| of traces beyond which two effects are one class
@@ -78,13 +78,15 @@ def _proposals(model: Model, effects: Sequence[Effect]) -> dict[Timing, list[Spa
         if effect.timing not in found:
             continue
         profile = effect.power(own, None)
-        if max(effect.dwells) > timing.SHORTEST_WINDOW:
-            found[Timing.WINDOW] |= dict.fromkeys(timing.windows(model, profile))
+        if max(effect.dwells) > switching_times.SHORTEST_WINDOW:
+            found[Timing.WINDOW] |= dict.fromkeys(switching_times.windows(model, profile))
         if effect.timing is Timing.SWITCHING:
             for dwell in effect.dwells:
-                on = timing.switching(model, profile, dwell)
+                on = switching_times.switching(model, profile, dwell)
                 # On behind a vehicle ahead, or off a fan: at a steady speed the same.
-                found[Timing.SWITCHING] |= dict.fromkeys((*on, *(timing.between(model, spans) for spans in on)))
+                found[Timing.SWITCHING] |= dict.fromkeys(
+                    (*on, *(switching_times.between(model, spans) for spans in on))
+                )
     return {when: list(spans) for when, spans in found.items()}
 
 
@@ -100,7 +102,7 @@ def _judge(
         return None
     terms = [Term(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None]
     if effect.timing is Timing.STEP:
-        terms = [Term(effect, None, spans) for spans in timing.steps(model)]
+        terms = [Term(effect, None, spans) for spans in switching_times.steps(model)]
     both = [_judge_terms(model, grains, terms), _judge_times(model, grains, effect, proposals)]
     return max((c for c in both if c is not None), key=lambda candidate: candidate.log_bayes_factor, default=None)
 
@@ -128,7 +130,7 @@ def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate |
         evidence = np.where(clean >= CERTAIN, found, np.minimum(evidence, clean))
         value, sd = scores.value, scores.sd
     best = int(np.argmax(evidence))
-    cost = timing.CHANGE_COST if effect.timing is Timing.STEP else 0.0
+    cost = switching_times.CHANGE_COST if effect.timing is Timing.STEP else 0.0
     total = float(logsumexp(evidence)) - np.log(len(terms)) - cost
     if not np.isfinite(sd[best]) or not np.isfinite(total):
         return None
@@ -161,13 +163,16 @@ def _judge_times(
         return None
     own, ring = model.views()
     profile = effect.power(own, None)
-    times = proposals[Timing.WINDOW] if max(effect.dwells) > timing.SHORTEST_WINDOW else []
+    times = proposals[Timing.WINDOW] if max(effect.dwells) > switching_times.SHORTEST_WINDOW else []
     if effect.timing is Timing.SWITCHING:
-        times = [*times, *(spans for spans in proposals[Timing.SWITCHING] if timing.is_usual(spans, effect.dwells))]
+        times = [
+            *times,
+            *(spans for spans in proposals[Timing.SWITCHING] if switching_times.is_usual(spans, effect.dwells)),
+        ]
     if not times:
         return None
     on = np.column_stack([inside(model.samples.t, spans) for spans in times])
-    cost = np.array([timing.CHANGE_COST * timing.changes(model, spans) for spans in times])
+    cost = np.array([switching_times.CHANGE_COST * switching_times.changes(model, spans) for spans in times])
     weight = weigh(grains, grains.mean(profile[:, None] * on), effect.usual(model.road_load), effect.positive)
     evidence = weight.log_bayes_factor - cost
     best = int(np.argmax(evidence))

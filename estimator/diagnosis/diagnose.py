@@ -1,27 +1,28 @@
 """The diagnosis: where the gap lies, which effect causes it, how far it shrinks, and what is left."""
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 
-from estimator.diagnosis import findings, words
+from estimator.diagnosis import facts, findings
+from estimator.diagnosis.averaged_residual import grains_of
 from estimator.diagnosis.averaging import averaged
+from estimator.diagnosis.beside_road import BesideRoad, beside_road
 from estimator.diagnosis.candidates import assess
+from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.evidence import parameter_sd
-from estimator.diagnosis.grains import grains_of
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
-from estimator.diagnosis.joint import Drive
+from estimator.diagnosis.localisation import gap_map, places
 from estimator.diagnosis.model import FEWEST, Model, fit, select
+from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.record import Record
 from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces, Verdict
 from estimator.diagnosis.search import search
 from estimator.diagnosis.thresholds import UNEXPLAINED
-from estimator.diagnosis.where import gap_map, places
-from estimator.effects import CATALOGUE, Effect
-from estimator.estimation.columns import best_terms, columns
 from estimator.estimation.moments import block_means
+from estimator.model.design_matrix import best_terms, columns
+from estimator.model.effects import CATALOGUE, Effect
 from estimator.signals import Floats, Quantity
 
 SECOND = 10  # samples
@@ -45,8 +46,19 @@ def diagnose(
             reason = drive
     missing = tuple(not_testable(effects, frozenset().union(*(record.known for record in records))))
     if not plain:
-        return Diagnosis(Verdict.CANNOT_TELL, f"Cannot tell: {reason}.", not_testable=missing)
+        return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=_obstacle(records, reason), not_testable=missing)
     return _report(Outcome(search(tuple(plain), effects), tuple(plain), effects, rng), missing)
+
+
+def _obstacle(records: Sequence[Record], reason: str) -> str:
+    """Why no drive can be fitted: the ``reason`` of the last, unless all of several are too short."""
+    minutes = [len(record.samples) / SECOND / 60 for record in records]
+    if len(records) < 2 or max(minutes) >= SHORTEST / 60:
+        return reason
+    return (
+        f"of {len(records)} drives the longest has {max(minutes):.1f} minutes that can be used, all together "
+        f"{sum(minutes):.1f}; each is fitted by itself, so it takes one of {SHORTEST / 60:.0f} at least"
+    )
 
 
 def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
@@ -74,39 +86,71 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     verdict, late, hills = outcome.verdict, findings.lag(outcome), findings.hidden_grade(outcome)
     if late is not None and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL) and not outcome.result.chosen:
         verdict = Verdict.EFFECT
-    found = tuple(f for f in (hills, *findings.chosen(outcome), late) if f is not None)
-    named = found if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
+    beside = beside_road(outcome)
+    found = (hills, *findings.chosen(outcome), late)
+    if beside is not None and outcome.on_hills:
+        verdict, found = beside.verdict(), (*beside.findings(found), late)
+    named = tuple(f for f in found if f is not None) if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
     drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
-    before, after, left = plain.model, drive.model, outcome.left.log_bayes_factor
-    mean, deviation = averaged(drive)
+    before, after = plain.model, drive.model
     at_last = assess(after, grains_of(after), outcome.effects, drive.record.known, drive.rest)
     unseen = tuple(invisible(outcome.effects, at_last, after, drive.record.known))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        effects=named,
+        candidates=findings.ranking(outcome, late),
+        remainder=facts.remainder(outcome),
+        doubtful=facts.doubtful(outcome, verdict, named),
+        base=_road_load(before.road_load),
+        base_deviation=_deviation(before),
+        where=tuple(places(before)),
+        isolability=isolability(candidates, before),
+        not_testable=missing,
+        invisible=unseen,
+        advice=facts.advice(outcome, verdict, named),
+        streaming_effects=facts.streaming_effects(named, before.terms),
+        budget=None if beside is None else beside.budget,
+        gap_map=gap_map(before, after),
+        traces=_traces(outcome),
+    )
+    if beside is not None and outcome.on_hills:
+        return _with_road(diagnosis, beside)
+    return _with_known_road(diagnosis, outcome, hills is not None)
+
+
+def _with_road(diagnosis: Diagnosis, beside: BesideRoad) -> Diagnosis:
+    """What is left, and the vehicle, where the road is a state."""
+    final, deviation = beside.road_load
+    left = beside.left_over
+    return replace(
+        diagnosis,
+        remaining_verdict=Verdict.UNKNOWN if left > UNEXPLAINED else Verdict.NO_GAP,
+        remaining_log_bayes_factor=left,
+        noise_floor=beside.budget.floor,
+        rms_base=beside.rms_base,
+        rms_final=beside.budget.reached,
+        final=final,
+        deviation=deviation,
+    )
+
+
+def _with_known_road(diagnosis: Diagnosis, outcome: Outcome, hidden: bool) -> Diagnosis:
+    """What is left, and the vehicle, by the road load and the effects that were chosen."""
+    mean, deviation = averaged(outcome.final[outcome.longest])
+    left = outcome.left.log_bayes_factor
     remaining = Verdict.NO_GAP
     if left > UNEXPLAINED:
         remaining = Verdict.CANNOT_TELL if outcome.rough_hills else Verdict.UNKNOWN
-    return Diagnosis(
-        verdict,
-        words.reason(outcome, verdict, named, unseen),
-        named,
-        findings.ranking(outcome, late),
-        remaining if hills is None else Verdict.CANNOT_TELL,
-        left if hills is None else None,
-        float(np.sqrt(outcome.floor)),
-        outcome.steps[0].rms,
-        outcome.steps[-1].rms,
-        _road_load(before.road_load),
-        _deviation(before),
-        _road_load(mean),
-        _road_load(deviation),
-        tuple(places(before)),
-        isolability(candidates, before),
-        missing,
-        unseen,
-        words.advice(outcome, verdict, named),
-        words.configuration(named, before.terms),
-        gap_map(before, after),
-        _traces(outcome),
+    return replace(
+        diagnosis,
+        remaining_verdict=Verdict.CANNOT_TELL if hidden else remaining,
+        remaining_log_bayes_factor=None if hidden else left,
+        noise_floor=float(np.sqrt(outcome.floor)),
+        rms_base=outcome.steps[0].rms,
+        rms_final=outcome.steps[-1].rms,
+        final=_road_load(mean),
+        deviation=_road_load(deviation),
     )
 
 

@@ -5,23 +5,22 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.diagnosis.candidates import Candidate
-from estimator.diagnosis.hills import grade_sd
-from estimator.diagnosis.joint import Drive, same_class
-from estimator.diagnosis.lateness import lateness
+from estimator.diagnosis.excess_lag import lateness
+from estimator.diagnosis.held_out import gap_closed
+from estimator.diagnosis.hidden_grade import grade_sd
 from estimator.diagnosis.model import Model, fit
+from estimator.diagnosis.multi_drive import Drive, same_class
 from estimator.diagnosis.outcome import Outcome, alike, ties
 from estimator.diagnosis.processes import Leftover
-from estimator.diagnosis.result import Finding, GapClosed, Magnitude, Shift, Span, Verdict
+from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span, Verdict
 from estimator.diagnosis.search import Found
-from estimator.diagnosis.shrinkage import gap_closed
 from estimator.diagnosis.thresholds import probabilities
-from estimator.effects import BY_NAME, Timing
-from estimator.estimation.columns import Spans, Term
+from estimator.model.design_matrix import Spans, Term
+from estimator.model.effects import BY_NAME, Timing
 from estimator.signals import Quantity
 
 HILL = 300.0  # samples in which the road changes its grade
 NINETY = 1.645  # sd to either side that hold 90 %
-HIDDEN_GRADE = "sd of the grade"
 
 
 def chosen(outcome: Outcome) -> tuple[Finding, ...]:

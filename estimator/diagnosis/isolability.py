@@ -7,7 +7,7 @@ import numpy as np
 from estimator.diagnosis.candidates import Candidate
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Invisible, Isolability, NotTestable, Shift
-from estimator.effects import Effect, Timing
+from estimator.model.effects import Effect, Timing
 from estimator.signals import Quantity
 
 VISIBLE = 5.0  # log Bayes factor to be expected of an effect of usual size that this drive can show

@@ -5,11 +5,11 @@ A speed that is read through a first-order low-pass of time T comes late by T, a
 
 import numpy as np
 
+from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.evidence import Base, fit_base
 from estimator.diagnosis.model import Model
-from estimator.diagnosis.record import Record
-from estimator.estimation.columns import MASS, PLAIN
-from estimator.estimation.smoothing import DERIVATIVE, convolve
+from estimator.model.design_matrix import MASS, PLAIN
+from estimator.preparation.smoothing import DERIVATIVE, convolve
 from estimator.samples import STEP
 
 LATE, EARLY = 0.5, -1.0  # of T^2; where power is early, its own delay hides some of the low-pass

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.diagnosis.evidence import Base, Blocks, blocks_of, fit_base
-from estimator.effects import View
-from estimator.estimation.columns import MASS, PLAIN, Term, columns, views
 from estimator.estimation.moments import block_means
+from estimator.model.design_matrix import MASS, PLAIN, Term, columns, views
+from estimator.model.effects import View
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 

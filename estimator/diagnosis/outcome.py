@@ -6,14 +6,14 @@ from functools import cached_property
 
 import numpy as np
 
-from estimator.diagnosis.hills import hidden_grade
-from estimator.diagnosis.joint import Drive, Joint, pooled, same_class
+from estimator.diagnosis.held_out import HeldOut
+from estimator.diagnosis.hidden_grade import hidden_grade
+from estimator.diagnosis.multi_drive import Drive, Joint, pooled, same_class
 from estimator.diagnosis.processes import FORCE_OVER_TIME, POWER_OVER_TIME, UNMEASURED_GRADE, Leftover
 from estimator.diagnosis.result import Verdict
 from estimator.diagnosis.search import Found, Search
-from estimator.diagnosis.shrinkage import HeldOut
 from estimator.diagnosis.thresholds import AHEAD, EVIDENT, NAMED, SOMETHING, UNEXPLAINED, probabilities
-from estimator.effects import Effect
+from estimator.model.effects import Effect
 
 LIKELY = 0.5  # probability below which an effect is not named
 LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
@@ -74,6 +74,12 @@ class Outcome:
         altimeter = [other for other in self.result.at_last if other.name in wanders]
         near = max(other.log_bayes_factor for other in altimeter) > self.left.log_bayes_factor - NAMED
         return near and any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
+
+    @property
+    def on_hills(self) -> bool:
+        """Whether the road is no plane: a grade is missing in the model, or in it by a signal."""
+        shown = any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
+        return shown or self.grade is not None
 
     def probability(self, found: Found) -> float:
         """Of a chosen effect, among all that the drive was asked about when it was chosen."""

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
-from estimator.diagnosis.grains import Grains, weigh
+from estimator.diagnosis.averaged_residual import Grains, weigh
 from estimator.signals import Floats
 
 STRENGTHS = (0.1, 0.3, 1.0, 3.0)  # variance of the process over that of the residual

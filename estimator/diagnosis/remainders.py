@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.grains import Grains, grains_of
-from estimator.diagnosis.joint import Drive
+from estimator.diagnosis.averaged_residual import Grains, grains_of
+from estimator.diagnosis.load_resonance import SWING, swing, with_swing
+from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.processes import Leftover, leftovers
-from estimator.diagnosis.swing import SWING, swing, with_swing
 from estimator.diagnosis.thresholds import EVIDENT
 from estimator.signals import Floats
 

@@ -4,7 +4,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
+from estimator.components.budget import Budget
 from estimator.signals import Floats
+
+HIDDEN_GRADE = "sd of the grade"  # name of the magnitude of a grade that no signal shows
 
 
 class Verdict(StrEnum):
@@ -101,6 +104,31 @@ class Invisible:
 
 
 @dataclass(frozen=True, slots=True)
+class Remainder:
+    """The process with most evidence in the residual of the final model."""
+
+    name: str
+    rms: float  # [W]
+    log_bayes_factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Doubtful:
+    """The best candidate where none is named: its evidence is too weak, or it fails on held-out stretches."""
+
+    name: str
+    is_weak: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """The signal or manoeuvre that separates an effect from those equivalent to it on this drive."""
+
+    name: str
+    breaks: str
+
+
+@dataclass(frozen=True, slots=True)
 class Isolability:
     """How alike the traces are that candidates leave on this log: |correlation| (k, k), 1 = cannot be told apart."""
 
@@ -133,16 +161,18 @@ class Traces:
     log: Floats  # which of the logs
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
-    """The whole answer. Without a fit (log too short, standing, no power) only verdict and reason are meaningful."""
+    """The whole answer. Without a fit (log too short, standing, no power) only verdict and obstacle are meaningful."""
 
     verdict: Verdict
-    reason: str  # one or two sentences a person can act on
+    obstacle: str = ""  # to a fit
     effects: tuple[Finding, ...] = ()  # the chosen set, in order of adding
     candidates: tuple[Finding, ...] = ()  # the whole ranking against the plain model, best first
     remaining_verdict: Verdict = Verdict.CANNOT_TELL
     remaining_log_bayes_factor: float | None = None
+    remainder: Remainder | None = None
+    doubtful: Doubtful | None = None
     noise_floor: float | None = None  # [W]
     rms_base: float | None = None  # [W]
     rms_final: float | None = None  # [W]
@@ -154,8 +184,9 @@ class Diagnosis:
     isolability: Isolability | None = None
     not_testable: tuple[NotTestable, ...] = ()
     invisible: tuple[Invisible, ...] = ()
-    advice: tuple[str, ...] = ()  # what signal or manoeuvre would separate the rest
-    configuration: str = ""  # the line to add, e.g. effects = ["grade"]
+    advice: tuple[Advice, ...] = ()
+    streaming_effects: tuple[str, ...] = ()  # to configure; empty: nothing to add
+    budget: Budget | None = None  # of the plain model's residual, with the road as a state
     gap_map: GapMap | None = None
     traces: Traces | None = None
     logs: tuple[str, ...] = field(default=())

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from estimator.diagnosis.growth import grown, merged
-from estimator.diagnosis.hills import hidden_grade
-from estimator.diagnosis.joint import Drive, Joint, pooled, ranked
-from estimator.diagnosis.lateness import lateness
+from estimator.diagnosis.add_effect import grown, merged
+from estimator.diagnosis.excess_lag import lateness
+from estimator.diagnosis.hidden_grade import hidden_grade
+from estimator.diagnosis.multi_drive import Drive, Joint, pooled, ranked
 from estimator.diagnosis.processes import Leftover
 from estimator.diagnosis.remainders import beside_swing, remainders
 from estimator.diagnosis.thresholds import EVIDENT, NAMED, NAMED_TIMED, NEXT, NEXT_TIMED, UNEXPLAINED
-from estimator.effects import Effect
+from estimator.model.effects import Effect
 
 LEAST, LEAST_TIMED = 0.001, 0.01  # of what the first effect took away: none has exactly its textbook form
 MOST = 4  # effects that are looked for

@@ -5,17 +5,32 @@ enough of the reachable speed-acceleration cells been seen, and is the predicted
 `has_news`: has enough been added since the last estimate.
 """
 
+from typing import Protocol
+
 import numpy as np
 
 from estimator.estimate import Coverage
-from estimator.estimation.moments import Fit
 from estimator.estimation.window import Grid
-from estimator.road_load import design
+from estimator.model.road_load import design
 from estimator.settings import Gate as GateConfig
 from estimator.signals import Floats
 
 PEAK_QUANTILE = 0.999  # of the power seen: what this vehicle can do
 NAMES = ("A", "C", "mass")
+
+
+class Fitted(Protocol):
+    """What a gate has to know of a fit."""
+
+    @property
+    def theta(self) -> Floats:
+        """A [N], C [N s^2/m^2], m [kg], and what else the model has."""
+        ...
+
+    @property
+    def sd(self) -> Floats:
+        """Their standard deviations."""
+        ...
 
 
 class Gate:
@@ -41,7 +56,7 @@ class Gate:
         reachable &= self._acceleration <= self._acceleration[seen].max()
         return Coverage(int((occupied & reachable).sum()), int(reachable.sum()))
 
-    def is_calculable(self, fit: Fit | None, usable: int, box: tuple[Floats, Floats]) -> str:
+    def is_calculable(self, fit: Fitted | None, usable: int, box: tuple[Floats, Floats]) -> str:
         """Empty when the parameters can be computed from ``usable`` samples, else the reason why not."""
         if usable < self._config.minimum_samples:
             return f"{usable} usable samples of the {self._config.minimum_samples} needed"
@@ -53,11 +68,10 @@ class Gate:
                 return f"{name} {value:.4g} +- {sd:.2g} lies outside its prior [{low:g}, {high:g}]"
         return ""
 
-    def is_covered(self, fit: Fit, coverage: Coverage) -> str:
+    def is_covered(self, fit: Fitted, coverage: Coverage) -> str:
         """Empty when the drive has shown enough, else the reason why not."""
-        if coverage.occupied < self._config.minimum_cells or coverage.fraction < self._config.coverage:
-            share = f"{100 * coverage.fraction:.0f} % of the reachable speed-acceleration cells"
-            return f"coverage {share} ({coverage.occupied} of {coverage.available})"
+        if reason := self.has_covered(coverage):
+            return reason
         for name, value, sd, limit in zip(NAMES, fit.theta, fit.sd, self._config.relative_sd, strict=False):
             if not sd < limit * abs(value):
                 return (
@@ -65,6 +79,22 @@ class Gate:
                 )
         return ""
 
-    def has_news(self, added: int, at_last_estimate: int, held: int) -> bool:
-        """Whether enough samples were ``added`` since the last estimate, relative to those ``held``."""
-        return added - at_last_estimate >= max(self._config.new_samples * held, 1)
+    def known(self, i: int, value: float, sd: float) -> str:
+        """Empty when parameter ``i`` of NAMES is known well enough to be used, else the reason why not."""
+        limit = self._config.relative_sd[i]
+        if sd < limit * abs(value):
+            return ""
+        share = f"{100 * sd / abs(value):.0f} %" if value else "infinite"
+        return f"sd of {NAMES[i]} is {share} of its value, above {100 * limit:.0f} %"
+
+    def has_covered(self, coverage: Coverage) -> str:
+        """Empty when enough cells have been seen, else how many."""
+        if coverage.occupied >= self._config.minimum_cells and coverage.fraction >= self._config.coverage:
+            return ""
+        share = f"{100 * coverage.fraction:.0f} % of the reachable speed-acceleration cells"
+        return f"coverage {share} ({coverage.occupied} of {coverage.available})"
+
+
+def has_news(config: GateConfig, added: int, at_last_estimate: int, held: int) -> bool:
+    """Whether enough rows were ``added`` since the last estimate, relative to those ``held``."""
+    return added - at_last_estimate >= max(config.new_samples * held, 1)

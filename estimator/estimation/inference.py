@@ -4,43 +4,30 @@ Known before are the beliefs of the configuration, and what the vehicle has show
 """
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.checkpoint.validation import Count, State, generator_state, read, set_generator, substate
 from estimator.config import Config
-from estimator.effects import named
 from estimator.estimate import Coverage, Estimate, Status
 from estimator.estimation import moments, posterior
-from estimator.estimation.admission import Reason
+from estimator.estimation.evidence import Evidence, Trace
 from estimator.estimation.gate import Gate
-from estimator.estimation.load import Segment, load_change
+from estimator.estimation.load_segments import Loads, Segment
 from estimator.estimation.model_check import contradiction, misfit
 from estimator.estimation.moments import SMALL_LAG, Fit
 from estimator.estimation.paper_likelihood import PaperLikelihood
-from estimator.estimation.posterior import Posterior
-from estimator.estimation.window import Grid, Window
-from estimator.samples import Samples
+from estimator.estimation.window import Window
+from estimator.model.effects import named
+from estimator.model.road_load import design
+from estimator.preparation.admission import Reason
+from estimator.samples import STEP, Samples
 from estimator.sampling.likelihood import Target
 from estimator.signals import Quantity
-from estimator.state import Count, State, generator_state, optional, read, set_generator, substate
 
 PULLING = 0.1  # m/s^2
 NOTHING_COVERED = Coverage(0, 0)
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Samples, fit, draws, lag of power behind speed [s] and samples per cell of the grid behind an estimate."""
-
-    samples: Samples
-    fit: Fit
-    posterior: Posterior
-    lag: float
-    grid: Grid
-    counts: NDArray[np.int64]
 
 
 class Inference:
@@ -50,33 +37,32 @@ class Inference:
     ----------
     config
         All settings.
-    grid
-        Cells of the window.
+    window
+        What is concluded from.
     rng
         Source of all randomness.
     """
 
-    def __init__(self, config: Config, grid: Grid, rng: np.random.Generator) -> None:
+    def __init__(self, config: Config, window: Window[Samples], rng: np.random.Generator) -> None:
         self.evidence: Evidence | None = None  # what the newest estimate rests on; None while there is none
         self.below = 0  # samples that the newest fit left out for their model power
         self._config = config
-        self._gate = Gate(config.gate, grid)
+        self._window = window
+        self._gate = Gate(config.gate, window.grid)
         self._effects = named(config.effects)
         self._given = posterior.belief_of(config.prior)
         self._rng = rng
         self._paper = PaperLikelihood()
-        self._shown: Segment | None = None  # what this load has shown so far
-        self._before: Segment | None = None  # and the one before
+        self._loads = Loads()
 
     def start_segment(self) -> None:
         """Another load, perhaps: what this one has shown becomes what was shown before."""
-        if self._shown is not None:
-            self._before = self._shown
-        self.evidence, self._shown = None, None
+        self._loads.start_segment()
+        self.evidence = None
 
     def forget_vehicle(self) -> None:
         """It may be another vehicle."""
-        self._before = None
+        self._loads.forget_vehicle()
 
     def state(self) -> dict[str, Any]:
         """What `restore` goes on from: all but the evidence, which the next update makes anew."""
@@ -84,8 +70,7 @@ class Inference:
             "generator": generator_state(self._rng),
             "below": self.below,
             "paper": self._paper.state(),
-            "shown": None if self._shown is None else self._shown.state(),
-            "before": None if self._before is None else self._before.state(),
+            "loads": self._loads.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -99,11 +84,10 @@ class Inference:
         set_generator(self._rng, state, "generator")
         self.below = read(state, "below", Count)
         self._paper.restore(substate(state, "paper"))
-        self._shown = optional(state, "shown", Segment.restore)
-        self._before = optional(state, "before", Segment.restore)
+        self._loads.restore(substate(state, "loads"))
 
     def conclude(
-        self, t: float, window: Window, context: frozenset[Quantity], lag: float, doubt: str, rejected: Counter[str]
+        self, t: float, context: frozenset[Quantity], lag: float, doubt: str, rejected: Counter[str]
     ) -> Estimate:
         """The estimate at time ``t`` [s].
 
@@ -111,12 +95,11 @@ class Inference:
         empty; rows ``rejected`` before the fit, by reason.
         """
         self.evidence = None
+        window = self._window
         samples = window.samples
         if reason := self._contradicted(samples):
             return Estimate(t, Status.INVALID, reason, NOTHING_COVERED, len(samples))
-        belief = self._given
-        if self._before is not None:
-            belief = belief + self._before.carry_over(t, self._config.load)
+        belief = self._given + self._loads.carried_over(t, self._config.load)
         for effect in self._effects:
             if not effect.streaming_shapes(context):
                 needs = " or ".join(role.value for role in effect.wanted)
@@ -146,13 +129,29 @@ class Inference:
         if not draws.has_converged:
             c = draws.convergence
             return unestimated(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
-        self.evidence = Evidence(samples, fit, draws, lag + float(fit.theta[moments.ROAD_LOAD]), window.grid, counts)
+        used = samples[fit.kept]
+        theta = draws.draws.mean(axis=(0, 1))[: moments.ROAD_LOAD]
+        self.evidence = Evidence(
+            trace=Trace(
+                v=used.v,
+                a=used.a,
+                P=used.P,
+                fitted=design(used.v, used.a, used.relative_density) @ theta,
+                density=used.density,
+                spacing=STEP,
+            ),
+            posterior=draws,
+            lag=lag + float(fit.theta[moments.ROAD_LOAD]),
+            grid=window.grid,
+            counts=counts,
+            rms=fit.rms,
+            effective=fit.effective,
+        )
         A, C, m = (draws.marginal(i) for i in range(3))
         road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, : moments.ROAD_LOAD]
-        self._shown = Segment(road_load.mean(axis=0), np.cov(road_load.T), t)
         own = enumerate(fit.own_terms, start=moments.PARAMETERS)
         effects = {term.effect.name: draws.marginal(i) for i, term in own}
-        change = None if self._before is None else load_change(self._before, self._shown)
+        change = self._loads.show(Segment(road_load.mean(axis=0), np.cov(road_load.T), t))
         return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms, effects, change)
 
     def _contradicted(self, samples: Samples) -> str:
@@ -164,8 +163,8 @@ class Inference:
             return ""
         return contradiction(self._config.prior, drive)
 
-    def _target(self, window: Window, fit: Fit) -> Target:
-        if self._config.sampler.likelihood == "instruments":
+    def _target(self, window: Window[Samples], fit: Fit) -> Target:
+        if self._config.sampler.likelihood != "paper":
             return posterior.target_of(fit, self._config)
         lower, upper = posterior.box(self._config.prior)
         return self._paper.target(window.blocks, lower[: moments.ROAD_LOAD], upper[: moments.ROAD_LOAD])

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from estimator.checkpoint.validation import Count, State, read
+from estimator.estimation.gate import Fitted
 from estimator.estimation.moments import LAG_SD, ROAD_LOAD, Fit, block_means
 from estimator.samples import Rows, Samples
 from estimator.settings import Prior
 from estimator.signals import Floats, Role
-from estimator.state import Count, State, read
 
 PARTS = 8  # quantile bins along each axis
 CERTAIN = 5.0  # standard errors
@@ -71,7 +72,7 @@ class SpeedScale:
         return f"the wheel speed is {ratio:.2f} times the GPS speed: check its signal and unit"
 
 
-def contradiction(prior: Prior, drive: Fit) -> str:
+def contradiction(prior: Prior, drive: Fitted) -> str:
     """Empty when the beliefs of the configuration fit what the drive alone says, else the worst contradiction."""
     beliefs = {"A": prior.A_belief_N, "C": prior.C_belief_N_s2_m2, "mass": prior.mass_belief_kg}
     worst, found = CONTRADICTION, ""

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import next_fast_len
 
-from estimator.effects import Effect
-from estimator.estimation.columns import Term, best_terms, columns
+from estimator.model.design_matrix import Term, best_terms, columns
+from estimator.model.effects import Effect
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from estimator.checkpoint.validation import State, array, optional
 from estimator.errors import StateError
-from estimator.road_load import design
+from estimator.model.road_load import design
 from estimator.samples import Samples
 from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.condensed import Condensed, Region
 from estimator.signals import Floats
-from estimator.state import State, array, optional
 
 COLUMNS = 4
 AIR = 2  # the one that goes with the density

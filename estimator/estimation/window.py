@@ -2,16 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.checkpoint.validation import Count, State, array, read, substate
 from estimator.config import Config
 from estimator.errors import StateError
-from estimator.samples import Samples
 from estimator.signals import Floats
-from estimator.state import Count, State, array, read, substate
 
 LOWEST_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins
 SPEED_CELLS = 64
@@ -42,62 +41,131 @@ class Grid:
         return (row + 0.5) * self.speed_step, LOWEST_ACCELERATION + (column + 0.5) * self.acceleration_step
 
 
-class Window:
-    """Holds at most ``config.window.samples``, none older than ``config.window.hours``.
+@dataclass(frozen=True)
+class Cells:
+    """Cells of a block's elements, and how many rows each stands for."""
 
-    When it is full, the block whose samples lie in the fullest cells goes first, so hours of cruising do not push
-    out the few accelerations that identify the mass. The choice depends on the instruments of speed and acceleration
-    alone: what is kept for its rare acceleration would be kept for the noise in it, and in the course of a day the
-    window would fill with such samples; the noise of the instruments is another.
+    places: NDArray[np.int64]
+    rows: NDArray[np.int64]
+
+
+class Content(Protocol):
+    """What a window can hold: `Samples` or `Strides`."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice) -> Self: ...
+
+    @property
+    def t(self) -> Floats:
+        """Times [s], ascending."""
+        ...
+
+    @property
+    def cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Speed [m/s], acceleration [m/s^2] and rows of what lies in cells of the grid."""
+        ...
+
+    @property
+    def own_cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """The same as it is to be shown."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` makes the same from."""
+        ...
+
+    @classmethod
+    def restore(cls, state: State) -> Self:
+        """Content from its state."""
+        ...
+
+    @classmethod
+    def concatenate(cls, parts: list[Self]) -> Self:
+        """Join in order."""
+        ...
+
+
+C = TypeVar("C", bound=Content)
+
+
+class Window(Generic[C]):
+    """Holds at most ``config.window.samples`` rows, none older than ``config.window.hours``.
+
+    When it is full, the block whose rows lie in the fullest cells goes first, so hours of cruising do not push out
+    the few accelerations that identify the mass.
+
+    Parameters
+    ----------
+    config
+        All settings.
+    kind
+        Class of what it holds.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, kind: type[C]) -> None:
         self.grid = Grid(config.gate.speed_step_m_s, config.gate.acceleration_step_m_s2)
-        self.evicted = 0
-        self.added = 0  # samples ever admitted
+        self.evicted = 0  # rows
+        self.added = 0  # rows ever admitted
+        self._kind = kind
         self._capacity = config.window.samples
         self._longest = config.window.hours * 3600.0
-        self._blocks: dict[int, Samples] = {}  # by number, in the order of time
-        self._cells: dict[int, NDArray[np.int64]] = {}
-        self._counts = np.zeros(self.grid.size, dtype=np.int64)  # of instruments
+        self._blocks: dict[int, C] = {}  # by number, in the order of time
+        self._cells: dict[int, Cells] = {}
+        self._numbered = 0
+        self._counts = np.zeros(self.grid.size, dtype=np.int64)  # rows
 
     def __len__(self) -> int:
         return int(self._counts.sum())
 
     @property
-    def samples(self) -> Samples:
+    def samples(self) -> C:
         """Everything in the window, oldest first."""
-        return Samples.concatenate(list(self._blocks.values()))
+        return self._kind.concatenate(list(self._blocks.values()))
 
     @property
-    def blocks(self) -> Mapping[int, Samples]:
-        """The same in blocks, each under a number that no other block ever has: of the samples ever admitted before."""
+    def blocks(self) -> Mapping[int, C]:
+        """The same in blocks, each under a number that no other block ever has."""
         return self._blocks
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """Samples per cell of their own speed and acceleration (grid.size,)."""
-        samples = self.samples
-        return np.bincount(self.grid.cell(samples.v, samples.a), minlength=self.grid.size)
+        """Rows per cell of their own speed and acceleration (grid.size,)."""
+        return self._counted(self._place(self.samples.own_cells))
 
-    def add(self, block: Samples) -> None:
-        """Take a block of consecutive samples, and let go what there is no room for."""
+    def add(self, block: C) -> None:
+        """Take a block of consecutive driving, and let go what there is no room for."""
         if not len(block):
             return
-        cells = self.grid.cell(block.zv, block.za)
-        self._blocks[self.added], self._cells[self.added] = block, cells
-        self._counts += np.bincount(cells, minlength=self.grid.size)
-        self.added += len(block)
+        cells = self._place(block.cells)
+        self._blocks[self._numbered], self._cells[self._numbered] = block, cells
+        self._numbered += len(block)
+        self._counts += self._counted(cells)
+        self.added += int(cells.rows.sum())
         while self._blocks and block.t[-1] - self._blocks[oldest := min(self._blocks)].t[0] > self._longest:
             self._drop(oldest)
         while len(self) > self._capacity:
-            self._drop(max(self._cells, key=lambda number: self._counts[self._cells[number]].mean()))
+            self._drop(max(self._cells, key=self._fullness))
+
+    def _fullness(self, number: int) -> float:
+        """Mean count of the cells that the rows of a block lie in; what lies in none goes last."""
+        cells = self._cells[number]
+        total = int(cells.rows.sum())
+        return float((self._counts[cells.places] * cells.rows).sum()) / total if total else 0.0
+
+    def _place(self, cells: tuple[Floats, Floats, NDArray[np.int64]]) -> Cells:
+        speed, acceleration, rows = cells
+        return Cells(self.grid.cell(speed, acceleration), rows)
+
+    def _counted(self, cells: Cells) -> NDArray[np.int64]:
+        counted = np.bincount(cells.places, cells.rows, minlength=self.grid.size)
+        return counted.astype(np.int64)
 
     def _drop(self, number: int) -> None:
         self._blocks.pop(number)
         cells = self._cells.pop(number)
-        self._counts -= np.bincount(cells, minlength=self.grid.size)
-        self.evicted += len(cells)
+        self._counts -= self._counted(cells)
+        self.evicted += int(cells.rows.sum())
 
     def clear(self) -> None:
         """Forget everything, as after a change of vehicle or an unexplained step in time."""
@@ -110,6 +178,8 @@ class Window:
         return {
             "samples": self.samples.state(),
             "lengths": lengths,
+            "numbers": np.array(list(self._blocks), dtype=np.int64),
+            "numbered": self._numbered,
             "added": self.added,
             "evicted": self.evicted,
         }
@@ -122,13 +192,18 @@ class Window:
         StateError
             The state is not one that a window with this configuration can have.
         """
-        samples, lengths = Samples.restore(substate(state, "samples")), array(state, "lengths", (-1,), np.int64)
+        samples, lengths = self._kind.restore(substate(state, "samples")), array(state, "lengths", (-1,), np.int64)
+        numbers = array(state, "numbers", (len(lengths),), np.int64)
         ends = np.cumsum(lengths)
-        if np.any(lengths <= 0) or len(samples) != lengths.sum() or len(samples) > self._capacity:
+        if np.any(lengths <= 0) or len(samples) != lengths.sum() or np.any(np.diff(numbers) < lengths[:-1]):
             raise StateError(f"window: {len(samples)} samples in {len(lengths)} blocks cannot be")
         self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)
-        first = self.added - len(samples)
+        self._numbered = read(state, "numbered", Count)
+        if len(numbers) and (numbers[0] < 0 or numbers[-1] + lengths[-1] > self._numbered):
+            raise StateError("window: numbers of blocks are out of range")
         slices = [slice(end - length, end) for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
-        self._blocks = {first + part.start: samples[part] for part in slices}
-        self._cells = {number: self.grid.cell(block.zv, block.za) for number, block in self._blocks.items()}
-        self._counts = np.bincount(self.grid.cell(samples.zv, samples.za), minlength=self.grid.size)
+        self._blocks = {number: samples[part] for number, part in zip(numbers.tolist(), slices, strict=True)}
+        self._cells = {number: self._place(block.cells) for number, block in self._blocks.items()}
+        self._counts = self._counted(self._place(samples.cells))
+        if len(self) > self._capacity:
+            raise StateError(f"window: {len(self)} rows where {self._capacity} are the most")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from estimator.diagnosis.result import Diagnosis, Traces, Verdict
+from estimator.output_files import check_suffix, whole
 from estimator.report import wording
-from estimator.report.files import check_suffix, whole
 from estimator.report.page import figures, tables
 
 FORMATS = (".html",)
@@ -71,20 +71,21 @@ def page(d: Diagnosis) -> str:
 def _verdict(d: Diagnosis) -> str:
     logs = html.escape(wording.logs(d))
     line = ""
-    if d.configuration:
+    if configuration := wording.configuration(d):
         line = (
             '<div class="add"><p>Add to the configuration</p>'
-            f"<pre><code>{html.escape(d.configuration)}</code></pre></div>"
+            f"<pre><code>{html.escape(configuration)}</code></pre></div>"
         )
     return (
         f'<header class="{d.verdict.value.replace(" ", "-")}"><p class="logs">Sim-to-real gap <span>{logs}</span></p>'
         f'<p class="verdict">{d.verdict.value}</p><h1>{html.escape(wording.headline(d))}</h1>'
-        f'<p class="reason">{html.escape(d.reason)}</p>{line}</header>'
+        f'<p class="reason">{html.escape(wording.reason(d))}</p>{line}</header>'
     )
 
 
 def _sections(d: Diagnosis) -> list[tuple[str, str, str]]:
     return [
+        ("budget", "What is the gap made of?", _budget(d)),
         ("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
         ("power", "Power, measured and modelled", _power(d)),
         ("where", "Where does it lie?", _where(d)),
@@ -94,6 +95,17 @@ def _sections(d: Diagnosis) -> list[tuple[str, str, str]]:
         ("left", "What is left?", _left(d)),
         ("terms", "Terms", _terms() if d.rms_base is not None else ""),
     ]
+
+
+def _budget(d: Diagnosis) -> str:
+    if d.budget is None:
+        return ""
+    meaning = (
+        '<p class="soft">Mean square of the plain model&#x27;s residual over means of 2 s, '
+        f"{wording.kilowatts(d.budget.total)} in all, with 90 % intervals. Left once added: on held-out stretches, "
+        "with the signals there are. Left if it were known: as a signal of its own would show it.</p>"
+    )
+    return figures.budget(d.budget) + tables.budget(d.budget) + meaning
 
 
 def _how_far(d: Diagnosis) -> str:
@@ -141,7 +153,7 @@ def _unseen(d: Diagnosis) -> str:
     if d.not_testable:
         parts.append("<h3>Not testable without another signal</h3>" + tables.not_testable(d.not_testable))
     if d.advice:
-        items = "".join(f"<li>{html.escape(a)}</li>" for a in d.advice)
+        items = "".join(f"<li>{html.escape(a)}</li>" for a in wording.advice(d))
         parts.append(f'<h3>What would tell</h3><ul class="advice">{items}</ul>')
     return "".join(parts)
 

@@ -1,4 +1,4 @@
-"""Draws of the posterior in a file: CSV and JSON always, NetCDF for ArviZ where it is installed.
+"""Draws of the posterior in a file: CSV and JSON always, NetCDF in ArviZ's layout where arviz-base is installed.
 
 The JSON also says what is told of a posterior beside its draws: quantiles, correlation, convergence of each
 parameter, the paper's eigen-metrics raw and scaled by the posterior, and the drag coefficient in reference air.
@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 
 from estimator.errors import ConfigError
-from estimator.estimation.inference import Evidence
+from estimator.estimation.evidence import Evidence
 from estimator.estimation.posterior import Posterior
-from estimator.report.files import check_suffix, whole
-from estimator.road_load import design
+from estimator.model.road_load import design
+from estimator.output_files import check_suffix, whole
 from estimator.sampling.convergence import diagnose
 from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
 
@@ -32,10 +32,12 @@ def require_arviz() -> None:
     Raises
     ------
     ConfigError
-        ArviZ is not installed.
+        The package arviz-base is not installed.
     """
-    if importlib.util.find_spec("arviz") is None:
-        raise ConfigError("a .nc file needs ArviZ: pip install 'roadload[arviz]', in a clone pip install -e '.[arviz]'")
+    if importlib.util.find_spec("arviz_base") is None:
+        raise ConfigError(
+            "a .nc file needs arviz-base: pip install 'roadload[arviz]', in a clone pip install -e '.[arviz]'"
+        )
 
 
 def write_draws(evidence: Evidence, path: Path) -> None:
@@ -65,16 +67,16 @@ def _csv(posterior: Posterior, path: Path) -> None:
 def _content(evidence: Evidence) -> dict[str, Any]:
     draws = evidence.posterior.draws[:, :, : len(NAMES)]
     flat = draws.reshape(-1, len(NAMES))
-    used = evidence.samples[evidence.fit.kept]
+    used = evidence.trace
     J = design(used.v, used.a, used.relative_density)
     information = J.T @ J
-    scale = flat.std(axis=0) / evidence.fit.rms
+    scale = flat.std(axis=0) / evidence.rms
     content: dict[str, Any] = {
         "dims": ["chain", "draw"],
         "posterior": {name: draws[:, :, i].tolist() for i, name in enumerate(NAMES)},
         "summary": {name: _summary(evidence.posterior, i) for i, name in enumerate(NAMES)},
         "correlation": np.corrcoef(flat.T).tolist(),
-        "effective_samples": evidence.fit.effective,
+        "effective_samples": evidence.effective,
         "eigen_metrics": {
             "raw": _metrics(eigen_metrics(information)),
             "scaled": _metrics(eigen_metrics(information, scale)),
@@ -105,7 +107,8 @@ def _metrics(metrics: EigenMetrics) -> dict[str, Any]:
 
 
 def _netcdf(posterior: Posterior, path: Path) -> None:
-    import arviz  # heavy, and an extra
+    import arviz_base  # heavy, and an extra
 
-    draws = {name: posterior.draws[:, :, i] for i, name in enumerate(NAMES)}
-    arviz.from_dict(posterior=draws).to_netcdf(str(path))
+    tree = arviz_base.from_dict({"posterior": {name: posterior.draws[:, :, i] for i, name in enumerate(NAMES)}})
+    del tree["posterior"].attrs["created_at"]  # the clock's: the same log gives the same bytes
+    tree.to_netcdf(path, engine="h5netcdf")

@@ -13,14 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import MaxNLocator
 
-from estimator.estimation.inference import Evidence
+from estimator.estimation.evidence import Evidence
 from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS
-from estimator.report.files import check_suffix, whole
-from estimator.road_load import power
+from estimator.output_files import check_suffix, whole
 
 NAMES = ("A [N]", "C [N s²/m²]", "m [kg]")
 INK, FADED, MARK = "#1b3a4b", "#8fa9b8", "#d1495b"
-TRACE = 6000  # samples shown of the power trace: ten minutes
+SHOWN = 600.0  # s of the power trace
 FORMATS = (".png", ".svg", ".pdf", ".html")
 mpl.rcParams["svg.hashsalt"] = "roadload"  # the same picture twice is the same file
 
@@ -79,11 +78,11 @@ def _corner(figure: Figure, grid: GridSpec, evidence: Evidence) -> None:
 
 
 def _power_trace(axes: Axes, evidence: Evidence) -> None:
-    samples = evidence.samples[evidence.fit.kept][-TRACE:]
-    theta = evidence.posterior.draws.mean(axis=(0, 1))[:3]
-    position = np.arange(len(samples)) * 0.1
-    axes.plot(position, samples.P / 1e3, color=FADED, lw=0.8, label="measured")
-    axes.plot(position, power(samples.v, samples.a, theta) / 1e3, color=MARK, lw=0.6, label="best fit")
+    trace = evidence.trace
+    shown = slice(-round(SHOWN / trace.spacing), None)
+    position = np.arange(len(trace.P[shown])) * trace.spacing
+    axes.plot(position, trace.P[shown] / 1e3, color=FADED, lw=0.8, label="measured")
+    axes.plot(position, trace.fitted[shown] / 1e3, color=MARK, lw=0.6, label="best fit")
     axes.set_xlabel("used samples, the last ones [s]")
     axes.set_ylabel("power [kW]")
     axes.legend(frameon=False, ncols=2, loc="upper right", fontsize="small")

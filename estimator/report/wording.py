@@ -2,9 +2,9 @@
 
 import math
 
-from estimator import readable
-from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Magnitude, Shift, Span, Verdict
-from estimator.readable import NOTHING, signed
+from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Finding, GapClosed, Magnitude, Shift, Span, Verdict
+from estimator.report import number_format
+from estimator.report.number_format import NOTHING, signed
 
 SPANS = 3  # times that are told
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
@@ -16,7 +16,7 @@ def label(name: str) -> str:
 
 
 def headline(d: Diagnosis) -> str:
-    """The verdict as one sentence; `Diagnosis.reason` is the next one."""
+    """The verdict as one sentence; `reason` is the next one."""
     named = listed([_with_equivalents(effect) for effect in d.effects])
     match d.verdict:
         case Verdict.EFFECT:
@@ -32,27 +32,88 @@ def headline(d: Diagnosis) -> str:
             return "This log cannot tell what separates the model from the engine."
 
 
+def reason(d: Diagnosis) -> str:
+    """One or two sentences that a person can act on."""
+    if d.obstacle:
+        return f"Cannot tell: {d.obstacle}."
+    match d.verdict:
+        case Verdict.NO_GAP:
+            hidden = f"; too small to see here: {', '.join(i.name for i in d.invisible)}" if d.invisible else ""
+            described = f"The road load describes this drive to {kilowatts(d.rms_base)}"
+            return f"{described}, and nothing systematic is left{hidden}."
+        case Verdict.UNKNOWN:
+            size = "" if d.remainder is None else f": {d.remainder.name}, {kilowatts(d.remainder.rms)}"
+            return f"Something is missing that no known effect explains{size} of {kilowatts(d.rms_base)}."
+        case Verdict.CANNOT_TELL:
+            return _doubt(d)
+        case Verdict.EFFECT:
+            return _improvement(d)
+
+
+def _doubt(d: Diagnosis) -> str:
+    if d.effects:
+        rivals = " or ".join([d.effects[0].name, *d.effects[0].equivalent])
+        return f"The drive shows {rivals}, and cannot tell which."
+    if d.doubtful is None:
+        return "Cannot tell."
+    weak, unpredictive = "too weak on this drive to be sure", "but it does not predict stretches kept from the fit"
+    return f"There may be {d.doubtful.name}, {weak if d.doubtful.is_weak else unpredictive}."
+
+
+def _improvement(d: Diagnosis) -> str:
+    first = d.effects[0]
+    if is_hidden(first):
+        seen = f"A force goes with the place like a grade of {100 * first.magnitude.value:.1f} % sd"
+        fall = f"from {kilowatts(first.rms_before)} to {kilowatts(first.rms_after)}"
+        beside = listed([f"{label(f.name)} ({label(f.magnitude.name)} {_value(f.magnitude)})" for f in d.effects[1:]])
+        also = f" Beside it acts {beside}." if beside else ""
+        return (
+            f"{seen}, and no signal on the bus shows it: with one, the residual could fall {fall}; "
+            f"roadload estimate counts with such a road by itself.{also}"
+        )
+    effects = " and ".join(f"{f.name} ({f.magnitude.name} {_value(f.magnitude)})" for f in d.effects)
+    fall = f"from {kilowatts(first.rms_before)} to {kilowatts(d.rms_final)}"
+    return f"With {effects} in the model the residual falls {fall}."
+
+
+def advice(d: Diagnosis) -> list[str]:
+    """What to measure or to drive, effect by effect."""
+    return [f"{each.name}: {each.breaks}" for each in d.advice]
+
+
+def configuration(d: Diagnosis) -> str:
+    """The line that adds the effects found to the streaming model; empty if there is nothing to add."""
+    quoted = ", ".join(f'"{name}"' for name in d.streaming_effects)
+    return f"effects = [{quoted}]" if quoted else ""
+
+
 def gap_closed(d: Diagnosis) -> float | None:
     """Share of the gap that all chosen effects close together; None where it is not known or there was no gap."""
-    if len(d.effects) == 1:
-        only = d.effects[0].gap_closed
-        return None if only is None else only.fraction
+    closed = [effect.gap_closed.fraction for effect in d.effects if effect.gap_closed is not None]
+    if len(d.effects) == 1 or (d.effects and is_hidden(d.effects[0])):
+        return min(sum(closed), 1.0) if closed else None
     if d.rms_base is None or d.rms_final is None or d.noise_floor is None or d.rms_base <= d.noise_floor:
         return None
     floor = d.noise_floor**2
     return 1 - (d.rms_final**2 - floor) / (d.rms_base**2 - floor) if d.effects else None
 
 
+def is_hidden(effect: Finding) -> bool:
+    """Whether it is a grade that no signal shows: it is in the model as a state, and takes nothing off the residual."""
+    return effect.magnitude.name == HIDDEN_GRADE
+
+
 def ladder(d: Diagnosis) -> list[tuple[str, float]]:
-    """The residual [W] of the plain model and after each effect added to it."""
+    """The residual [W] of the plain model and after each effect that can be added to it."""
     if d.rms_base is None:
         return []
-    after = [effect.rms_after for effect in d.effects]
+    added = [effect for effect in d.effects if not is_hidden(effect)]
+    after = [effect.rms_after for effect in added]
     if after and d.rms_final is not None:
         after[-1] = d.rms_final
     return [
         ("plain model", d.rms_base),
-        *((f"+ {label(f.name)}", rms) for f, rms in zip(d.effects, after, strict=True)),
+        *((f"+ {label(f.name)}", rms) for f, rms in zip(added, after, strict=True)),
     ]
 
 
@@ -83,7 +144,7 @@ def size(magnitude: Magnitude) -> str:
     """``wind 6.12 ± 0.41 m/s``."""
     if not math.isfinite(magnitude.value):
         return NOTHING
-    return f"{label(magnitude.name)} {readable.with_sd(magnitude.value, magnitude.sd, magnitude.unit)}"
+    return f"{label(magnitude.name)} {_value(magnitude)}"
 
 
 def bayes(x: float | None) -> str:
@@ -141,6 +202,10 @@ def listed(names: list[str]) -> str:
 def _with_equivalents(effect: Finding) -> str:
     others = " or ".join(label(name) for name in effect.equivalent)
     return label(effect.name) + (f" (or {others})" if others else "")
+
+
+def _value(magnitude: Magnitude) -> str:
+    return number_format.with_sd(magnitude.value, magnitude.sd, magnitude.unit)
 
 
 def _capital(text: str) -> str:

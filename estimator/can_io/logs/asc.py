@@ -1,6 +1,6 @@
 """ASCII logs of Vector's CANalyzer and CANoe.
 
-Two traps of python-can's reader are handled here: it reads the header ``timestamps relative`` but does not add the
+Two traps of python-can's reader are avoided here: it reads the header ``timestamps relative`` but does not add the
 times up, and it takes the line after a header without ``internal events logged`` for part of the header.
 """
 
@@ -8,51 +8,89 @@ import re
 from collections.abc import Iterable
 
 import can
+import numpy as np
 
+from estimator.can_io.logs.asc_line import layout
+from estimator.can_io.logs.line_layout import NOTHING, Layout
+from estimator.can_io.logs.line_log import LineLog, line_from
+from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.tap import Tap
-from estimator.can_io.logs.text import CUT, TextLog
+from estimator.can_io.logs.text import CUT
 
-EVENT = re.compile(r"\s*(?P<time>-?\d+\.\d+)\s+(?P<rest>(?P<word>\S+).*)", re.DOTALL)
-RELATIVE = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
-HEADER_END = "no internal events logged\n"  # where python-can takes the header to end
-NO_EVENT = re.compile(r"\s*(//|date |base |(no )?internal events|begin |end |previous log file)", re.IGNORECASE)
+EVENT = re.compile(rb"\s*(?P<time>-?\d+\.\d+)\s+\S")
+BASE = re.compile(rb"\s*base\s+(?P<base>hex|dec)(\s+timestamps\s+(?P<times>absolute|relative))?", re.IGNORECASE)
+NO_EVENT = re.compile(rb"\s*(//|date |base |(no )?internal events|begin |end |previous log file)", re.IGNORECASE)
 FRAME = re.compile(r"\s[TR]x\s+[dr]\b")
 
 
-class AscLog(TextLog):
+class AscLog(LineLog):
     """An ``.asc`` log; times count from the start of the measurement."""
 
-    def _reader(self, tap: Tap) -> Iterable[can.Message]:
-        self._in_header = True
+    def _begin(self) -> None:
+        self.byte_base, self.byte_digits = 16, 2
+        self._before_events = True
         self._relative = False
         self._clock = 0.0  # s, the time of the last event where the log gives the steps only
+
+    def _after_header(self, text: bytes) -> bytes:
+        start = 0
+        while start < len(text) and self._before_events:
+            line, after = line_from(text, start)
+            if EVENT.match(line):
+                self._before_events = False
+                break
+            if match := BASE.match(line):
+                if match["base"].lower() == b"dec":
+                    self.byte_base, self.byte_digits = 10, 3
+                self._relative = (match["times"] or b"").lower() == b"relative"
+            self._count_no_event(line)
+            self._number += 1
+            self._check_idle()
+            start = after
+        return text[start:]
+
+    def _count_no_event(self, line: bytes) -> None:
+        if line.strip() and NO_EVENT.match(line) is None:
+            self.skipped["line that is no event"] += 1
+
+    def _layout(self, line: bytes) -> Layout | None:
+        if line.startswith(b"//"):
+            return NOTHING
+        return layout(line) if self.byte_base == 16 else None
+
+    def _settle(self, lines: Lines, ended: bool) -> None:
+        events = []
+        for row in sorted(lines.odd):
+            line = lines.line(row)
+            match = EVENT.match(line)
+            if match is None:
+                self._count_no_event(line)
+            elif match["time"].startswith(b"-"):
+                lines.refuse(row, "expected a time from 0 s on, found a negative one")
+            else:
+                lines.t[row] = float(match["time"])
+                events.append(row)
+        self._hand_over(lines, events, ended)
+        if self._relative:
+            lines.t[:] = np.cumsum(np.concatenate(([self._clock], lines.t)))[1:]
+            self._clock = float(lines.t[-1])
+
+    def _reader_head(self) -> bytes:
+        """Give a header that says the base alone."""
+        base = b"hex" if self.byte_base == 16 else b"dec"
+        return b"base " + base + b"  timestamps absolute\nno internal events logged\n"
+
+    def _reader(self, tap: Tap) -> Iterable[can.Message]:
         return can.ASCReader(tap)
 
-    def _prepare(self, line: str) -> list[str]:
-        event = EVENT.match(line)
-        if event is None:
-            self._relative = self._relative or RELATIVE.match(line) is not None
-            return [line]
-        if event["time"].startswith("-"):
-            raise ValueError("expected a time from 0 s on, found a negative one")
-        if self._relative:
-            self._clock += float(event["time"])
-            line = f"{self._clock:.9f} {event['rest']}"
-        lines = [HEADER_END, line] if self._in_header else [line]
-        self._in_header = False
-        return lines
-
     def _unread(self, line: str) -> None:
-        event = EVENT.match(line)
-        if event is None:
-            if NO_EVENT.match(line) is None:
-                self.skipped["line that is no event"] += 1
+        if EVENT.match(line.encode()) is None:  # of the header
             return
         if not line.endswith("\n"):
             raise ValueError(CUT)
-        if event["word"].upper() == "J1939TP":
+        if line.split(maxsplit=2)[1].upper() == "J1939TP":
             self.skipped["J1939TP line (a transport protocol message that CANoe put together)"] += 1
         elif FRAME.search(line):
             self.skipped["frame with a symbolic name"] += 1
-        elif not event["rest"].startswith("Start of measurement"):
+        elif "Start of measurement" not in line:
             self.skipped["event that is no CAN frame"] += 1

@@ -1,13 +1,13 @@
 """Vector BLF logs: a file header, then containers of zlib-packed objects, which may straddle containers."""
 
 import struct
-import zlib
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import NamedTuple
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.logs.blf_objects import BASE, SIGNATURE, decode_objects
+from estimator.can_io.logs.blf_objects import BASE, SIGNATURE, Decoded, decode_objects
+from estimator.can_io.logs.inflate import inflate
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.source import Source
 from estimator.errors import LogError
@@ -18,7 +18,8 @@ OBJECT_HEADER = struct.Struct("<4sHHLL")  # signature, header size, header versi
 CONTAINER_HEADER = struct.Struct("<H6xL4x")  # method, unpacked size
 CONTAINER = 10  # object type
 UNPACKED, ZLIB = 0, 2  # methods
-MAX_CONTAINER = 1 << 26  # bytes, packed or unpacked (usual: 128 KiB); a larger one is taken for damage
+JOINED = 1 << 19  # bytes of contents that are decoded at once; more do not fit a processor's cache
+MAX_CONTAINER = 1 << 23  # bytes, packed or unpacked (usual: 128 KiB); a larger one is taken for damage
 MAX_FILE_HEADER = 1 << 16  # bytes (usual: 144)
 
 
@@ -30,34 +31,65 @@ class Header(NamedTuple):
     start: float
 
 
+class Container(NamedTuple):
+    """The contents of a container as far as they are there, its offset in the file, and what is wrong with it."""
+
+    data: bytes | bytearray
+    offset: int
+    fault: str
+
+
 class BlfLog(Log):
     """A ``.blf`` log; times are those of python-can's ``BLFReader`` (its start time taken as UTC)."""
 
     def _read(self) -> Iterator[Frames]:
         with Source(self.path) as source:
             header = self._read_header(source)
-            rest = b""  # start of an object that goes on in the next container
+            held: list[Container] = []  # from the start of an object that goes on in the next one
+            size, wanted = 0, JOINED  # bytes held, and needed to go on
             count = 0
-            at = source.position
-            while True:
-                start = at
-                data, fault = self._next_container(source)
-                at = source.position
-                if data:
-                    decoded = decode_objects(rest + data, header.start)
-                    rest = (rest + data)[decoded.used :]
-                    self.skipped.update(decoded.skipped)
-                    count += len(decoded.frames)
-                    self.progress = source.consumed
-                    yield decoded.frames
-                    if decoded.fault:
-                        raise self._damage(start, decoded.fault, count, header)
-                if fault:
-                    raise self._damage(start, fault, count, header)
-                if at == start:
-                    break
-            if rest.strip(b"\0") or at < header.file_size:
-                raise self._damage(at, "the file ends too early", count, header)
+            for container in self._containers(source):
+                held.append(container)
+                size += len(container.data)
+                if size < wanted and not container.fault:
+                    continue
+                decoded, left = self._decode(held, header.start)
+                held, size, wanted = [left], len(left.data), max(decoded.wanted, JOINED)
+                count += len(decoded.frames)
+                self.progress = source.consumed
+                yield decoded.frames
+                if decoded.fault or container.fault:
+                    raise self._damage(left.offset, decoded.fault or container.fault, count, header)
+            decoded, left = self._decode(held, header.start)
+            count += len(decoded.frames)
+            yield decoded.frames
+            if decoded.fault:
+                raise self._damage(left.offset, decoded.fault, count, header)
+            if left.data.strip(b"\0") or source.position < header.file_size:
+                raise self._damage(source.position, "the file ends too early", count, header)
+
+    def _decode(self, held: list[Container], start: float) -> tuple[Decoded, Container]:
+        """Decode the objects in some containers; what is left of them counts as one, the offset being the last's."""
+        data = b"".join(container.data for container in held)
+        decoded = decode_objects(data, start)
+        self.skipped.update(decoded.skipped)
+        offset, end = 0, 0
+        for container in held:
+            offset, end = container.offset, end + len(container.data)
+            if decoded.fault and decoded.used < end:
+                break
+        return decoded, Container(data[decoded.used :], offset, "")
+
+    def _containers(self, source: Source) -> Iterator[Container]:
+        """Yield the containers up to the end of the file, or to the first that is damaged."""
+        while True:
+            offset = source.position
+            data, fault = self._next_container(source)
+            if source.position == offset:
+                break
+            yield Container(data, offset, fault)
+            if fault:
+                break
 
     def _read_header(self, source: Source) -> Header:
         raw = source.read(FILE_HEADER.size)
@@ -71,7 +103,7 @@ class BlfLog(Log):
         source.read(size - FILE_HEADER.size)
         return Header(file_size, objects, start_time(dates[:8]))
 
-    def _next_container(self, source: Source) -> tuple[bytes, str]:
+    def _next_container(self, source: Source) -> tuple[bytes | bytearray, str]:
         """Read one top-level object: the contents of a container, as far as they are there, and what is wrong."""
         raw = source.read(OBJECT_HEADER.size)
         if not raw:
@@ -91,18 +123,14 @@ class BlfLog(Log):
             return b"", cut
         if len(body) < CONTAINER_HEADER.size:
             return b"", cut or f"a container of {size} bytes"
-        method, _ = CONTAINER_HEADER.unpack_from(body)
+        method, size = CONTAINER_HEADER.unpack_from(body)
         packed = body[CONTAINER_HEADER.size :]
         if method == UNPACKED:
             return packed, cut
         if method != ZLIB:
             return b"", f"a container packed by the unknown method {method}"
-        unpacking = zlib.decompressobj()
-        try:
-            data = unpacking.decompress(packed, MAX_CONTAINER)
-        except zlib.error:
-            return b"", "a container whose packed data are damaged"
-        return data, cut or ("" if unpacking.eof else "a container whose packed data do not end")
+        data, reason = inflate(packed, size, MAX_CONTAINER)
+        return data, cut or (f"a container whose packed data {reason}" if reason else "")
 
     def _damage(self, offset: int, fault: str, frames: int, header: Header) -> LogError:
         unclosed = "its writer never closed it; " if header.objects == 0 else ""

@@ -1,30 +1,75 @@
 """Comma-separated logs as python-can writes them."""
 
+import re
 from collections.abc import Iterable
 
 import can
 
+from estimator.can_io.frames import CLASSIC_BYTES
+from estimator.can_io.logs.line_layout import LARGEST_EXTENDED, LARGEST_STANDARD, NOTHING, Coding, Layout, shown
+from estimator.can_io.logs.line_log import LineLog, line_from
+from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.tap import Tap
-from estimator.can_io.logs.text import TextLog
+from estimator.errors import LogError
 
-HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
+HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
+FRAME = re.compile(
+    rb"(?P<seconds>\d{1,12})\.(?P<fraction>\d{1,18}),0x(?P<id>[0-9A-Fa-f]{1,8}),(?P<extended>[01]),0,0,"
+    rb"(?P<length>[0-8]),(?P<data>(?:[A-Za-z0-9+/]{4})*(?P<last>[A-Za-z0-9+/]{2,3}={1,2})?)\r?"
+)
 
 
-class CsvLog(TextLog):
+class CsvLog(LineLog):
     """A ``.csv`` log of python-can; any other table of numbers is refused."""
 
-    last_line_ends = False  # a cut shows in the length of the data
+    def _begin(self) -> None:
+        self._header_seen = False
+
+    def _after_header(self, text: bytes) -> bytes:
+        start = 0
+        while start < len(text) and not self._header_seen:
+            line, start = line_from(text, start)
+            if line.strip() and line.strip() != HEADER:
+                found = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(line)}"
+                raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+            self._header_seen = line.strip() == HEADER
+            self._number += 1
+            self._check_idle()
+        return text[start:]
+
+    def _layout(self, line: bytes) -> Layout | None:
+        if not line.strip():
+            return NOTHING
+        match = FRAME.fullmatch(line)
+        if match is None:
+            return None
+        first, end = match.span("data")
+        length = (end - first) // 4 * 3 - line.count(b"=", first)
+        extended = match["extended"] == b"1"
+        largest = LARGEST_EXTENDED if extended else LARGEST_STANDARD
+        if length != int(match["length"]) or length > CLASSIC_BYTES or int(match["id"], 16) > largest:
+            return None
+        return Layout(
+            seconds=match.span("seconds"),
+            fraction=match.span("fraction"),
+            ident=match.span("id"),
+            data=range(first, end, Coding.BASE64.value),
+            length=length,
+            end=end,
+            extended=extended,
+            largest=largest,
+            coding=Coding.BASE64,
+        )
+
+    def _settle(self, lines: Lines, ended: bool) -> None:
+        self._hand_over(lines, sorted(lines.odd), ended)
+
+    def _reader_head(self) -> bytes:
+        return HEADER + b"\n"
 
     def _reader(self, tap: Tap) -> Iterable[can.Message]:
-        self._header_seen = False
         return can.CSVReader(tap)
 
-    def _prepare(self, line: str) -> list[str]:
-        if not self._header_seen and line.strip() != HEADER:
-            raise ValueError(f"expected the header {HEADER!r} of a python-can log, found {line.strip()[:60]!r}")
-        self._header_seen = True
-        return [line]
-
     def _unread(self, line: str) -> None:
-        if line.strip() != HEADER:
+        if line.encode().strip() != HEADER:
             super()._unread(line)

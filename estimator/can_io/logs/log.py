@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.logs.time_order import TimeOrder
+from estimator.can_io.logs.time_check import TimeCheck
 from estimator.errors import LogError
 
 BATCH = 65_536  # frames, the most in one batch
@@ -25,8 +25,6 @@ class Log(ABC):
         The file.
     skipped : collections.Counter[str]
         What was in the file but is no data frame, counted by reason.
-    reordered : int
-        Frames whose time lies a little behind an earlier frame's.
     progress : float
         Share of the file read so far, 0 to 1.
     """
@@ -34,7 +32,6 @@ class Log(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.skipped: Counter[str] = Counter()
-        self.reordered = 0
         self.progress = 0.0
 
     def __iter__(self) -> Iterator[Frames]:
@@ -46,13 +43,11 @@ class Log(ABC):
             Where the file is damaged, after the frames before the damage; or if it holds no data frame.
         """
         self.skipped.clear()
-        self.reordered = 0
         self.progress = 0.0
-        order = TimeOrder(self.path)
+        times = TimeCheck(self.path)
         empty = True
         for frames in regroup(self._guarded(), BATCH):
-            order.check(frames)
-            self.reordered = order.reordered
+            times.check(frames)
             empty = False
             yield frames
         self.progress = 1.0

@@ -26,10 +26,8 @@ class MessageLog(Log):
         """
         held: list[can.Message] = []
         for message in messages:
-            if message.is_error_frame:
-                self.skipped[ERROR_FRAME] += 1
-            elif message.is_remote_frame and not (message.is_fd and message.dlc == 0):  # what .asc makes of empty FD
-                self.skipped[REMOTE_FRAME] += 1
+            if kind := kind_of(message):
+                self.skipped[kind] += 1
             else:
                 check_message(message)
                 held.append(message)
@@ -37,6 +35,14 @@ class MessageLog(Log):
                 yield Frames.from_messages(held)
                 held.clear()
         yield Frames.from_messages(held)
+
+
+def kind_of(message: can.Message) -> str:
+    """What kind of frame without data a message is, empty for a data frame."""
+    if message.is_error_frame:
+        return ERROR_FRAME
+    is_empty = message.is_fd and message.dlc == 0  # which the reader of .asc calls remote
+    return REMOTE_FRAME if message.is_remote_frame and not is_empty else ""
 
 
 def check_message(message: can.Message) -> None:

@@ -1,4 +1,4 @@
-"""Which reader a log file needs: by its suffix."""
+"""Which reader a log file needs: by its suffix, or by its first line where candump wrote it under another one."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,9 @@ from pathlib import Path
 from estimator.can_io.logs.asc import AscLog
 from estimator.can_io.logs.blf import BlfLog
 from estimator.can_io.logs.candump import CandumpLog
+from estimator.can_io.logs.candump_line import MAX_LINE, layout
 from estimator.can_io.logs.csv_text import CsvLog
+from estimator.can_io.logs.line_layout import NOTHING, BadLineError
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.mf4 import Mf4Log
 from estimator.can_io.logs.trc import TrcLog
@@ -33,7 +35,7 @@ def open_log(path: str | os.PathLike[str]) -> Log:
     Parameters
     ----------
     path : str or os.PathLike[str]
-        A file whose suffix, in any case, is one of ``FORMATS``.
+        A file whose suffix, in any case, is one of ``FORMATS``, or that holds lines of candump.
 
     Returns
     -------
@@ -46,19 +48,33 @@ def open_log(path: str | os.PathLike[str]) -> Log:
         If there is no such file, it cannot be read, is empty, or its format is unknown.
     """
     path = Path(path)
-    name = path.name.lower()
-    reader = next((log for suffix, log in FORMATS.items() if name.endswith(suffix)), None)
     if path.is_dir():
         raise LogError(f"{path}: is a folder; give a log file in it")
     if not path.exists():
         raise LogError(f"{path}: no such file; check the path")
-    if reader is None:
-        raise LogError(f"{path}: unknown log format '{path.suffix}'; known are {', '.join(FORMATS)}")
     try:
         with path.open("rb") as file:
-            empty = not file.read(1)
+            start = file.read(MAX_LINE)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    if empty:
+    if not start:
         raise LogError(f"{path}: is empty; give another log")
+    name = path.name.lower()
+    reader = next((log for suffix, log in FORMATS.items() if name.endswith(suffix)), None)
+    if reader is None and _is_candump(start):
+        reader = CandumpLog
+    if reader is None:
+        raise LogError(
+            f"{path}: unknown log format '{path.suffix}'; rename it if it is one of {', '.join(FORMATS)}, "
+            "or convert it with can_logconvert"
+        )
     return reader(path)
+
+
+def _is_candump(start: bytes) -> bool:
+    """Whether the first line that is not blank is candump's."""
+    lines = start.lstrip().splitlines()
+    try:
+        return bool(lines) and layout(lines[0]) is not NOTHING
+    except BadLineError:
+        return False

@@ -6,11 +6,11 @@ reader has at hand, and hands back each line that gave no message.
 
 from collections import deque
 from collections.abc import Callable
-from io import TextIOWrapper
-
-from estimator.can_io.logs.source import Stream
+from io import BufferedReader, TextIOWrapper
+from typing import Any
 
 MAX_LINE = 16_384  # characters; what goes on longer without a newline is no text
+MAX_IDLE = 1_000_000  # lines one after another without a frame; no logger writes as many
 
 
 class Tap(TextIOWrapper):
@@ -20,18 +20,22 @@ class Tap(TextIOWrapper):
     Blank lines are left out. ``number`` and ``line`` are those of the file's line that the reader has.
     """
 
-    def __init__(self, stream: Stream, prepare: Callable[[str], list[str]], unread: Callable[[str], None]) -> None:
+    def __init__(
+        self, stream: "BufferedReader[Any]", prepare: Callable[[str], list[str]], unread: Callable[[str], None]
+    ) -> None:
         super().__init__(stream, encoding="utf-8-sig", errors="replace")
         self._prepare = prepare
         self._unread = unread
         self._waiting: deque[str] = deque()
         self._answered = True
+        self._last_frame = 0  # number of the last line that gave a message
         self.number = 0
         self.line = ""
 
     def answered(self) -> None:
         """Note that the reader has made a message of the line at hand."""
         self._answered = True
+        self._last_frame = self.number
 
     def __next__(self) -> str:  # type: ignore[override]  # as in typeshed's own TextIOWrapper
         if not self._waiting:
@@ -45,6 +49,8 @@ class Tap(TextIOWrapper):
     def _advance(self) -> None:
         self.line = "\n"
         while not self.line.strip():
+            if self.number - self._last_frame > MAX_IDLE:
+                raise ValueError(f"expected a frame, found {MAX_IDLE:,} lines without")
             self.line = self.readline(MAX_LINE)
             if not self.line:
                 self._answered = True

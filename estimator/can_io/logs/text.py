@@ -1,7 +1,8 @@
-"""Text logs that a reader of python-can takes line by line: what .asc, .trc and .csv have in common."""
+"""Text logs that a reader of python-can takes line by line."""
 
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
+from string import hexdigits
 
 import can
 
@@ -12,13 +13,11 @@ from estimator.can_io.logs.tap import Tap
 from estimator.errors import LogError
 
 READER_ERRORS = (ValueError, IndexError, KeyError, TypeError, OverflowError, NotImplementedError)  # on bad text
-CUT = "the file ends inside this line"
+CUT = "the file ends inside this line; end it with a line break if it is whole"
 
 
 class TextLog(MessageLog):
     """A text log; a subclass says which reader, and what lines without a message mean."""
-
-    last_line_ends = True  # whether whatever writes this format ends the last line too
 
     def _read(self) -> Iterator[Frames]:
         with Source(self.path) as source, Tap(source.stream, self._prepare, self._unread) as tap:
@@ -34,7 +33,7 @@ class TextLog(MessageLog):
 
     def _messages(self, tap: Tap) -> Iterator[can.Message]:
         for message in self._reader(tap):
-            if self.last_line_ends and not tap.line.endswith("\n"):
+            if lacks_a_digit(tap.line, message.data):
                 raise ValueError(CUT)
             tap.answered()
             yield message
@@ -50,3 +49,10 @@ class TextLog(MessageLog):
     def _unread(self, line: str) -> None:
         """Count a line that gave no message, or raise ValueError if it should have."""
         raise ValueError(f"expected a frame, found {line.strip()[:60]!r}")
+
+
+def lacks_a_digit(line: str, data: bytearray, digits: int = 2, base: int = 16) -> bool:
+    """Whether a line has no line break and ends in its last payload byte, with fewer digits than bytes have."""
+    last = line.split()[-1]
+    short = not line.endswith("\n") and len(last) < digits and all(digit in hexdigits for digit in last)
+    return short and len(data) > 0 and int(last, base) == data[-1]

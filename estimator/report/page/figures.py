@@ -6,12 +6,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.components.budget import NOISE, Budget
 from estimator.diagnosis.result import Diagnosis, GapMap, Span, Traces
-from estimator.readable import MINUS, number
 from estimator.report import wording
+from estimator.report.number_format import MINUS, number
 from estimator.report.page.plot import SIDE, Axis, axis, band, bar, cell, line, plot
 from estimator.signals import Floats
 
+CAUSES = 8  # colours of the budget; further causes share the last
 BINS = 600  # of an overview: each shows its least, greatest and, in blocks, its mean residual
 BLOCKS = 200  # of the mean line
 LONGEST_BREAK = 900.0  # s; longer ones, as between two logs, are cut out of the overview
@@ -185,6 +187,20 @@ def bars(d: Diagnosis) -> str:
             f"<span>{wording.kilowatts(floor)}</span></li>"
         )
     return f'<ul class="bars" aria-label="Residual, root mean square">{"".join(lines)}</ul>'
+
+
+def budget(whole: Budget) -> str:
+    """The gap as one bar, a colour a cause, with its legend; causes that take nothing away have no width."""
+    total = sum(max(part.share, 0.0) for part in whole.parts)
+    if not total > 0:
+        return ""
+    blocks, legend = [], []
+    for i, part in enumerate(whole.parts):
+        colour = "noise" if part.cause == NOISE else f"cause-{min(i, CAUSES - 1)}"
+        blocks.append(f'<i class="{colour}" style="width:{max(part.share, 0.0) / total:.1%}"></i>')
+        share = html.escape(wording.percent(part.share))
+        legend.append(f'<li><b class="{colour}"></b>{html.escape(wording.label(part.cause))} <span>{share}</span></li>')
+    return f'<b class="bar budget">{"".join(blocks)}</b><ul class="legend">{"".join(legend)}</ul>'
 
 
 def _scale(kilowatts: Floats) -> float:

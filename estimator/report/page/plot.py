@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.readable import MINUS
+from estimator.report.number_format import MINUS
 from estimator.signals import Floats, Mask
 
 SIDE = 1000  # units of the drawing, each way

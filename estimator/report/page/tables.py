@@ -4,9 +4,9 @@ import html
 import math
 from collections.abc import Sequence
 
-from estimator import readable
+from estimator.components.budget import Budget
 from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Invisible, Isolability, NotTestable, Place
-from estimator.report import wording
+from estimator.report import number_format, wording
 
 SHOWN = 8  # candidates; the others are folded away
 ALIKE = 0.95  # |correlation| from which two effects cannot be told apart
@@ -23,8 +23,8 @@ def ranking(candidates: Sequence[Finding], several: bool) -> str:
             wording.bayes(f.log_bayes_factor),
             html.escape(wording.size(f.magnitude)),
             html.escape(wording.interval(f.gap_closed)),
-            html.escape(f.detail or wording.times(f.span, several) or readable.NOTHING),
-            html.escape(", ".join(wording.label(e) for e in f.equivalent) or readable.NOTHING),
+            html.escape(f.detail or wording.times(f.span, several) or number_format.NOTHING),
+            html.escape(", ".join(wording.label(e) for e in f.equivalent) or number_format.NOTHING),
         )
         for f in candidates
     ]
@@ -60,12 +60,26 @@ def parameters(d: Diagnosis) -> str:
         if d.final is not None and d.effects:
             after = getattr(d.final, attribute)
             relative = (after - before) / before if before else math.nan
-            share = f" ({readable.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
+            share = f" ({number_format.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
             row += [wording.parameter(after, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
     headings = ("parameter", "plain model", "with the effects", "shift")
     title = "What it does to the parameters" if d.effects else "Parameters of the plain model"
     return f"<h3>{title}</h3>" + table(headings[: len(rows[0])], rows, "parameters")
+
+
+def budget(whole: Budget) -> str:
+    """Every part of the gap: share, size, and what would be left."""
+    headings = ("cause", "share of the gap", "of its own", "left once added", "left if it were known")
+    rows = [
+        (
+            html.escape(wording.label(part.cause)),
+            html.escape(wording.interval(GapClosed(part.share, part.q05, part.q95))),
+            *map(wording.kilowatts, (part.rms, part.reached, part.expected)),
+        )
+        for part in whole.parts
+    ]
+    return table(headings, rows, "budget")
 
 
 def where(places: Sequence[Place]) -> str:
@@ -74,10 +88,10 @@ def where(places: Sequence[Place]) -> str:
     rows = [
         (
             html.escape(wording.label(p.axis)),
-            *(html.escape(f"{readable.number(at)} {p.unit}".replace(" °", "°")) for at in (p.start, p.end)),
+            *(html.escape(f"{number_format.number(at)} {p.unit}".replace(" °", "°")) for at in (p.start, p.end)),
             wording.kilowatts(p.bias),
             _meter(p.share, html.escape(wording.percent(p.share))),
-            "&lt; 0.001" if p.q_value < 0.001 else readable.number(p.q_value),
+            "&lt; 0.001" if p.q_value < 0.001 else number_format.number(p.q_value),
         )
         for p in places
     ]
@@ -136,7 +150,7 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> 
     """A table of cells that are HTML already, without columns that say nothing; empty without rows."""
     if not rows:
         return ""
-    said = [i for i in range(len(headings)) if any(row[i] != readable.NOTHING for row in rows)]
+    said = [i for i in range(len(headings)) if any(row[i] != number_format.NOTHING for row in rows)]
     headings, rows = [headings[i] for i in said], [[row[i] for i in said] for row in rows]
     head = "".join(f'<th scope="col">{h}</th>' for h in headings)
     body = "".join(
@@ -160,7 +174,7 @@ def _correlation(of: Isolability, i: int, j: int) -> str:
 
 
 def _none(content: str) -> str:
-    return ' class="none"' if content == readable.NOTHING else ""
+    return ' class="none"' if content == number_format.NOTHING else ""
 
 
 def _name(name: str) -> str:

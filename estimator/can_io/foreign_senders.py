@@ -1,0 +1,42 @@
+"""Who else sends the groups that we send: two senders of one id destroy each other's frames, and mislead receivers."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.j1939 import pgn_of
+
+CVW = 0xFE70  # 65136, combination vehicle weight: SAE's own, so its receivers take it from any address
+HOLD = 3600.0  # s after which a sender of the CVW that fell silent is forgotten: it may send on request only
+COLLISION_HOLD = 60.0  # s after which a sender of one of our own ids is: a copied frame must not silence us for long
+
+
+class Neighbours:
+    """Learns which of the groups ``pgns`` come from others; to be fed with their frames only, not with our own."""
+
+    def __init__(self, pgns: Iterable[int]) -> None:
+        self._pgns = np.array(sorted({*pgns, CVW}), dtype=np.uint32)
+        self._heard: dict[tuple[int, int], float] = {}  # time [s] by group and source address
+
+    def watch(self, frames: Frames) -> None:
+        """Take frames of the bus."""
+        pgn = pgn_of(frames.ident)
+        ours = np.flatnonzero(np.isin(pgn, self._pgns) & (frames.ident & EXTENDED != 0))
+        for i in ours.tolist():
+            self._heard[int(pgn[i]), int(frames.ident[i] & 0xFF)] = float(frames.t[i])
+
+    def senders(self, pgn: int, t: float) -> list[int]:
+        """Source addresses from which others sent a group of late, at time ``t`` [s]."""
+        hold = HOLD if pgn == CVW else COLLISION_HOLD
+        return sorted(
+            source for (group, source), heard in self._heard.items() if group == pgn and abs(t - heard) < hold
+        )
+
+    def occupied(self, pgn: int, source: int, t: float) -> bool:
+        """Whether we may not send a group from address ``source`` at time ``t`` [s]: that id is another's.
+
+        For the CVW anybody's is enough: two weights of one vehicle are one too many.
+        """
+        senders = self.senders(pgn, t)
+        return bool(senders) if pgn == CVW else source in senders

@@ -1,0 +1,228 @@
+"""A J1939 node without a bus: messages and times in, answers out (SAE J1939-81, J1939-21).
+
+It claims an address, defends it, gives way to a lower NAME, answers requests and refuses what it does not have. Own
+code, because can-j1939 runs a thread on time.time(), so that a clock set back stalls its claim; it sends no negative
+acknowledgement and bounds no flood.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+
+import can
+import numpy as np
+
+from estimator.can_io.j1939_name import BYTES, Name
+from estimator.errors import ConfigError
+
+ADDRESS_CLAIMED = 0xEE00  # 60928
+REQUEST = 0xEA00  # 59904
+ACKNOWLEDGEMENT = 0xE800  # 59392
+NEGATIVE = 1  # control byte of an acknowledgement
+NULL, GLOBAL = 0xFE, 0xFF  # addresses: of a node without one, and of everybody
+FREE = range(128, 248)  # addresses that a node may give itself
+STANDS_AFTER = 0.25  # s on the bus without a better claim (J1939-81)
+CONFIRMED_WITHIN = 1.0  # s, after which a claim that has not been on the bus is sent again
+LONGEST_DELAY = 0.153  # s before "cannot claim", so that nodes that lost together do not speak together
+PRIORITY = 6
+CLAIM_RATE, CLAIM_BURST = 4.0, 4  # claims per second, and at once
+ANSWER_RATE, ANSWER_BURST = 10.0, 10  # of all other answers
+
+Answer = Callable[[int], can.Message | None]
+
+
+class TokenBucket:
+    """At most ``burst`` things at once and ``rate`` per second over time."""
+
+    def __init__(self, rate: float, burst: int) -> None:
+        self._rate, self._burst = rate, float(burst)
+        self._tokens = self._burst
+        self._t: float | None = None
+
+    def take(self, t: float) -> bool:
+        """Whether one more may be done at time ``t`` [s], which never decreases."""
+        elapsed = 0.0 if self._t is None else t - self._t
+        self._t = t
+        self._tokens = min(self._burst, self._tokens + self._rate * elapsed)
+        if self._tokens < 1:
+            return False
+        self._tokens -= 1
+        return True
+
+
+class Node:
+    """One address on a J1939 network.
+
+    Parameters
+    ----------
+    name
+        Who we are; no other node may have the same.
+    address
+        Wanted address, 0..253.
+    rng
+        Source of the random delay.
+    answer
+        Gives the frame of a requested parameter group, sent from our address, or None when we do not have it. Asked
+        only while we have an address.
+
+    Times are seconds that never decrease; a smaller one counts as the largest so far. What `poll` and `hear` return is
+    to be sent, and to be heard again, with ``is_rx`` False, when it has been on the bus: a driver may hold a claim back
+    for as long as the bus is busy. A node that has ``lost`` stays so: build another to try again, as after the bus was
+    opened anew.
+
+    Raises
+    ------
+    ConfigError
+        The address is out of its range.
+    """
+
+    def __init__(self, name: Name, address: int, rng: np.random.Generator, answer: Answer = lambda pgn: None) -> None:
+        if not 0 <= address < NULL:
+            raise ConfigError(f"J1939 address {address}: give 0..253")
+        self.lost = False  # no address to be had; nothing may be sent any more
+        self.fault = ""  # why it was lost, when another node has our NAME
+        self.counts: Counter[str] = Counter()  # what happened, by name
+        self._name = name
+        self._rng = rng
+        self._answer = answer
+        self._wanted = address
+        self._others: dict[int, int] = {}  # NAMEs by the address they claim
+        self._now = -np.inf
+        self._claimed: float | None = None  # when the claim of _wanted was last handed out to be sent
+        self._since: float | None = None  # when it was first on the bus
+        self._asked = False  # who else is there
+        self._owed: float | None = -np.inf  # time from which a claim, or "cannot claim", is to be sent
+        self._claims = TokenBucket(CLAIM_RATE, CLAIM_BURST)
+        self._answers = TokenBucket(ANSWER_RATE, ANSWER_BURST)
+
+    @property
+    def address(self) -> int | None:
+        """Our address once its claim has stood on the bus for 250 ms, None before and when it is lost."""
+        stands = not self.lost and self._since is not None and self._now - self._since >= STANDS_AFTER
+        return self._wanted if stands else None
+
+    def poll(self, t: float) -> list[can.Message]:
+        """Messages that are due at time ``t`` [s]; call it at least every 100 ms."""
+        self._now = max(self._now, t)
+        if self._owed is None and self._is_unconfirmed():
+            self.counts["claim not confirmed"] += 1
+            self._owe(self._now)
+        if self.fault or self._owed is None or self._now < self._owed:
+            return []
+        if not self._claims.take(self._now):
+            self.counts["claim put off"] += 1
+            return []
+        self._owed = None
+        if self.lost:
+            return [self._claim(NULL)]
+        self._claimed = self._now
+        claim = [self._claim(self._wanted)]
+        if not self._asked:
+            self._asked = True
+            return [_message(REQUEST, GLOBAL, NULL, ADDRESS_CLAIMED.to_bytes(3, "little")), *claim]
+        return claim
+
+    def hear(self, message: can.Message, t: float) -> list[can.Message]:
+        """Take a message of the bus at time ``t`` [s]; returns what is to be sent now.
+
+        A message with ``is_rx`` False is one of our own, which has been on the bus by then. python-can marks what other
+        programs of this host send over SocketCAN in the same way: pass those on with ``is_rx`` True.
+        """
+        self._now = max(self._now, t)
+        answers: list[can.Message] = []
+        if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame or self.fault):
+            if message.is_rx:
+                answers = self._take(message)
+            else:
+                self._confirm(message, t)
+        return answers + self.poll(t)
+
+    def _is_unconfirmed(self) -> bool:
+        waited = 0.0 if self._claimed is None or self._since is not None else self._now - self._claimed
+        return not self.lost and waited > CONFIRMED_WITHIN
+
+    def _confirm(self, message: can.Message, t: float) -> None:
+        """Take note that our claim has been on the bus; one from before it was handed out is another's."""
+        ours = self._claim(self._wanted)
+        same = message.arbitration_id == ours.arbitration_id and message.data == ours.data
+        if same and not self.lost and self._since is None and self._claimed is not None and t >= self._claimed:
+            self._since = self._now
+
+    def _take(self, message: can.Message) -> list[can.Message]:
+        ident, data = message.arbitration_id, bytes(message.data)
+        group, destination, source = ident >> 8 & 0x3FF00, ident >> 8 & 0xFF, ident & 0xFF
+        if group == ADDRESS_CLAIMED and len(data) == BYTES:
+            self._hear_claim(source, int.from_bytes(data, "little"))
+        elif source == self._reachable_at():
+            self.counts["our address used by another"] += 1
+        elif group == REQUEST and len(data) >= 3 and destination in (GLOBAL, self._reachable_at()):
+            return self._hear_request(int.from_bytes(data[:3], "little"), source, destination == GLOBAL)
+        return []
+
+    def _reachable_at(self) -> int | None:
+        """The address we have claimed, also while the claim has not yet stood long enough."""
+        return None if self.lost or self._claimed is None else self._wanted
+
+    def _hear_claim(self, source: int, name: int) -> None:
+        ours = int(self._name)
+        if name == ours and source in (self._wanted, NULL):
+            # A copy of our own claim contradicts nothing; a twin is known by what it sends from our address.
+            self.counts["own claim repeated"] += 1
+            return
+        if name == ours:
+            self.lost, self.fault = True, f"another node, at address {source}, has our NAME {ours:016X}"
+            self.counts["NAME used by another"] += 1
+            return
+        self._others = {address: other for address, other in self._others.items() if other != name}
+        if source >= NULL:
+            return
+        if source != self._wanted or self.lost:
+            self._others[source] = name
+        elif ours < name:
+            self.counts["address defended"] += 1
+            self._owe(self._now)
+        else:
+            self._others[source] = name
+            self._give_way()
+
+    def _give_way(self) -> None:
+        """Lose the address to a lower NAME: take the next free one, or tell that there is none."""
+        self.counts["address lost"] += 1
+        self._claimed = self._since = self._owed = None
+        following = [*range(self._wanted + 1, FREE.stop), *FREE] if self._wanted in FREE else FREE
+        free = (address for address in following if address not in self._others)
+        found = next(free, None) if self._name.arbitrary_address_capable else None
+        if found is None:
+            self.lost = True
+            self._owe(self._now + self._rng.uniform(0, LONGEST_DELAY))
+        else:
+            self._wanted = found
+            self._owe(self._now)
+
+    def _owe(self, t: float) -> None:
+        """One claim answers everything that calls for one until it is sent."""
+        self._owed = t if self._owed is None else self._owed
+
+    def _hear_request(self, pgn: int, source: int, everybody: bool) -> list[can.Message]:
+        if pgn == ADDRESS_CLAIMED:
+            self._owe(self._now + (self._rng.uniform(0, LONGEST_DELAY) if self.lost else 0.0))
+            return []
+        if self.address is None or source >= NULL:
+            return []
+        if not self._answers.take(self._now):
+            self.counts["request not answered"] += 1
+            return []
+        if (group := self._answer(pgn)) is not None:
+            return [group]
+        if everybody:
+            return []
+        self.counts["request refused"] += 1
+        refusal = bytes([NEGATIVE, 0xFF, 0xFF, 0xFF, source]) + pgn.to_bytes(3, "little")
+        return [_message(ACKNOWLEDGEMENT, GLOBAL, self._wanted, refusal)]
+
+    def _claim(self, source: int) -> can.Message:
+        return _message(ADDRESS_CLAIMED, GLOBAL, source, bytes(self._name))
+
+
+def _message(group: int, destination: int, source: int, data: bytes) -> can.Message:
+    ident = PRIORITY << 26 | group << 8 | destination << 8 | source
+    return can.Message(arbitration_id=ident, data=data, is_extended_id=True, is_rx=False)

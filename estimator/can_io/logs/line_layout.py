@@ -1,0 +1,48 @@
+"""Where the values stand in a line of a text log, as a grammar finds them."""
+
+from enum import Enum
+from typing import NamedTuple
+
+LARGEST_STANDARD = 0x7FF
+LARGEST_EXTENDED = 0x1FFFFFFF
+ERROR_FLAG = 0x20000000  # in an id, as SocketCAN writes those of error frames
+SHOWN = 60  # characters of a wrong line that a message quotes
+
+
+class BadLineError(ValueError):
+    """A line is not of the format; the message says what was expected."""
+
+
+class Coding(Enum):
+    """How the payload is written."""
+
+    HEX = 2  # columns a byte
+    BASE64 = 4  # columns three bytes
+
+
+class Layout(NamedTuple):
+    """Where the values stand in a line, as columns.
+
+    ``seconds``, ``fraction`` and ``ident`` are (first, end) columns; ``data`` are the first columns of the payload's
+    bytes, or of its groups of four where it is base64; ``length`` is that of the payload [bytes]. ``largest`` bounds
+    the id. Lines that equal this one outside their values up to the column ``end`` have the same layout.
+    """
+
+    seconds: tuple[int, int]
+    fraction: tuple[int, int]
+    ident: tuple[int, int]
+    data: range
+    length: int
+    end: int
+    extended: bool
+    largest: int
+    remote: bool = False
+    coding: Coding = Coding.HEX
+
+
+NOTHING = Layout((0, 0), (0, 0), (0, 0), range(0), 0, 0, extended=False, largest=0)  # a line without a frame
+
+
+def shown(line: bytes) -> str:
+    """The beginning of a line, for a message."""
+    return repr(line.strip()[:SHOWN].decode("ascii", "replace"))

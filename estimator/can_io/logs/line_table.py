@@ -1,0 +1,225 @@
+"""Many lines of a text log at once.
+
+Lines of one layout differ in digits only. The grammar is asked about one line; all lines of the same length that equal
+it outside its values, and have digits where it has them, are then converted together by columns.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, Frames, widened
+from estimator.can_io.logs.digits import WORD, decimal, hexadecimal, nibbles
+from estimator.can_io.logs.line_layout import ERROR_FLAG, NOTHING, BadLineError, Coding, Layout
+from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
+from estimator.signals import Floats, Mask
+
+Grammar = Callable[[bytes], Layout | None]
+Bytes = NDArray[np.uint8]
+Rows = NDArray[np.intp]
+
+NEWLINE = 0x0A
+NO_DIGIT = 0xFF
+BASE64 = np.full(256, NO_DIGIT, np.uint8)  # value of a character
+BASE64[list(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")] = range(64)
+PAD = ord("=")
+MAX_LAYOUTS = 64  # among lines of one length; where there are more, the rest is taken line by line
+EXACT_DIGITS, EXACT_BITS = 15, 53  # of a number that a float holds exactly
+LARGEST_ERROR = 2.0**-53  # of a fraction that is rounded once, and more
+SKIP, DATA, ERROR, REMOTE = range(4)  # what a line is
+
+
+class _Columns(NamedTuple):
+    """What stands in lines of one layout: ``rows`` of the table, and their values (n,) and payload (n, k)."""
+
+    rows: Rows
+    t: Floats
+    ident: NDArray[np.int64]
+    data: Bytes
+
+
+class Lines:
+    """The values of lines, filled in by layout.
+
+    Attributes
+    ----------
+    t : ndarray
+        Times (n,) [s], 0 where a line gave none.
+    odd : list[int]
+        Lines about which the grammar does not decide.
+    bad : tuple[int, BadLineError] or None
+        The first line that is not of the format, and why.
+    """
+
+    def __init__(self, text: bytes, grammar: Grammar) -> None:
+        self._window = np.frombuffer(text + bytes(WORD), np.uint8)
+        self._ends = np.flatnonzero(self._window == NEWLINE)
+        self._starts = np.concatenate(([0], self._ends[:-1] + 1))
+        count = len(self._ends)
+        self.t = np.zeros(count)
+        self.odd: list[int] = []
+        self.bad: tuple[int, BadLineError] | None = None
+        self._ident = np.zeros(count, np.uint32)
+        self._length = np.zeros(count, np.uint8)
+        self._data = np.zeros((count, CLASSIC_BYTES), np.uint8)
+        self._kind = np.full(count, SKIP, np.uint8)
+        self._parse(grammar)
+
+    def __len__(self) -> int:
+        return len(self._ends)
+
+    def line(self, row: int) -> bytes:
+        """A line without its line break."""
+        return self._window[self._starts[row] : self._ends[row]].tobytes()
+
+    def put(self, row: int, frames: Frames, kind: str = "") -> None:
+        """Add the frame that was found in an odd line; ``kind`` is that of one without data."""
+        self.t[row], self._ident[row], self._length[row] = frames.t[0], frames.ident[0], frames.length[0]
+        self._put_data(np.array([row]), frames.data)
+        self._kind[row] = {ERROR_FRAME: ERROR, REMOTE_FRAME: REMOTE}.get(kind, DATA)
+
+    def refuse(self, row: int, reason: str) -> None:
+        """Note that a line is not of the format."""
+        if self.bad is None or row < self.bad[0]:
+            self.bad = row, BadLineError(reason)
+
+    def frames(self) -> tuple[Frames, Counter[str]]:
+        """The data frames up to the first bad line, and counts of others."""
+        kind = self._kind[: self.bad[0]] if self.bad else self._kind
+        counts = np.bincount(kind, minlength=REMOTE + 1).tolist()
+        skipped = Counter({ERROR_FRAME: counts[ERROR], REMOTE_FRAME: counts[REMOTE]})
+        frames = Frames(self.t, self._ident, self._length, self._data)
+        return (frames if counts[DATA] == len(self) else frames[np.flatnonzero(kind == DATA)]), +skipped
+
+    def _parse(self, grammar: Grammar) -> None:
+        lengths = self._ends - self._starts
+        order = np.argsort(lengths, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
+            if len(rows) and lengths[rows[0]]:
+                self._parse_group(rows, int(lengths[rows[0]]), grammar)
+
+    def _parse_group(self, rows: Rows, width: int, grammar: Grammar) -> None:
+        """Parse lines of one length, the first row being the earliest."""
+        table = sliding_window_view(self._window, -(-width // WORD) * WORD)[self._starts[rows]]
+        layouts = 0
+        while len(rows):
+            try:
+                layout = grammar(table[0, :width].tobytes())
+            except BadLineError as error:
+                self.refuse(int(rows[0]), str(error))
+                return
+            layouts += 1
+            if layout is None:
+                self.odd.append(int(rows[0]))
+                same = np.zeros(1, np.intp)
+            elif layout is NOTHING:
+                same = np.flatnonzero((table[:, :width] == table[0, :width]).all(axis=1))
+            else:
+                columns = _read_columns(table[:1] if layouts > MAX_LAYOUTS else table, layout)
+                self._put_columns(rows[columns.rows], columns, layout)
+                same = columns.rows
+            if len(same) == 1:
+                rows, table = rows[1:], table[1:]
+            else:
+                left = np.ones(len(rows), np.bool_)
+                left[same] = False
+                rows, table = rows[left], table[left]
+
+    def _put_columns(self, rows: Rows, columns: _Columns, layout: Layout) -> None:
+        self.t[rows] = columns.t
+        self._ident[rows] = columns.ident | (EXTENDED if layout.extended else 0)
+        self._length[rows] = layout.length
+        self._put_data(rows, columns.data)
+        self._kind[rows] = np.where(columns.ident & ERROR_FLAG != 0, ERROR, REMOTE if layout.remote else DATA)
+
+    def _put_data(self, rows: Rows, data: Bytes) -> None:
+        if data.shape[1] > self._data.shape[1]:
+            self._data = widened(self._data, FD_BYTES)
+        self._data[rows, : data.shape[1]] = data
+
+
+def _read_columns(table: Bytes, layout: Layout) -> _Columns:
+    """Read the lines of a table (n, whole words) that have the layout of its first one."""
+    rows = np.flatnonzero(_equal_outside_values(table, layout))
+    same = table if len(rows) == len(table) else table[rows]
+    seconds, good = decimal(same[:, slice(*layout.seconds)])
+    parts, valid = decimal(same[:, slice(*layout.fraction)])
+    good &= valid
+    ident, valid = hexadecimal(same[:, slice(*layout.ident)])
+    good &= valid & (ident <= layout.largest)
+    data, valid = _hex_payload(same, layout) if layout.coding is Coding.HEX else _base64_payload(same, layout)
+    good &= valid
+    if good.all():
+        return _Columns(rows, _times(same, layout, seconds, parts), ident, data)
+    t = _times(same[good], layout, seconds[good], parts[good])
+    return _Columns(rows[good], t, ident[good], data[good])
+
+
+def _equal_outside_values(table: Bytes, layout: Layout) -> Mask:
+    literal = np.zeros(table.shape[1], np.uint8)
+    literal[: layout.end + 1] = 0xFF  # and the column after, which ends the last value
+    for part in (layout.seconds, layout.fraction, layout.ident):
+        literal[slice(*part)] = 0
+    for column in layout.data:
+        literal[column : column + layout.coding.value] = 0
+    if layout.coding is Coding.BASE64:
+        literal[: layout.end][table[0, : layout.end] == PAD] = 0xFF
+    differing = np.zeros(len(table), np.uint64)
+    for mask, column in zip(literal.view(np.uint64), table.view(np.uint64).T, strict=True):
+        if mask:
+            differing |= (column ^ column[0]) & mask
+    equal: Mask = differing == 0
+    return equal
+
+
+def _shifted(columns: range, by: int) -> slice:
+    return slice(columns.start + by, columns.stop + by if len(columns) else columns.start + by, columns.step)
+
+
+def _times(table: Bytes, layout: Layout, seconds: NDArray[np.int64], parts: NDArray[np.int64]) -> Floats:
+    """Times (n,) [s], the same floating-point numbers as of `float`, from those before and after the point."""
+    digits = layout.fraction[1] - layout.fraction[0]
+    if digits > EXACT_DIGITS:
+        return _parsed(table, layout)
+    scale = 10**digits
+    if seconds.max(initial=0) < 2**EXACT_BITS // scale:
+        t: Floats = (seconds * scale + parts) / scale  # both exact, and rounded once
+        return t
+    fraction = parts / scale
+    t = seconds + fraction
+    # A second rounding, which is wrong only where the first one decided it.
+    lost, unit = np.abs(fraction - (t - seconds)), np.spacing(t)
+    close = (np.abs(lost - unit / 2) <= LARGEST_ERROR) | (np.abs(lost - unit / 4) <= LARGEST_ERROR)
+    doubtful = np.flatnonzero(close)
+    if len(doubtful):
+        t[doubtful] = _parsed(table[doubtful], layout)
+    return t
+
+
+def _parsed(table: Bytes, layout: Layout) -> Floats:
+    text = np.ascontiguousarray(table[:, layout.seconds[0] : layout.fraction[1]])
+    return np.array([float(row.tobytes()) for row in text])
+
+
+def _hex_payload(table: Bytes, layout: Layout) -> tuple[Bytes, Mask]:
+    if not layout.length:
+        return np.zeros((len(table), 0), np.uint8), np.ones(len(table), np.bool_)
+    high, valid = nibbles(table[:, _shifted(layout.data, 0)])
+    low, good = nibbles(table[:, _shifted(layout.data, 1)])
+    data = (high << np.uint64(4) | low).view(np.uint8)
+    return data[:, data.shape[1] - layout.length :], valid & good
+
+
+def _base64_payload(table: Bytes, layout: Layout) -> tuple[Bytes, Mask]:
+    digits: list[Bytes] = [BASE64[table[:, _shifted(layout.data, place)]] for place in range(4)]
+    data = np.zeros((len(table), 3 * len(layout.data)), np.uint8)
+    for place in range(3):
+        data[:, place::3] = digits[place] << 2 * (place + 1) | digits[place + 1] >> 4 - 2 * place
+    pads = [table[:, _shifted(layout.data, place)] == PAD for place in range(4)]
+    valid = [((digit < NO_DIGIT) | pad).all(axis=1) for digit, pad in zip(digits, pads, strict=True)]
+    every: Mask = np.all(valid, axis=0)
+    return data[:, : layout.length], every

@@ -1,0 +1,68 @@
+"""Whether the times of a log can be used.
+
+A log is read in the order of the file. Frames up to MAX_DELAY late are put in order later; a larger step back starts
+another recording, as where logs were joined. Many of them mean that the times are not those of one clock.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.time_order import MAX_DELAY, MAX_TIME, latest_before
+from estimator.errors import LogError
+
+MAX_STEPS_BACK = 100  # recordings in one log
+
+
+class TimeCheck:
+    """The check of one pass over a log."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._latest = -np.inf  # s
+        self._seen = 0
+        self._steps_back = 0
+        self._first_step = ""
+
+    def check(self, frames: Frames) -> None:
+        """Take note of the next frames of the log.
+
+        Raises
+        ------
+        LogError
+            Where a time is none, or steps back more than MAX_DELAY for the MAX_STEPS_BACK-th time.
+        """
+        t = frames.t
+        if max(self._latest, 0.0) <= t[0] and t[-1] <= MAX_TIME and (t[1:] >= t[:-1]).all():  # the rule
+            self._latest, self._seen = float(t[-1]), self._seen + len(frames)
+            return
+        bad = np.flatnonzero(~((frames.t >= 0) & (frames.t <= MAX_TIME)))
+        if len(bad):
+            i = int(bad[0])
+            raise LogError(
+                f"{self._path}: frame {self._seen + i + 1} has the time {frames.t[i]:g} s; "
+                f"times must be numbers from 0 to {MAX_TIME:g}: remove or correct that frame"
+            )
+        first = 0
+        while first < len(frames):
+            t = frames.t[first:]
+            latest = latest_before(t, self._latest)
+            steps = np.flatnonzero(t < latest[:-1] - MAX_DELAY)
+            if not len(steps):
+                self._latest = float(latest[-1])
+                break
+            i = int(steps[0])
+            self._step_back(self._seen + first + i + 1, float(latest[i]), float(t[i]))
+            self._latest = -np.inf
+            first += i
+        self._seen += len(frames)
+
+    def _step_back(self, frame: int, before: float, t: float) -> None:
+        self._steps_back += 1
+        self._first_step = self._first_step or f"first at frame {frame}, from {before:.6f} s to {t:.6f} s"
+        if self._steps_back == MAX_STEPS_BACK:
+            raise LogError(
+                f"{self._path}: time steps back {MAX_STEPS_BACK} times by more than {MAX_DELAY:g} s, "
+                f"{self._first_step}; give the recordings or channels in it as logs of their own"
+            )

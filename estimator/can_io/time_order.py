@@ -1,0 +1,93 @@
+"""Frames in the order of their times.
+
+Loggers with several channels, and gateways that record a transport message as a whole, write frames up to a second
+after later ones. Such frames are put in order. A larger step back means another recording, or a clock that was set.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from estimator.can_io.frames import Frames
+from estimator.signals import Floats
+
+MAX_DELAY = 1.0  # s behind the latest time so far by which a frame may come
+MAX_TIME = 1e11  # s, the year 5138; a larger time is none
+MAX_HELD = 1 << 20  # frames; no bus carries as many within MAX_DELAY
+NO_TIME = "time that is no number from 0 to 1e11 s"
+
+
+def is_time(t: float) -> bool:
+    """Whether ``t`` [s] can be the time of a frame."""
+    return 0 <= t <= MAX_TIME
+
+
+def latest_before(t: Floats, latest: float) -> Floats:
+    """The latest time (n + 1,) [s] before each of the times ``t`` (n,) and after them, given the ``latest`` so far."""
+    return np.maximum.accumulate(np.concatenate(([latest], t)))
+
+
+class TimeOrder:
+    """Puts frames in order that come at most MAX_DELAY late; frames of equal time stay in order of arrival.
+
+    The result does not depend on how the frames are cut into batches.
+
+    Attributes
+    ----------
+    reordered : int
+        Frames that came after one with a later time.
+    steps_back : int
+        Frames that came later than MAX_DELAY: the first of another recording.
+    refused : collections.Counter[str]
+        Frames without a usable time.
+    """
+
+    def __init__(self) -> None:
+        self.reordered = 0
+        self.steps_back = 0
+        self.refused: Counter[str] = Counter()
+        self._start()
+
+    def _start(self) -> None:
+        self._held = Frames.concatenate([])
+        self._latest = -np.inf  # s
+
+    def feed(self, frames: Frames) -> Iterator[Frames]:
+        """Take frames in order of arrival; yields those that none can precede, by recording."""
+        timed = (frames.t >= 0) & (frames.t <= MAX_TIME)
+        if not timed.all():
+            self.refused[NO_TIME] += int(np.count_nonzero(~timed))
+            frames = frames[timed]
+        while len(frames):
+            latest = latest_before(frames.t, self._latest)
+            steps = np.flatnonzero(frames.t < latest[:-1] - MAX_DELAY)
+            end = int(steps[0]) if len(steps) else len(frames)
+            self.reordered += int(np.count_nonzero(frames.t[:end] < latest[:end]))
+            self._latest = float(latest[end])
+            self._hold(frames[:end])
+            if end < len(frames):
+                self.steps_back += 1
+                yield self.finish()
+            else:
+                yield self._release()
+            frames = frames[end:]
+
+    def finish(self) -> Frames:
+        """The frames still held, when nothing more comes or what comes is another recording."""
+        held = self._held
+        self._start()
+        return held
+
+    def _hold(self, frames: Frames) -> None:
+        joined = Frames.concatenate([self._held, frames]) if len(self._held) else frames
+        if np.any(joined.t[1:] < joined.t[:-1]):
+            joined = joined[np.argsort(joined.t, kind="stable")]
+        self._held = joined
+
+    def _release(self) -> Frames:
+        """Part with the frames that the next one, MAX_DELAY late at most, cannot precede."""
+        due = int(np.searchsorted(self._held.t, self._latest - MAX_DELAY, side="right"))
+        due = max(due, len(self._held) - MAX_HELD)
+        released, self._held = self._held[:due], self._held[due:]
+        return released

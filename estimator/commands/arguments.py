@@ -1,0 +1,49 @@
+"""Arguments that several subcommands take, and their values: a wrong one is refused in one line."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """Add --json and --debug."""
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    parser.add_argument("--debug", action="store_true", help="show a traceback on errors")
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Add --config and --dbc."""
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="settings and signal binding")
+    parser.add_argument("--dbc", action="append", metavar="FILE.dbc", help="instead of the configuration's databases")
+
+
+def add_print_config(parser: argparse.ArgumentParser) -> None:
+    """Add --print-config."""
+    parser.add_argument("--print-config", action="store_true", help="print the settings in force as TOML, and stop")
+
+
+def number(low: float, high: float, what: str) -> Callable[[str], float]:
+    """A parser of numbers from ``low`` to ``high``, called ``what`` in the complaint."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return parse
+
+
+positive = number(sys.float_info.min, sys.float_info.max, "a positive number")
+not_negative = number(0.0, sys.float_info.max, "a number that is not negative")
+
+
+def seed(text: str) -> int:
+    """A seed of a random generator."""
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number that is not negative")
+    return int(text)

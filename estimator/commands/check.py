@@ -1,0 +1,81 @@
+"""The subcommand `check`: whether a log or a bus can feed the estimate."""
+
+import argparse
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import can
+import can.cli
+
+from estimator.can_io.frames import Frames
+from estimator.commands.arguments import add_output, add_print_config, add_settings, number
+from estimator.commands.tables import print_inspection
+from estimator.commands.terminal import print_config, print_json, say, standard_output
+from estimator.config import Config
+from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of
+from estimator.daemon.reception.message_clock import MessageClock
+from estimator.daemon.reception.reader import reader_of
+from estimator.daemon.service.assembly import settle
+from estimator.streaming import inspection
+
+SECONDS = number(1.0, 86_400.0, "a number of seconds from 1 to 86400")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_output(parser)
+    add_settings(parser)
+    parser.add_argument("log", nargs="?", type=Path, metavar="LOG", help="a log; without one, the bus is heard")
+    can.cli.add_bus_arguments(parser, group_title="bus")
+    parser.add_argument("--seconds", type=SECONDS, default=10.0, help="how long to hear the bus (default: 10)")
+    add_print_config(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Inspect the log or the bus; exit status 0 if an estimate can come of it."""
+    settings = settle(options.config, options.dbc, options)
+    if options.print_config:
+        print_config(settings)
+        return 0
+    if options.log is not None:
+        content = inspection.inspect(options.log, settings, lambda share: None)
+    else:
+        content = _hear(spec_of(options, settings.reception), settings, options.seconds)
+    if options.json:
+        print_json(content)
+    else:
+        console = standard_output()
+        print_inspection(console, content)
+        for message, senders in content["senders"].items():
+            if len(senders) > 1:
+                say(console, f"several nodes send {message}: {', '.join(f'0x{a:02X}' for a in senders)}")
+        say(console, "the model can be fed" if content["usable"] else "the model cannot be fed")
+    return 0 if content["usable"] else 1
+
+
+def _hear(spec: BusSpec, settings: Config, seconds: float) -> dict[str, Any]:
+    """Inspect a bus for some seconds, all of its traffic."""
+    try:
+        bus = open_bus(spec, None)
+    except NotThereError as error:
+        raise NotThereError(f"{spec.label}: {error}") from error
+    found, skipped = inspection.Inspection(settings), Counter[str]()
+    clock = MessageClock(time.time() - time.monotonic())
+    try:
+        reader = reader_of(bus, settings.reception.buffer_bytes)
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            batch = reader.read(min(left, 0.2))
+            frames = batch.frames
+            t = clock.correct(frames.t, time.monotonic())
+            found.add(Frames(t, frames.ident, frames.length, frames.data))
+            skipped["error frame"] += batch.errors
+            skipped["remote frame"] += batch.remote
+        skipped["lost in the kernel"] = reader.kernel_drops()
+    except (OSError, can.CanError) as error:
+        raise NotThereError(f"{spec.label}: {error}") from error
+    finally:
+        bus.shutdown()
+    return found.report(spec.label, +skipped)

@@ -1,0 +1,36 @@
+"""The subcommand `diagnose`: where the model is wrong, which effect is missing, how far the gap shrinks."""
+
+import argparse
+from pathlib import Path
+
+from estimator.commands.arguments import add_output, add_settings
+from estimator.commands.diagnosis_tables import print_diagnosis
+from estimator.commands.log_options import RECORDED, add_effects, add_seed, check_outputs, settings
+from estimator.commands.terminal import print_json, progress_bar, standard_output
+from estimator.report import diagnosis_page
+from estimator.report.diagnosis_summary import of_diagnosis
+from estimator.streaming.drive_extraction import diagnose_logs
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_output(parser)
+    add_settings(parser)
+    parser.add_argument("log", nargs="+", type=Path, metavar="LOG", help=f"drives of one vehicle; {RECORDED}")
+    parser.add_argument("--report", type=Path, metavar="OUT.html", help="one page with figures, opens offline")
+    add_effects(parser)
+    add_seed(parser, "bootstrap")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Diagnose, write the page asked for, and print the answer."""
+    check_outputs(options.log, {options.report: diagnosis_page.FORMATS})
+    with progress_bar("diagnose") as progress:
+        diagnosis = diagnose_logs(options.log, settings(options), progress)
+    if options.report is not None:
+        diagnosis_page.write_page(diagnosis, options.report)
+    if options.json:
+        print_json(of_diagnosis(diagnosis))
+    else:
+        print_diagnosis(standard_output(), diagnosis)
+    return 0

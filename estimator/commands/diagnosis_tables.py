@@ -1,0 +1,116 @@
+"""What a person reads of a diagnosis on the terminal: the verdict first, then what it rests on, in some 25 lines."""
+
+from collections.abc import Iterable, Iterator
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from estimator.components.budget import Budget
+from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Shift, Verdict
+from estimator.printable import printable
+from estimator.report import number_format, wording
+
+RANKED, PLACES, NAMED = 6, 5, 4  # rows of the ranking, of the places, names in a line
+STYLES = {Verdict.EFFECT: "cyan", Verdict.NO_GAP: "green", Verdict.UNKNOWN: "magenta", Verdict.CANNOT_TELL: "yellow"}
+
+
+def print_diagnosis(console: Console, d: Diagnosis) -> None:
+    """Verdict, what was found and how far the gap shrinks, where, what cannot be seen, and the line to add."""
+    console.print(Text(wording.headline(d), f"bold {STYLES[d.verdict]}"))
+    console.print(Text(printable(wording.reason(d))))
+    _lines(console, _results(d))
+    if d.candidates:
+        console.print(_ranking(d))
+    if d.budget is not None:
+        console.print(_budget(d.budget))
+    if d.where:
+        console.print(_places(d))
+    _lines(console, _limits(d))
+    if configuration := wording.configuration(d):
+        console.print(Text.assemble("add to the configuration: ", (configuration, "bold")), soft_wrap=True)
+
+
+def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
+    if len(d.logs) > 1:
+        yield "logs", wording.logs(d)
+    steps = wording.ladder(d)
+    if steps:
+        residual = ", ".join(f"{name} {wording.kilowatts(rms)}" for name, rms in steps)
+        yield "residual", f"{residual}; noise floor {wording.kilowatts(d.noise_floor)}"
+    for effect in d.effects:
+        yield "found", _found(effect, len(d.logs) > 1)
+    if d.effects and d.base is not None and d.final is not None:
+        change = Shift(d.final.mass - d.base.mass, d.final.A - d.base.A, d.final.C - d.base.C)
+        yield "shift", wording.shift(change)
+    if steps:
+        strength = wording.bayes(d.remaining_log_bayes_factor)
+        yield "left", f"{d.remaining_verdict.value}, log Bayes factor {strength}"
+
+
+def _limits(d: Diagnosis) -> Iterator[tuple[str, str]]:
+    if d.invisible:
+        yield "unseen", _some(f"{wording.label(i.name)} (would show: {i.breaks})" for i in d.invisible)
+    if d.not_testable:
+        yield "untestable", _some(f"{wording.label(n.name)} (needs {n.needs})" for n in d.not_testable)
+    for advice in wording.advice(d):
+        yield "would tell", advice
+
+
+def _found(effect: Finding, several: bool) -> str:
+    others = ", ".join(wording.label(name) for name in effect.equivalent)
+    parts = [
+        wording.label(effect.name),
+        wording.size(effect.magnitude),
+        wording.action(effect, several) if effect.detail or effect.span else "",
+        f"closes {wording.interval(effect.gap_closed)} of the gap" if effect.gap_closed else "",
+        f"not told apart from {others}" if others else "",
+    ]
+    return "; ".join(filter(None, parts))
+
+
+def _ranking(d: Diagnosis) -> Table:
+    table = _table("effect", "probability", "log Bayes", "size", "gap closed", right=(1, 2))
+    for f in d.candidates[:RANKED]:
+        row = (wording.percent(f.probability), wording.bayes(f.log_bayes_factor), wording.size(f.magnitude))
+        table.add_row(*map(Text, (wording.label(f.name), *row, wording.interval(f.gap_closed))))
+    return table
+
+
+def _budget(budget: Budget) -> Table:
+    table = _table("gap", "share", "of its own", "left once added", "left if known", right=(2, 3, 4))
+    for part in budget.parts:
+        share = wording.interval(GapClosed(part.share, part.q05, part.q95))
+        powers = [wording.kilowatts(power) for power in (part.rms, part.reached, part.expected)]
+        table.add_row(*map(Text, (wording.label(part.cause), share, *powers)))
+    return table
+
+
+def _places(d: Diagnosis) -> Table:
+    table = _table("where", "from", "to", "mean residual", "of the gap", right=(1, 2, 3, 4))
+    for p in d.where[:PLACES]:
+        ends = [f"{number_format.number(at)} {p.unit}" for at in (p.start, p.end)]
+        row = (wording.label(p.axis), *ends, wording.kilowatts(p.bias), wording.percent(p.share))
+        table.add_row(*map(Text, row))
+    return table
+
+
+def _table(*headings: str, right: tuple[int, ...]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if i in right else "left")
+    return table
+
+
+def _lines(console: Console, lines: Iterable[tuple[str, str]]) -> None:
+    grid = Table.grid("", "", padding=(0, 1))
+    for heading, text in lines:
+        grid.add_row(Text(heading, "dim"), Text(printable(text)))
+    if grid.row_count:
+        console.print(grid)
+
+
+def _some(items: Iterable[str]) -> str:
+    shown = list(items)
+    more = f"; and {len(shown) - NAMED} more" if len(shown) > NAMED else ""
+    return "; ".join(shown[:NAMED]) + more

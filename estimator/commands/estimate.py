@@ -1,0 +1,58 @@
+"""The subcommand `estimate`: the answer straight from logs."""
+
+import argparse
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+from estimator.commands.arguments import add_output, add_settings
+from estimator.commands.complaints import complain
+from estimator.commands.log_options import RECORDED, add_effects, add_seed, check_outputs, settings
+from estimator.commands.tables import print_run
+from estimator.commands.terminal import print_json, progress_bar, standard_output
+from estimator.errors import RoadloadError
+from estimator.report import export, summary
+from estimator.streaming import replay
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_output(parser)
+    add_settings(parser)
+    parser.add_argument("log", nargs="+", type=Path, metavar="LOG", help=RECORDED)
+    add_seed(parser, "sampler")
+    parser.add_argument("--draws", type=Path, metavar="OUT.csv|.json|.nc", help="draws of the posterior")
+    parser.add_argument("--plot", type=Path, metavar="OUT.png|.svg|.pdf|.html", help="posterior, fit, coverage, chains")
+    add_effects(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Estimate, write the files asked for, and print the answer."""
+    outputs: dict[Path | None, tuple[str, ...]] = {options.draws: export.FORMATS}
+    if options.plot is not None:
+        outputs[options.plot] = _plots().FORMATS
+    check_outputs(options.log, outputs)
+    if options.draws is not None and options.draws.suffix.lower() == ".nc":
+        export.require_arviz()
+    with progress_bar("estimating") as progress:
+        result = replay.estimate_logs(options.log, settings(options), progress)
+    evidence = result.pipeline.estimator.evidence
+    if evidence is not None and options.draws is not None:
+        export.write_draws(evidence, options.draws)
+    if evidence is not None and options.plot is not None:
+        _plots().write_plot(evidence, f"roadload: {', '.join(path.name for path in options.log)}", options.plot)
+    if evidence is None and (options.draws or options.plot):
+        complain("note: no estimate, so no draws and no picture were written")
+    if options.json:
+        print_json(summary.of_run(result))
+    else:
+        print_run(standard_output(), result)
+    return 0
+
+
+def _plots() -> ModuleType:
+    """The module that draws, which needs matplotlib: imported only when a picture is asked for."""
+    try:
+        return importlib.import_module("estimator.report.plots")
+    except ImportError as error:
+        raise RoadloadError("--plot needs matplotlib: pip install 'roadload[plot]'") from error

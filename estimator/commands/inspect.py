@@ -1,0 +1,28 @@
+"""The subcommand `inspect`: the inputs that a log carries."""
+
+import argparse
+from pathlib import Path
+
+from estimator.commands.arguments import add_output, add_settings
+from estimator.commands.log_options import RECORDED, settings
+from estimator.commands.tables import print_inspection
+from estimator.commands.terminal import print_json, progress_bar, standard_output
+from estimator.streaming import inspection
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_output(parser)
+    add_settings(parser)
+    parser.add_argument("log", type=Path, metavar="LOG", help=RECORDED)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Inspect, and print the inputs."""
+    with progress_bar("reading") as progress:
+        content = inspection.inspect(options.log, settings(options), progress)
+    if options.json:
+        print_json(content)
+    else:
+        print_inspection(standard_output(), content)
+    return 0

@@ -1,0 +1,64 @@
+"""Options of the subcommands that read logs."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+
+from estimator import config
+from estimator.can_io.logs import FORMATS
+from estimator.commands.arguments import seed
+from estimator.config import Config
+from estimator.errors import ConfigError
+from estimator.model.effects import CATALOGUE
+from estimator.output_files import check_suffix
+
+RECORDED = f"recorded traffic: {' '.join(FORMATS)}"
+
+
+def add_seed(parser: argparse.ArgumentParser, use: str) -> None:
+    """Add --seed of the ``use``."""
+    parser.add_argument("--seed", type=seed, help=f"of the {use}, instead of the configuration's")
+
+
+def add_effects(parser: argparse.ArgumentParser) -> None:
+    """Add --effect."""
+    names = ", ".join(effect.name for effect in CATALOGUE if effect.streams)
+    text = f"add an effect to the model, again and again: {names}"
+    parser.add_argument("--effect", action="append", default=[], metavar="NAME", help=text)
+
+
+def check_outputs(logs: Sequence[Path], outputs: Mapping[Path | None, tuple[str, ...]]) -> None:
+    """Refuse outputs of an unknown format, and those that would overwrite an input, before the work is done.
+
+    Raises
+    ------
+    ConfigError
+        The message names the file.
+    """
+    inputs = {path.resolve() for path in logs}
+    for path, formats in outputs.items():
+        if path is not None:
+            check_suffix(path, formats)
+            if path.resolve() in inputs:
+                raise ConfigError(f"{path}: is a log to be read; write to another file")
+
+
+def settings(options: argparse.Namespace) -> Config:
+    """The configuration file, with --dbc, --effect and --seed in its place.
+
+    Raises
+    ------
+    ConfigError
+        The file or an option is wrong; the message names the key.
+    """
+    found = config.load(options.config)
+    if options.dbc:
+        found = config.replace(found, bus=msgspec.structs.replace(found.bus, dbc=options.dbc))
+    if getattr(options, "effect", None):
+        found = msgspec.structs.replace(found, effects=[*found.effects, *options.effect])
+    if getattr(options, "seed", None) is not None:
+        found = config.replace(found, sampler=msgspec.structs.replace(found.sampler, seed=options.seed))
+    config.check(found)
+    return found

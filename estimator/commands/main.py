@@ -1,0 +1,73 @@
+"""The `roadload` command: what all subcommands share; and how a run ends."""
+
+import argparse
+import logging
+import sys
+from importlib import import_module
+from typing import NoReturn
+
+from estimator import __version__
+from estimator.commands.complaints import complain, show_traceback
+from estimator.errors import RoadloadError
+
+COMMANDS = {  # module of this package, and its use
+    "replay": "play logs on a virtual bus to the daemon's loop",
+    "estimate": "the same answer from logs without a bus",
+    "fleet": "many logs to a table of drives and one of vehicles",
+    "diagnose": "where the model is wrong, why, and by how much",
+    "inspect": "what is in a log",
+    "simulate": "drive a simulated truck and write a log",
+    "run": "estimate on a live bus until told to stop",
+    "check": "dry run: can this log or bus feed the estimate?",
+    "status": "what a running daemon knows",
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one subcommand; returns the exit status: 0, 2 for bad input, 1 for a run that could not finish."""
+    options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
+    # python-can logs what it cannot parse; the log readers raise or count it themselves.
+    logging.getLogger("can").setLevel(logging.CRITICAL)
+    try:
+        status: int = options.run(options)
+        sys.stdout.flush()
+    except RoadloadError as error:
+        show_traceback() if options.debug else complain(f"error: {error}")
+        return error.exit_status
+    except BrokenPipeError:
+        # Whoever read our output has gone; keep the interpreter from complaining about it at exit.
+        sys.stderr.close()
+        return 1
+    except OSError as error:
+        if options.debug:
+            show_traceback()
+        complain(f"error: {error.filename or 'output'}: {error.strerror}")
+        return 1
+    except KeyboardInterrupt:
+        complain("error: interrupted")
+        return 1
+    return status
+
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser whose complaints are one line too."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong with the command line and where to read on; exit status 2."""
+        complain(f"error: {message}; see {self.prog} --help")
+        raise SystemExit(2)
+
+
+def _parser(arguments: list[str]) -> argparse.ArgumentParser:
+    """Parser of ``arguments``; only the module of the subcommand among them is imported."""
+    parser = Parser(prog="roadload", description="Vehicle mass, rolling resistance and drag from CAN.")
+    parser.add_argument("--version", action="version", version=f"roadload {__version__}")
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    chosen = next((word for word in arguments if not word.startswith("-")), None)
+    for name, use in COMMANDS.items():
+        command = subparsers.add_parser(name, help=use)
+        if name == chosen:
+            module = import_module(f"estimator.commands.{name}")
+            module.add_arguments(command)
+            command.set_defaults(run=module.run)
+    return parser

@@ -1,0 +1,95 @@
+"""The subcommand `simulate`: a drive whose truth is known, as a log."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import WRITABLE, write_log
+from estimator.commands.arguments import add_output, not_negative, number, positive, seed
+from estimator.commands.terminal import print_json
+from estimator.output_files import check_suffix
+from estimator.printable import printable
+from estimator.signals import Role
+from estimator.simulation.cycle import COLUMNS, cycle_route
+from estimator.simulation.effects.catalogue import KINDS, parse_effect
+from estimator.simulation.itinerary import Shape, shaped
+from estimator.simulation.recording import record
+from estimator.simulation.route import RoadKind, generate_route
+from estimator.simulation.sensors import OPTIONAL, Sensors
+from estimator.simulation.truck import draw_truck
+
+METRES_PER_MINUTE = 2000.0  # of simulated road: nobody drives a truck faster, so the road never ends
+MINUTES = number(0.5, 10_000.0, "a number of minutes from 0.5 to 10000")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_output(parser)
+    parser.add_argument("output", type=Path, metavar="OUT.blf", help=f"the log: {' '.join(WRITABLE)}")
+    parser.add_argument("--minutes", type=MINUTES, default=40.0, help="length of the drive (default: 40)")
+    parser.add_argument("--route", choices=get_args(RoadKind), default="mixed", help="kind of road (default: mixed)")
+    parser.add_argument("--cycle", type=Path, metavar="FILE.csv", help=f"road of a driving cycle instead: {COLUMNS}")
+    parser.add_argument("--shape", choices=get_args(Shape), default="one-way", help="how the road is driven")
+    parser.add_argument("--seed", type=seed, default=1, help="draws truck, route and noise (default: 1)")
+    for name, unit, what in (("mass", "kg", "mass"), ("A", "N", "rolling force"), ("C", "N s2/m2", "drag coefficient")):
+        parser.add_argument(f"--{name}", type=positive, metavar=unit, help=f"{what}, instead of the drawn one")
+    noise = "sd of the wheel speed's noise (default: 0.01)"
+    parser.add_argument("--speed-noise", type=not_negative, default=0.01, metavar="m/s", help=noise)
+    steps = "of the reference torque, in which torque is sent: 0.125 (default) or 1"
+    parser.add_argument("--torque-resolution", type=float, choices=[0.125, 1.0], default=0.125, help=f"%% {steps}")
+    lag = "by which torque and engine speed are late (default: 0.03)"
+    parser.add_argument("--torque-lag", type=not_negative, default=0.03, metavar="s", help=lag)
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME[=SIZE][@START[-END]]",
+        help=f"make the world differ, again and again; sizes in SI, times in s: {', '.join(KINDS)}",
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        choices=[role.value for role in OPTIONAL],
+        metavar="SIGNAL",
+        help=f"leave a signal off the bus: {', '.join(OPTIONAL)}",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate, write the log and print the truth."""
+    check_suffix(options.output, WRITABLE)
+    effects = [parse_effect(text) for text in options.effect]
+    rng = np.random.default_rng(options.seed)
+    drawn = draw_truck(rng)
+    chosen = {name: getattr(options, name) for name in ("mass", "A", "C") if getattr(options, name) is not None}
+    truck = dataclasses.replace(drawn, **chosen)
+    duration = options.minutes * 60
+    length = options.minutes * METRES_PER_MINUTE
+    road = cycle_route(options.cycle, length, rng) if options.cycle else generate_route(options.route, length, rng)
+    sensors = Sensors(
+        speed_noise=options.speed_noise,
+        torque_resolution=options.torque_resolution / 100,
+        torque_lag=options.torque_lag,
+        without=frozenset(Role(name) for name in options.without),
+    )
+    route = shaped(road, duration, options.shape)
+    recording = record(truck, route, duration, rng, sensors=sensors, effects=effects)
+    frames = frames_of(recording.signals)
+    write_log(frames, options.output)
+    told = recording.describe()
+    if options.json:
+        print_json({"log": str(options.output), "frames": len(frames), "duration_s": duration, **told})
+    else:
+        road_name = options.cycle.name if options.cycle else options.route
+        name = printable(str(options.output))
+        print(f"{name}: {len(frames):,} frames, {options.minutes:g} min of {road_name} driving")
+        print(f"truth: mass {truck.mass:,.0f} kg, A {truck.A:,.0f} N, C {truck.C:.3f} N s²/m²")
+        for effect in told["effects"]:
+            size = f"{effect['magnitude']:g} {effect['unit']}".removesuffix(" 1")
+            print(f"effect: {effect['name']} {size}, {effect['rms_kW']:.1f} kW rms")
+    return 0

@@ -1,0 +1,139 @@
+"""What a person reads on the terminal."""
+
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from estimator.commands.terminal import say
+from estimator.estimate import Marginal, Road, Status
+from estimator.model.effects import BY_NAME
+from estimator.printable import printable
+from estimator.report import number_format
+from estimator.report.next_step import next_step
+from estimator.streaming.replay import Run
+
+FLAT = 1e-3  # sd of slopes below which a road counts as flat
+SHORTEST_GAP = 1.0  # s, worth a line of its own
+ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C", "N s²/m²", "{:.3f}"))
+
+
+def print_run(console: Console, run: Run, truth: dict[str, float] | None = None) -> None:
+    """The estimate with its intervals, why there is none, and what went in; ``truth`` by mass, A, C where known."""
+    final, pipeline = run.final, run.pipeline
+    style = {Status.ESTIMATED: "green", Status.UNESTIMATED: "yellow", Status.INVALID: "red"}[final.status]
+    reason = f": {final.reason}" if final.reason else ""
+    console.print(Text.assemble((final.status.value, f"bold {style}"), printable(reason)), soft_wrap=True)
+    if advice := next_step(run):
+        say(console, f"to do     {advice}")
+    if final.mass is not None:
+        console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
+    for key, reason in final.withheld.items():
+        say(console, f"{key:9} unestimated: {reason}")
+    if final.road is not None:
+        say(console, f"road      {_road(final.road)}")
+    for name in pipeline.effects:
+        size = final.effects.get(name)
+        what = BY_NAME[name]
+        found = "" if size is None else f": {number_format.with_interval(size.mean, size.q05, size.q95, what.unit)}"
+        say(console, f"effect    {name}{found}")
+    evidence = pipeline.estimator.evidence
+    if evidence is not None:
+        say(console, f"lag       power comes {evidence.lag:.2f} s after speed, and has been aligned")
+    if evidence is not None and np.isfinite(evidence.trace.density).any():
+        density = float(np.nanmean(evidence.trace.density))
+        say(console, f"air       {density:.3f} kg/m³, for which C holds; it goes with the density")
+    c, k = final.coverage, final.convergence
+    say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
+    if k is not None and final.rms is not None:
+        say(
+            console,
+            f"sampler   R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted; "
+            f"residual {final.rms / 1e3:.1f} kW rms",
+        )
+    if final.load is not None:
+        change, load = final.load, "the load changed" if final.load.probability > 0.5 else "the load is the same"
+        sure = max(change.probability, 1 - change.probability)
+        masses = f"{change.before:,.0f} kg before, {change.after:,.0f} kg after"
+        say(console, f"stop      {load}, probability {sure:.3f}: {masses}")
+    rejected = ", ".join(f"{reason} {count:,}" for reason, count in pipeline.estimator.rejected.most_common())
+    say(console, f"samples   {final.admitted:,} used; not used: {rejected or 'none'}")
+    traffic = pipeline.traffic
+    refused = sum((run.skipped + traffic.errors).values())
+    say(
+        console,
+        f"frames    {traffic.frames:,} read, {traffic.used:,} used, {refused:,} frames or values refused",
+    )
+    if traffic.order.reordered:
+        say(
+            console,
+            f"order     {traffic.order.reordered:,} frames came late, by up to 1 s, and were put in order",
+        )
+    for start, end in traffic.gaps:
+        if end < start:
+            times = f"from {start - run.start:.1f} s to {end - run.start:.1f} s"
+            say(console, f"step      time steps back {times}: another drive")
+        if end - start >= SHORTEST_GAP:
+            times = f"{start - run.start:.1f} s to {end - run.start:.1f} s"
+            say(console, f"gap       no speed or no power from {times}: not bridged")
+    if run.broadcast:
+        say(console, f"broadcast {len(run.broadcast):,} frames")
+
+
+def _road(road: Road) -> str:
+    """The slopes in one line."""
+    shown = f"shown by {', '.join(road.shown_by)}" if road.shown_by else "shown by no signal"
+    if road.slope_sd < FLAT:
+        return f"flat (slopes below {100 * FLAT:.1f} %), {shown}"
+    climbed = "" if road.climbed is None else f"; {road.climbed:,.0f} m climbed"
+    return (
+        f"slopes with a standard deviation of {100 * road.slope_sd:.1f} % over {road.length:,.0f} m, {shown}{climbed}"
+    )
+
+
+def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, float] | None) -> Table:
+    table = Table("", "mean", "90 % interval", "sd", *(["truth"] if truth else []), box=box.SIMPLE_HEAD, pad_edge=False)
+    for key, name, unit, form in ROWS:
+        x = marginals[key]
+        if x is None:
+            continue
+        interval = f"{form.format(x.q05)} .. {form.format(x.q95)}"
+        row = [name, f"{form.format(x.mean)} {unit}", interval, f"{100 * x.sd / x.mean:.2f} %"]
+        table.add_row(*row, *([form.format(truth[key])] if truth else []))
+    return table
+
+
+def print_inspection(console: Console, content: dict[str, Any]) -> None:
+    """Inputs found and missing, and whether an estimate can come of them."""
+    frames = content["frames"]
+    say(
+        console,
+        f"{content['log']}: {content['duration_s']:,.1f} s, {frames['read']:,} frames of {frames['ids']} ids, "
+        f"{frames['used']:,} used",
+    )
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps"):
+        table.add_column(heading, overflow="fold", no_wrap=heading == "input")
+    for role, x in content["inputs"].items():
+        source = content["sources"].get(x["signal"])
+        rate = "" if x["rate_Hz"] is None else f"{x['rate_Hz']:.1f} Hz"
+        values = "none valid" if x["minimum"] is None else f"{x['minimum']:.4g} .. {x['maximum']:.4g}"
+        gaps = ", ".join(f"{a:.1f}-{b:.1f} s" for a, b in x["gaps_s"][:3])
+        more = f" (+{len(x['gaps_s']) - 3})" if len(x["gaps_s"]) > 3 else ""
+        address = "" if source is None else f"0x{source:02X}"
+        table.add_row(role, x["signal"], address, rate, f"{100 * x['not_available']:.1f} %", values, gaps + more)
+    console.print(table)
+    if content["missing"]:
+        missing = ", ".join(f"{role} ({signal})" for role, signal in content["missing"].items())
+        say(console, f"not there: {missing}")
+    if frames["reordered"]:
+        say(console, f"put in order of time: {frames['reordered']:,} frames")
+    if frames["steps_back"]:
+        say(console, f"time steps back: {frames['steps_back']:,} times, each the start of another drive")
+    for reason, count in sorted(frames["errors"].items()):
+        say(console, f"refused: {reason} {count:,}")
+    reason = f": {content['reason']}" if content["reason"] else ""
+    say(console, f"{content['status']}{reason}; coverage {100 * content['coverage']:.0f} %")

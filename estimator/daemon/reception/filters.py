@@ -1,0 +1,57 @@
+"""Kernel filters: of a full bus, only the wanted messages reach the process."""
+
+from can.typechecking import CanFilter
+
+from estimator.can_io.binding import BoundMessage
+from estimator.can_io.decoder import last_byte
+from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED
+from estimator.can_io.j1939 import GLOBAL, PDU1_LIMIT, TP_CM, TP_DT
+from estimator.can_io.j1939_node import ADDRESS_CLAIMED, FREE, REQUEST
+from estimator.can_io.publisher import output_groups
+
+PDU1_MASK = 0x03FF0000  # of the id: without the destination address
+PDU2_MASK = 0x03FFFF00
+SOURCE_MASK = 0xFF
+WHOLE_EXTENDED, WHOLE_STANDARD = 0x1FFFFFFF, 0x7FF
+
+
+def input_filters(messages: list[BoundMessage]) -> list[CanFilter]:
+    """What the estimator needs: the bound messages, and the broadcasts that carry those of more than 8 bytes."""
+    filters = [_of_message(message) for message in messages]
+    if any(message.by_pgn and _length(message) > CLASSIC_BYTES for message in messages):
+        filters += [_masked(pgn | GLOBAL, PDU2_MASK) for pgn in (TP_CM, TP_DT)]
+    return filters
+
+
+def node_filters(address: int) -> list[CanFilter]:
+    """What a node that wants ``address`` must hear: claims, requests, and others with its groups or its address.
+
+    Its address may also be any of those that a node gives itself when it has lost the one it wants.
+    """
+    groups = [of_group(pgn) for pgn in (ADDRESS_CLAIMED, REQUEST, *sorted(output_groups()))]
+    wanted: CanFilter = {"can_id": address, "can_mask": SOURCE_MASK, "extended": True}
+    return [*groups, wanted, {"can_id": FREE.start, "can_mask": FREE.start, "extended": True}]
+
+
+def of_group(pgn: int) -> CanFilter:
+    """Any priority, source and, where there is one, destination."""
+    return _masked(pgn, PDU1_MASK if pgn >> 8 & 0xFF < PDU1_LIMIT else PDU2_MASK)
+
+
+def _of_message(message: BoundMessage) -> CanFilter:
+    if message.by_pgn:
+        return of_group(message.key)
+    extended = bool(message.key & EXTENDED)
+    return {
+        "can_id": message.key & ~EXTENDED,
+        "can_mask": WHOLE_EXTENDED if extended else WHOLE_STANDARD,
+        "extended": extended,
+    }
+
+
+def _masked(pgn: int, mask: int) -> CanFilter:
+    return {"can_id": pgn << 8, "can_mask": mask, "extended": True}
+
+
+def _length(message: BoundMessage) -> int:
+    return max(last_byte(s) for bound in message.signals for s in (bound.signal, *bound.multiplexers))

@@ -1,0 +1,166 @@
+"""From a configuration to a daemon: checked as a whole before anything is opened."""
+
+import argparse
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from estimator import config as configuration
+from estimator.can_io.binding import BoundMessage, bind, load_database
+from estimator.can_io.publisher import output_groups
+from estimator.checkpoint.store import StateStore
+from estimator.config import Config, estimation_key
+from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
+from estimator.daemon.reception.filters import input_filters, node_filters
+from estimator.daemon.reception.link import Link
+from estimator.daemon.service import file_permissions, folders
+from estimator.daemon.service.boot_id import boot_id
+from estimator.daemon.service.loop import Daemon
+from estimator.daemon.service.sd_notify import Notifier
+from estimator.daemon.service.worker import BOOT, Worker
+from estimator.daemon.transmitter import Transmitter
+from estimator.errors import ConfigError, RoadloadError
+from estimator.streaming.pipeline import Pipeline
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that a daemon needs, checked: settings, bound messages, buses, and whose state may be restored."""
+
+    config: Config
+    messages: list[BoundMessage]
+    source: BusSpec
+    target: BusSpec | None
+    key: str
+
+
+def settle(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) -> Config:
+    """The configuration file, with what the command line puts in its place.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong, or anybody may write it.
+    """
+    settings = configuration.load(path)
+    if dbc:
+        settings = configuration.replace(settings, bus=msgspec.structs.replace(settings.bus, dbc=dbc))
+    transmit = with_bus(settings.transmit, options, "output_")
+    if getattr(options, "transmit", False):
+        transmit = msgspec.structs.replace(transmit, enabled=True)
+    settings = configuration.replace(settings, reception=with_bus(settings.reception, options), transmit=transmit)
+    file_permissions.check_files(path, settings)
+    return settings
+
+
+def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) -> Plan:
+    """Check everything that can be checked before a bus is opened.
+
+    Raises
+    ------
+    InputError
+        Configuration, databases or the choice of buses are wrong.
+    """
+    settings = settle(path, dbc, options)
+    messages = bind(settings, load_database(settings.bus.dbc))
+    source = spec_of(options, settings.reception)
+    source.resolved()
+    target: BusSpec | None = None
+    if settings.transmit.enabled:
+        _check_groups(messages, settings)
+        named = spec_of(options, settings.transmit, "output_")
+        if (named.options or named.context is not None) and named.resolved() != source.resolved():
+            target = named
+    elif any(name.startswith("output_") for name in vars(options)):
+        raise ConfigError("an output bus is named, but transmission is off; give --transmit or leave the bus out")
+    return Plan(settings, messages, source, target, estimation_key(settings))
+
+
+def _check_groups(messages: list[BoundMessage], settings: Config) -> None:
+    ours = output_groups(settings.publish.cvw)
+    for message in messages:
+        if message.by_pgn and message.key in ours:
+            raise ConfigError(
+                f"{message.name}: PGN {message.key:05X} is an input here and is broadcast by roadload too; "
+                "bind another message, or switch transmission off"
+            )
+
+
+def restored(settings: Config, store: StateStore, key: str) -> Pipeline:
+    """A pipeline that goes on where the last one stopped, as far as that is known."""
+    state, reason = store.load(key)
+    if reason:
+        log.info("saved state: %s", reason)
+    if state is not None:
+        pipeline, boot = Pipeline(settings), boot_id()
+        try:
+            pipeline.restore(state, same_clock=bool(boot) and state.get(BOOT) == boot)
+        except RoadloadError as error:
+            log.warning("saved state discarded: %s", error)
+        else:
+            return pipeline
+    return Pipeline(settings)
+
+
+def rehearse(following: Plan, running: Plan) -> None:
+    """Try what a plan needs beyond the one that is running, and leave it as it was.
+
+    Raises
+    ------
+    RoadloadError
+        A bus cannot be opened, or a folder cannot be used.
+    """
+    service = following.config.service
+    folders.make(folders.state_directory(service), 0o700)
+    folders.make(folders.runtime_directory(service), 0o755)
+    for spec in (following.source, following.target):
+        if spec is None or spec in (running.source, running.target):
+            continue
+        try:
+            open_bus(spec, None).shutdown()
+        except NotThereError as error:
+            raise NotThereError(f"{spec.label}: {error}") from error
+
+
+def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | None = None) -> Daemon:
+    """A daemon, not yet started; ``pipeline`` is one that goes on, instead of the saved state.
+
+    Raises
+    ------
+    ConfigError
+        A folder cannot be made or used.
+    """
+    settings = plan.config
+    reception, service = settings.reception, settings.service
+    store = StateStore(folders.make(folders.state_directory(service), 0o700))
+    runtime = folders.make(folders.runtime_directory(service), 0o755)
+    filters, own = input_filters(plan.messages), node_filters(settings.publish.source_address)
+    wanted = [*filters, *own] if settings.transmit.enabled else filters
+    source = Link(plan.source, wanted if reception.filter else None, reception)
+    target = None if plan.target is None else Link(plan.target, own if reception.filter else None, reception)
+    transmitter = None
+    if settings.transmit.enabled:
+        output = target or source
+        transmitter = Transmitter(settings.publish, settings.transmit, output.send, np.random.default_rng())
+    worker = Worker(
+        pipeline or restored(settings, store, plan.key),
+        reception.queue_frames,
+        store,
+        plan.key,
+        service.save_interval_s,
+    )
+    return Daemon(
+        source,
+        target,
+        worker,
+        transmitter,
+        reception.silence_s,
+        runtime / folders.STATUS_FILE,
+        Path(service.metrics) if service.metrics else None,
+        notifier,
+    )

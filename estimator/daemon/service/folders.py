@@ -1,0 +1,102 @@
+"""Where the daemon's files are: as configured, as systemd says, or the user's own folders (XDG)."""
+
+import errno
+import fcntl
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from estimator.daemon.service.file_permissions import refuse_if_writable_by_all
+from estimator.errors import ConfigError
+from estimator.settings import Service
+
+log = logging.getLogger(__name__)
+
+NAME = "roadload"
+PASSING = (errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of a file system; it may be mended while we run
+STATUS_FILE = "status.json"
+LOCK_FILE = "lock"
+SYSTEM_RUNTIME = Path("/run") / NAME
+
+
+def state_directory(service: Service) -> Path:
+    """Folder of what outlives the power."""
+    if service.state_directory:
+        return Path(service.state_directory)
+    if given := os.environ.get("STATE_DIRECTORY"):
+        return Path(given.split(":")[0])
+    if os.geteuid() == 0:
+        return Path("/var/lib") / NAME
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / NAME
+
+
+def runtime_directory(service: Service) -> Path:
+    """Folder of what a running daemon shows."""
+    if service.runtime_directory:
+        return Path(service.runtime_directory)
+    if given := os.environ.get("RUNTIME_DIRECTORY"):
+        return Path(given.split(":")[0])
+    if os.geteuid() == 0:
+        return SYSTEM_RUNTIME
+    own = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(own) / NAME if own else state_directory(service)
+
+
+def status_places(service: Service) -> list[Path]:
+    """Files in which the status of a daemon may stand, the likeliest first."""
+    own = runtime_directory(service) / STATUS_FILE
+    return [own] if service.runtime_directory else list(dict.fromkeys([own, SYSTEM_RUNTIME / STATUS_FILE]))
+
+
+def make(folder: Path, mode: int) -> Path:
+    """Create a folder where there is none, with ``mode``; one that cannot be written for now may be so later.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be created or written, and waiting does not help; or every user may write it.
+    """
+    try:
+        folder.mkdir(mode=mode, parents=True, exist_ok=True)
+        if os.statvfs(folder).f_flag & os.ST_RDONLY:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+    except OSError as error:
+        if error.errno not in PASSING:
+            raise ConfigError(f"{folder}: {error.strerror}; choose another folder in [service]") from error
+        log.warning("%s: %s; nothing is kept there until it can be written", folder, error.strerror)
+        return folder
+    refuse_if_writable_by_all(folder)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ConfigError(f"{folder}: cannot be written; choose another folder in [service]")
+    return folder
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keep a folder for this process: two daemons would undo each other's state.
+
+    Raises
+    ------
+    ConfigError
+        Another process has it.
+    """
+    try:
+        descriptor = os.open(
+            make(folder, 0o700) / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
+        )
+    except OSError as error:
+        if error.errno not in (*PASSING, errno.ENOENT):
+            raise ConfigError(f"{folder / LOCK_FILE}: {error.strerror}") from error
+        yield  # nothing can be written there, so no other daemon is disturbed
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise ConfigError(
+            f"{folder}: another daemon keeps its state there; give each its own service.state_directory"
+        ) from None
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,260 @@
+"""The daemon's own loop: hands frames from the bus to the estimator, its conclusions to the transmitter, and reports.
+
+It never computes for long, so that requests on the bus are answered in time while the sampler runs in its thread.
+"""
+
+import logging
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from estimator import __version__
+from estimator.can_io.frames import Frames
+from estimator.daemon.reception.link import Link
+from estimator.daemon.reception.message_clock import MessageClock
+from estimator.daemon.reception.reader import Batch
+from estimator.daemon.service import status, status_file
+from estimator.daemon.service.sd_notify import Notifier
+from estimator.daemon.service.status_file import State
+from estimator.daemon.service.worker import Worker
+from estimator.daemon.transmitter import Transmitter
+from estimator.errors import RoadloadError
+from estimator.estimate import Estimate
+from estimator.output_files import whole
+from estimator.streaming.listener import Listener
+
+log = logging.getLogger(__name__)
+
+PERIOD = 0.05  # s between turns: a request is answered within 200 ms (J1939-21)
+REPORT_PERIOD = 1.0  # s
+LONGEST_WORK = 20.0  # s that a conclusion may take before the estimator counts as hung
+LONGEST_PAUSE = 10.0  # s without a sign of life of a draining thread
+UNWANTED, UNWANTED_FRAMES = 60.0, 600  # s, and frames in it, of traffic with nothing wanted in it
+ERRORS_ONLY = 2.0  # s without a data frame while error frames come
+
+
+class Daemon:
+    """Links, estimator and transmitter, turned by a loop.
+
+    Parameters
+    ----------
+    source, target
+        The bus that is heard, and the one that is sent on where that is another.
+    worker
+        The estimator.
+    transmitter
+        None to listen only.
+    silence
+        Time without a frame [s] after which the ignition counts as off.
+    status_file, metrics_file
+        Where the status goes; None for nowhere.
+    clock, wall
+        Monotonic and wall time [s].
+    """
+
+    def __init__(
+        self,
+        source: Link,
+        target: Link | None,
+        worker: Worker,
+        transmitter: Transmitter | None,
+        silence: float,
+        status_file: Path | None = None,
+        metrics_file: Path | None = None,
+        notifier: Notifier | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self.source, self.target, self.worker, self.transmitter = source, target, worker, transmitter
+        self.listener = Listener(worker, self._broadcast)
+        self.state = State.WAITING
+        self.detail = ""
+        self._is_receiving = False
+        self._silence, self._clock, self._wall = silence, clock, wall
+        self._status_file, self._metrics_file = status_file, metrics_file
+        self._notifier = notifier or Notifier()
+        self._is_ready = False
+        ahead = wall() - clock()
+        self._times = {id(link): MessageClock(ahead) for link in (source, target) if link is not None}
+        self._report_due = -float("inf")
+        self._last_report: tuple[float, int] | None = None
+        self._opened = 0
+        self._device_frames: tuple[int, float] | None = None  # received by the device at a time [s]
+        self._unwanted = False
+        self._started = wall()
+
+    def start(self) -> None:
+        """Start the threads."""
+        for link in self._links():
+            link.start()
+        self.worker.start()
+
+    def close(self) -> None:
+        """Tell receivers, stop the threads, save."""
+        now = self._clock()
+        if self.transmitter is not None and self._is_receiving:
+            self.transmitter.bid_farewell(now, self._time(self.source).at(now))
+        self._pass_on()
+        for link in self._links():
+            link.close()
+        self._pass_on()
+        self.worker.close()
+        for file in (self._status_file, self._metrics_file):
+            if file is not None:
+                with suppress(OSError):  # a status that stays is known by the process that has ended
+                    file.unlink()
+
+    def turn(self) -> None:
+        """One turn of the loop.
+
+        Raises
+        ------
+        ConfigError
+            A bus can never be opened.
+        RoadloadError
+            A thread has died.
+        """
+        self._pass_on()
+        now = self._clock()
+        self._judge(now)
+        for link in self._links():
+            if link.hopeless is not None:
+                raise link.hopeless
+            if link.failure is not None:
+                raise RoadloadError(f"{link.label}: draining failed: {link.failure!r}") from link.failure
+        if self.worker.failure is not None:
+            raise RoadloadError(f"the estimator failed: {self.worker.failure!r}") from self.worker.failure
+        if self.transmitter is not None:
+            output = self.target or self.source
+            if output.counts.opened != self._opened:
+                if self._opened:
+                    self.transmitter.restart()
+                self._opened = output.counts.opened
+            if output.is_open:
+                self.listener.turn(self._time(self.source).at(now))
+        if now >= self._report_due:
+            self._report_due = now + REPORT_PERIOD
+            self._report(now)
+
+    def content(self, now: float) -> dict[str, Any]:
+        """The status as plain values."""
+        t = self._time(self.source).at(now)
+        return {
+            "version": __version__,
+            "pid": os.getpid(),
+            "started_s": round(self._started, 3),
+            "written_s": round(self._wall(), 3),
+            "written_monotonic_s": now,
+            "state": self.state.value,
+            "detail": self.detail,
+            "frames_per_s": self._rate(now),
+            "clock_steps": self._time(self.source).steps,
+            "input": status.of_link(self.source, now),
+            "output": None if self.target is None else status.of_link(self.target, now),
+            "estimator": status.of_worker(self.worker, now),
+            "transmit": status.of_transmitter(self.transmitter),
+            **status.of_knowledge(self.worker.knowledge, t),
+        }
+
+    def is_healthy(self, now: float) -> bool:
+        """Whether the draining threads turn and the estimator is not hung: only then the watchdog is fed."""
+        draining = all(now - link.beat < LONGEST_PAUSE for link in self._links())
+        return draining and self.worker.stuck_for(now) < LONGEST_WORK
+
+    def _broadcast(self, t: float, estimate: Estimate | None) -> None:
+        if self.transmitter is not None:
+            self.transmitter.turn(self._clock(), t, estimate, self._is_receiving)
+
+    def _links(self) -> list[Link]:
+        return [self.source, *([self.target] if self.target is not None else [])]
+
+    def _time(self, link: Link) -> MessageClock:
+        return self._times[id(link)]
+
+    def _pass_on(self) -> None:
+        """Hand what was drained to those who wait for it."""
+        for link in self._links():
+            clock = self._time(link)
+            for drained_at, batch in link.take():
+                frames = _at(clock, batch, drained_at)
+                if self.transmitter is not None:
+                    self.transmitter.hear(frames, batch.own, drained_at)
+                if link is self.source and len(frames):
+                    self.listener.hear(frames)
+
+    def _judge(self, now: float) -> None:
+        """Name the state of the bus."""
+        before, link = self.state, self.source
+        silent = now - max(link.last_frame, link.opened_at)
+        erring = now - link.last_error < ERRORS_ONLY and silent > ERRORS_ONLY
+        self._is_receiving = link.is_open and link.is_up and not erring and now - link.last_frame <= self._silence
+        if not link.is_open:
+            self.state, self.detail = State.WAITING, link.problem
+        elif not link.is_up:
+            self.state, self.detail = State.WAITING, f"{link.label} is down"
+        elif erring:
+            self.state, self.detail = State.FAULT, "error frames only: wrong bit rate, or nobody else on the bus"
+        elif silent > self._silence and self._is_unwanted(now):
+            self.state, self.detail = State.FAULT, "traffic, but nothing wanted in it: see roadload check"
+        elif silent > self._silence:
+            self.state, self.detail = State.SILENT, ""
+        elif self._is_receiving and (contested := self.worker.knowledge.contested):
+            reasons = [f"{path}: {reason}" for path, reason in sorted(contested.items())]
+            self.state, self.detail = State.FAULT, f"contested {'; '.join(reasons)}"
+        elif self._is_receiving:
+            self.state, self.detail = State.RECEIVING, ""
+        else:
+            self.state, self.detail = State.LISTENING, ""
+        if self.state != before:
+            detail = f" ({self.detail})" if self.detail else ""
+            level = logging.WARNING if self.state == State.FAULT else logging.INFO
+            log.log(level, "%s: %s%s", self.state.value, link.label, detail)
+
+    def _is_unwanted(self, now: float) -> bool:
+        """Whether the device has received plenty of late, none of which passed the filters."""
+        received = getattr(self.source.device, "received", None)
+        if received is None:
+            return False
+        quiet_since = max(self.source.last_frame, self.source.opened_at)
+        if self._device_frames is None or self._device_frames[1] < quiet_since:
+            self._device_frames, self._unwanted = (received, now), False
+        count, since = self._device_frames
+        if now - since > UNWANTED:
+            self._device_frames, self._unwanted = (received, now), received - count > UNWANTED_FRAMES
+        return self._unwanted
+
+    def _rate(self, now: float) -> float | None:
+        before, count = self._last_report, self.source.counts.frames
+        if before is None or now <= before[0]:
+            return None
+        return round((count - before[1]) / (now - before[0]), 1)
+
+    def _report(self, now: float) -> None:
+        content = self.content(now)
+        self._last_report = (now, self.source.counts.frames)
+        try:
+            if self._status_file is not None:
+                status_file.write(self._status_file, content)
+            if self._metrics_file is not None:
+                with whole(self._metrics_file) as temporary:
+                    temporary.write_text(status.metrics(content), encoding="utf-8")
+                    temporary.chmod(0o644)
+        except RoadloadError as error:
+            log.warning("status not written: %s", error)
+        estimate = content["estimate"]
+        known = "no estimate yet" if estimate is None else f"{estimate['status']} {estimate['reason']}".strip()
+        drops = self.source.counts.kernel_drops + self.source.counts.queue_drops + self.worker.drops
+        rate = content["frames_per_s"] or 0
+        line = f"STATUS={self.state.value}; {rate:.0f} frames/s; {drops} dropped; {known}"
+        # Ready as soon as the loop turns: a bus may be away for weeks, and that is no failure to start.
+        ready = [] if self._is_ready else ["READY=1"]
+        self._is_ready = True
+        self._notifier.send(*ready, line, *(["WATCHDOG=1"] if self.is_healthy(now) else []))
+
+
+def _at(clock: MessageClock, batch: Batch, drained_at: float) -> Frames:
+    frames = batch.frames
+    return Frames(clock.correct(frames.t, drained_at), frames.ident, frames.length, frames.data)

@@ -1,0 +1,101 @@
+"""Signals: SIGTERM and SIGINT end the daemon cleanly, SIGHUP has it read its configuration again."""
+
+import logging
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from estimator.blas_threads import one_blas_thread
+from estimator.daemon.service import folders
+from estimator.daemon.service.assembly import Plan, assemble, rehearse
+from estimator.daemon.service.loop import PERIOD, Daemon
+from estimator.daemon.service.sd_notify import Notifier
+from estimator.errors import RoadloadError
+from estimator.streaming.pipeline import Pipeline
+
+log = logging.getLogger(__name__)
+
+
+class Signals:
+    """What was asked of the process."""
+
+    def __init__(self) -> None:
+        self.stop = threading.Event()
+        self.reload = threading.Event()
+
+    @contextmanager
+    def caught(self) -> Iterator["Signals"]:
+        """Take over SIGTERM, SIGINT and SIGHUP; the handlers of before come back at the end."""
+
+        def on_stop(number: int, frame: FrameType | None) -> None:
+            self.stop.set()
+
+        def on_reload(number: int, frame: FrameType | None) -> None:
+            self.reload.set()
+
+        handlers = {signal.SIGTERM: on_stop, signal.SIGINT: on_stop, signal.SIGHUP: on_reload}
+        before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+@one_blas_thread()
+def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifier | None = None) -> None:
+    """Run until told to stop; on SIGHUP go on with the new configuration, or with the old one if that cannot be used.
+
+    Raises
+    ------
+    InputError
+        The configuration given at the start is wrong, or a bus can never be opened.
+    RoadloadError
+        The daemon broke down.
+    """
+    notifier = notifier or Notifier()
+    plan = make_plan()
+    pipeline: Pipeline | None = None
+    while True:
+        with folders.alone(folders.state_directory(plan.config.service)):
+            daemon = assemble(plan, pipeline, notifier)
+            following = _serve(daemon, plan, make_plan, signals, notifier)
+        if following is None:
+            return
+        # The same vehicle and settings: what is known stays known, to the last frame.
+        pipeline = daemon.worker.pipeline if following.key == plan.key else None
+        plan = following
+
+
+def _serve(
+    daemon: Daemon, plan: Plan, make_plan: Callable[[], Plan], signals: Signals, notifier: Notifier
+) -> Plan | None:
+    """Turn a daemon until told to stop; returns the plan of the one that is to follow, if any."""
+    following: Plan | None = None
+    daemon.start()
+    try:
+        while following is None and not signals.stop.wait(PERIOD):
+            daemon.turn()
+            if signals.reload.is_set():
+                signals.reload.clear()
+                following = _reload(plan, make_plan, notifier)
+    finally:
+        if following is None:
+            notifier.send("STOPPING=1")
+        daemon.close()
+    return following
+
+
+def _reload(running: Plan, make_plan: Callable[[], Plan], notifier: Notifier) -> Plan | None:
+    notifier.reloading()
+    try:
+        following = make_plan()
+        rehearse(following, running)
+    except RoadloadError as error:
+        log.error("the new configuration cannot be used, the old one stays: %s", error)
+        notifier.send("READY=1")
+        return None
+    log.info("%s", "configuration read again")
+    return following

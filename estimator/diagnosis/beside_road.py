@@ -1,0 +1,214 @@
+"""What acts beside a road that is a state: effects judged by one likelihood, and the budget of the gap.
+
+On hills what is left of the plain road load is the road, or what an altimeter leaves of it, and hides every other
+effect. There the effects are looked for beside the road (`components.search`). On a level road the search has chosen
+them already, and the road model only splits the gap between them, the road and the sensors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.components.budget import ROAD, Budget, Part, budget
+from estimator.components.component import Component, Frame, of_term
+from estimator.components.search import AtRest, Choice, DriveState, Explained, ranked, search
+from estimator.diagnosis.candidates import ALIKE, IDLE_SD, IDLE_SHARE
+from estimator.diagnosis.multi_drive import Drive
+from estimator.diagnosis.outcome import Outcome
+from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span, Verdict
+from estimator.diagnosis.thresholds import AHEAD, NAMED, NEXT_TIMED, UNEXPLAINED, probabilities
+from estimator.estimation.road_fit import ROAD_LOAD
+from estimator.model.effects import Effect
+from estimator.signals import Quantity
+
+POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen may be there all the same
+NEEDED = {False: NAMED, True: NEXT_TIMED}  # log Bayes factor that names an effect, by whether its times are free
+HILL = 300.0  # m, after which a road has another slope
+
+
+@dataclass(frozen=True)
+class BesideRoad:
+    """The drives explained with the road as a state, what is left of them, and the budget."""
+
+    explained: Explained
+    left_over: float  # log Bayes factor of the best nameless process beside what was chosen
+    budget: Budget
+    plain: tuple[Drive, ...]
+
+    @property
+    def longest(self) -> DriveState:
+        """The drive that stands for all where one has to."""
+        return max(self.explained.drives, key=lambda drive: len(drive.fit.strides))
+
+    @property
+    def slope_sd(self) -> float:
+        """Of the road."""
+        return self.longest.fit.slope_sd
+
+    @property
+    def road_load(self) -> tuple[Shift, Shift]:
+        """A, C, m with the road as a state, and their standard deviations."""
+        fit = self.longest.fit
+        A, C, m = fit.theta[:ROAD_LOAD].tolist()
+        dA, dC, dm = np.sqrt(np.diag(fit.theta_covariance()))[:ROAD_LOAD].tolist()
+        return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the road is part of the model from the start."""
+        return any(term.effect.is_gravity for drive in self.plain for term in drive.model.terms)
+
+    @property
+    def rms_base(self) -> float:
+        """Of the model that was given [W]."""
+        part = self.budget.part(ROAD) if self.is_given else None
+        return self.budget.total if part is None or part.reached is None else part.reached
+
+    @property
+    def _shift(self) -> Shift:
+        """Of the parameters, from the plain model to the one with the road and all that was chosen."""
+        model = max((drive.model for drive in self.plain), key=lambda model: len(model.samples))
+        A, C, m = model.road_load.tolist()
+        final, _ = self.road_load
+        return Shift(mass=final.mass - m, A=final.A - A, C=final.C - C)
+
+    def verdict(self) -> Verdict:
+        """A road that no model had, and effects beside it, are named; what has no name is not."""
+        if self.explained.choices or not self.is_given:
+            return Verdict.EFFECT
+        return Verdict.UNKNOWN if self.left_over > UNEXPLAINED else Verdict.NO_GAP
+
+    def hills(self, log_bayes_factor: float) -> Finding:
+        """The road itself, which no signal shows: what a signal of it could close."""
+        driven = float(np.ptp(self.longest.strides.s0))
+        spread = float(np.sqrt(0.5 * HILL / max(driven, HILL)))  # of a standard deviation
+        part = self.budget.part(ROAD)
+        left = self.budget.total if part is None else part.expected
+        return Finding(
+            "grade",
+            probabilities([log_bayes_factor])[0],
+            log_bayes_factor,
+            (),
+            Magnitude(HIDDEN_GRADE, self.slope_sd, self.slope_sd * spread, "1"),
+            self._closed(part, left),
+            self.budget.total,
+            left,
+            self._shift,
+            detail="goes with the place; no signal on the bus shows it",
+        )
+
+    def findings(self, before: Sequence[Finding | None]) -> tuple[Finding, ...]:
+        """The road, as it was found ``before``, and the effects that were chosen beside it."""
+        road = [found for found in before if found is not None and found.name == "grade"]
+        return (*map(self._road, road[:1]), *(self._finding(choice) for choice in self.explained.choices))
+
+    def _road(self, found: Finding) -> Finding:
+        if found.magnitude.name == HIDDEN_GRADE:
+            return self.hills(found.log_bayes_factor)
+        part = self.budget.part(ROAD)
+        reached = self.budget.total if part is None or part.reached is None else part.reached
+        closed = self._closed(part, reached)
+        return replace(found, gap_closed=closed, rms_before=self.budget.total, rms_after=reached, shift=self._shift)
+
+    def _finding(self, choice: Choice) -> Finding:
+        best, ranking = choice.ranked, choice.ranking
+        which, form = best.best
+        drive = self.explained.drives[which]
+        place = next(i for i, component in enumerate(drive.chosen) if component.name == best.name)
+        joint = drive.joint()
+        posterior, at = joint.posterior(range(len(drive.chosen))), joint.places[place][0]
+        term = drive.chosen[place].term
+        assert term is not None
+        part, effect = self.budget.part(best.name), term.effect
+        alone = self.budget.total if part is None or part.reached is None else part.reached
+        left = self.budget.reached if self.is_given else alone
+        close = [other for other in ranking if other is not best and other.gain > best.gain - AHEAD]
+        alike = [
+            o for o in ranking if o is not best and o.gain > NAMED and _correlation(o.best[1].trace, form.trace) > ALIKE
+        ]
+        record = self.plain[which].record
+        return Finding(
+            best.name,
+            probabilities([best.gain, *(other.gain for other in ranking if other is not best)])[0],
+            best.gain,
+            tuple(sorted({other.name for other in (*close, *alike)} | set(effect.equivalent))),
+            Magnitude(effect.symbol, posterior.mean[at], float(np.sqrt(posterior.covariance[at, at])), effect.unit),
+            self._closed(part, left),
+            self.rms_base,
+            left,
+            None,
+            tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in term.spans or ()),
+            detail=_detail(term.shape, effect),
+        )
+
+    def _closed(self, part: Part | None, left: float) -> GapClosed | None:
+        """Share of what lies above the noise that is gone when ``left`` [W] is left; as unsure as the part's share."""
+        floor = self.budget.floor**2
+        gap = self.rms_base**2 - floor
+        if part is None or gap <= 0:
+            return None
+        closed, unit = 1 - (left**2 - floor) / gap, self.budget.total**2 / gap
+        low, high = closed - (part.share - part.q05) * unit, closed + (part.q95 - part.share) * unit
+        share, q05, q95 = np.clip([closed, low, high], 0.0, 1.0).tolist()
+        return GapClosed(share, q05, q95)
+
+
+def _correlation(one: np.ndarray, other: np.ndarray) -> float:
+    return 0.0 if len(one) != len(other) else abs(float(np.corrcoef(one, other)[0, 1]))
+
+
+def _detail(shape: object, effect: Effect) -> str:
+    """The shape found, in words."""
+    if isinstance(shape, Quantity):
+        return shape.value
+    return effect.describe(shape) if shape is not None and effect.describe is not None else ""
+
+
+def beside_road(outcome: Outcome) -> BesideRoad | None:
+    """Explain the drives of an outcome with the road as a state; None where it cannot be fitted."""
+    plain = [_state(drive) for drive in outcome.plain]
+    states = tuple(state for state in plain if state is not None)
+    if len(states) < len(plain):
+        return None
+    effects = [effect for effect in outcome.effects if not effect.absorbed and not effect.is_gravity]
+    if outcome.on_hills:
+        explained = search(states, effects, NEEDED)
+    else:
+        known = tuple(map(_with_terms, states, outcome.final))
+        explained = Explained(known, (), ranked(known, effects))
+    unnamed = [drive.unnamed() for drive in explained.drives]
+    left = max(found[1] for found in unnamed if found is not None)
+    counted = [found[0] if found is not None and found[1] > UNEXPLAINED else None for found in unnamed]
+    possible = [_possible(explained, i) for i in range(len(states))]
+    split = budget(explained.drives, possible, counted, outcome.rng)
+    return BesideRoad(explained, left, split, outcome.plain)
+
+
+def _state(drive: Drive) -> DriveState | None:
+    """The drive with the effects that are part of the model from the start."""
+    idling = drive.record.idling
+    rest = None if idling is None else AtRest(idling[0], IDLE_SD + IDLE_SHARE * abs(idling[0]), idling[1])
+    state = DriveState.of(drive.record.strides, rest)
+    return None if state is None else _with_terms(state, drive)
+
+
+def _with_terms(state: DriveState, drive: Drive) -> DriveState:
+    """With the effects that the drive's model has; gravity is the road's, and a lag is in the fit."""
+    frame = Frame.of(state.fit)
+    terms = [term for term in drive.model.terms if not (term.effect.is_gravity or term.effect.absorbed)]
+    return state.having(tuple(of_term(frame, term) for term in terms)) if terms else state
+
+
+def _possible(explained: Explained, drive: int) -> list[Component]:
+    """Effects that were not chosen but may be there: they always act, and the drive does not speak against them."""
+    forms = [one.each[drive] for one in explained.ranking]
+    return [
+        form.component
+        for form in forms
+        if form is not None and form.gain > POSSIBLE and not form.component.is_noisy and not _is_timed(form.component)
+    ]
+
+
+def _is_timed(component: Component) -> bool:
+    return component.term is not None and component.term.spans is not None

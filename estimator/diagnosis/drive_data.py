@@ -1,0 +1,166 @@
+"""A whole drive as the diagnosis sees it: every admitted sample, in order, with all the context the bus offers."""
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.config import Config
+from estimator.preparation import kinematics, smoothing
+from estimator.preparation.sample_maker import SampleMaker
+from estimator.preparation.smoothing import Kernels
+from estimator.preparation.striding import Strider
+from estimator.samples import STEP, Rows, Samples
+from estimator.signals import Floats, Quantity, Role
+from estimator.strides import Strides
+
+STOPPED = 0.5  # m/s
+SHORTEST_STOP = 10.0  # s, in which a load could change
+SHORTEST_IDLE = 30.0  # s at rest that tell of the power taken there
+BREAK = 10.0  # s of NaN put between pieces of a drive where only their own order matters
+HEARD = 0.5  # share of the drive for which a quantity must be known to be used
+
+
+@dataclass(frozen=True)
+class Record:
+    """Admitted samples of one drive, the lag [s] that was taken out, and rows not used by reason.
+
+    It is the whole of a log, or one of several drives in it: ``log`` says which, ``log_start`` when that began [s].
+    ``idle`` holds the power [W] of rows at rest, ``idle_speed`` the engine speed [rad/s] then. ``speed`` [m/s] is that
+    of every STEP from the start, straight across what is not known; ``smoother`` made the samples of it. ``strides``
+    are all of the same drive, for the model with the road as a state.
+    """
+
+    samples: Samples
+    start: float  # [s] time of the first row
+    lag: float
+    rejected: Counter[str]
+    idle: Floats
+    idle_speed: Floats
+    speed: Floats
+    smoother: Kernels
+    strides: Strides = field(default_factory=Strides.none)
+    log: int = 0
+    log_start: float = 0.0
+
+    @property
+    def idling(self) -> tuple[float, float] | None:
+        """Mean power [W] and engine speed [rad/s] at rest; None where the engine hardly ran there."""
+        if len(self.idle) < SHORTEST_IDLE / STEP:
+            return None
+        return float(np.median(self.idle)), float(np.median(self.idle_speed))
+
+    def at(self, samples: Samples) -> NDArray[np.int64]:
+        """Where in ``speed`` each of the samples is (n,)."""
+        place: NDArray[np.int64] = np.rint((samples.t - self.start) / STEP).astype(np.int64)
+        return place
+
+    @property
+    def known(self) -> frozenset[Quantity]:
+        """The context there is."""
+        return frozenset(self.samples.context)
+
+
+def record(pieces: list[Rows], config: Config) -> Record:
+    """Samples of a drive from its ``pieces``, each without a gap, in order."""
+    rejected: Counter[str] = Counter()
+    if not pieces:
+        nothing = np.empty(0)
+        smoother = smoothing.smoother_kernels(smoothing.fit_ratio(nothing, STEP), STEP)
+        return Record(Samples.concatenate([]), 0.0, 0.0, rejected, nothing, nothing, nothing, smoother)
+    gap = np.full(round(BREAK / STEP), np.nan)
+    speed = np.concatenate([part for piece in pieces for part in (piece.plausible_speed, gap)])
+    power = np.concatenate([part for piece in pieces for part in (piece.power, gap)])
+    maker = SampleMaker(config.kinematics, config.admission)
+    smoother, lag = maker.calibrate(speed, power)
+    start = float(pieces[0].t[0])
+    heard = _heard(pieces, start)
+    found: list[Samples] = []
+    distance, stops = 0.0, 0.0
+    margin = maker.margin
+    for piece in pieces:
+        travelled = distance + np.cumsum(np.nan_to_num(piece.plausible_speed)) * STEP
+        halts = stops + _halts(piece.speed)
+        distance, stops = float(travelled[-1]), float(halts[-1])
+        if len(piece) <= 2 * margin:
+            rejected["surroundings incomplete"] += len(piece)
+            continue
+        inner = slice(margin, len(piece) - margin)
+        samples = maker.samples(piece, smoother, lag, heard, start)
+        whole = {Quantity.DISTANCE: travelled[inner], Quantity.STOPS: halts[inner]}
+        samples = replace(samples, context={**samples.context, **whole})
+        for values in samples.context.values():
+            _bridge(values)
+        found.append(maker.admit(samples, piece, rejected))
+    idle, idle_speed = _idle(pieces)
+    driven, every = Samples.concatenate(found), _whole_speed(pieces)
+    strides = _strides(pieces, config, heard, start)
+    return Record(driven, start, lag, rejected, idle, idle_speed, every, smoother, strides, log_start=start)
+
+
+def _strides(pieces: list[Rows], config: Config, heard: frozenset[Quantity], start: float) -> Strides:
+    """Strides of all pieces, with the whole context that was heard."""
+    strider, found, stops, halted = Strider(config.admission, heard, start), list[Strides](), 0.0, list[Floats]()
+    for piece in pieces:
+        parts = [strider.feed(piece, Counter()), strider.finish(Counter())]
+        strider.pause()
+        halts = stops + _halts(piece.speed)
+        for part in parts:
+            found.append(part)
+            halted.append(halts[np.clip(np.searchsorted(piece.t, part.t), 0, len(piece) - 1)])
+        stops = float(halts[-1])
+    strides = Strides.concatenate(found)
+    for values in strides.context.values():
+        _bridge(values)
+    place = {Quantity.DISTANCE: strides.s0, Quantity.STOPS: np.concatenate(halted)}
+    return replace(strides, context={**strides.context, **place})
+
+
+def _heard(pieces: list[Rows], start: float) -> frozenset[Quantity]:
+    """Quantities that are known for most of the drive."""
+    known: Counter[Quantity] = Counter()
+    for piece in pieces:
+        known.update({q: int(np.isfinite(x).sum()) for q, x in kinematics.quantities(piece, start).items()})
+    least = HEARD * sum(len(piece) for piece in pieces)
+    return frozenset(q for q, count in known.items() if count > least)
+
+
+def _bridge(values: Floats) -> None:
+    """Fill what is not known by straight lines between what is, in place."""
+    known = np.isfinite(values)
+    if known.any() and not known.all():
+        values[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
+
+
+def _whole_speed(pieces: list[Rows]) -> Floats:
+    """Speed [m/s] on the grid from the first row to the last."""
+    first = int(pieces[0].index[0])
+    speed = np.full(int(pieces[-1].index[-1]) - first + 1, np.nan)
+    for piece in pieces:
+        speed[piece.index - first] = piece.plausible_speed
+    _bridge(speed)
+    return speed
+
+
+def _halts(speed: Floats) -> Floats:
+    """How many standstills of at least SHORTEST_STOP have ended before or at each row (n,)."""
+    standing = np.concatenate([[False], speed < STOPPED, [False]])
+    starts, ends = (
+        np.flatnonzero(np.diff(standing.astype(int)) == 1),
+        np.flatnonzero(np.diff(standing.astype(int)) == -1),
+    )
+    long = ends[(ends - starts) >= SHORTEST_STOP / STEP]
+    count: Floats = np.searchsorted(long, np.arange(len(speed)), side="right").astype(float)
+    return count
+
+
+def _idle(pieces: list[Rows]) -> tuple[Floats, Floats]:
+    """Power [W] and engine speed [rad/s] of rows at rest with the engine running."""
+    power, engine = [], []
+    for piece in pieces:
+        speed = piece.context.get(Role.ENGINE_SPEED, np.full(len(piece), np.nan))
+        rest = (piece.speed == 0) & np.isfinite(piece.power) & (speed > 0)
+        power.append(piece.power[rest])
+        engine.append(speed[rest])
+    return np.concatenate(power), np.concatenate(engine)

@@ -1,0 +1,40 @@
+"""Facts behind the sentences of a report: remainder, doubtful candidate, advice, effects to configure."""
+
+from estimator.diagnosis.outcome import Outcome
+from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Doubtful, Finding, Remainder, Verdict
+from estimator.diagnosis.thresholds import NAMED, NAMED_TIMED
+from estimator.model.design_matrix import Term
+from estimator.model.effects import BY_NAME
+
+
+def remainder(outcome: Outcome) -> Remainder:
+    """The process with most evidence in the final residual."""
+    left = outcome.left
+    return Remainder(left.name, left.variance**0.5, left.log_bayes_factor)
+
+
+def doubtful(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> Doubtful | None:
+    """The best candidate where no effect is named, although one may be there."""
+    if verdict is not Verdict.CANNOT_TELL or named:
+        return None
+    best = outcome.result.ranking[0]
+    return Doubtful(best.name, best.log_bayes_factor <= (NAMED_TIMED if best.is_timed else NAMED))
+
+
+def advice(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> tuple[Advice, ...]:
+    """The signal or manoeuvre that separates each effect from those that this drive cannot tell it apart from."""
+    unsure: list[str] = []
+    if verdict is Verdict.CANNOT_TELL:
+        unsure += [named[0].name, *named[0].equivalent] if named else [outcome.result.ranking[0].name]
+    elif verdict is Verdict.EFFECT:
+        unsure += [other for finding in named for other in finding.equivalent]
+        unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
+    breaks = {effect.name: effect.breaks for effect in outcome.effects}
+    return tuple(Advice(name, breaks[name]) for name in dict.fromkeys(unsure) if name in breaks)
+
+
+def streaming_effects(named: tuple[Finding, ...], given: tuple[Term, ...]) -> tuple[str, ...]:
+    """The ``given`` effects of the streaming model and those found that it can take; empty if it can take none."""
+    found = [f.name for f in named if f.name in BY_NAME and f.magnitude.name == BY_NAME[f.name].symbol and not f.span]
+    names = dict.fromkeys([*(term.effect.name for term in given), *(n for n in found if BY_NAME[n].streams)])
+    return tuple(names) if found else ()

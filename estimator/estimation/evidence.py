@@ -1,0 +1,58 @@
+"""What an estimate rests on: for pictures, for files of draws, and for whoever wants to look."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.estimation.posterior import Posterior
+from estimator.estimation.window import Grid
+from estimator.signals import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """What the model was fitted to; all arrays (n,).
+
+    ``v`` [m/s], ``a`` [m/s^2], ``P`` [W] measured and ``fitted`` [W], ``density`` of the air [kg/m^3], NaN where it is
+    not known; ``spacing`` [s] of consecutive elements.
+    """
+
+    v: Floats
+    a: Floats
+    P: Floats
+    fitted: Floats
+    density: Floats
+    spacing: float
+
+    @property
+    def relative_density(self) -> Floats:
+        """Density of the air over its mean here, 1 where it is not known."""
+        known = np.isfinite(self.density)
+        mean = self.density[known].mean() if known.any() else 1.0
+        return np.where(known, self.density / mean, 1.0)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Likelihood of [1/m, A/m, C/m] [1/kg, m/s^2, 1/m] as a Gaussian: ``mean`` (3,) and ``covariance`` (3, 3)."""
+
+    mean: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """Trace, draws, lag of power behind speed [s], rows per cell of the grid, residual [W], independent residuals.
+
+    ``coefficients`` are those of the drive by itself, without beliefs and box, where the road is a state.
+    """
+
+    trace: Trace
+    posterior: Posterior
+    lag: float
+    grid: Grid
+    counts: NDArray[np.int64]
+    rms: float
+    effective: float
+    coefficients: Coefficients | None = None

@@ -1,0 +1,415 @@
+"""One update with the road as a state: fit, judge each parameter by itself, sample.
+
+The mass is told by how speed answers to force within seconds, A and C by what the mean force and the mean road are;
+over hills that no signal shows the mass is known long before A and C. So each parameter has a status of its own.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from estimator.checkpoint.validation import (
+    Count,
+    State,
+    array,
+    generator_state,
+    optional,
+    read,
+    set_generator,
+    substate,
+)
+from estimator.config import Config
+from estimator.errors import StateError
+from estimator.estimate import PARAMETERS, Coverage, Estimate, Road, Status
+from estimator.estimation import posterior
+from estimator.estimation.evidence import Coefficients, Evidence, Trace
+from estimator.estimation.gate import NAMES, Gate
+from estimator.estimation.load_segments import Loads, Segment
+from estimator.estimation.model_check import contradiction
+from estimator.estimation.moments import Belief
+from estimator.estimation.road_fit import ROAD_LOAD, RoadFit, RoadScales, best_shapes, fit
+from estimator.estimation.road_posterior import RoadTarget
+from estimator.estimation.window import Window
+from estimator.model.design_matrix import Term
+from estimator.model.effects import named
+from estimator.model.road import ALPHAS, ROUGH, SCALES, SMOOTH
+from estimator.signals import Floats, Quantity
+from estimator.strides import DURATION, LAGS, Strides
+
+PROBE_SEED = 20_041  # of the simulated noise in the correction: the same in every update
+GROWTH = 1.5  # by which the window must grow before the scales of road and noise are looked for again
+PULLING = 0.1  # m/s^2
+LEAST_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road
+STEEPEST = 0.06  # sine: no road's slopes have a larger standard deviation
+LARGEST_NOISE = 0.3  # m/s^2 of torque noise over mass: ten times that of a poor signal
+PARTS = 4  # of the window, between which the mass may have changed
+CERTAIN = 4.0  # sd by which the masses of two parts must differ to contradict each other
+LARGE = 0.04  # share of the mass by which they must
+EDGE_SDS = 2.0  # sd beyond its box at which a fit contradicts the box; inside it by less, a parameter is not known
+LONGEST_LAG = 0.5  # s, beyond which the time stamps are wrong
+SMALLEST_ANSWER = 1e-6  # 1/kg: a vehicle of 1000 t
+LARGEST_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
+NOTHING_COVERED = Coverage(0, 0)
+
+
+class Withheld(Protocol):
+    """Makes an estimate that publishes nothing."""
+
+    def __call__(self, reason: str, coverage: Coverage = ..., status: Status = ...) -> Estimate:
+        """The estimate with its reason."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """Parameters [A, C, m] with the beliefs, before the box: what the gate is asked about."""
+
+    theta: Floats
+    sd: Floats
+
+
+@dataclass(frozen=True)
+class Change:
+    """What the part of a window before a cut and the part after it say of 1/m [1/kg], each with its variance."""
+
+    before: float
+    after: float
+    variance_before: float
+    variance_after: float
+
+    @property
+    def share(self) -> float:
+        """Difference as a share of 1/m."""
+        return self.after / self.before - 1
+
+    @property
+    def doubt(self) -> float:
+        """Standard deviation of 1/m, as a share of it, that the difference alone suggests.
+
+        Parts with the shares w and 1 - w of the information differ by chance with the variance s^2 / (w (1 - w)), where
+        s^2 is that of the whole. So sqrt(w (1 - w)) times the difference has the sd of the whole if nothing changed,
+        and grows with any change between the parts.
+        """
+        weight = self.variance_after / (self.variance_before + self.variance_after)
+        return abs(self.share) * float(np.sqrt(max(weight * (1 - weight), 0.0)))
+
+    @property
+    def contradiction(self) -> str:
+        """Empty unless they differ by more than chance and the form of the model explain."""
+        sd = float(np.sqrt(self.variance_before + self.variance_after))
+        if abs(self.after - self.before) < CERTAIN * sd or abs(self.share) < LARGE:
+            return ""
+        masses = f"mass {1 / self.before:.4g} and {1 / self.after:.4g} kg"
+        return f"two parts of the drive contradict each other: {masses}"
+
+
+class RoadInference:
+    """Concludes from a window of strides, and remembers what each load has shown.
+
+    Parameters
+    ----------
+    config
+        All settings.
+    window
+        What is concluded from.
+    rng
+        Source of all randomness.
+    """
+
+    def __init__(self, config: Config, window: Window[Strides], rng: np.random.Generator) -> None:
+        self.evidence: Evidence | None = None  # what the newest estimate rests on; None while there is none
+        self.below = 0  # no sample is left out for its model power here
+        self._config = config
+        self._window = window
+        self._gate = Gate(config.gate, window.grid)
+        self._effects = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
+        self._given = posterior.belief_of(config.prior)
+        self._rng = rng
+        self._loads = Loads()
+        self._scales: RoadScales | None = None
+        self._fitted = 0  # rows in the window when the scales were found
+
+    def start_segment(self) -> None:
+        """Another load, perhaps: what this one has shown becomes what was shown before."""
+        self._loads.start_segment()
+        self._fitted = 0
+        self.evidence = None
+
+    def forget_vehicle(self) -> None:
+        """It may be another vehicle."""
+        self._loads.forget_vehicle()
+        self._scales = None
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from: all but the evidence, which the next update makes anew."""
+        scales = self._scales
+        found = None
+        if scales is not None:
+            found = {
+                "values": scales.values,
+                "alpha": scales.alpha,
+                "wander": scales.wander,
+                "readings": list(scales.readings),
+                "lag": scales.lag,
+            }
+        return {
+            "generator": generator_state(self._rng),
+            "loads": self._loads.state(),
+            "scales": found,
+            "fitted": self._fitted,
+        }
+
+    def restore(self, state: State) -> None:
+        """Know what another knew.
+
+        Raises
+        ------
+        StateError
+            The state is not that of an inference.
+        """
+        set_generator(self._rng, state, "generator")
+        self._loads.restore(substate(state, "loads"))
+        self._scales = optional(state, "scales", _restored_scales)
+        self._fitted = read(state, "fitted", Count)
+
+    def conclude(
+        self, t: float, context: frozenset[Quantity], lag: float, doubt: str, rejected: Counter[str]
+    ) -> Estimate:
+        """The estimate at time ``t`` [s].
+
+        ``context`` that the strides carry; ``lag`` [s] by which power was moved before; ``doubt`` about the signals,
+        or empty; rows ``rejected`` before, by reason.
+        """
+        self.evidence = None
+        strides, held = self._window.samples, len(self._window)
+
+        def withheld(
+            reason: str, coverage: Coverage = NOTHING_COVERED, status: Status = Status.UNESTIMATED
+        ) -> Estimate:
+            return Estimate(t, status, reason, coverage, held)
+
+        for effect in self._effects:
+            if not effect.streaming_shapes(context):
+                needs = " or ".join(role.value for role in effect.wanted)
+                return withheld(f"the effect {effect.name} needs {needs}, which the bus does not carry")
+        if held < self._config.gate.minimum_samples:
+            others = f"; most others: {rejected.most_common(1)[0][0]}" if rejected else ""
+            return withheld(f"{held} usable samples of the {self._config.gate.minimum_samples} needed{others}")
+        driven = strides[strides.known]
+        pulling = driven.power[driven.a > PULLING]
+        if len(pulling) and np.median(pulling) <= 0:
+            return withheld("power is not positive while the vehicle accelerates: check the sign of the torque")
+        found = self._fit(strides, held)
+        if found is None:
+            return withheld("speed and acceleration varied too little to tell A, C and m apart")
+        if doubt:
+            return withheld(doubt, status=Status.INVALID)
+        if reason := self._undetermined(found):
+            return withheld(reason)
+        return self._judge(t, found, lag, withheld)
+
+    def _fit(self, strides: Strides, held: int) -> RoadFit | None:
+        grown = _has_changed(held, self._fitted, GROWTH)
+        limit = self._config.kinematics.maximum_lag_s
+        terms = self._terms(strides)
+        found = fit(strides, np.random.default_rng(PROBE_SEED), terms, self._scales, grown, limit)
+        if found is not None:
+            if grown or self._scales is None or found.scales.readings != self._scales.readings:
+                self._fitted = held
+            self._scales = found.scales
+        return found
+
+    def _terms(self, strides: Strides) -> tuple[Term, ...]:
+        """Each effect with the shape that suits the strides best, given the scales of road and noise."""
+        known, rng = frozenset(strides.context), np.random.default_rng(PROBE_SEED)
+        shapes = [[Term(effect, shape) for shape in effect.streaming_shapes(known)] for effect in self._effects]
+        # Of several signals that tell the same the first one is taken.
+        shapes = [each[:1] if isinstance(each[0].shape, Quantity) else each for each in shapes if each]
+        if all(len(each) == 1 for each in shapes):
+            return tuple(each[0] for each in shapes)
+        plain = fit(strides, rng, (), self._scales, self._scales is None, self._config.kinematics.maximum_lag_s)
+        return () if plain is None else best_shapes(strides, plain, shapes)
+
+    def _judge(self, t: float, found: RoadFit, lag: float, withheld: Withheld) -> Estimate:
+        lower, upper = posterior.box(self._config.prior)
+        usual = [posterior.WIDEST * term.effect.usual(found.theta) for term in found.terms]
+        lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
+        bounds = np.append(lower[:ROAD_LOAD], lowest), np.append(upper[:ROAD_LOAD], usual)
+        empty = Belief(np.zeros_like(self._given.precision), np.zeros_like(self._given.moment))
+        drive = RoadTarget.of(found, empty, *bounds)
+        if reason := contradiction(self._config.prior, _Judged(drive.free_mode, drive.free_sd)):
+            return withheld(reason, status=Status.INVALID)
+        changes = self._changes(found)
+        found = found.with_doubt_of_mass(max((change.doubt for change in changes), default=0.0))
+        belief = self._given + self._loads.carried_over(t, self._config.load)
+        target = RoadTarget.of(found, belief, *bounds)
+        judged = _Judged(target.free_mode, target.free_sd)
+        driven = found.strides
+        coverage = self._gate.coverage(
+            self._window.counts, np.maximum(judged.theta[:ROAD_LOAD], 0.0), driven.power[driven.power > 0]
+        )
+        if reason := self._gate.has_covered(coverage) or _outside(judged, *bounds):
+            return withheld(reason, coverage)
+        reasons = self._reasons(judged, found, *bounds)
+        if "m" in reasons:
+            return withheld(reasons["m"], coverage)
+        if reason := _misfit(found):
+            return withheld(reason, coverage, Status.INVALID)
+        for change in changes:
+            if change.contradiction:
+                return withheld(change.contradiction, coverage)
+        draws = posterior.sample(target, self._config, self._rng)
+        if not draws.has_converged:
+            c = draws.convergence
+            return withheld(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
+        return self._published(t, found, draws, coverage, reasons, lag)
+
+    def _undetermined(self, found: RoadFit) -> str:
+        """Empty when the drive says something of the mass, else why not: a density around nothing has no mode."""
+        inverse, sd = float(found.beta[0]), float(np.sqrt(max(found.covariance[0, 0], 0.0)))
+        if not inverse > SMALLEST_ANSWER:
+            return "speed does not answer to force: the drive is too uniform, or a signal is wrong"
+        if sd > LARGEST_RELATIVE_SD * inverse and self._config.prior.mass_belief_kg is None:
+            return f"sd of mass is {100 * sd / inverse:.0f} % of its value" + _advice("m", found)
+        return ""
+
+    def _reasons(self, judged: _Judged, found: RoadFit, lower: Floats, upper: Floats) -> dict[str, str]:
+        """Why a parameter of PARAMETERS is not known, for those that are not."""
+        reasons = {}
+        for i, name in enumerate(PARAMETERS):
+            value, sd = float(judged.theta[i]), float(judged.sd[i])
+            reason = self._gate.known(i, value, sd)
+            near = value - EDGE_SDS * sd < lower[i] or value + EDGE_SDS * sd > upper[i]
+            if not reason and near:
+                reason = (
+                    f"{NAMES[i]} {value:.4g} +- {sd:.2g} lies at the edge of its prior [{lower[i]:g}, {upper[i]:g}]"
+                )
+            if reason:
+                reasons[name] = reason + _advice(name, found)
+        return reasons
+
+    def _changes(self, found: RoadFit) -> list[Change]:
+        """The window cut in two after each of its parts but the last; no parts where one does not tell the mass."""
+        strides = self._window.samples
+        known = np.flatnonzero(strides.known)
+        cuts = [int(known[len(known) * k // PARTS]) for k in range(1, PARTS)]
+        inverse, weight = [], []
+        for first, end in zip([0, *cuts], [*cuts, len(strides)], strict=True):
+            part = fit(strides[first:end], np.random.default_rng(PROBE_SEED), found.terms, found.scales, refit=False)
+            if part is None or part.beta[0] <= 0 or not part.covariance[0, 0] > 0:
+                return []
+            inverse.append(float(part.beta[0]))
+            weight.append(1 / float(part.covariance[0, 0]))
+        changes = []
+        for k in range(1, PARTS):
+            before, after = sum(weight[:k]), sum(weight[k:])
+            mean_before = float(np.dot(weight[:k], inverse[:k])) / before
+            mean_after = float(np.dot(weight[k:], inverse[k:])) / after
+            changes.append(Change(mean_before, mean_after, 1 / before, 1 / after))
+        return changes
+
+    def _published(
+        self,
+        t: float,
+        found: RoadFit,
+        draws: posterior.Posterior,
+        coverage: Coverage,
+        reasons: dict[str, str],
+        lag: float,
+    ) -> Estimate:
+        driven, window = found.strides, self._window
+        rms = float(np.sqrt(np.mean(found.residual_power**2)))
+        trace = Trace(
+            v=driven.speed,
+            a=driven.a,
+            P=driven.power,
+            fitted=driven.power - found.residual_power,
+            density=driven.density,
+            spacing=DURATION,
+        )
+        self.evidence = Evidence(
+            trace=trace,
+            posterior=draws,
+            lag=lag + found.lag,
+            grid=window.grid,
+            counts=window.counts,
+            rms=rms,
+            effective=float(len(driven)),
+            coefficients=Coefficients(found.beta[:ROAD_LOAD], found.covariance[:ROAD_LOAD, :ROAD_LOAD]),
+        )
+        marginals = {name: draws.marginal(i) for i, name in enumerate(PARAMETERS) if name not in reasons}
+        road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, :ROAD_LOAD]
+        return Estimate(
+            t,
+            Status.ESTIMATED,
+            "",
+            coverage,
+            len(window),
+            marginals["m"],
+            marginals.get("A"),
+            marginals.get("C"),
+            draws.convergence,
+            rms,
+            {term.effect.name: draws.marginal(ROAD_LOAD + i) for i, term in enumerate(found.terms)},
+            self._loads.show(Segment(road_load.mean(axis=0), np.cov(road_load.T), t)),
+            reasons,
+            _road(found),
+        )
+
+
+def _has_changed(now: int, before: int, factor: float) -> bool:
+    """Whether a number of rows has grown or shrunk by a factor."""
+    return now >= factor * before or now <= before / factor
+
+
+def _restored_scales(state: State) -> RoadScales:
+    values = array(state, "values", (-1,))
+    readings = tuple(read(state, "readings", list[str]))
+    alpha, wander, lag = read(state, "alpha", int), read(state, "wander", int), read(state, "lag", Count)
+    whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0)
+    if alpha not in ALPHAS or wander not in (ROUGH, SMOOTH) or lag >= len(LAGS) or not whole:
+        raise StateError("scales: are not those of a road model")
+    return RoadScales(values=values, alpha=alpha, wander=wander, readings=readings, lag=lag)
+
+
+def _misfit(found: RoadFit) -> str:
+    """Empty when vehicle and road describe the strides, else what they do not."""
+    a = found.strides.a
+    explained = 1 - float(np.var(a - found.fitted)) / max(float(np.var(a)), 1e-12)
+    if explained < LEAST_EXPLAINED:
+        share = 100 * max(explained, 0.0)
+        return f"the model explains {share:.0f} % of the acceleration's variance: a wrong signal?"
+    if found.beta[0] <= 0:
+        return "speed does not answer to force: a wrong signal?"
+    if found.slope_sd > STEEPEST:
+        return f"only slopes of {100 * found.slope_sd:.0f} % would explain the drive: a wrong signal?"
+    if found.scales.values[0] > LARGEST_NOISE:
+        return "force and acceleration hardly belong together: a wrong signal?"
+    if abs(found.lag) > LONGEST_LAG:
+        return f"power and speed are {found.lag:+.1f} s apart: check their time stamps"
+    return ""
+
+
+def _outside(judged: _Judged, lower: Floats, upper: Floats) -> str:
+    """Empty unless the drive puts a parameter beyond its box: then none of them can be believed."""
+    for i, name in enumerate(NAMES):
+        value, sd = float(judged.theta[i]), float(judged.sd[i])
+        if value + EDGE_SDS * sd < lower[i] or value - EDGE_SDS * sd > upper[i]:
+            return f"{name} {value:.4g} +- {sd:.2g} lies outside its prior [{lower[i]:g}, {upper[i]:g}]"
+    return ""
+
+
+def _advice(name: str, found: RoadFit) -> str:
+    """What is in the way of a parameter, and what would help."""
+    if found.scales.readings or found.slope_sd < 2e-3:
+        return ""
+    hills = f"; hills with slopes of {100 * found.slope_sd:.1f} % that no signal shows are in the way"
+    return hills + (", an altimeter would help" if name != "m" else ", a longer drive or an altimeter would help")
+
+
+def _road(found: RoadFit) -> Road:
+    """What the drive says of the road."""
+    climbed = found.climbed if found.scales.readings else None
+    return Road(found.slope_sd, float(found.scales.values[5]), found.scales.readings, climbed)

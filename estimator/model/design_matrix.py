@@ -1,0 +1,137 @@
+"""Columns of the model for given samples: the plain road load, the lag, and effects beyond them.
+
+X = [v, v^3, v a, -dP, h1, h2, ...] for theta = [A, C, m, tau, b1, b2, ...], and the instruments Z likewise. An effect
+whose magnitude is the mass itself adds to the column of m instead.
+"""
+
+from collections.abc import Set
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.model.effects import Effect, Shape, View
+from estimator.model.road_load import design
+from estimator.samples import Samples
+from estimator.signals import Floats, Quantity
+from estimator.units import STANDARD_GRAVITY
+
+PLAIN = 4  # columns without effects
+MASS = 2  # of the mass
+LEAST_ROLLING, LEAST_DRAG = 0.002, 2e-5  # coefficient of rolling [1], and C over mass [1/m]
+AGREEING = 0.1  # of the mass, between inertia and gravity
+Spans = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect as it is in the model: its shape, and when it acts, from and to [s], None for always."""
+
+    effect: Effect
+    shape: Shape = None
+    spans: Spans | None = None
+    joins_mass: bool = False  # its magnitude is the mass itself, not a parameter of its own
+
+    def column(self, view: View) -> Floats:
+        """Power [W] (n,) per unit of magnitude."""
+        power = self.effect.power(view, self.shape)
+        return power if self.spans is None else power * inside(view.t, self.spans)
+
+
+def inside(t: Floats, spans: Spans) -> Floats:
+    """1 for each time [s] (n,) within one of the spans, 0 elsewhere."""
+    edges = np.array(spans).reshape(-1, 2)
+    begun, ended = np.searchsorted(edges[:, 0], t, side="right"), np.searchsorted(edges[:, 1], t, side="left")
+    within: Floats = (begun > ended).astype(float)
+    return within
+
+
+def union(one: Spans, other: Spans) -> Spans:
+    """Times that are within either."""
+    joined: list[tuple[float, float]] = []
+    for start, end in sorted((*one, *other)):
+        if joined and start <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(end, joined[-1][1]))
+        else:
+            joined.append((start, end))
+    return tuple(joined)
+
+
+def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> tuple[View, View]:
+    """``samples`` as measured, and as their instruments see them.
+
+    Some effects scale with ``road_load`` = [A, C, m], and with the climb that other ``terms`` of the model know of.
+    """
+    density, context = samples.relative_density, samples.context
+    # What is missing in the model can push A or C below zero; effects in proportion to them must not vanish.
+    m = max(float(road_load[MASS]), 0.0)
+    road_load = np.maximum(road_load, np.array([LEAST_ROLLING * STANDARD_GRAVITY, LEAST_DRAG, 1.0]) * m)
+    gravity = [context[term.shape] for term in terms if term.effect.is_gravity]
+    climb = gravity[0] if gravity else np.zeros(len(samples))
+    own = View(samples.t, samples.v, samples.a, samples.P, density, context, road_load, climb)
+    # The model's power, not the power measured around: what the model lacks outlasts the ring, and would be in both.
+    around = design(samples.zv, samples.za, density) @ road_load
+    return own, View(samples.t, samples.zv, samples.za, around, density, context, road_load, climb)
+
+
+def columns(samples: Samples, terms: tuple[Term, ...] = (), road_load: Floats | None = None) -> tuple[Floats, Floats]:
+    """Regressors X and instruments Z, both (n, 4 + own parameters of the terms)."""
+    density = samples.relative_density
+    X = np.column_stack([design(samples.v, samples.a, density), -samples.dP])
+    Z = np.column_stack([design(samples.zv, samples.za, density), -samples.zdP])
+    if not terms:
+        return X, Z
+    own, ring = views(samples, np.zeros(3) if road_load is None else road_load, terms)
+    for term in terms:
+        x, z = term.column(own), term.column(ring)
+        if term.joins_mass:
+            X[:, MASS] += x
+            Z[:, MASS] += z
+        else:
+            X, Z = np.column_stack([X, x]), np.column_stack([Z, z])
+    return X, Z
+
+
+def settled(term: Term, samples: Samples) -> Term:
+    """The term as it is to enter the model: gravity joins the mass if both agree on it.
+
+    They do not where the signal that shows the climb is poor: its noise makes slopes look steeper than the power they
+    take, and would make the vehicle too light.
+    """
+    if not term.effect.is_gravity:
+        return term
+    X, Z = columns(samples, (term,))
+    if not X[:, PLAIN].any():  # a flat road contradicts no mass, and a column of zeros would have no solution
+        return replace(term, joins_mass=True)
+    theta = np.linalg.lstsq(Z.T @ X, Z.T @ samples.P, rcond=None)[0]
+    return replace(term, joins_mass=bool(abs(theta[PLAIN] - theta[MASS]) < AGREEING * abs(theta[MASS])))
+
+
+def wanted_by(effects: tuple[Effect, ...], known: Set[Quantity]) -> frozenset[Quantity]:
+    """The context, of that which is ``known``, that these effects are computed from."""
+    if not effects:
+        return frozenset()
+    shapes = {
+        shape for effect in effects for shape in effect.streaming_shapes(known)[:1] if isinstance(shape, Quantity)
+    }
+    needs = {need for effect in effects for need in effect.needs}
+    return frozenset(shapes | needs) & known
+
+
+def best_terms(effects: tuple[Effect, ...], samples: Samples, road_load: Floats) -> tuple[Term, ...]:
+    """Each effect with the shape, of those that can be computed, that explains most on top of the plain road load."""
+    known = frozenset(samples.context)
+    X, Z = columns(samples)
+    project = np.linalg.pinv(Z.T @ X)
+    residual = samples.P - X @ (project @ (Z.T @ samples.P))
+    _, ring = views(samples, road_load)
+    found = []
+    for effect in effects:
+        shapes = effect.streaming_shapes(known)
+        if len(shapes) > 1 and not isinstance(shapes[0], Quantity):
+            z = np.column_stack([effect.power(ring, shape) for shape in shapes])
+            off = z - Z @ (project.T @ (X.T @ z))
+            slope = off.T @ residual
+            gain = np.where((slope > 0) | (not effect.positive), slope**2 / np.maximum((off**2).sum(axis=0), 1e-12), 0)
+            shapes = (shapes[int(np.argmax(gain))],)
+        found += [settled(Term(effect, shape), samples) for shape in shapes[:1]]
+    return tuple(found)

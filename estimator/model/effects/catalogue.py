@@ -1,0 +1,52 @@
+"""All effects that the diagnosis can name and the estimator can add. Adding one is adding one object.
+
+They are tried, and printed where nothing ranks them, in the order of the list.
+"""
+
+from collections.abc import Sequence
+
+from estimator.errors import ConfigError
+from estimator.model.effects import air, powertrain, readings, road
+from estimator.model.effects.effect import Effect
+
+CATALOGUE: tuple[Effect, ...] = (
+    road.GRADE,
+    air.HEADWIND,
+    air.AIR_DENSITY,
+    road.WARM_UP,
+    powertrain.VISCOUS_DRAG,
+    readings.TORQUE_GAIN,
+    powertrain.LOAD_LOSS,
+    readings.TORQUE_BIAS,
+    powertrain.AUXILIARY_LOAD,
+    powertrain.AUXILIARY_CYCLING,
+    powertrain.ROTATING_INERTIA,
+    road.MASS_STEP,
+    road.RESISTANCE_SEGMENT,
+    road.CORNERING,
+    readings.SENSOR_DRIFT,
+    readings.SPEED_SCALE,
+    road.BRAKE_USE,
+    readings.TIME_LAG,
+    readings.SPEED_FILTER,
+    air.DRAFTING,
+)
+
+BY_NAME = {effect.name: effect for effect in CATALOGUE}
+
+
+def named(names: Sequence[str]) -> tuple[Effect, ...]:
+    """The effects that a configuration asks for.
+
+    Raises
+    ------
+    ConfigError
+        A name that is not known, or an effect that only a diagnosis can find the times of.
+    """
+    for name in names:
+        if name not in BY_NAME:
+            raise ConfigError(f"effects: {name!r} is not known; there are {', '.join(BY_NAME)}")
+        if not BY_NAME[name].streams:
+            able = ", ".join(effect.name for effect in CATALOGUE if effect.streams)
+            raise ConfigError(f"effects: {name!r} cannot be part of the model, only diagnosed; those that can: {able}")
+    return tuple(BY_NAME[name] for name in dict.fromkeys(names))

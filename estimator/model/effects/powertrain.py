@@ -1,0 +1,80 @@
+"""Effects between the engine and the wheels: losses, inertia, and what else the engine drives."""
+
+import numpy as np
+
+from estimator.model.effects.effect import TYPICAL_MASS, Effect, Shape, Timing, View, by_mass
+from estimator.signals import Floats, Quantity
+
+FAN_EXPONENT = 3  # power of a fan over its speed
+
+
+def _fan(view: View, source: Shape) -> Floats:
+    if source is None:
+        return np.ones_like(view.v)
+    speed = view.context[source]
+    fastest = float(np.nanmax(speed, initial=1.0))
+    power: Floats = (speed / fastest) ** FAN_EXPONENT
+    return power
+
+
+VISCOUS_DRAG = Effect(
+    "viscous_drag",
+    "B v^2",
+    "churning of oil in axles and gearbox",
+    "B",
+    "N s/m",
+    lambda view, shape: view.v**2,
+    usual=lambda road_load: 0.5 * float(road_load[0]) / 20.0,
+    breaks="a coast-down over a wide range of speed, or A from a data sheet",
+)
+
+LOAD_LOSS = Effect(
+    "load_loss",
+    "k F^2 v",
+    "tyre slip and gear mesh: loss in proportion to the force transmitted, twice",
+    "k",
+    "1/N",
+    lambda view, shape: view.P**2 / view.v,
+    usual=lambda road_load: 1e-6 * TYPICAL_MASS / float(road_load[2]),
+    is_noisy=True,
+    breaks="the speed of a wheel that is not driven, or GPS speed",
+)
+
+AUXILIARY_LOAD = Effect(
+    "auxiliary_load",
+    "P0",
+    "alternator, steering pump, compressor, air conditioning",
+    "P0",
+    "W",
+    lambda view, shape: np.ones_like(view.v),
+    usual=by_mass(8e3),
+    at_rest=lambda idle: 1.0,
+    breaks="two minutes of idling at rest",
+)
+
+AUXILIARY_CYCLING = Effect(
+    "auxiliary_cycling",
+    "Pf u(t)",
+    "engine fan or air compressor: two levels, switched by temperature or pressure",
+    "Pf",
+    "W",
+    _fan,
+    usual=by_mass(25e3),
+    shapes=(Quantity.FAN_SPEED, None),
+    timing=Timing.SWITCHING,
+    dwells=(200.0, 25.0),
+    breaks="the state of the fan on the bus",
+)
+
+ROTATING_INERTIA = Effect(
+    "rotating_inertia",
+    "J (w / v)^2 v a",
+    "kinetic energy of engine and flywheel",
+    "J",
+    "kg m^2",
+    lambda view, shape: view.context[Quantity.ENGINE_SPEED] ** 2 * view.a / view.v,
+    usual=by_mass(3.0),
+    needs=(Quantity.ENGINE_SPEED,),
+    is_noisy=True,
+    breaks="accelerations in low gears",
+)

@@ -1,0 +1,92 @@
+"""Effects of the instruments: what the control units report goes off."""
+
+import numpy as np
+
+from estimator.model.effects.effect import Effect, always, by_mass
+from estimator.signals import Quantity
+
+HOUR = 3600.0  # s
+
+TORQUE_GAIN = Effect(
+    "torque_gain",
+    "e P",
+    "the torque signal is some per cent off, or the driveline takes them",
+    "gain error",
+    "1",
+    lambda view, shape: view.P,
+    usual=always(0.05),
+    positive=False,
+    absorbed=True,
+    equivalent=("speed_scale",),
+    breaks="a known mass (weigh ticket)",
+)
+
+TORQUE_BIAS = Effect(
+    "torque_bias",
+    "T0 w",
+    "an offset of the torque signal, or engine drag that the friction torque leaves out",
+    "T0",
+    "N m",
+    lambda view, shape: view.context[Quantity.ENGINE_SPEED],
+    usual=by_mass(50.0),
+    positive=False,
+    needs=(Quantity.ENGINE_SPEED,),
+    at_rest=lambda idle: idle,
+    breaks="driving the same speed in several gears, or coasting in gear",
+)
+
+SENSOR_DRIFT = Effect(
+    "sensor_drift",
+    "g t P",
+    "a torque signal that drifts as it warms",
+    "drift per hour",
+    "1/h",
+    lambda view, shape: view.P * view.context[Quantity.ELAPSED] / HOUR,
+    usual=always(0.08),
+    positive=False,
+    needs=(Quantity.ELAPSED,),
+    is_noisy=True,
+    breaks="the same stretch at the beginning and the end of the drive",
+)
+
+SPEED_SCALE = Effect(
+    "speed_scale",
+    "v -> (1 + e) v",
+    "tyre wear or a wrong rolling radius",
+    "scale error",
+    "1",
+    lambda view, shape: view.P,
+    usual=always(0.02),
+    positive=False,
+    absorbed=True,
+    equivalent=("torque_gain",),
+    breaks="GPS speed or distance on the bus",
+)
+
+TIME_LAG = Effect(
+    "time_lag",
+    "P(t - tau) - P(t)",
+    "power and speed reach the bus with different delays, or the speed is filtered; taken out by the alignment",
+    "lag of power",
+    "s",
+    lambda view, shape: np.zeros_like(view.v),
+    usual=always(0.2),
+    positive=False,
+    absorbed=True,
+    equivalent=("speed_filter",),
+    breaks="both signals from one control unit, at a high rate",
+)
+
+SPEED_FILTER = Effect(
+    "speed_filter",
+    "P(t + tau) - P(t)",
+    "a control unit that filters the wheel speed makes it late; to first order a lag of power the other way",
+    "lag of power",
+    "s",
+    lambda view, shape: np.zeros_like(view.v),
+    usual=always(0.2),
+    positive=False,
+    absorbed=True,
+    equivalent=("time_lag",),
+    breaks="both signals from one control unit, at a high rate",
+)

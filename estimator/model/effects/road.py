@@ -1,0 +1,100 @@
+"""Effects between the vehicle and the road: gravity, load, tyres and brakes."""
+
+import numpy as np
+
+from estimator.model.effects.effect import Effect, Shape, Timing, View, always, by_mass
+from estimator.signals import Floats, Quantity
+from estimator.units import STANDARD_GRAVITY
+
+WARM_UP_TIMES = tuple(60.0 * minutes for minutes in (6, 10, 16, 25, 40, 60))  # s
+
+
+def _climbing(view: View, source: Shape) -> Floats:
+    climb: Floats = STANDARD_GRAVITY * view.context[source]
+    return climb
+
+
+def _warming(view: View, time: Shape) -> Floats:
+    warming: Floats = view.A * view.v * np.exp(-view.context[Quantity.ELAPSED] / time)
+    return warming
+
+
+GRADE = Effect(
+    "grade",
+    "m g v sin(th)",
+    "component of gravity along the road",
+    "mass on slopes",
+    "kg",
+    _climbing,
+    usual=lambda road_load: 2.0 * float(road_load[2]),
+    shapes=(Quantity.CLIMB_BY_GRADE, Quantity.CLIMB_BY_ALTITUDE, Quantity.CLIMB_BY_ACCELEROMETER),
+    is_gravity=True,
+    is_noisy=True,
+    breaks="altitude, grade or an inertial accelerometer on the bus",
+)
+
+MASS_STEP = Effect(
+    "mass_step",
+    "dm (A + m dv/dt + m g sin(th)) v after a standstill",
+    "load taken on or off",
+    "share of the mass",
+    "1",
+    lambda view, shape: (view.A + view.m * view.a) * view.v + view.m * STANDARD_GRAVITY * view.climb,
+    usual=always(0.3),
+    positive=False,
+    timing=Timing.STEP,
+    is_noisy=True,
+    breaks="accelerations after the stop, or axle loads on the bus",
+)
+
+WARM_UP = Effect(
+    "warm_up",
+    "A al exp(-t / tau) v",
+    "rolling resistance of tyres falls as they warm (ISO 28580; SAE J2452)",
+    "cold excess of A",
+    "1",
+    _warming,
+    usual=always(0.25),
+    needs=(Quantity.ELAPSED,),
+    shapes=WARM_UP_TIMES,
+    finer=lambda time: tuple(time * share for share in (0.8, 0.87, 0.93, 1.08, 1.16, 1.25)),
+    describe=lambda time: f"time constant {time / 60:.0f} min",
+    breaks="a drive that starts with warm tyres",
+)
+
+RESISTANCE_SEGMENT = Effect(
+    "resistance_segment",
+    "dA v on [t1, t2]",
+    "wet road, dragging brake, soft tyre",
+    "share of A",
+    "1",
+    lambda view, shape: view.A * view.v,
+    usual=always(0.25),
+    timing=Timing.WINDOW,
+    breaks="a change of speed inside the window",
+)
+
+CORNERING = Effect(
+    "cornering",
+    "k v ay^2",
+    "induced drag of tyres under side force",
+    "k",
+    "N s^4/m^2",
+    lambda view, shape: view.v * view.context[Quantity.LATERAL_ACCELERATION] ** 2,
+    usual=by_mass(600.0),
+    needs=(Quantity.LATERAL_ACCELERATION,),
+    breaks="yaw rate or lateral acceleration on the bus, and bends taken without braking",
+)
+
+BRAKE_USE = Effect(
+    "brake_use",
+    "F v u(t) while the engine pulls",
+    "a service brake that drags, or is held against the engine, and no switch tells",
+    "brake force",
+    "N",
+    lambda view, shape: view.v,
+    usual=by_mass(4e3),
+    timing=Timing.SWITCHING,
+    dwells=(12.0,),
+    breaks="brake switch or brake pressure on the bus",
+)

@@ -1,0 +1,61 @@
+"""Output files: their names are refused early, their contents appear whole or not at all."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from estimator.errors import ConfigError, RoadloadError
+
+PART = ".part-"  # before the name of a file that is being written; the suffix stays, for it may name the format
+
+
+def check_suffix(path: Path, formats: tuple[str, ...]) -> None:
+    """Refuse a file name before the work is done.
+
+    Raises
+    ------
+    ConfigError
+        The suffix is none of ``formats``, or there is no such folder.
+    """
+    if path.suffix.lower() not in formats:
+        raise ConfigError(f"{path}: write it as one of {', '.join(formats)}")
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: there is no folder {path.parent}; create it first")
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder; give the name of a file")
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A name to write to, which becomes ``path`` when all went well and vanishes otherwise.
+
+    It names a new, empty file in the same folder. A link that somebody has put there is removed, not followed.
+
+    Raises
+    ------
+    RoadloadError
+        The file cannot be written.
+    """
+    temporary = path.with_name(f"{PART}{path.name}")
+    try:
+        os.close(create(temporary, 0o666))
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise RoadloadError(f"{path}: cannot write: {error.strerror}") from error
+    finally:
+        with suppress(OSError):  # where nothing could be written there is nothing to remove
+            temporary.unlink()
+
+
+def create(path: Path, mode: int) -> int:
+    """Descriptor of a new file, open for writing; what was at its place, a file or a link, is removed before.
+
+    Raises
+    ------
+    OSError
+        It cannot be removed or created.
+    """
+    path.unlink(missing_ok=True)
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)

@@ -1,0 +1,128 @@
+"""Which rows may become samples: each one that may not has one named reason."""
+
+from collections import Counter
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.samples import STEP, Rows, Samples
+from estimator.settings import Admission
+from estimator.signals import Floats, Mask, Role
+
+
+class Reason(StrEnum):
+    """Why a row is not used, in order of precedence."""
+
+    SPEED_STALE = "speed stale"
+    SPEED_NOT_AVAILABLE = "speed not available"
+    SPEED_IMPLAUSIBLE = "speed jumps"
+    STANDING = "standing"
+    REVERSE = "reverse"
+    BRAKING = "braking"
+    RETARDER = "retarder"
+    SHIFTING = "clutch or shift"
+    POWER_STALE = "power stale"
+    POWER_NOT_AVAILABLE = "power not available"
+    NEAR_EXCLUDED = "near an excluded moment"
+    MAY_BRAKE = "no power, and brakes are not on the bus"
+    INCOMPLETE = "surroundings incomplete"
+    BELOW_MODEL_POWER = "below model power"
+    EVICTED = "evicted from the window"
+
+
+ADMITTED = -1  # code of a row without a reason
+_ORDER = tuple(Reason)
+MAY_BRAKE = np.int8(_ORDER.index(Reason.MAY_BRAKE))  # code of that reason
+BRAKE_PEDAL = 0.005  # fraction of travel: one bit of SPN 521 is 0.4 %
+RETARDER_TORQUE = -0.01  # fraction of reference torque: one bit of SPN 520
+
+
+def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
+    """Code of the first reason against each row (n,), or ADMITTED.
+
+    Roles that the bus does not carry exclude nothing; neither does a switch that is not available.
+    """
+    blank = np.full(len(rows), np.nan)
+
+    def context(role: Role) -> Floats:
+        return rows.context.get(role, blank)
+
+    shifting, braking = is_shifting(rows), is_braking(rows)
+    retarding = context(Role.RETARDER_FRACTION) < RETARDER_TORQUE
+    with np.errstate(invalid="ignore"):
+        standing = rows.speed < admission.minimum_speed_m_s
+    masks: dict[Reason, Mask] = {
+        Reason.SPEED_STALE: ~rows.fresh[:, 0],
+        Reason.SPEED_NOT_AVAILABLE: np.isnan(rows.speed),
+        Reason.SPEED_IMPLAUSIBLE: np.isnan(rows.plausible_speed),
+        Reason.STANDING: standing,
+        Reason.REVERSE: context(Role.GEAR) < 0,
+        Reason.BRAKING: braking,
+        Reason.RETARDER: retarding,
+        Reason.SHIFTING: shifting,
+        Reason.POWER_STALE: ~rows.fresh[:, 1],
+        Reason.POWER_NOT_AVAILABLE: np.isnan(rows.power),
+        Reason.NEAR_EXCLUDED: near(braking | retarding | shifting, round(admission.margin_s / STEP)),
+    }
+    codes = np.full(len(rows), ADMITTED, dtype=np.int8)
+    for reason, mask in reversed(masks.items()):
+        codes[mask] = _ORDER.index(reason)
+    return codes
+
+
+def is_braking(rows: Rows) -> Mask:
+    """Where a brake is used (n,): by its switch, its pedal, or parked."""
+    blank = np.full(len(rows), np.nan)
+    pedal, switch, park = (
+        rows.context.get(role, blank) for role in (Role.BRAKE_PEDAL, Role.BRAKE_SWITCH, Role.PARK_BRAKE)
+    )
+    used: Mask = (switch == 1) | (pedal > BRAKE_PEDAL) | (park == 1)
+    return used
+
+
+def is_shifting(rows: Rows) -> Mask:
+    """Where the engine may not drive the wheels (n,): gear change, clutch, neutral."""
+    blank = np.full(len(rows), np.nan)
+    shift, engaged, clutch, gear = (
+        rows.context.get(role, blank)
+        for role in (Role.SHIFT_IN_PROCESS, Role.DRIVELINE_ENGAGED, Role.CLUTCH_SWITCH, Role.GEAR)
+    )
+    open_: Mask = (shift == 1) | (engaged == 0) | (clutch == 1) | (gear == 0)
+    return open_
+
+
+def is_coasting(rows: Rows, margin: int) -> Mask:
+    """Where the bus says that the driveline is open and stays so (n,): no force comes from the engine.
+
+    Neutral, disengaged and no gear change in process, all three signalled, for ``margin`` rows on either side.
+    """
+    blank = np.full(len(rows), np.nan)
+    shift, engaged, gear = (
+        rows.context.get(role, blank) for role in (Role.SHIFT_IN_PROCESS, Role.DRIVELINE_ENGAGED, Role.GEAR)
+    )
+    open_ = (shift == 0) & (engaged == 0) & (gear == 0)
+    coasting: Mask = open_ & ~near(~open_ | is_braking(rows), margin)
+    return coasting
+
+
+def admit(samples: Samples, codes: NDArray[np.int8], rejected: Counter[str]) -> Samples:
+    """Samples whose rows have no reason against them and whose surroundings are complete; counts the others."""
+    codes = np.where((codes == ADMITTED) & ~samples.complete, _ORDER.index(Reason.INCOMPLETE), codes)
+    count_reasons(codes[codes != ADMITTED], rejected)
+    return samples[codes == ADMITTED]
+
+
+def count_reasons(codes: NDArray[np.int8], rejected: Counter[str]) -> None:
+    """Count rows that are left out; those without a reason of their own lack complete surroundings."""
+    codes = np.where(codes == ADMITTED, _ORDER.index(Reason.INCOMPLETE), codes)
+    for code, count in zip(*(x.tolist() for x in np.unique(codes, return_counts=True)), strict=True):
+        rejected[_ORDER[code]] += count
+
+
+def near(mask: Mask, reach: int) -> Mask:
+    """True within ``reach`` rows of a true row."""
+    count = np.concatenate([[0], np.cumsum(mask)])
+    n = len(mask)
+    i = np.arange(n)
+    return count[np.minimum(i + reach + 1, n)] > count[np.maximum(i - reach, 0)]

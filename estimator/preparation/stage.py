@@ -1,0 +1,298 @@
+"""From rows to what a model is fitted to: the part of the estimator that differs between the likelihoods.
+
+`SampleStage` makes samples with instruments, ten a second, for the moments and the paper's likelihood; `StrideStage`
+makes strides, one a second, for the model with the road as a state. Both cut at fixed rows, whatever the batches.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from estimator.checkpoint.validation import Count, State, optional, read, substate
+from estimator.config import Config
+from estimator.errors import StateError
+from estimator.model.design_matrix import wanted_by
+from estimator.model.effects import Effect, named
+from estimator.preparation import kinematics, smoothing
+from estimator.preparation.admission import Reason
+from estimator.preparation.lag import LONGEST_LAG
+from estimator.preparation.sample_maker import SampleMaker
+from estimator.preparation.standstill import Standstill
+from estimator.preparation.striding import Strider
+from estimator.samples import Rows, Samples
+from estimator.signals import Quantity
+from estimator.strides import Strides
+
+BLOCK = 200  # rows turned into samples or strides at a time: 20 s
+CALIBRATION = 1800  # moving rows after which it is known how noisy and how late the signals are: 3 min
+LONGEST_WAIT = 18_000  # rows kept waiting for that: 30 min
+HEARD = 0.05  # share of the first minutes in which a quantity must be known to be used
+
+B = TypeVar("B", Samples, Strides, covariant=True)
+
+
+@dataclass(frozen=True)
+class Piece(Generic[B]):
+    """``rows`` of the grid and what was made of them; ``departs`` where they begin another load, perhaps."""
+
+    rows: Rows
+    block: B
+    departs: bool
+
+
+class Stage(Protocol[B]):
+    """Turns rows into pieces; see the module."""
+
+    rejected: Counter[str]
+    moving: int  # rows heard in motion
+    lag: float  # by which power was moved [s]
+    wanted: frozenset[Quantity] | None  # context of the pieces, None before it is known
+
+    def feed(self, rows: Rows) -> Iterator[Piece[B]]:
+        """Take the next rows, which follow those before without a gap."""
+        ...
+
+    def finish(self) -> Iterator[Piece[B]]:
+        """Use what is still waiting, at the end of a log or before a gap."""
+        ...
+
+    @property
+    def waiting(self) -> float | None:
+        """Time of the newest row that waits or was turned into pieces since the last `finish` [s]; None if none."""
+        ...
+
+    def pause(self, rows: int) -> None:
+        """Rows that never came: a silence of the bus."""
+        ...
+
+    def forget(self) -> None:
+        """Another drive begins."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from."""
+        ...
+
+    def restore(self, state: State) -> None:
+        """Go on where another stage was."""
+        ...
+
+
+def _needed(effects: tuple[Effect, ...], rows: Rows) -> frozenset[Quantity]:
+    """What the effects are to be computed from, of what the bus carries in ``rows``."""
+    if not effects:
+        return frozenset()
+    there = kinematics.quantities(rows, 0.0).items()
+    return wanted_by(effects, {q for q, values in there if np.isfinite(values).mean() > HEARD})
+
+
+class SampleStage:
+    """Rows to samples: smoothed by a filter whose noise levels, like the lag, are found in the first minutes."""
+
+    def __init__(self, config: Config) -> None:
+        self.rejected: Counter[str] = Counter()
+        self.moving = 0
+        self.lag = 0.0
+        self.wanted: frozenset[Quantity] | None = None
+        self._config = config
+        self._effects = named(config.effects)
+        self._maker = SampleMaker(config.kinematics, config.admission)
+        self._pending: Rows | None = None
+        self._smoother: smoothing.Kernels | None = None
+        self._start: float | None = None  # [s] of the drive
+        self._standstill = Standstill(config.load, config.admission.minimum_speed_m_s)
+
+    @property
+    def waiting(self) -> float | None:
+        """See `Stage`."""
+        return None if self._pending is None else float(self._pending.t[-1])
+
+    def feed(self, rows: Rows) -> Iterator[Piece[Samples]]:
+        """See `Stage`."""
+        self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
+        self.moving += int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
+        if self.moving < CALIBRATION and len(self._pending) < LONGEST_WAIT:
+            return
+        yield from self._consume(BLOCK)
+
+    def finish(self) -> Iterator[Piece[Samples]]:
+        """See `Stage`; the rows at the very ends have no complete surroundings."""
+        if self._pending is None:
+            return
+        yield from self._consume(1)
+        self.rejected[Reason.INCOMPLETE] += len(self._pending)
+        self._pending = None
+
+    def pause(self, rows: int) -> None:
+        """See `Stage`."""
+        self._standstill.pause(rows)
+
+    def forget(self) -> None:
+        """See `Stage`."""
+        self._pending, self.wanted, self._start = None, None, None
+
+    def _consume(self, least: int) -> Iterator[Piece[Samples]]:
+        assert self._pending is not None
+        margin = self._maker.margin
+        if self._smoother is None:
+            self._smoother, self.lag = self._maker.calibrate(self._pending.plausible_speed, self._pending.power)
+        if self.wanted is None:
+            self._start = float(self._pending.t[0])
+            self.wanted = _needed(self._effects, self._pending)
+        while len(self._pending) >= least + 2 * margin:
+            core = min(BLOCK, len(self._pending) - 2 * margin)
+            yield self._piece(self._pending[: core + 2 * margin])
+            self._pending = self._pending[core:]
+        if self.moving < CALIBRATION:
+            # A few moments of driving must not settle the smoother for all that follows.
+            self._smoother, self.moving = None, 0
+
+    def _piece(self, rows: Rows) -> Piece[Samples]:
+        assert self._smoother is not None
+        assert self.wanted is not None
+        assert self._start is not None
+        samples = self._maker.samples(rows, self._smoother, self.lag, self.wanted, self._start)
+        core = self._maker.core(rows)
+        departs = self._standstill.departure(core.speed) is not None
+        return Piece(core, self._maker.admit(samples, rows, self.rejected), departs)
+
+    def state(self) -> dict[str, Any]:
+        """See `Stage`."""
+        return {
+            "rejected": dict(self.rejected),
+            "pending": None if self._pending is None else self._pending.state(),
+            "smoother": None if self._smoother is None else self._smoother.state(),
+            "lag": self.lag,
+            "wanted": None if self.wanted is None else sorted(self.wanted),
+            "start": self._start,
+            "moving": self.moving,
+            "standstill": self._standstill.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """See `Stage`.
+
+        Raises
+        ------
+        StateError
+            The state is not that of such a stage.
+        """
+        self.rejected = Counter(read(state, "rejected", dict[str, Count]))
+        self._pending = optional(state, "pending", Rows.restore)
+        self._smoother = optional(state, "smoother", smoothing.Kernels.restore)
+        self.lag, self.moving = read(state, "lag", float), read(state, "moving", Count)
+        wanted = read(state, "wanted", list[Quantity] | None)
+        self.wanted, self._start = None if wanted is None else frozenset(wanted), read(state, "start", float | None)
+        self._standstill.restore(substate(state, "standstill"))
+        if abs(self.lag) > LONGEST_LAG:
+            raise StateError("lag: is out of range")
+        if (self.wanted is None) != (self._start is None):
+            raise StateError("start: does not go with what is wanted")
+
+
+class StrideStage:
+    """Rows to strides. Only effects make it wait, until it is known what the bus carries for them."""
+
+    lag = 0.0  # strides hold the force at several lags
+
+    def __init__(self, config: Config) -> None:
+        self.rejected: Counter[str] = Counter()
+        self.moving = 0
+        self.wanted: frozenset[Quantity] | None = None
+        self._config = config
+        self._effects = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
+        self._pending: Rows | None = None  # not yet strided
+        self._strider: Strider | None = None
+        self._newest: float | None = None
+        self._standstill = Standstill(config.load, config.admission.minimum_speed_m_s)
+
+    @property
+    def waiting(self) -> float | None:
+        """See `Stage`."""
+        return self._newest
+
+    def feed(self, rows: Rows) -> Iterator[Piece[Strides]]:
+        """See `Stage`."""
+        self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
+        self._newest = float(rows.t[-1])
+        self.moving += int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
+        if self._effects and self.wanted is None and self.moving < CALIBRATION and len(self._pending) < LONGEST_WAIT:
+            return
+        self._begin()
+        while self._pending is not None and len(self._pending) >= BLOCK:
+            part, self._pending = self._pending[:BLOCK], self._pending[BLOCK:]
+            yield from self._stride(part)
+
+    def finish(self) -> Iterator[Piece[Strides]]:
+        """See `Stage`."""
+        if self._newest is None:
+            return
+        self._begin()
+        assert self._strider is not None
+        if self._pending is not None and len(self._pending):
+            yield from self._stride(self._pending)
+        self._pending, self._newest = None, None
+        yield from self._last()
+        self._strider.pause()
+
+    def pause(self, rows: int) -> None:
+        """See `Stage`."""
+        self._standstill.pause(rows)
+
+    def forget(self) -> None:
+        """See `Stage`."""
+        self._pending, self._strider, self.wanted, self._newest = None, None, None, None
+
+    def _begin(self) -> None:
+        if self._strider is None:
+            assert self._pending is not None
+            self.wanted = _needed(self._effects, self._pending)
+            self._strider = Strider(self._config.admission, self.wanted, float(self._pending.t[0]))
+
+    def _stride(self, rows: Rows) -> Iterator[Piece[Strides]]:
+        """Strides before and after a departure are apart: the load may be another."""
+        assert self._strider is not None
+        departure = self._standstill.departure(rows.speed)
+        if departure is not None:
+            if departure:
+                yield Piece(rows[:departure], self._strider.feed(rows[:departure], self.rejected), False)
+            yield from self._last()
+            rows = rows[departure:]
+        yield Piece(rows, self._strider.feed(rows, self.rejected), departure is not None)
+
+    def _last(self) -> Iterator[Piece[Strides]]:
+        """What the strider still holds, none of it new to the grid."""
+        assert self._strider is not None
+        held = self._strider.held
+        if held is not None:
+            yield Piece(held[:0], self._strider.finish(self.rejected), False)
+
+    def state(self) -> dict[str, Any]:
+        """See `Stage`."""
+        return {
+            "rejected": dict(self.rejected),
+            "pending": None if self._pending is None or not len(self._pending) else self._pending.state(),
+            "strider": None if self._strider is None else self._strider.state(),
+            "newest": self._newest,
+            "moving": self.moving,
+            "standstill": self._standstill.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """See `Stage`.
+
+        Raises
+        ------
+        StateError
+            The state is not that of such a stage.
+        """
+        self.rejected = Counter(read(state, "rejected", dict[str, Count]))
+        self._pending = optional(state, "pending", Rows.restore)
+        found = read(state, "strider", dict[str, Any] | None)
+        self._strider = None if found is None else Strider.restore(self._config.admission, found)
+        self.wanted = None if self._strider is None else self._strider.wanted
+        self._newest, self.moving = read(state, "newest", float | None), read(state, "moving", Count)
+        self._standstill.restore(substate(state, "standstill"))

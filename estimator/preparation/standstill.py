@@ -1,0 +1,51 @@
+"""Standstills long enough to load or unload."""
+
+from typing import Any
+
+import numpy as np
+
+from estimator.checkpoint.validation import Count, State, read
+from estimator.samples import STEP
+from estimator.settings import Load
+from estimator.signals import Floats
+
+
+class Standstill:
+    """Tells from speeds on the grid when a vehicle drives off after a long stop."""
+
+    def __init__(self, load: Load, standing_speed: float) -> None:
+        self._long = round(load.stop_s / STEP)
+        self._speed = standing_speed
+        self._standing = 0  # rows in a row
+
+    def departure(self, speed: Floats) -> int | None:
+        """Place of the last departure after a stop of the configured length in these rows (n,) [m/s], the next ones.
+
+        A row without a speed ends no stop: ignition is off in most of them. None where there is no such departure.
+        """
+        moving = np.flatnonzero(speed >= self._speed)
+        if not len(moving):
+            self._standing += len(speed)
+            return None
+        rests = np.diff(np.concatenate([[-1 - self._standing], moving])) - 1
+        self._standing = len(speed) - 1 - int(moving[-1])
+        long = np.flatnonzero(rests >= self._long)
+        return int(moving[long[-1]]) if len(long) else None
+
+    def pause(self, rows: int) -> None:
+        """Count a silence of the bus as standing: nobody saw what was loaded."""
+        self._standing += rows
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from."""
+        return {"standing": self._standing}
+
+    def restore(self, state: State) -> None:
+        """Have stood for as long as another.
+
+        Raises
+        ------
+        StateError
+            The state is not that of a standstill.
+        """
+        self._standing = read(state, "standing", Count)

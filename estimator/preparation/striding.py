@@ -1,0 +1,212 @@
+"""Strides from rows of the time grid, as they come.
+
+A stride starts where the one before ended, or where driving whose force is known begins again; what lies between is
+covered by strides whose force is not known, which carry the distance and the signals of the road on.
+"""
+
+from collections import Counter
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.checkpoint.validation import State, optional, read
+from estimator.errors import StateError
+from estimator.preparation.admission import ADMITTED, MAY_BRAKE, count_reasons, is_coasting, row_reasons
+from estimator.preparation.kinematics import air_density, measured
+from estimator.samples import STEP, Rows
+from estimator.settings import Admission
+from estimator.signals import Floats, Mask, Quantity, Role
+from estimator.strides import DURATION, EDGE, LAGS, ROWS, Strides
+
+SPAN = ROWS + EDGE  # rows that a stride is computed from
+GAP = 1e5  # m of road that nobody saw, between two stretches of rows
+SLOWEST = 2.0  # m/s: below, force is a ratio of two small numbers, and a clutch may slip
+_REACH = round(float(LAGS.max()) / STEP)
+_WEIGHTS = np.convolve(np.convolve(np.ones(ROWS), np.ones(EDGE)), [0.5, 0.5])[:SPAN] / (ROWS * EDGE)
+
+
+class Strider:
+    """Cuts rows into strides; how the rows are batched changes nothing.
+
+    Parameters
+    ----------
+    admission
+        Which moments are known, and how far from brake use and gear changes.
+    wanted
+        Context that the strides carry.
+    start
+        When the drive began [s].
+    """
+
+    def __init__(self, admission: Admission, wanted: frozenset[Quantity], start: float) -> None:
+        self._admission = msgspec.structs.replace(
+            admission,
+            minimum_speed_m_s=max(admission.minimum_speed_m_s, SLOWEST),
+            margin_s=admission.stride_margin_s,
+        )
+        self.wanted, self._start = wanted, start
+        self._margin = max(round(admission.stride_margin_s / STEP), _REACH) + 1
+        self._rows: Rows | None = None  # from `margin` rows before the next stride on
+        self._next = 0  # place in them where the next stride begins
+        self._distance = 0.0  # [m] there
+        self._speed = 0.0  # [m/s] last known before
+
+    @property
+    def held(self) -> Rows | None:
+        """Rows that no stride stands for yet, and those before them; None between two stretches of rows."""
+        return self._rows
+
+    def feed(self, rows: Rows, rejected: Counter[str]) -> Strides:
+        """Strides that rows up to these complete; rows of no known stride are counted by reason."""
+        self._rows = rows if self._rows is None else Rows.concatenate(self._rows, rows)
+        return self._cut(self._rows, SPAN + ROWS + self._margin, rejected)
+
+    def finish(self, rejected: Counter[str]) -> Strides:
+        """The strides still waiting, when no row follows without a gap."""
+        if self._rows is None:
+            return Strides.none()
+        strides = self._cut(self._rows, 0, rejected)
+        left = self._rows[self._next :]
+        count_reasons(self._codes(left)[0], rejected)
+        self._rows, self._next, self._speed = None, 0, 0.0
+        return strides
+
+    def _codes(self, rows: Rows) -> tuple[NDArray[np.int8], Mask]:
+        """Code of the reason against each row, and where the driveline is open."""
+        margin = round(self._admission.stride_margin_s / STEP)
+        codes = row_reasons(rows, self._admission)
+        if not rows.context.keys() & {Role.BRAKE_SWITCH, Role.BRAKE_PEDAL}:
+            codes = np.where((codes == ADMITTED) & (rows.power <= 0), MAY_BRAKE, codes)
+        coasting = is_coasting(rows, margin) & (rows.plausible_speed > SLOWEST)
+        return np.where(coasting, np.int8(ADMITTED), codes), coasting
+
+    def _cut(self, rows: Rows, ahead: int, rejected: Counter[str]) -> Strides:
+        """Strides of all rows but the last ``ahead``, which wait for what follows them."""
+        codes, coasting = self._codes(rows)
+        bad = np.concatenate([[0], np.cumsum(codes != ADMITTED)])
+        clear = np.zeros(len(rows) + 1, dtype=bool)
+        clear[: max(len(rows) - SPAN + 1, 0)] = bad[SPAN:] == bad[:-SPAN]
+        starts, lengths, place = list[int](), list[int](), self._next
+        while place + max(ahead, ROWS) <= len(rows):
+            onward = np.flatnonzero(clear[place : place + ROWS])
+            span = ROWS if not len(onward) or onward[0] == 0 else int(onward[0])
+            starts.append(place)
+            lengths.append(span)
+            place += span
+        if not starts:
+            return Strides.none()
+        first, length = np.array(starts), np.array(lengths)
+        known = clear[first]
+        for at, span in zip(first[~known].tolist(), length[~known].tolist(), strict=True):
+            count_reasons(codes[at : at + span], rejected)
+        strides = self._strides(rows, coasting, first, length, known)
+        strides = strides[known | (strides.s1 > strides.s0)]  # a standstill says nothing of the road
+        travelled, held = self._travelled(rows)
+        self._distance, self._speed = float(travelled[place]), float(held[place - 1])
+        kept = max(place - self._margin, 0)
+        self._rows, self._next = rows[kept:], place - kept
+        return strides
+
+    def _strides(
+        self, rows: Rows, coasting: Mask, first: NDArray[np.intp], length: NDArray[np.intp], known: Mask
+    ) -> Strides:
+        travelled, _ = self._travelled(rows)
+        at = np.minimum(first[:, None] + np.arange(SPAN), len(rows) - 1)
+        speed = rows.plausible_speed
+        blank = np.full(len(rows), np.nan)
+
+        def signal(role: Role) -> Floats:
+            return rows.context.get(role, blank)
+
+        def mean(values: Floats) -> Floats:
+            weighted: Floats = (values[at] * _WEIGHTS).sum(axis=1)  # row by row: the same bits in any batch
+            return weighted
+
+        v0, v1 = speed[at[:, :EDGE]].mean(axis=1), speed[at[:, ROWS:]].mean(axis=1)
+        a = (v1 - v0) / DURATION
+        s0, s1 = (
+            0.5 * (travelled[np.minimum(first + i + 1, len(rows))] + travelled[np.minimum(first + i + 2, len(rows))])
+            for i in (0, ROWS)
+        )
+        slow = np.maximum(speed, SLOWEST)
+        force = np.column_stack([mean(np.where(coasting, 0.0, _later(rows.power, lag) / slow)) for lag in LAGS])
+        turns = signal(Role.ENGINE_SPEED)
+        gearing = np.where(np.isfinite(turns), turns, 1.0) / slow
+        rise = signal(Role.GRADE)
+        middle = at[:, SPAN // 2]
+        there = measured(rows, self._start)
+        return Strides(
+            t=rows.t[first] + (SPAN - 1) / 2 * STEP,
+            rows=length.astype(np.int64),
+            known=known,
+            v0=v0,
+            v1=v1,
+            s0=s0,
+            s1=np.maximum(s1, s0),
+            a=a,
+            speed_squared=mean(speed**2),
+            force=force,
+            gearing=mean(gearing),
+            density=mean(air_density(rows)),
+            altitude=mean(signal(Role.ALTITUDE)),
+            grade=mean(rise / np.hypot(1.0, rise)),
+            gravity=np.where(known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
+            context={quantity: there.get(quantity, blank)[middle] for quantity in sorted(self.wanted)},
+        )
+
+    def _travelled(self, rows: Rows) -> tuple[Floats, Floats]:
+        """Distance [m] (n + 1,) at the beginning of each row from the next stride on, and at the end of the last.
+
+        And the speed [m/s] (n,) that it is the integral of: the last known one is held where none is known.
+        """
+        held = np.concatenate([np.zeros(self._next), _held(rows.plausible_speed[self._next :], self._speed)])
+        steps = np.concatenate([[self._distance], held[self._next :] * STEP])
+        return np.concatenate([np.zeros(self._next), np.cumsum(steps)]), held
+
+    def pause(self) -> None:
+        """The next rows follow after a gap of unknown length: no road connects them with those before."""
+        self._distance += GAP
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` goes on from."""
+        return {
+            "rows": None if self._rows is None else self._rows.state(),
+            "next": self._next,
+            "distance": self._distance,
+            "speed": self._speed,
+            "wanted": sorted(self.wanted),
+            "start": self._start,
+        }
+
+    @classmethod
+    def restore(cls, admission: Admission, state: State) -> "Strider":
+        """A strider from its state.
+
+        Raises
+        ------
+        StateError
+            It is not that of a strider.
+        """
+        strider = cls(admission, frozenset(read(state, "wanted", list[Quantity])), read(state, "start", float))
+        strider._rows = optional(state, "rows", Rows.restore)
+        strider._distance, strider._speed = read(state, "distance", float), read(state, "speed", float)
+        held = 0 if strider._rows is None else len(strider._rows)
+        strider._next = read(state, "next", int)
+        if not 0 <= strider._next <= held:
+            raise StateError("next: is out of range")
+        return strider
+
+
+def _held(values: Floats, before: float) -> Floats:
+    """Values (n,) with the last known one held where none is known; ``before`` is the one before the first."""
+    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, len(values) + 1), 0))
+    return np.concatenate([[before], values])[place]
+
+
+def _later(values: Floats, lag: float) -> Floats:
+    """Values (n,) of the rows ``lag`` [s] later, the outermost ones held; a row's own where none is known then."""
+    place = np.arange(len(values)) + round(lag / STEP)
+    later = values[np.clip(place, 0, len(values) - 1)]
+    return np.where(np.isfinite(later), later, values)

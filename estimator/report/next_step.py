@@ -1,0 +1,41 @@
+"""The advice beside a status that is not "estimated": the next step of a user."""
+
+from estimator.estimate import Estimate, Status
+from estimator.samples import STEP
+from estimator.settings import Gate
+from estimator.signals import Role
+from estimator.streaming.replay import Run
+
+FEEL_GRADE = (Role.GRADE, Role.ALTITUDE, Role.LONGITUDINAL_ACCELERATION)  # signals that the effect `grade` can use
+DIAGNOSE = "`roadload diagnose` with the same logs names a missing effect and the line to add to the configuration"
+
+
+def next_step(run: Run) -> str:
+    """One line for people; empty where there is an estimate."""
+    final, pipeline = run.final, run.pipeline
+    if final.status == Status.ESTIMATED:
+        return ""
+    if final.status == Status.INVALID:
+        return DIAGNOSE
+    gate = pipeline.config.gate
+    if final.admitted < gate.minimum_samples:
+        needed = gate.minimum_samples * STEP / 60
+        return (
+            f"give a longer log, or several of one load in their order: it takes {needed:.3g} min of pulling, without "
+            "brake, shift or standstill; `roadload inspect` shows whether signals are missing for part of the time"
+        )
+    if not final.coverage.available:
+        return (
+            "check signals and units with `roadload inspect`, and the boxes of [prior] where the vehicle is no truck; "
+            "then give a longer log with more speeds and accelerations"
+        )
+    if _shows_little(final, gate):
+        return "give a longer log, or several of one load in their order, with more speeds and accelerations"
+    felt = [role.value for role in FEEL_GRADE if pipeline.traffic.seen[role]]
+    if felt and "grade" not in pipeline.effects:
+        return f'in hills add effects = ["grade"] to the configuration: the bus carries {felt[0]}; else {DIAGNOSE}'
+    return f"give a longer log, or several of one load in their order; in hills or where more is amiss {DIAGNOSE}"
+
+
+def _shows_little(final: Estimate, gate: Gate) -> bool:
+    return final.coverage.occupied < gate.minimum_cells or final.coverage.fraction < gate.coverage

@@ -1,0 +1,115 @@
+"""Readings at their senders' own times become rows of one time grid.
+
+A row stands for the interval of STEP around its time. Speed and power are means of the straight lines between
+readings over that interval: both sides of the model get the same low-pass, whatever their senders' rates and phases.
+Other roles are held from their last reading.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.checkpoint.validation import State
+from estimator.samples import STEP, Rows
+from estimator.settings import Vehicle
+from estimator.signals import Floats, Mask, Role, Series
+from estimator.streaming.engine_power import EnginePower
+from estimator.streaming.resampling import Track
+
+SETTLE = 3.0  # s, rows lag this far behind the newest reading, so that straight lines have both ends
+NO_CONTEXT = {  # used up in speed and power
+    Role.SPEED,
+    Role.WHEEL_SPEEDS,
+    Role.ENGINE_POWER,
+    Role.TORQUE_FRACTION_FINE,
+    Role.FRICTION_FRACTION,
+    Role.PARASITIC_FRACTION,
+    Role.REFERENCE_TORQUE,
+}
+AVERAGED = {Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE}  # gravity is low-passed as speed and power are
+
+Readings = Mapping[Role, list[Series]]
+
+
+class Aligner:
+    """Turns batches of readings into rows, about SETTLE behind the newest reading.
+
+    ``bound`` are the roles that the configuration expects: a term of the power that is expected but has not come
+    makes the power unknown, not larger. ``despike`` repairs lone gross errors of power.
+    """
+
+    def __init__(self, vehicle: Vehicle, bound: frozenset[Role], despike: bool = True) -> None:
+        self._bound = bound
+        self._tracks: dict[tuple[Role, int], Track] = {}
+        self._engine = EnginePower(vehicle, bound, despike, self._tracks)
+        self._next: int | None = None
+
+    def forget(self) -> None:
+        """Forget what the engine has shown of itself: it may be another one."""
+        self._engine.forget()
+
+    def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
+        """Add a batch that ends at time ``now`` [s]; yields the rows that have become complete."""
+        for role, parts in readings.items():
+            for i, series in enumerate(parts):
+                self._tracks.setdefault((role, i), Track()).add(series)
+        self._engine.extend()
+        horizon = int(np.floor((now - SETTLE) / STEP))
+        if self._next is None:
+            starts = [track.t[0] for track in self._tracks.values() if len(track.t)]
+            if not starts:
+                return
+            self._next = int(np.ceil(min(starts) / STEP))
+        if horizon > self._next:
+            yield self._rows(np.arange(self._next, horizon, dtype=np.int64))
+            self._next = horizon
+            for track in [*self._tracks.values(), self._engine.track]:
+                track.forget(horizon * STEP - SETTLE)
+
+    def finish(self, now: float) -> Iterator[Rows]:
+        """The rows still waiting at time ``now`` [s] when nothing more comes; only the engine is remembered then."""
+        yield from self.feed({}, now + SETTLE)
+        self._engine.finish()
+        self._tracks.clear()
+        self._next = None
+
+    def state(self) -> dict[str, Any]:
+        """What the engine has shown of itself; not the readings of the last seconds."""
+        return self._engine.state()
+
+    def restore(self, state: State) -> None:
+        """Know of the engine what another aligner knew; for one that has not been fed.
+
+        Raises
+        ------
+        StateError
+            The state is not that of an aligner.
+        """
+        self._engine.restore(state)
+
+    def _rows(self, index: NDArray[np.int64]) -> Rows:
+        edges = (np.append(index, index[-1] + 1) - 0.5) * STEP
+        speed, speed_there = self._speed(edges)
+        power, power_there = self._engine.track.means(edges)
+        at = index * STEP
+        context = {
+            role: track.means(edges)[0] if role in AVERAGED else track.held(at)
+            for (role, i), track in self._tracks.items()
+            if i == 0 and role not in NO_CONTEXT
+        }
+        return Rows(index, speed, power, np.column_stack([speed_there, power_there]), context)
+
+    def _speed(self, edges: Floats) -> tuple[Floats, Mask]:
+        """The speed signal, or the mean of the wheel speeds where there is none."""
+        wheels = [k for k in self._tracks if k[0] == Role.WHEEL_SPEEDS]
+        keys = [(Role.SPEED, 0)] if Role.SPEED in self._bound else wheels
+        if not any(key in self._tracks for key in keys):
+            return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, dtype=bool)
+        means, there = zip(*(self._tracks[key].means(edges) for key in keys), strict=True)
+        # A wheel without a valid speed is left out; where none has one there is none.
+        known = np.isfinite(means)
+        total = np.where(known, means, 0.0).sum(axis=0)
+        count = known.sum(axis=0)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan), np.any(there, axis=0)

@@ -1,0 +1,90 @@
+"""Recorded traffic to a diagnosis: each log is a drive of the same vehicle, or several."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from estimator.blas_threads import one_blas_thread
+from estimator.config import Config
+from estimator.diagnosis.diagnose import diagnose
+from estimator.diagnosis.drive_data import Record, record
+from estimator.diagnosis.result import Diagnosis
+from estimator.model.effects import CATALOGUE, Effect, named
+from estimator.samples import Rows
+from estimator.streaming.log_frames import Progress, no_progress, read_frames
+from estimator.streaming.row_stream import Block, Interruption, RowStream
+
+READING = 0.9  # of the work
+
+
+@one_blas_thread()
+def diagnose_logs(
+    paths: Sequence[Path],
+    config: Config,
+    progress: Progress = no_progress,
+    further: Sequence[Effect] = (),
+) -> Diagnosis:
+    """Diagnose one log, or several of one vehicle together.
+
+    ``further`` effects are candidates beside those of the catalogue.
+
+    Raises
+    ------
+    LogError
+        A log cannot be read.
+    MissingInputsError
+        A log does not carry what the model needs.
+    ConfigError
+        The configuration names an effect that is not known.
+    """
+    given = named(config.effects)
+    records: list[Record] = []
+    for i, path in enumerate(paths):
+        found = drives(path, config, partial(_part, progress, i, len(paths)))
+        records += [replace(drive, log=i, log_start=found[0].start) for drive in found]
+    result = diagnose(records, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further))
+    progress(1.0)
+    return replace(result, logs=tuple(str(path) for path in paths))
+
+
+def _part(progress: Progress, done: int, of: int, share: float) -> None:
+    progress((done + READING * share) / of)
+
+
+def drives(path: Path, config: Config, progress: Progress = no_progress) -> list[Record]:
+    """The drives in a log, prepared for the diagnosis.
+
+    Raises
+    ------
+    LogError
+        The log cannot be read.
+    MissingInputsError
+        The log does not carry what the model needs.
+    """
+    return [record(pieces, config) for pieces in drive_rows(path, config, progress)]
+
+
+def drive_rows(path: Path, config: Config, progress: Progress = no_progress) -> list[list[Rows]]:
+    """Rows of the drives in a log, each drive as its pieces between interruptions; see `drives`."""
+    stream = RowStream(config)
+    found: list[list[list[Rows]]] = [[[]]]
+    for item in _items(stream, path, progress):
+        if isinstance(item, Block):
+            found[-1][-1] += item.rows
+        elif item.is_new_drive:
+            found.append([[]])
+        else:
+            found[-1].append([])
+    stream.require_inputs(str(path))
+    pieces = [[Rows.concatenate(*parts) for parts in drive if parts] for drive in found]
+    return [drive for drive in pieces if drive]
+
+
+def _items(stream: RowStream, path: Path, progress: Progress) -> Iterator[Block | Interruption]:
+    for frames in read_frames([path], progress, Counter()):
+        yield from stream.feed(frames)
+    yield from stream.finish()

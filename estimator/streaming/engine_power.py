@@ -1,0 +1,159 @@
+"""Power at the wheels, at the times of the torque readings (J1939-71: percent torques refer to SPN 544).
+
+The bus gives the power itself; or torque and engine speed; or torque as a fraction of the reference torque, less the
+friction torque.
+"""
+
+from collections.abc import Mapping, Set
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from estimator.checkpoint.validation import State, read, substate
+from estimator.settings import Positive, Vehicle
+from estimator.signals import Floats, Role, Series
+from estimator.streaming.friction import FrictionCurve
+from estimator.streaming.resampling import Track
+
+FOR_EVER = np.inf
+SPIKE_WINDOW = 5  # readings, for the running median
+SPIKE_SDS = 8.0
+SMALLEST_SPREAD = 0.02  # of the usual power: below, one quantum of the sender would pass for a spike
+MAD_TO_SD = 1.4826  # of a Gaussian
+
+
+def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:
+    """Roles without which there is no power, given those that are ``bound``."""
+    if Role.ENGINE_POWER in bound:
+        return [Role.ENGINE_POWER]
+    if Role.ENGINE_TORQUE in bound:
+        return [Role.ENGINE_TORQUE, Role.ENGINE_SPEED]
+    roles = [Role.TORQUE_FRACTION, Role.ENGINE_SPEED]
+    if Role.FRICTION_FRACTION in bound:
+        roles.append(Role.FRICTION_FRACTION)
+    if vehicle.subtract_parasitic_losses:
+        roles.append(Role.PARASITIC_FRACTION)
+    if vehicle.reference_torque_Nm is None:
+        roles.append(Role.REFERENCE_TORQUE)
+    return roles
+
+
+class EnginePower:
+    """Extends a `track` of power [W] by what has come, and remembers what the engine has shown of itself.
+
+    Parameters
+    ----------
+    vehicle, bound, despike
+        As of an `Aligner`.
+    tracks
+        Recent readings by role and place; whoever adds to them calls `extend`.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, bound: frozenset[Role], despike: bool, tracks: Mapping[tuple[Role, int], Track]
+    ) -> None:
+        self._vehicle, self._bound, self._despike, self._tracks = vehicle, bound, despike, tracks
+        self._restart()
+        self.forget()
+
+    def _restart(self) -> None:
+        self.track = Track()
+        self._powered_to = -np.inf  # [s]
+
+    def forget(self) -> None:
+        """Forget what the engine has shown of itself: it may be another one."""
+        self._friction = FrictionCurve()
+        self._reference: float | None = None  # [N m] from before the start, until the bus sends it
+
+    def finish(self) -> None:
+        """Start a new track, as nothing more comes; what the engine has shown of itself is kept."""
+        self._reference = self._newest_reference()
+        self._restart()
+
+    def state(self) -> dict[str, Any]:
+        """What the engine has shown of itself; not the readings of the last seconds."""
+        return {"friction": self._friction.state(), "reference": self._newest_reference()}
+
+    def restore(self, state: State) -> None:
+        """Know of the engine what another one's state knew.
+
+        Raises
+        ------
+        StateError
+            The state is not one of `state`.
+        """
+        self._friction.restore(substate(state, "friction"))
+        self._reference = read(state, "reference", Positive | None)
+
+    def extend(self) -> None:
+        """Add the power at the times of all torque readings that are new."""
+        if Role.ENGINE_POWER in self._bound:
+            given = self._of(Role.ENGINE_POWER)
+            new = given.t > self._powered_to
+            self._append(given.t[new], given.value[new])
+            return
+        lead = Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION
+        torque, speed = self._of(lead), self._of(Role.ENGINE_SPEED)
+        new = torque.t > self._powered_to
+        if not len(speed.t) or not new.any():
+            return
+        t, value = torque.t[new], torque.value[new]
+        if lead == Role.TORQUE_FRACTION:
+            value = self._net_fraction(t, value) * self._reference_torque(t)
+        self._append(t, value * speed.held(t))
+
+    def _append(self, t: Floats, value: Floats) -> None:
+        if len(t):
+            self._powered_to = float(t[-1])
+            value = despike(value) if self._despike else value
+            self.track.add(Series(t, value * self._vehicle.driveline_efficiency))
+
+    def _of(self, role: Role) -> Track:
+        return self._tracks.get((role, 0), Track())
+
+    def _net_fraction(self, t: Floats, indicated: Floats) -> Floats:
+        """Indicated less friction torque, as fractions of the reference torque."""
+        fine = self._of(Role.TORQUE_FRACTION_FINE).held(t)
+        fraction = indicated + np.where(np.isfinite(fine), fine, 0.0)
+        if Role.FRICTION_FRACTION in self._bound:
+            friction, speed = self._of(Role.FRICTION_FRACTION), self._of(Role.ENGINE_SPEED)
+            speed_then = speed.held(friction.time_of_held(t))
+            fraction = fraction - self._friction.refine(speed.held(t), friction.held(t), speed_then)
+        if self._vehicle.subtract_parasitic_losses:
+            fraction = fraction - self._of(Role.PARASITIC_FRACTION).held(t)
+        return fraction
+
+    def _reference_torque(self, t: Floats) -> Floats:
+        if self._vehicle.reference_torque_Nm is not None:
+            return np.full(len(t), self._vehicle.reference_torque_Nm)
+        # A constant of the engine, sent every few seconds: once heard it holds.
+        heard = self._of(Role.REFERENCE_TORQUE)
+        held = heard.held(t, FOR_EVER)
+        if self._reference is None:
+            return held
+        return np.where(np.isnan(heard.time_of_held(t)), self._reference, held)
+
+    def _newest_reference(self) -> float | None:
+        heard = self._of(Role.REFERENCE_TORQUE).value
+        known = heard[np.isfinite(heard)]
+        return float(known[-1]) if len(known) else self._reference
+
+
+def despike(value: Floats) -> Floats:
+    """Readings (n,) with gross errors replaced by the median of their neighbours (Hampel 1974).
+
+    A reading is grossly wrong when it is off that median by SPIKE_SDS robust standard deviations of such
+    differences in the batch. The running median follows ramps and steps, so only lone readings can be.
+    """
+    known = np.flatnonzero(np.isfinite(value))
+    if len(known) < SPIKE_WINDOW:
+        return value
+    x = value[known]
+    around = sliding_window_view(np.pad(x, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)
+    local: Floats = np.median(around, axis=1)
+    off = np.abs(x - local)
+    limit = SPIKE_SDS * MAD_TO_SD * max(float(np.median(off)), SMALLEST_SPREAD * float(np.median(np.abs(x))))
+    cleaned = value.copy()
+    cleaned[known[off > limit]] = local[off > limit]
+    return cleaned

@@ -1,0 +1,167 @@
+"""What is in a log or on a bus: inputs found and missing, their rates and gaps, and how much was not available."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.can_io.binding import bind, load_database
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.j1939 import pgn_of
+from estimator.config import Config
+from estimator.errors import MissingInputsError
+from estimator.estimate import Estimate, Status
+from estimator.signals import Floats, Role
+from estimator.streaming.log_frames import Progress, no_progress, read_frames
+from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.row_stream import Block, Interruption
+
+GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
+SHORTEST_GAP = 1.0  # s
+
+
+@dataclass
+class Input:
+    """One bound signal as found in a log."""
+
+    name: str
+    times: list[Floats] = field(default_factory=list)
+    values: list[Floats] = field(default_factory=list)
+
+    def describe(self, end: float, start: float) -> dict[str, Any]:
+        """Count, rate [Hz], share without a valid value, range in SI, and gaps as pairs of times [s]."""
+        if not self.times:
+            return {"signal": self.name, "readings": 0}
+        t, value = np.concatenate(self.times), np.concatenate(self.values)
+        period = float(np.median(np.diff(t))) if len(t) > 1 else float("inf")
+        known = value[np.isfinite(value)]
+        edges = np.append(t, end)
+        long = np.diff(edges) > max(GAP_PERIODS * period, SHORTEST_GAP)
+        gaps = [
+            [round(float(edges[i] - start), 3), round(float(edges[i + 1] - start), 3)] for i in np.flatnonzero(long)
+        ]
+        return {
+            "signal": self.name,
+            "readings": len(t),
+            "rate_Hz": round(1 / period, 3) if np.isfinite(period) and period > 0 else None,
+            "not_available": round(1 - len(known) / len(t), 6),
+            "minimum": float(known.min()) if len(known) else None,
+            "maximum": float(known.max()) if len(known) else None,
+            "gaps_s": gaps,
+        }
+
+
+class Inspection:
+    """Looks at traffic, batch by batch; `report` tells what was found."""
+
+    def __init__(self, config: Config) -> None:
+        messages = bind(config, load_database(config.bus.dbc))
+        bound = sorted((s.role, s.place, f"{m.name}.{s.signal.name}") for m in messages for s in m.signals)
+        self._several = {role for role, place, _ in bound if place > 0}
+        self._inputs = {(role, place): Input(name) for role, place, name in bound}
+        self._groups = {m.key: m.name for m in messages if m.by_pgn}
+        self._pipeline = Pipeline(config)
+        self._idents: Counter[int] = Counter()
+        self._start = self._end = self._begun = 0.0  # [s] first and latest time, and start of the latest recording
+        self._before = 0.0  # [s] that earlier recordings lasted
+        self._final: Estimate | None = None
+
+    def add(self, frames: Frames) -> None:
+        """Take the next frames, in order of arrival."""
+        for item in self._pipeline.traffic.feed(frames):
+            self._take(item)
+
+    def _take(self, item: Block | Interruption) -> None:
+        for update in self._pipeline.take(item):
+            self._final = update
+        if isinstance(item, Block):
+            self._count(item)
+        elif item.is_step_back:
+            self._before += self._end - self._begun
+            self._begun = item.end
+
+    def _count(self, block: Block) -> None:
+        """Count the frames, and keep the readings, of a block."""
+        if len(block.frames):
+            if not self._idents:
+                self._start = self._begun = float(block.frames.t[0])
+            self._end = float(block.frames.t[-1])
+        ids, counts = np.unique(block.frames.ident, return_counts=True)
+        self._idents.update(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
+        for role, parts in block.readings.items():
+            for place, part in enumerate(parts):
+                if len(part.t):
+                    self._inputs[role, place].times.append(part.t)
+                    self._inputs[role, place].values.append(part.value)
+
+    def report(self, place: str, skipped: Counter[str]) -> dict[str, Any]:
+        """All that was found at ``place``, where frames were ``skipped`` for a reason; nothing can be added after."""
+        traffic = self._pipeline.traffic
+        for item in traffic.finish():
+            self._take(item)
+        for update in self._pipeline.finish():
+            self._final = update
+        try:
+            traffic.require_inputs(place)
+            final = self._final
+            verdict = {"status": Status.UNESTIMATED.value, "reason": "", "coverage": 0.0}
+            if final is not None:
+                verdict = {"status": final.status.value, "reason": final.reason, "coverage": final.coverage.fraction}
+        except MissingInputsError as error:
+            verdict = {"status": Status.UNESTIMATED.value, "reason": str(error), "coverage": 0.0}
+            usable = False
+        else:
+            usable = True
+        return {
+            "log": place,
+            "duration_s": round(self._before + self._end - self._begun, 3),
+            "frames": {
+                "read": sum(self._idents.values()),
+                "ids": len(self._idents),
+                "used": traffic.used,
+                "reordered": traffic.order.reordered,
+                "steps_back": traffic.order.steps_back,
+                "errors": dict(skipped + traffic.errors),
+            },
+            "sources": traffic.sources,
+            "contested": traffic.contested,
+            "senders": self._senders(),
+            "inputs": {
+                self._label(*key): x.describe(self._end, self._start) for key, x in self._inputs.items() if x.times
+            },
+            "missing": {self._label(*key): x.name for key, x in self._inputs.items() if not x.times},
+            "busiest": [
+                {"id": f"{ident & ~EXTENDED:0{8 if ident & EXTENDED else 3}X}", "frames": count}
+                for ident, count in self._idents.most_common(10)
+            ],
+            "usable": usable,
+            **verdict,
+        }
+
+    def _label(self, role: Role, place: int) -> str:
+        return f"{role.value} {place + 1}" if role in self._several else role.value
+
+    def _senders(self) -> dict[str, list[int]]:
+        """Source addresses that send a bound message in single frames, by its name."""
+        idents = np.array([ident for ident in self._idents if ident & EXTENDED], dtype=np.uint32)
+        found: dict[str, list[int]] = {}
+        for ident, pgn in sorted(zip((idents & 0xFF).tolist(), pgn_of(idents).tolist(), strict=True)):
+            if pgn in self._groups and ident not in found.setdefault(self._groups[pgn], []):
+                found[self._groups[pgn]].append(ident)
+        return found
+
+
+def inspect(path: Path, config: Config, progress: Progress = no_progress) -> dict[str, Any]:
+    """Describe one log; never fails for what the log lacks, only for what cannot be read.
+
+    Raises
+    ------
+    LogError
+        The log cannot be read.
+    """
+    inspection, skipped = Inspection(config), Counter[str]()
+    for frames in read_frames([path], progress, skipped):
+        inspection.add(frames)
+    return inspection.report(str(path), skipped)

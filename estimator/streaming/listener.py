@@ -1,0 +1,178 @@
+"""The loop on a bus: messages in, broadcasts out, in message time. Daemon, replay and `can.Notifier` turn it."""
+
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Protocol
+
+import can
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.publisher import Publisher
+from estimator.can_io.time_order import MAX_DELAY, NO_TIME, is_time
+from estimator.config import Config
+from estimator.errors import RoadloadError
+from estimator.estimate import Estimate
+from estimator.settings import Publish
+from estimator.streaming.pipeline import Pipeline
+
+TICK = 0.25  # s of traffic taken at a time; well below the shortest period of the broadcasts
+MAX_UPDATES = 10_000  # kept: a week of them
+
+Send = Callable[[can.Message], object]
+Broadcast = Callable[[float, Estimate | None], object]
+
+
+class Worker(Protocol):
+    """Estimates from frames: at once (`InlineWorker`), or in a thread of the daemon."""
+
+    @property
+    def latest(self) -> Estimate | None:
+        """The newest estimate; None before the first."""
+
+    def offer(self, frames: Frames) -> None:
+        """Take the next frames."""
+
+    def close(self) -> None:
+        """Use the frames still waiting, at the end of the traffic."""
+
+
+class InlineWorker:
+    """Estimates in the caller's thread; keeps the newest MAX_UPDATES ``updates``."""
+
+    def __init__(self, config: Config) -> None:
+        self.pipeline = Pipeline(config)
+        self.updates: deque[Estimate] = deque(maxlen=MAX_UPDATES)
+
+    @property
+    def latest(self) -> Estimate | None:
+        """The newest estimate; None before the first."""
+        return self.pipeline.latest
+
+    def offer(self, frames: Frames) -> None:
+        """Take the next frames, and estimate when it is due."""
+        self.updates += self.pipeline.feed(frames)
+
+    def close(self) -> None:
+        """Use the frames still waiting, at the end of the traffic."""
+        self.updates += self.pipeline.finish()
+
+
+def broadcast_by(publish: Publish, send: Send) -> Broadcast:
+    """Broadcast that calls ``send`` with the messages that are due; an address is not claimed."""
+    publisher = Publisher(publish)
+
+    def broadcast(t: float, estimate: Estimate | None) -> None:
+        for message in publisher.poll(t, estimate):
+            send(message)
+
+    return broadcast
+
+
+class Listener(can.Listener, AbstractContextManager["Listener"]):
+    """A python-can listener that hands frames to a worker, and its estimates to a broadcast.
+
+    As a context manager it stops at the end, and raises there what the bus failed with.
+
+    Parameters
+    ----------
+    worker
+        Estimates from the frames.
+    broadcast
+        Called with the message time [s] and the newest estimate, at least every TICK of traffic.
+
+    Attributes
+    ----------
+    skipped : collections.Counter[str]
+        Messages that are no data frames, or without a usable time, by reason.
+    failure : Exception or None
+        The first error of the bus under a `can.Notifier`.
+    failures : int
+        Errors of the bus under a `can.Notifier`.
+    """
+
+    def __init__(self, worker: Worker, broadcast: Broadcast) -> None:
+        self.skipped: Counter[str] = Counter()
+        self.failure: Exception | None = None
+        self.failures = 0
+        self._worker, self._broadcast = worker, broadcast
+        self._waiting: list[can.Message] = []
+        self._due: float | None = None
+
+    @classmethod
+    def of(cls, config: Config, send: Send) -> "Listener":
+        """A listener that estimates in the thread it is called in, and puts its broadcasts on a bus by ``send``."""
+        return cls(InlineWorker(config), broadcast_by(config.publish, send))
+
+    @property
+    def latest(self) -> Estimate | None:
+        """The newest estimate; None before the first."""
+        return self._worker.latest
+
+    def hear(self, frames: Frames) -> None:
+        """Take frames in order of arrival."""
+        self._worker.offer(frames)
+
+    def turn(self, t: float) -> None:
+        """Broadcast what is due at message time ``t`` [s]."""
+        self._broadcast(t, self.latest)
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Take one message; every TICK of message time, hear those that waited and broadcast."""
+        if msg.is_error_frame or msg.is_remote_frame:
+            self.skipped["error frame" if msg.is_error_frame else "remote frame"] += 1
+            return
+        t = msg.timestamp
+        if not is_time(t):
+            self.skipped[NO_TIME] += 1
+            return
+        if self._due is None:
+            self._due = t + TICK
+        self._waiting.append(msg)
+        # A frame may come late; a time still earlier means that the clock was set back.
+        if t >= self._due or t < self._due - TICK - MAX_DELAY:
+            self._due = t + TICK
+            self._hear_waiting()
+            self.turn(t)
+
+    def on_error(self, exc: Exception) -> None:
+        """Note an error of the bus; the `can.Notifier` goes on reading."""
+        self.failures += 1
+        if self.failure is None:
+            self.failure = exc
+
+    def stop(self) -> None:
+        """Use the messages still waiting at the end of the traffic, and broadcast the conclusion; once.
+
+        A broadcast that fails is noted as an error of the bus.
+        """
+        if self._due is None:
+            return
+        end = self._waiting[-1].timestamp if self._waiting else self._due - TICK
+        self._due = None
+        self._hear_waiting()
+        self._worker.close()
+        try:
+            self.turn(end + TICK)
+        except (can.CanError, OSError) as error:
+            self.on_error(error)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Stop.
+
+        Raises
+        ------
+        RoadloadError
+            The bus failed, and no other exception is on its way.
+        """
+        self.stop()
+        if error is None and self.failure is not None:
+            times = f" {self.failures} times" if self.failures > 1 else ""
+            raise RoadloadError(f"the bus failed{times}: {self.failure}") from self.failure
+
+    def _hear_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        self.hear(Frames.from_messages(waiting))

@@ -1,0 +1,58 @@
+"""What a user can do where a bus lacks inputs that the model needs."""
+
+import json
+from collections.abc import Collection, Mapping
+
+from estimator.settings import SignalPaths
+from estimator.signals import Role
+
+UNKNOWN = "MESSAGE.signal"
+SETTINGS = {  # that do instead of a signal
+    Role.REFERENCE_TORQUE: "vehicle.reference_torque_Nm = ... (reference torque of the engine, SPN 544)",
+    Role.PARASITIC_FRACTION: "vehicle.subtract_parasitic_losses = false",
+    Role.LONGITUDINAL_ACCELERATION: 'kinematics.acceleration = "wheel_speed"',
+}
+
+
+def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:
+    """The lines of the configuration that would do without the ``missing`` roles, or bind them to other signals.
+
+    Parameters
+    ----------
+    missing, seen
+        Roles that are needed and never came, and those that came.
+    binding
+        Signals by role, as configured.
+    """
+    signals = [role for role in missing if role not in SETTINGS]
+    chosen = _shortest(seen) if signals else list(missing)
+    lines = [SETTINGS[role] for role in missing if role in SETTINGS and _matters(role, chosen)]
+    if signals:
+        table = ", ".join(f"{role} = {_bound(role, seen, binding)}" for role in chosen)
+        lines.append(
+            f"signals = {{{table}}} and other roles that the bus has (roadload check --print-config lists all)"
+        )
+    note = f", {UNKNOWN} as in your DBC (--dbc FILE.dbc)" if UNKNOWN in lines[-1] else ""
+    note += ", where friction counts as road load" if signals == [Role.FRICTION_FRACTION] else ""
+    return f"start the configuration (--config FILE.toml) with {' and '.join(lines)}{note}"
+
+
+def _matters(role: Role, chosen: list[Role]) -> bool:
+    """Whether a setting instead of ``role`` is needed where the ``chosen`` roles are bound."""
+    return role == Role.LONGITUDINAL_ACCELERATION or role in chosen or Role.TORQUE_FRACTION in chosen
+
+
+def _shortest(seen: Collection[Role]) -> list[Role]:
+    """The fewest roles that speed and power can be had from, those that came first of all."""
+    speed = Role.WHEEL_SPEEDS if Role.WHEEL_SPEEDS in seen and Role.SPEED not in seen else Role.SPEED
+    if Role.TORQUE_FRACTION in seen and Role.ENGINE_SPEED in seen:
+        reference = [Role.REFERENCE_TORQUE] if Role.REFERENCE_TORQUE in seen else []
+        return [speed, Role.TORQUE_FRACTION, Role.ENGINE_SPEED, *reference]
+    if Role.ENGINE_TORQUE in seen or Role.ENGINE_SPEED in seen:
+        return [speed, Role.ENGINE_TORQUE, Role.ENGINE_SPEED]
+    return [speed, Role.ENGINE_POWER]
+
+
+def _bound(role: Role, seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:
+    path = binding.get(role, UNKNOWN) if role in seen else UNKNOWN
+    return json.dumps(path)  # a string or list of strings of TOML too

@@ -1,0 +1,110 @@
+"""Both halves of the pipeline in a row: frames to rows (`RowStream`), rows to estimates (`Estimator`)."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from estimator.can_io.frames import Frames
+from estimator.checkpoint.validation import State, substate
+from estimator.config import Config
+from estimator.estimate import Estimate, Status
+from estimator.estimation.estimator import Estimator
+from estimator.streaming.row_stream import Block, Interruption, RowStream
+
+
+class Pipeline:
+    """Frames in, estimates out, live, replayed or read from a log.
+
+    Attributes
+    ----------
+    traffic : RowStream
+        The first half, with the counts of frames, readings and rows.
+    estimator : Estimator
+        The second half.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.traffic = RowStream(config)
+        self.estimator = self._new()
+        self._is_restored = False  # and not fed since
+
+    def _new(self) -> Estimator:
+        return Estimator(self.config, np.random.default_rng(self.config.sampler.seed))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(dict.fromkeys(self.config.effects))
+
+    @property
+    def latest(self) -> Estimate | None:
+        """The newest conclusion that may be used: without its values while an input is contested."""
+        latest = self.estimator.latest
+        return None if latest is None else self._withheld(latest)
+
+    def feed(self, frames: Frames) -> Iterator[Estimate]:
+        """Take the next frames in order of arrival; yields estimates as they fall due."""
+        for item in self.traffic.feed(frames):
+            yield from self.take(item)
+
+    def finish(self) -> Iterator[Estimate]:
+        """Use the frames and rows still waiting, at the end of the traffic."""
+        for item in self.traffic.finish():
+            yield from self.take(item)
+        if not self._is_restored:
+            yield from map(self._withheld, self.estimator.finish())
+
+    def take(self, item: Block | Interruption) -> Iterator[Estimate]:
+        """Take the next item of the first half; yields estimates as they fall due."""
+        yield from map(self._withheld, self._take(item))
+
+    def _take(self, item: Block | Interruption) -> Iterator[Estimate]:
+        if isinstance(item, Interruption):
+            yield from self._interrupt(item)
+        else:
+            for rows in item.rows:
+                yield from self.estimator.feed(rows)
+
+    def state(self) -> dict[str, Any]:
+        """State for `restore`; see `RowStream.state`."""
+        return {**self.traffic.state(), "estimator": self.estimator.state()}
+
+    def restore(self, state: State, same_clock: bool = True) -> None:
+        """Go on where another pipeline with the same configuration was; before the first frame.
+
+        The next frame shows the length of the downtime. If it begins a new drive (see `RowStream.restore`), the
+        knowledge of the vehicle is carried over as after a long stop. Until then there is no estimate.
+
+        Raises
+        ------
+        StateError
+            The state does not fit; the pipeline is as it was before.
+        """
+        estimator = self._new()
+        estimator.restore(substate(state, "estimator"))
+        self.traffic.restore(state, same_clock)
+        self.estimator, self._is_restored = estimator, True
+
+    def _interrupt(self, item: Interruption) -> Iterator[Estimate]:
+        if self._is_restored:
+            self._is_restored = False
+            yield from self.estimator.resume(same_load=not item.is_new_drive)
+            return
+        yield from self.estimator.finish()
+        if item.is_new_drive:
+            self.estimator.forget(vehicle=item.is_step_back or item.is_sender_replaced)
+
+    def _withheld(self, estimate: Estimate) -> Estimate:
+        """The estimate without its values while an input is contested."""
+        if not self.traffic.contested:
+            return estimate
+        path, reason = next(iter(self.traffic.contested.items()))
+        return Estimate(
+            t=estimate.t,
+            status=Status.UNESTIMATED,
+            reason=f"{path} is contested: {reason}",
+            coverage=estimate.coverage,
+            admitted=estimate.admitted,
+        )

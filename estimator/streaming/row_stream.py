@@ -1,0 +1,322 @@
+"""First half of the pipeline: frames in, rows of one time grid out, whether they come live or from a log.
+
+Frames are put in order of time and cut into blocks at fixed message times, so the rows do not depend on how the frames
+arrived, one by one or a million at once.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimator.can_io.binding import bind, load_database
+from estimator.can_io.decoder import Decoder
+from estimator.can_io.frames import Frames
+from estimator.can_io.time_order import MAX_DELAY, TimeOrder
+from estimator.checkpoint.validation import Count, State, read, substate
+from estimator.config import Config
+from estimator.errors import MissingInputsError
+from estimator.samples import STEP, Rows
+from estimator.signals import Role
+from estimator.streaming import engine_power
+from estimator.streaming.alignment import Aligner, Readings
+from estimator.streaming.missing_inputs import remedy
+
+BLOCK = 5.0  # s of traffic decoded at a time
+MAX_SILENCE = 30.0  # s without a frame; the signals before and after a longer silence are not joined
+NEW_DRIVE = 900.0  # s without a frame after which the load may be another one
+MAX_GAPS = 1000  # remembered
+CLOCK_SET = 1_577_836_800.0  # s, start of 2020: timestamps before it mean an unset clock, so the downtime is unknown
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A stretch of traffic: its frames in order of time, their readings, and the rows that it completed."""
+
+    frames: Frames
+    readings: Readings
+    rows: tuple[Rows, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Interruption:
+    """A time without traffic, or a step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
+
+    After a ``is_new_drive`` interruption the load may be another one. With ``is_step_back`` the vehicle may be another
+    one as well, and after ``is_sender_replaced`` what was learnt of it may be wrong.
+    """
+
+    start: float | None  # None: a state was restored that had seen no traffic
+    end: float
+    is_new_drive: bool
+    is_sender_replaced: bool = False
+
+    @property
+    def is_step_back(self) -> bool:
+        """Whether time was set back: another recording, or the same one again."""
+        return self.start is not None and self.end < self.start
+
+
+class RowStream:
+    """Decoder and aligner in a row.
+
+    Attributes
+    ----------
+    order : TimeOrder
+        Puts frames in order; counts those that came late and those without a usable time.
+    frames : int
+        Frames fed.
+    start : float or None
+        Time of the first frame [s].
+    valid_rows : int
+        Rows with both speed and power.
+    unusable : collections.Counter[str]
+        Rows without speed or power, by reason, since the start of this process.
+    seen : collections.Counter[Role]
+        Readings by role.
+    newest : dict[Role, float]
+        Time of the newest valid reading [s], by role.
+    gaps : collections.deque[tuple[float, float]]
+        Times without speed or power, from and to [s].
+    replacements : int
+        Senders given up for others, and with them all that was learnt.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._messages = bind(config, load_database(config.bus.dbc))
+        self._names = {s.role: f"{m.name}.{s.signal.name}" for m in self._messages for s in m.signals}
+        self._config = config
+        self._decoder, self._aligner = self._new()
+        self.order = TimeOrder()
+        self.frames = 0
+        self.start: float | None = None
+        self.valid_rows = 0
+        self.unusable: Counter[str] = Counter()
+        self.seen: Counter[Role] = Counter()
+        self.newest: dict[Role, float] = {}
+        self.gaps: deque[tuple[float, float]] = deque(maxlen=MAX_GAPS)
+        self.replacements = 0
+        self._waiting: list[Frames] = []
+        self._last: float | None = None  # time of the newest frame, None when all frames have become rows [s]
+        self._until: float | None = None  # time of the newest frame ever [s]
+        self._is_restored = False  # and not fed since
+        self._same_clock = True  # since the state was saved
+        self._block_end = 0.0
+
+    def _new(self) -> tuple[Decoder, Aligner]:
+        config = self._config
+        aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike)
+        return Decoder(self._messages, config.bus), aligner
+
+    @property
+    def used(self) -> int:
+        """Frames that gave a signal."""
+        return self._decoder.used
+
+    @property
+    def errors(self) -> Counter[str]:
+        """Frames and values that were refused, by message, signal and reason."""
+        return self._decoder.rejected + self._decoder.transport_rejected + self.order.refused
+
+    @property
+    def sources(self) -> dict[str, int]:
+        """Source address that each J1939 signal is taken from, by MESSAGE.signal."""
+        return dict(self._decoder.sources)
+
+    @property
+    def contested(self) -> dict[str, str]:
+        """Reason by MESSAGE.signal of the inputs that contradict themselves now."""
+        return dict(self._decoder.contested)
+
+    @property
+    def missing(self) -> list[str]:
+        """Inputs that the model needs and that never came, by MESSAGE.signal."""
+        return [self._names.get(role, role.value) for role in self._missing_roles()]
+
+    def feed(self, frames: Frames) -> Iterator[Block | Interruption]:
+        """Take the next frames in order of arrival; yields blocks, and interruptions between them.
+
+        A frame waits until no other can precede it, for MAX_DELAY of traffic.
+        """
+        self.frames += len(frames)
+        for ordered in self.order.feed(frames):
+            yield from self._take(ordered)
+
+    def finish(self) -> Iterator[Block | Interruption]:
+        """Turn the waiting frames into rows, at the end of the traffic."""
+        yield from self._take(self.order.finish())
+        yield from self._end()
+
+    def require_inputs(self, place: str) -> None:
+        """Complain if the traffic so far cannot feed the model.
+
+        Raises
+        ------
+        MissingInputsError
+            A needed signal never came, or never with a valid value.
+        """
+        if missing := self._missing_roles():
+            there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
+            raise MissingInputsError(
+                f"{place}: missing inputs: {', '.join(self.missing)}; "
+                f"{remedy(missing, self.seen, self._config.binding)}; found: {there}"
+            )
+        if not self.valid_rows:
+            counts = (self.errors + self.unusable).most_common(4)
+            reasons = ", ".join(f"{reason} {count}" for reason, count in counts) or "time stands still"
+            raise MissingInputsError(f"{place}: not one moment with both speed and power valid: {reasons}")
+
+    def state(self) -> dict[str, Any]:
+        """State for `restore`; to be taken between two calls of `feed`, and instead of `finish`.
+
+        It lacks frames and readings that have not become rows yet, up to the last BLOCK + 4 s of traffic, and what
+        traffic shows again in seconds: how often each sender sends. Arrays are not copied, but never changed.
+        """
+        return {
+            "decoder": self._decoder.state(),
+            "aligner": self._aligner.state(),
+            "frames": self.frames,
+            "valid_rows": self.valid_rows,
+            "seen": {role.value: count for role, count in self.seen.items()},
+            "gaps": list(self.gaps),
+            "until": self._until,
+            "replacements": self.replacements,
+        }
+
+    def restore(self, state: State, same_clock: bool = True) -> None:
+        """Go on where another stream with the same configuration was; before the first frame.
+
+        The first item that `feed` then yields is an interruption. It is a new drive after more than NEW_DRIVE, when
+        the clock was set back or never set, and when it is not the ``same_clock`` that has run on since the state was
+        saved; the sources of signals are then found anew.
+
+        Raises
+        ------
+        StateError
+            The state does not fit; the stream is as it was before.
+        """
+        decoder, aligner = self._new()
+        decoder.restore(substate(state, "decoder"))
+        aligner.restore(substate(state, "aligner"))
+        frames, valid_rows = read(state, "frames", Count), read(state, "valid_rows", Count)
+        seen, gaps = read(state, "seen", dict[Role, Count]), read(state, "gaps", list[tuple[float, float]])
+        self._until, self.replacements = read(state, "until", float | None), read(state, "replacements", Count)
+        self._decoder, self._aligner = decoder, aligner
+        self.frames, self.valid_rows, self.seen = frames, valid_rows, Counter(seen)
+        self.gaps = deque(gaps, maxlen=MAX_GAPS)
+        self._is_restored, self._same_clock = True, same_clock
+
+    def _missing_roles(self) -> list[Role]:
+        return [role for role in self._needed() if not self.seen[role]]
+
+    def _needed(self) -> list[Role]:
+        needed = [Role.SPEED if Role.SPEED in self._names else Role.WHEEL_SPEEDS]
+        if self._config.kinematics.acceleration == "inertial":
+            needed.append(Role.LONGITUDINAL_ACCELERATION)
+        return [*needed, *engine_power.needed(self._config.vehicle, self._names.keys())]
+
+    def _take(self, frames: Frames) -> Iterator[Block | Interruption]:
+        """Go on with frames in order of time, or with another recording."""
+        if not len(frames):
+            return
+        if self.start is None:
+            self.start = float(frames.t[0])
+        if self._is_restored:
+            yield self._resume(float(frames.t[0]))
+        step = np.diff(frames.t, prepend=frames.t[0] if self._last is None else self._last)
+        cuts = np.flatnonzero((step > MAX_SILENCE) | (step < -MAX_DELAY)).tolist()
+        starts = sorted({0, *cuts})
+        for start, stop in zip(starts, [*starts[1:], len(frames)], strict=True):
+            if start in cuts:
+                yield from self._interrupt(float(frames.t[start]))
+            yield from self._continue(frames[start:stop])
+
+    def _continue(self, frames: Frames) -> Iterator[Block | Interruption]:
+        if self._last is None:
+            self._block_end = float(frames.t[0]) + BLOCK
+        self._last = self._until = float(frames.t[-1])
+        while len(frames):
+            beyond = np.flatnonzero(frames.t >= self._block_end)
+            cut = int(beyond[0]) if len(beyond) else len(frames)
+            self._waiting.append(frames[:cut])
+            frames = frames[cut:]
+            if len(beyond):
+                block, readings = self._decode(self._block_end)
+                if self._decoder.replaced:
+                    yield self._replace(float(block.t[0]), self._block_end)
+                yield self._block(block, readings, self._aligner.feed(readings, self._block_end))
+                self._block_end += BLOCK
+
+    def _end(self) -> Iterator[Block | Interruption]:
+        """The last block before an interruption or the end of the traffic, with all rows still waiting."""
+        if self._last is None:
+            return
+        now, self._last = self._last, None
+        frames, readings = self._decode(now)
+        if self._decoder.replaced:
+            yield self._replace(float(frames.t[0]), now)
+        rows = [*self._aligner.feed(readings, now), *self._aligner.finish(now)]
+        yield self._block(frames, readings, rows)
+
+    def _replace(self, start: float, end: float) -> Interruption:
+        """Drop the rows still waiting, and what the engine has shown of itself: a wrong sender may have sent it."""
+        self.replacements += 1
+        for _ in self._aligner.finish(end):
+            pass
+        self._aligner.forget()
+        return Interruption(start, end, is_new_drive=True, is_sender_replaced=True)
+
+    def _decode(self, end: float) -> tuple[Frames, Readings]:
+        """Readings of the waiting frames, up to the time ``end`` [s]; counts them."""
+        frames = Frames.concatenate(self._waiting)
+        self._waiting = []
+        readings = self._decoder.decode(frames, end)
+        for role, parts in readings.items():
+            self.seen[role] += sum(len(part.t) for part in parts)
+            for part in parts:
+                if (valid := np.isfinite(part.value)).any():
+                    self.newest[role] = float(part.t[valid][-1])
+        return frames, readings
+
+    def _block(self, frames: Frames, readings: Readings, rows: Iterator[Rows] | list[Rows]) -> Block:
+        block = Block(frames, readings, tuple(rows))
+        for part in block.rows:
+            self._count(part)
+        return block
+
+    def _count(self, rows: Rows) -> None:
+        """Count rows that can be used, and note the times of those that cannot."""
+        speed, power = np.isfinite(rows.speed), np.isfinite(rows.power)
+        self.valid_rows += int((speed & power).sum())
+        self.unusable += Counter({"speed not known": int((~speed).sum()), "power not known": int((~power).sum())})
+        stale = np.concatenate([[False], ~rows.fresh.all(axis=1), [False]])
+        edges = np.flatnonzero(np.diff(stale)).reshape(-1, 2)
+        for start, end in ((rows.index[0] + edges) * STEP).tolist():
+            if self.gaps and start - self.gaps[-1][1] < STEP:
+                start = self.gaps.pop()[0]
+            self.gaps.append((start, end))
+
+    def _interrupt(self, t: float) -> Iterator[Block | Interruption]:
+        """Signals before and after a silence or a step in time are not joined."""
+        last = self._last
+        assert last is not None
+        yield from self._end()
+        self.gaps.append((last, t))
+        interruption = Interruption(last, t, is_new_drive=not 0 <= t - last <= NEW_DRIVE)
+        if interruption.is_step_back:
+            self._aligner.forget()
+        yield interruption
+
+    def _resume(self, t: float) -> Interruption:
+        """Rows before and after the downtime are not joined, however short it was."""
+        self._is_restored = False
+        last = self._until
+        if last is None:
+            return Interruption(None, t, is_new_drive=True)
+        self.gaps.append((last, t))
+        same_load = self._same_clock and last >= CLOCK_SET and 0 <= t - last <= NEW_DRIVE
+        if not same_load:
+            self._decoder.release()
+        return Interruption(last, t, is_new_drive=not same_load)

@@ -1,0 +1,61 @@
+"""A grade that no signal shows, where an altimeter is there: what its silence is worth."""
+
+import numpy as np
+import pytest
+from simulated_logs import ask, drive, named, written
+
+from estimator.diagnosis.model import fit
+from estimator.model.design_matrix import Term, settled
+from estimator.model.effects import BY_NAME
+from estimator.model.road_load import design
+from estimator.samples import Samples
+from estimator.signals import Quantity, Role
+from estimator.simulation.effects.effect import Effect
+
+pytestmark = pytest.mark.slow
+
+NO_OTHER = (Role.GRADE, Role.LONGITUDINAL_ACCELERATION)
+HIDDEN = "goes with the place; no signal on the bus shows it"
+
+
+@pytest.fixture
+def diagnose(tmp_path):
+    def diagnosis(kind, seed, effect, altitude_noise):
+        recording = drive(kind, 20, seed, effect, without=NO_OTHER, altitude_noise=altitude_noise)
+        return ask("diagnose", written(recording, tmp_path / "log.blf"))
+
+    return diagnosis
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_an_altimeter_too_noisy_to_show_hills_does_not_deny_them(diagnose, seed):
+    answer = diagnose("highway", seed, Effect("grade", 0.005), 20.0)
+    assert named(answer) == ["grade"]
+    assert answer["effects"][0]["detail"] == HIDDEN
+
+
+@pytest.mark.parametrize("seed", [2])
+def test_on_a_rough_road_that_a_good_altimeter_shows_flat_there_are_no_hills(diagnose, seed):
+    rough = Effect("road_surface", 0.6)
+    assert "grade" not in named(diagnose("highway", seed, rough, 1.0))
+    assert named(diagnose("highway", seed, rough, 20.0)) == ["grade"]  # as far as this one can tell
+
+
+def test_a_good_altimeter_names_the_hills_itself(diagnose):
+    answer = diagnose("highway", 2, Effect("grade", 0.005), 1.0)
+    assert named(answer)[0] == "grade"
+    assert answer["effects"][0]["detail"] == "climb by altitude"
+
+
+def test_grade_in_the_model_does_no_harm_where_the_road_is_flat():
+    t = np.arange(0.0, 600.0, 0.1)
+    v, a, none = 18 + 5 * np.sin(t / 9), 5 / 9 * np.cos(t / 9), np.zeros(len(t))
+    truth = np.array([1700.0, 3.7, 27e3])
+    P = design(v, a) @ truth
+    slope = np.gradient(P, t)
+    flat = Samples(t, v, a, P, slope, v, a, slope, none + np.nan, {Quantity.CLIMB_BY_ALTITUDE: none})
+    term = settled(Term(BY_NAME["grade"], Quantity.CLIMB_BY_ALTITUDE), flat)
+    model = fit(flat, (term,))
+    assert model is not None
+    assert model.road_load == pytest.approx(truth)
+    assert model.magnitudes == pytest.approx([27e3])

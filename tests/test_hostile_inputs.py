@@ -1,0 +1,202 @@
+"""Inputs made to hang the program or to fill its memory: each is one line and status 2, within 10 s and 500 MB."""
+
+import gzip
+import io
+import multiprocessing
+import resource
+import struct
+import sys
+import zlib
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import can
+import pytest
+
+from estimator.commands.main import main
+from estimator.config import Config
+from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
+
+CPU_SECONDS, BYTES = 10, 500 << 20
+Refused = Callable[..., str]
+GOOD = "(1.0) can0 18FEF100#FFFFFFFFFFFFFFFF\n"
+PROCESSES = multiprocessing.get_context("forkserver")  # small processes that have imported the program
+PROCESSES.set_forkserver_preload(["estimator.commands.main", "estimator.commands.estimate"])
+
+
+def run_limited(arguments: list[str], answer: Path) -> None:
+    """Run the command under the limits, in a process of its own, and write what it prints."""
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS))
+    resource.setrlimit(resource.RLIMIT_DATA, (BYTES, BYTES))
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as error:
+        status = main(arguments)
+    answer.write_text(out.getvalue() + error.getvalue())
+    sys.exit(status)
+
+
+@pytest.fixture
+def refused(tmp_path: Path) -> Refused:
+    """The one line with which a command refuses."""
+
+    def refuse(*arguments: object) -> str:
+        process = PROCESSES.Process(target=run_limited, args=([*map(str, arguments)], tmp_path / "answer"))
+        process.start()
+        process.join()
+        assert process.exitcode == 2
+        line = (tmp_path / "answer").read_text()
+        assert line.startswith("error: ")
+        assert line.count("\n") == 1
+        assert len(line) < 1000
+        return line
+
+    return refuse
+
+
+def plain(folder: Path) -> Path:
+    (folder / "good.log").write_text(GOOD * 3)
+    return folder / "good.log"
+
+
+# Logs
+
+
+@pytest.mark.parametrize("time", ["100000000000000000.0", "99999999999999999999.0", "1e17", "nan", "inf", "1e300"])
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".asc"])
+def test_a_time_of_no_clock(refused: Refused, tmp_path: Path, time: str, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    head = {
+        ".log": "",
+        ".csv": "timestamp,arbitration_id,extended,remote,error,dlc,data\n",
+        ".asc": "base hex  timestamps absolute\n",
+    }
+    form = {".log": "({}) can0 123#11\n", ".csv": "{},0x123,0,0,0,1,EQ==\n", ".asc": "{} 1  123  Rx   d 1 11\n"}
+    path.write_text(head[suffix] + form[suffix].format("1.0") + form[suffix].format(time))
+    assert str(path) in refused("estimate", path)
+
+
+def test_a_time_of_no_clock_in_a_blf(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "a.blf").write_bytes(blf_of(objects=[frame(10**9), frame(2**64 - 1)]))
+    assert "missing inputs" in refused("estimate", tmp_path / "a.blf")  # 584 years are a time
+
+
+def frame(time: int) -> bytes:
+    """A CAN frame object of a BLF log, at ``time`` [ns]."""
+    head = struct.pack("<4sHHLLLHHQ", b"LOBJ", 32, 1, 48, 1, 2, 0, 0, time)
+    return head + struct.pack("<HBBL8s", 1, 0, 8, 0x123, bytes(8))
+
+
+def blf_of(objects: list[bytes] | None = None, containers: list[bytes] | None = None) -> bytes:
+    """A BLF log of ``objects`` in one container, or of packed ``containers`` with their headers."""
+    body = b"".join(containers or [container(b"".join(objects or []))])
+    return struct.pack("<4sLQQQLL8H8H", b"LOGG", 144, 0, 0, 0, 0, 0, *[0] * 16).ljust(144, b"\0") + body
+
+
+def container(data: bytes) -> bytes:
+    packed = zlib.compress(data, 1)
+    size = 32 + len(packed)
+    return struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, size, 10, 2, len(data)) + packed + bytes(size % 4)
+
+
+def test_a_blf_object_that_never_ends(refused: Refused, tmp_path: Path) -> None:
+    endless = struct.pack("<4sHHLLLHHQ", b"LOBJ", 32, 1, 4_000_000, 65, 2, 0, 0, 0)
+    pieces = [container(frame(0) + endless), *[container(bytes(60))] * 60_000]
+    (tmp_path / "a.blf").write_bytes(blf_of(containers=pieces))
+    assert "ends too early" in refused("estimate", tmp_path / "a.blf")
+
+
+def test_blf_containers_that_unpack_to_a_thousand_times_their_size(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "a.blf").write_bytes(blf_of(containers=[container(bytes(128 << 20))]))
+    assert "damaged or cut at byte 144" in refused("estimate", tmp_path / "a.blf")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("suffix", "content"),
+    [(".log", b"\n"), (".asc", b"\n"), (".asc", b"//\n"), (".csv", b"\n"), (".trc", b"; \n"), (".blf", b"\0")],
+)
+def test_a_gzip_bomb(refused: Refused, tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"a{suffix}.gz"
+    path.write_bytes(256 * gzip.compress(content * ((1 << 20) // len(content))))
+    assert path.name in refused("estimate", path)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc"])
+def test_a_flood_of_blank_lines(refused: Refused, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(b"\n" * (64 << 20))
+    assert path.name in refused("estimate", path)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc", ".blf", ".mf4", ".log.gz", ".txt"])
+def test_a_device_without_end(refused: Refused, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.symlink_to("/dev/zero")
+    assert path.name in refused("estimate", path)
+
+
+# Databases and settings
+
+DBC = 'VERSION ""\nBU_: X\nBO_ 2566844926 M: 8 X\n SG_ S : {}@1+ (1,0) [0|0] "km/h" X\n'
+
+
+@pytest.mark.parametrize("layout", ["0|2000000000", "2000000000|16", "0|" + "9" * 5000, "0 |\n 2000000000 "])
+def test_a_signal_of_absurd_size(refused: Refused, tmp_path: Path, layout: str) -> None:
+    (tmp_path / "a.dbc").write_text(DBC.format(layout))
+    assert "a.dbc:4: a signal beyond bit" in refused("estimate", plain(tmp_path), "--dbc", tmp_path / "a.dbc")
+
+
+def test_a_signal_that_no_message_can_carry(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "a.dbc").write_text(DBC.format("500000|16"))
+    (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
+    assert "M.S: lies beyond byte 1785" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "/dev/urandom"])
+def test_a_device_for_a_database_or_settings(refused: Refused, tmp_path: Path, name: str) -> None:
+    (tmp_path / "a.toml").write_text(f'[bus]\ndbc = ["{name}"]\n')
+    assert f"{name}: is larger than 32 MiB" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+    assert f"{name}: is larger than 1 MiB" in refused("estimate", plain(tmp_path), "--config", name)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "vehicle.reference_torque_Nm = 1e308",
+        "vehicle.driveline_efficiency = 1e-308",
+        "admission.margin_s = 1e308",
+        "admission.power_sigmas = 1e308",
+        "gate.interval_s = 1e308",
+        "gate.speed_step_m_s = 1e-308",
+        "gate.acceleration_step_m_s2 = 1e308",
+        "gate.minimum_samples = 1000000000000000000",
+        "window.hours = 1e308",
+        "load.stop_s = 1e308",
+        "prior.mass_kg = [0.0, 1e308]",
+        "prior.mass_belief_kg = [1e308, 1e308]",
+        "publish.value_period_s = 1e-308",
+        "transmit.frames_per_second = 1e308",
+    ],
+)
+def test_settings_beyond_all_sense(refused: Refused, tmp_path: Path, line: str) -> None:
+    (tmp_path / "a.toml").write_text(line + "\n")
+    key = line.partition(" ")[0]
+    assert f"a.toml: {key}" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+
+
+# A bus
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e300, 1e17, -1.0])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_listener_counts_messages_without_a_usable_time(bad: float, first: bool) -> None:
+    sent: list[can.Message] = []
+    worker = InlineWorker(Config())
+    listener = Listener(worker, broadcast_by(Config().publish, sent.append))
+    stamps = [*([bad] if first else []), *(100.0 + 0.1 * i for i in range(50)), bad, 105.0, bad]
+    for t in stamps:
+        listener(can.Message(timestamp=t, arbitration_id=0x18FEF100, data=bytes(8)))
+    listener.stop()
+    assert worker.pipeline.traffic.frames == 51
+    assert sum(listener.skipped.values()) == len(stamps) - 51
+    assert {100.0 <= message.timestamp <= 106.0 for message in sent} == {True}

@@ -1,0 +1,168 @@
+"""The one loop: under a `can.Notifier`, in a replay and in the daemon."""
+
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from daemon_bench import Bench
+from played_bus import PlayedBus
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
+from estimator.can_io.publisher import output_groups
+from estimator.config import Config, from_dict
+from estimator.daemon.reception.reader import Batch
+from estimator.errors import RoadloadError
+from estimator.estimate import Estimate
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+from estimator.streaming.listener import InlineWorker, Listener
+from estimator.streaming.replay import replay
+
+pytestmark = pytest.mark.slow
+
+EAGER = {"gate": {"minimum_samples": 300, "coverage": 0.0, "minimum_cells": 1, "relative_sd": [9, 9, 9]}}
+TRANSMITTING = from_dict({**EAGER, "transmit": {"enabled": True}})
+IRRELEVANT = can.Message(arbitration_id=0x18FEFF00, data=b"\xff" * 8, is_extended_id=True)
+
+
+@pytest.fixture(scope="module")
+def drive() -> Frames:
+    rng = np.random.default_rng(4)
+    truck = Truck(mass=27_190.0, A=1739.0, C=3.74)
+    return frames_of(record(truck, generate_route("mixed", 20e3, rng), 400.0, rng).signals)
+
+
+@pytest.fixture(scope="module")
+def log(drive: Frames, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("drive") / "drive.blf"
+    write_log(drive, path)
+    return path
+
+
+def as_bytes(messages: list[can.Message]) -> list[tuple[int, bytes]]:
+    return [(message.arbitration_id, bytes(message.data)) for message in messages]
+
+
+def test_a_notifier_turns_it_as_a_replay_does(log: Path, drive: Frames) -> None:
+    expected = replay([log], from_dict(EAGER))
+    bus = PlayedBus(drive.messages())
+    listener = Listener.of(from_dict(EAGER), bus.send)
+    with bus, can.Notifier(bus, [listener], timeout=0.01):
+        assert bus.has_failed.wait(120)
+    assert as_bytes(bus.sent) == as_bytes(expected.broadcast)
+    assert listener.latest == expected.final
+
+
+def test_a_bus_that_fails_under_a_notifier_is_not_lost(drive: Frames) -> None:
+    bus = PlayedBus(drive[:5000].messages())
+    worker = InlineWorker(Config())
+    with (
+        pytest.raises(RoadloadError, match="the bus failed 3 times: Network is down") as raised,
+        bus,
+        Listener(worker, lambda t, estimate: None) as listener,
+        can.Notifier(bus, [listener], timeout=0.01),
+    ):
+        assert bus.has_failed.wait(60)
+    assert isinstance(raised.value.__cause__, can.CanOperationError)
+    assert worker.pipeline.traffic.frames == 5000
+
+
+def test_an_error_of_the_caller_comes_before_one_of_the_bus() -> None:
+    def fail(listener: Listener) -> None:
+        with listener:
+            listener.on_error(can.CanOperationError("Network is down"))
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail(Listener.of(Config(), lambda message: None))
+
+
+def test_a_last_broadcast_that_fails_is_told(drive: Frames) -> None:
+    calls: list[float] = []
+
+    def broadcast(t: float, estimate: Estimate | None) -> None:
+        calls.append(t)
+        if t > drive.t[999]:
+            raise can.CanOperationError("bus off")
+
+    listener = Listener(InlineWorker(Config()), broadcast)
+    for message in drive[:1000].messages():
+        listener(message)
+    with pytest.raises(RoadloadError, match="the bus failed: bus off"):
+        listener.__exit__(None, None, None)
+    assert len(calls) > 1
+
+
+def test_it_stops_once(drive: Frames) -> None:
+    sent: list[can.Message] = []
+    with Listener.of(Config(), sent.append) as listener:
+        for message in drive[:1000].messages():
+            listener(message)
+        listener.stop()
+        before = len(sent)
+    assert len(sent) == before > 0
+
+
+def test_it_counts_what_is_no_data_frame() -> None:
+    listener = Listener.of(Config(), lambda message: None)
+    listener(can.Message(timestamp=1.0, is_error_frame=True))
+    listener(can.Message(timestamp=1.0, is_remote_frame=True))
+    listener.stop()
+    assert listener.skipped == {"error frame": 1, "remote frame": 1}
+
+
+class Recorder:
+    """A worker that only keeps the frames of each tick."""
+
+    latest = None
+
+    def __init__(self) -> None:
+        self.ticks: list[Frames] = []
+
+    def offer(self, frames: Frames) -> None:
+        self.ticks.append(frames)
+
+    def close(self) -> None:
+        """Nothing waits."""
+
+
+def test_daemon_and_replay_broadcast_the_same_bytes(
+    drive: Frames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The daemon is turned at the times at which a replay broadcasts; its address is claimed with the first frame."""
+    IRRELEVANT.timestamp = float(drive.t[0]) - 0.5
+    frames = Frames.concatenate([Frames.from_messages([IRRELEVANT]), drive])
+    write_log(frames, tmp_path / "drive.blf")
+    replayed = replay([tmp_path / "drive.blf"], TRANSMITTING)
+
+    times: list[float] = []
+    recorder = Recorder()
+    listener = Listener(recorder, lambda t, estimate: times.append(t))
+    for message in frames.messages():
+        listener(message)
+
+    bench = Bench(config=TRANSMITTING, transmit=True)
+    bench.ahead = 0.0
+    offer = bench.worker.offer
+
+    def work_at_once(frames: Frames) -> None:
+        offer(frames)
+        bench.worker.turn()
+
+    monkeypatch.setattr(bench.worker, "offer", work_at_once)
+    bench.now = IRRELEVANT.timestamp
+    bench.link.step(0)
+    ticks = [frames[:1], recorder.ticks[0][1:], *recorder.ticks[1:]]
+    for t, tick in zip([IRRELEVANT.timestamp, *times], ticks, strict=True):
+        bench.now = t
+        bench.bus.waiting.append(Batch(tick))
+        bench.link.step(0)
+        bench.daemon.turn()
+    sent = [message for message in bench.bus.sent if message.arbitration_id >> 8 & 0x3FFFF in output_groups()]
+    assert any(update.mass is not None for update in replayed.updates)
+    assert as_bytes(sent) == as_bytes(replayed.broadcast)[: len(sent)]
+    assert len(sent) >= len(replayed.broadcast) - 6  # all but those after the end of the traffic

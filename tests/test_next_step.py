@@ -1,0 +1,38 @@
+"""The advice beside a status fits the reason for it."""
+
+from collections import Counter
+
+import pytest
+
+from estimator.config import from_dict
+from estimator.estimate import Coverage, Estimate, Status
+from estimator.report.next_step import next_step
+from estimator.signals import Role
+from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.replay import Run
+
+WIDE, NARROW, UNKNOWN = Coverage(40, 100), Coverage(9, 100), Coverage(0, 0)
+
+
+def run(status: Status, admitted: int, coverage: Coverage, *seen: Role, effects: tuple[str, ...] = ()) -> Run:
+    pipeline = Pipeline(from_dict({"effects": list(effects)}))
+    pipeline.traffic.seen.update(dict.fromkeys(seen, 1000))
+    return Run(pipeline, [Estimate(0.0, status, "a reason", coverage, admitted)], Counter())
+
+
+@pytest.mark.parametrize(
+    ("case", "advice"),
+    [
+        (run(Status.ESTIMATED, 5000, WIDE), ""),
+        (run(Status.UNESTIMATED, 599, WIDE), "it takes 1 min of pulling"),
+        (run(Status.UNESTIMATED, 5000, UNKNOWN), "the boxes of [prior]"),
+        (run(Status.UNESTIMATED, 5000, NARROW), "with more speeds and accelerations"),
+        (run(Status.UNESTIMATED, 5000, WIDE), "`roadload diagnose` with the same logs"),
+        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE), 'effects = ["grade"]'),
+        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE, effects=("grade",)), "give a longer log"),
+        (run(Status.INVALID, 5000, WIDE), "`roadload diagnose` with the same logs"),
+    ],
+)
+def test_the_advice_fits(case: Run, advice: str) -> None:
+    assert advice in next_step(case)
+    assert bool(next_step(case)) == bool(advice)

@@ -1,0 +1,72 @@
+"""Files appear whole or not at all, and a planted link is not followed."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from estimator import output_files
+from estimator.errors import RoadloadError
+from estimator.output_files import PART, whole
+
+
+def test_a_file_appears_whole(tmp_path: Path):
+    path = tmp_path / "page.html"
+    with whole(path) as temporary:
+        assert temporary.suffix == ".html"
+        temporary.write_text("all of it")
+        assert not path.exists()
+    assert path.read_text() == "all of it"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_what_was_there_stays_when_writing_fails(tmp_path: Path):
+    path = tmp_path / "page.html"
+    path.write_text("old")
+
+    def write_half() -> None:
+        with whole(path) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError("boom")
+
+    with pytest.raises(RuntimeError, match="boom"):
+        write_half()
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
+
+
+@pytest.mark.parametrize("kind", ["link to a file", "link to nothing", "file"])
+def test_a_link_planted_at_the_temporary_name_is_not_written_through(tmp_path: Path, kind: str):
+    path, elsewhere = tmp_path / "status.json", tmp_path / "elsewhere"
+    planted = tmp_path / f"{PART}{path.name}"
+    if kind == "file":
+        planted.write_text("leftover")
+    else:
+        planted.symlink_to(elsewhere)
+    if kind == "link to a file":
+        elsewhere.write_text("of somebody else")
+    with whole(path) as temporary:
+        temporary.write_text("status")
+    assert path.read_text() == "status"
+    assert not path.is_symlink()
+    assert not planted.exists()
+    assert elsewhere.exists() == (kind == "link to a file")
+    assert not elsewhere.exists() or elsewhere.read_text() == "of somebody else"
+
+
+@pytest.mark.parametrize("call", ["open", "replace", "unlink"])
+def test_a_file_system_that_turned_read_only_is_one_error(tmp_path: Path, monkeypatch, call: str):
+    path = tmp_path / "status.json"
+
+    def refuse(*arguments, **keywords):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(output_files.os if call == "open" else Path, call, refuse)
+    with pytest.raises(RoadloadError, match=r"status\.json: cannot write: Read-only file system"), whole(path):
+        pass
+
+
+def test_a_missing_folder_is_told(tmp_path: Path):
+    with pytest.raises(RoadloadError, match="cannot write: No such file"), whole(tmp_path / "nowhere" / "x"):
+        pass

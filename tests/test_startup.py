@@ -1,0 +1,59 @@
+"""The program starts quickly because a command imports only its own needs; measured by module, not by the clock."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+COMPUTING = {"numpy", "scipy", "filterpy", "matplotlib", "pandas", "can", "cantools"}
+OTHER_COMMANDS = {
+    "estimate": {"matplotlib", "filterpy", "estimator.simulation", "estimator.diagnosis", "estimator.daemon"},
+    "diagnose": {"matplotlib", "filterpy", "estimator.simulation", "estimator.daemon"},
+    "simulate": {"matplotlib", "filterpy", "estimator.estimation", "estimator.diagnosis", "estimator.daemon"},
+    "run": {"matplotlib", "filterpy", "estimator.simulation", "estimator.diagnosis"},
+}
+
+
+PROGRAM = """
+import atexit, sys
+atexit.register(lambda: print(*sys.modules, file=sys.stderr))
+from estimator.commands.main import main
+sys.exit(main())
+"""
+
+
+def imported(*arguments: str) -> set[str]:
+    """The modules that the program imports when called like this; it must succeed."""
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+    return set(done.stderr.split())
+
+
+@pytest.mark.parametrize("option", ["--version", "--help"])
+def test_version_and_help_import_nothing_that_computes(option: str) -> None:
+    modules = imported(option)
+    assert "estimator.commands.main" in modules
+    assert not COMPUTING & modules
+
+
+def test_status_imports_nothing_that_computes(tmp_path: Path) -> None:
+    config = tmp_path / "roadload.toml"
+    config.write_text(f'[service]\nruntime_directory = "{tmp_path}"\n')
+    status = {"pid": os.getpid(), "written_monotonic_s": time.monotonic()}
+    (tmp_path / "status.json").write_text(json.dumps(status))
+    modules = imported("status", "--json", "--config", str(config))
+    assert "estimator.commands.status" in modules
+    assert not COMPUTING & modules
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", OTHER_COMMANDS)
+def test_a_command_imports_its_own_needs_only(command: str) -> None:
+    modules = imported(command, "--help")
+    assert f"estimator.commands.{command}" in modules
+    assert not OTHER_COMMANDS[command] & modules
