@@ -1,0 +1,239 @@
+"""The gap budget: the plain model's residual split into the power of every component, the road and the sensors.
+
+The equation of motion, times -m v, is an identity in power:
+
+    P = A v + C v^3 + m v a + lag and drag + sum of effects + m g theta v + errors
+
+A fit of the plain road load by least squares takes up what its columns can, so with M the projection off them
+
+    r = M P = sum of M effects + M (m g theta v) + M errors.
+
+For every draw from the posterior of amplitudes, road and errors the parts sum to r exactly; the share of a part is
+mean(r part) / mean(r^2), over means of 2 s, and shares sum to one. Effects that may act without having been chosen
+(a wind too weak to be sure of) are drawn too, each with its prior: the interval of the road is wide by them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.components.component import Component, Frame
+from estimator.components.likelihood import JointLikelihood
+from estimator.components.search import DriveState
+from estimator.estimation.road_fit import PLAIN, columns
+from estimator.model.ornstein_uhlenbeck import mean_given_ends
+from estimator.signals import Floats
+from estimator.strides import DURATION
+from estimator.units import STANDARD_GRAVITY
+
+ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", "unknown: white force", "other effects"
+DRAWS = 200
+TRIES = 50  # draws of the amplitudes for each that is kept: those with the right signs
+FORM = 0.5  # doubt of a share s that the forms of the model leave, over s (1 - s): measured on simulated drives
+NINETY = 1.645  # sd to either side that hold 90 %
+SMALL = 0.01  # share below which effects that were not chosen are one part
+FOLDS, CHUNKS = 3, 4  # each fold is so many stretches of the drive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """What one cause adds to the gap.
+
+    ``share`` of the mean square of the plain model's residual with its 90 % interval; ``rms`` [W] of its own;
+    ``reached`` [W]: residual on stretches left out of the fit once it is added with the signals there are, None where
+    nothing can be added; ``expected`` [W]: residual if it were known exactly, as by a signal of its own.
+    """
+
+    cause: str
+    share: float
+    q05: float
+    q95: float
+    rms: float
+    reached: float | None
+    expected: float
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The gap of all drives: ``total`` rms [W] of the plain model, ``reached`` with all that was chosen, the parts."""
+
+    total: float
+    reached: float
+    parts: tuple[Part, ...]
+
+    def part(self, cause: str) -> Part | None:
+        """The part of one cause, None where it has none."""
+        return next((part for part in self.parts if part.cause == cause), None)
+
+    @property
+    def floor(self) -> float:
+        """Root mean square [W] of what the sensors' noise and forces without memory leave."""
+        return float(np.sqrt(sum(part.rms**2 for part in self.parts if part.cause in (NOISE, WHITE))))
+
+
+@dataclass(frozen=True)
+class _Powers:
+    """Of one drive, over means of 2 s: the residual (n,), draws of each cause (n, d), held-out parts (n,)."""
+
+    residual: Floats
+    draws: dict[str, Floats]
+    held_out: dict[str, Floats]
+
+
+def budget(
+    drives: Sequence[DriveState],
+    possible: Sequence[Sequence[Component]],
+    unnamed: Sequence[Component | None],
+    rng: np.random.Generator,
+) -> Budget:
+    """The budget of one drive, or of several together.
+
+    For each drive ``possible`` effects that were not chosen, and the nameless process that counts, or None.
+    """
+    powers = [
+        _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
+    ]
+    residual = np.concatenate([each.residual for each in powers])
+    total = float(np.sqrt(np.mean(residual**2)))
+    drawn = _joined([each.draws for each in powers])
+    held_out = _joined([each.held_out for each in powers])
+    chosen = {component.name for drive in drives for component in drive.chosen}
+    weak = dict.fromkeys(c.name for others in possible for c in others if c.name not in chosen)
+    small = [
+        cause for cause in weak if np.quantile(np.abs(residual @ drawn[cause]), 0.95) < SMALL * residual @ residual
+    ]
+    if small:
+        drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
+    parts = [_part(cause, residual, draws, held_out.get(cause)) for cause, draws in drawn.items()]
+    left = residual - sum(held_out.values(), np.zeros(len(residual)))
+    reached = float(np.sqrt(np.mean(left**2)))
+    return Budget(total, reached, tuple(sorted(parts, key=lambda part: -part.share)))
+
+
+def _joined(drives: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
+    """By cause the powers of all drives, one after another; zero on a drive without the cause."""
+    causes = dict.fromkeys(cause for each in drives for cause in each)
+    blank = [np.zeros_like(next(iter(each.values()))) for each in drives]
+    return {
+        cause: np.concatenate([each.get(cause, b) for each, b in zip(drives, blank, strict=True)]) for cause in causes
+    }
+
+
+def _part(cause: str, residual: Floats, draws: Floats, held_out: Floats | None) -> Part:
+    shares = residual @ draws / (residual @ residual)
+    mean = float(shares.mean())
+    low, high = (mean - np.quantile(shares, [0.05, 0.95])).tolist()
+    form = NINETY * FORM * abs(mean * (1 - mean))
+    return Part(
+        cause=cause,
+        share=mean,
+        q05=mean - float(np.hypot(low, form)),
+        q95=mean + float(np.hypot(high, form)),
+        rms=float(np.sqrt(np.mean(draws**2))),
+        reached=None if held_out is None else float(np.sqrt(np.mean((residual - held_out) ** 2))),
+        expected=float(np.sqrt(np.mean((residual[:, None] - draws) ** 2))),
+    )
+
+
+def _powers(
+    drive: DriveState, others: Sequence[Component], unnamed: Component | None, rng: np.random.Generator
+) -> _Powers:
+    added = (*others, *(() if unnamed is None else (unnamed,)))
+    joint, components = drive.joint(added), [*drive.chosen, *added]
+    off = Projection(drive)
+    amplitudes = _amplitudes(joint, components, rng)
+    residuals = joint.data[:, :1] - joint.data[:, 1:] @ amplitudes
+    unknowns = joint.conditioned.draws(residuals, rng)
+    n = len(joint.frame.strides)
+    parts: dict[str, Floats] = {
+        _name(component): joint.data[:n, 1 + joint.places[i]] @ amplitudes[joint.places[i]]
+        for i, component in enumerate(components)
+    }
+    parts[ROAD] = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
+    errors = joint.model.sensor_errors(unknowns)
+    white = residuals[:n] - parts[ROAD] - errors
+    torque, time, _, disturbance = drive.fit.scales.values[:4]
+    own = torque**2 * mean_given_ends(DURATION, time)[1] * joint.model.weight**2
+    share = (disturbance**2 / (disturbance**2 + own))[:, None]
+    doubt = np.sqrt(share * (1 - share) * (own + disturbance**2)[:, None])
+    gusts = share * white + doubt * rng.standard_normal(white.shape)
+    parts[WHITE], parts[NOISE] = gusts, errors + white - gusts
+    held_out = _held_out(drive, [_name(component) for component in drive.chosen])
+    masses = joint.unit[0] / amplitudes[0]
+    return _Powers(
+        off(off.power),
+        {cause: off(off.as_power(part, masses)) for cause, part in parts.items()},
+        {cause: off(off.as_power(part, 1 / drive.fit.beta[:1])[:, 0]) for cause, part in held_out.items()},
+    )
+
+
+def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np.random.Generator) -> Floats:
+    """Draws (p, DRAWS) of all amplitudes, in the joint's own units; signs as they must be where TRIES allow it."""
+    posterior = joint.posterior(range(len(components)))
+    root = np.linalg.cholesky(posterior.covariance * np.outer(joint.unit, joint.unit))
+    mean = (posterior.mean * joint.unit)[:, None]
+    draws = mean + root @ rng.standard_normal((len(root), DRAWS * TRIES))
+    positive = [joint.places[i][0] for i, component in enumerate(components) if component.positive]
+    wrong = np.sum(np.minimum(draws[positive] / np.sqrt(np.diag(root @ root.T))[positive, None], 0.0) ** 2, axis=0)
+    kept: Floats = draws[:, np.argsort(wrong, kind="stable")[:DRAWS]]
+    kept[positive] = np.maximum(kept[positive], 0.0)
+    return kept
+
+
+def _name(component: Component) -> str:
+    return component.name if component.term is not None else f"unknown: {component.name}"
+
+
+class Projection:
+    """Means over 2 s of powers (n, ...) at the driven strides, off the columns of the plain road load."""
+
+    def __init__(self, drive: DriveState) -> None:
+        s, lag = drive.fit.strides, drive.fit.scales.lag
+        frame = Frame.of(drive.fit)
+        plain = columns(s, lag, (), frame.road_load)[:, 1:PLAIN]
+        self._columns = np.column_stack([s.a, plain]) * s.speed[:, None]
+        self._columns /= np.sqrt((self._columns**2).mean(axis=0)) + 1e-12
+        self._speed = s.speed
+        self.power = frame.force * s.speed
+        follows = s.joined
+        run = np.cumsum(~follows)
+        place = np.arange(len(s)) - np.searchsorted(run, run)
+        self._second = np.flatnonzero((place % 2 == 1) & follows)
+
+    def as_power(self, acceleration: Floats, masses: Floats) -> Floats:
+        """Power [W] (n, d) that takes an acceleration [m/s^2] (n,) or (n, d) from vehicles of ``masses`` [kg] (d,)."""
+        power: Floats = -acceleration.reshape(len(self._speed), -1) * self._speed[:, None] * masses
+        return power
+
+    def __call__(self, power: Floats) -> Floats:
+        """Of ``power`` (n, ...)."""
+        rest = power - self._columns @ np.linalg.lstsq(self._columns, power, rcond=None)[0]
+        paired: Floats = 0.5 * (rest[self._second] + rest[self._second - 1])
+        return paired
+
+
+def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
+    """Acceleration (n,) by each effect and the road on stretches that the fit has not seen."""
+    strides = drive.strides
+    places = np.flatnonzero(strides.known)
+    n = len(places)
+    fold = (np.arange(n) * FOLDS * CHUNKS // n) % FOLDS
+    found: dict[str, Floats] = {name: np.zeros(n) for name in (*names, ROAD)}
+    for k in range(FOLDS):
+        out = fold == k
+        known = strides.known.copy()
+        known[places[out]] = False
+        rest = replace(strides, known=known)
+        state = replace(drive, strides=rest, fit=replace(drive.fit, strides=rest[known]))
+        joint = state.joint()
+        posterior = joint.posterior(range(len(drive.chosen)))
+        left = strides[places[out]]
+        frame = replace(Frame.of(drive.fit), strides=left, force=left.force[:, drive.fit.scales.lag])
+        for i, component in enumerate(drive.chosen):
+            amplitude = posterior.mean[joint.places[i]]
+            found[names[i]][out] = component.columns(frame) @ amplitude
+        residual = joint.data[:, 0] - joint.data[:, 1:] @ (posterior.mean * joint.unit)
+        unknowns = joint.conditioned.unknowns(residual)
+        found[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(left, unknowns)
+    return found

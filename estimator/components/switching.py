@@ -1,0 +1,148 @@
+"""When something acts that no signal shows: the times with most evidence, by exchange of runs of blocks.
+
+Amplitude b and times z (one of two states a block) have the log evidence
+
+    1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - cost x changes of state
+
+with s and G the scores and products of a profile cut into blocks, off everything else in the model. Blocks end where a
+step of the state would score most. A run of blocks is switched on or off as long as that gains; every run is tried.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import find_peaks
+
+from estimator.components.component import Frame
+from estimator.components.likelihood import JointLikelihood
+from estimator.model.design_matrix import Spans, Term
+from estimator.signals import Floats, Mask
+
+BLOCK = 30.0  # s, longest
+PROBED = 150  # steps whose strength is computed; that of the others lies between
+APART = 5  # strides between two steps of the state
+MOST_STEPS = 200
+CHANGE_COST = 5.5  # log: one time among those at which a change could as well have been
+LONGEST_RUN = 2000.0  # s, that is exchanged at once
+MOST_EXCHANGES = 60
+LONGEST_SHARE = 0.9  # of the drive
+
+
+def best_times(joint: JointLikelihood, chosen: list[int], term: Term, single: bool) -> tuple[Spans, float] | None:
+    """Spans in which ``term`` acts, and the cost of their changes; None where no times gain.
+
+    ``single``: once, from some time to another.
+    """
+    column, t = joint.frame.column(term), joint.frame.strides.t
+    steps = np.zeros(len(t), dtype=bool)
+    steps[likely_steps(joint, chosen, column)] = True
+    block = max(BLOCK, float(t[-1] - t[0]) / MOST_STEPS)
+    labels = np.cumsum(steps | np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False))
+    on = _states(joint, chosen, term, single, labels)
+    if not on.any() or on.mean() > LONGEST_SHARE:
+        return None
+    spans = _spans(joint.frame, on)
+    return spans, CHANGE_COST * _changes(on) if single else sum(
+        cost(end - start, term.effect.dwells) for start, end in spans
+    )
+
+
+def cost(duration: float, dwells: tuple[float, ...]) -> float:
+    """Of one span of ``duration`` [s]: of its beginning, and of its end by the nearest of the usual ``dwells`` [s].
+
+    Dwells are exponential, as in a Markov chain of two states.
+    """
+    return CHANGE_COST + min(float(np.log(dwell)) + duration / dwell for dwell in dwells)
+
+
+def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> NDArray[np.intp]:
+    """Strides at which a state with this ``column`` (n,) most likely changes.
+
+    A step at stride k has the column of all strides from k on. Its score is a sum over the weighed residual.
+    """
+    n = len(column)
+    scores = np.cumsum((column * joint.weighed_residual(chosen))[::-1])[::-1]
+    probed = np.unique(np.linspace(1, n - 1, PROBED).astype(np.int64))
+    products, _ = joint.projected(chosen, np.where(np.arange(n)[:, None] >= probed, column[:, None], 0.0))
+    strength = np.interp(np.arange(n), probed, np.maximum(np.diag(products), 1e-12))
+    clarity = np.abs(scores) / np.sqrt(strength)
+    peaks, found = find_peaks(clarity, distance=APART, height=0.0)
+    return peaks[np.argsort(-found["peak_heights"], kind="stable")[:MOST_STEPS]]
+
+
+def _states(joint: JointLikelihood, chosen: list[int], term: Term, single: bool, labels: Floats) -> Mask:
+    """The states (n,) of strides, the same for those that share a label."""
+    there, place = np.unique(labels, return_inverse=True)
+    columns = np.zeros((len(labels), len(there)))
+    columns[np.arange(len(labels)), place] = joint.frame.column(term)
+    products, score = joint.projected(chosen, columns)
+    first = np.searchsorted(place, np.arange(len(there)))
+    lengths = np.append(joint.frame.strides.t[first[1:]], joint.frame.strides.t[-1]) - joint.frame.strides.t[first]
+    sd = term.effect.usual(joint.frame.road_load)
+    return exchanged(products, score, sd, term.effect.positive, single, lengths)[place]
+
+
+def exchanged(G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats) -> Mask:
+    """Blocks (b,) that are on; ``lengths`` [s] of them. ``single``: at most one run."""
+    b = len(s)
+    on = np.zeros(b, dtype=bool)
+    first, last = np.triu_indices(b)
+    ends = np.insert(np.cumsum(lengths), 0, 0.0)
+    short = (ends[last + 1] - ends[first] <= LONGEST_RUN) | single
+    first, last = first[short], last[short] + 1
+    corner = np.zeros((b + 1, b + 1))
+    corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
+    own = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
+    best = 0.0
+    for _ in range(MOST_EXCHANGES):
+        active = on.astype(float)
+        score, strength = float(s @ active), float(active @ G @ active)
+        sums = np.vstack([np.zeros(4), np.cumsum(np.column_stack([s, G @ active, active, 1 - active]), axis=0)])
+        run = sums[last] - sums[first]
+        gains = []
+        for switch, pure in ((1.0, run[:, 2] == 0), (-1.0, run[:, 3] == 0)):
+            changes = _changes_after(on, first, last, switch > 0)
+            gain = _evidence(score + switch * run[:, 0], strength + 2 * switch * run[:, 1] + own, sd, positive)
+            allowed = pure & ~(single & (changes > 2))
+            gains.append(np.where(allowed, gain - CHANGE_COST * changes, -np.inf))
+        which, k = divmod(int(np.argmax(gains)), len(first))
+        if gains[which][k] <= best + 1e-9:
+            break
+        best = float(gains[which][k])
+        on[first[k] : last[k]] = which == 0
+    return on
+
+
+def value(G: Floats, s: Floats, on: Mask, sd: float, positive: bool) -> float:
+    """Log evidence of states (b,), less the cost of their changes; 0 of none."""
+    if not on.any():
+        return 0.0
+    active = on.astype(float)
+    gain = _evidence(np.array(s @ active), np.array(active @ G @ active), sd, positive)
+    return float(gain) - CHANGE_COST * _changes(on)
+
+
+def _evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
+    precision = np.maximum(strength, 0.0) + sd**-2.0
+    gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * sd**2)
+    allowed: Floats = np.where((score > 0) | (not positive), gain, -np.inf)
+    return allowed
+
+
+def _changes(on: Mask) -> int:
+    """Changes of state within the drive."""
+    return int(np.count_nonzero(np.diff(on)))
+
+
+def _changes_after(on: Mask, first: np.ndarray, last: np.ndarray, state: bool) -> Floats:
+    """Changes once the blocks from ``first`` to before ``last`` are in ``state``, all of them in the other before."""
+    b = len(on)
+    before = np.where(first > 0, on[np.maximum(first - 1, 0)] == state, True)
+    after = np.where(last < b, on[np.minimum(last, b - 1)] == state, True)
+    ends = np.where(first > 0, np.where(before, -1, 1), 0) + np.where(last < b, np.where(after, -1, 1), 0)
+    changes: Floats = _changes(on) + ends
+    return changes
+
+
+def _spans(frame: Frame, on: Mask) -> Spans:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
+    return tuple((float(frame.strides.t[a]), float(frame.strides.t[e - 1])) for a, e in edges.reshape(-1, 2).tolist())

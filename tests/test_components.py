@@ -1,0 +1,316 @@
+"""The likelihood of components against dense algebra, quadrature and enumeration; the identity of the budget."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+
+from estimator.components import switching
+from estimator.components.budget import NOISE, ROAD, budget
+from estimator.components.component import Component, Frame, hats, of_effect, processes
+from estimator.components.likelihood import JointLikelihood
+from estimator.components.search import AtRest, DriveState, search
+from estimator.diagnosis.beside_road import NEEDED
+from estimator.estimation.road_fit import best_shapes, fit
+from estimator.model.design_matrix import Term
+from estimator.model.effects import BY_NAME, CATALOGUE
+from estimator.model.road import RoadModel
+from estimator.signals import Quantity
+from estimator.strides import LAGS, Strides
+
+M, A, C = 25e3, 1600.0, 3.5
+SEED = 3
+QUIET = 1e-4  # m/s^2 of torque noise: the correction for it is next to nothing
+
+
+def driven(n=400, seed=SEED, power=None):
+    """A drive by the model's own equation on a hilly road; ``power`` [W] (n,) is taken besides."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) + 0.5
+    speed = 16 + 5 * np.sin(2 * np.pi * np.arange(n + 1) / 90) + np.cumsum(rng.normal(0, 0.02, n + 1))
+    v0, v1 = speed[:-1], speed[1:]
+    v, a = 0.5 * (v0 + v1), v1 - v0
+    s = np.concatenate([[0.0], np.cumsum(v)])
+    slope = 0.008 * np.sin(2 * np.pi * s[:-1] / 700 + 1.0) + 0.004 * np.sin(2 * np.pi * s[:-1] / 260)
+    taken = np.zeros(n) if power is None else power
+    force = M * a + A + C * v**2 + M * 9.80665 * slope + taken / v + M * rng.normal(0, 6e-3, n)
+    unknown = np.full(n, np.nan)
+    return Strides(
+        t=t,
+        rows=np.full(n, 10),
+        known=np.ones(n, bool),
+        v0=v0,
+        v1=v1,
+        s0=s[:-1],
+        s1=s[1:],
+        a=a,
+        speed_squared=v**2,
+        force=np.repeat(force[:, None], len(LAGS), axis=1),
+        gearing=np.full(n, 8.0),
+        density=unknown,
+        altitude=unknown,
+        grade=unknown,
+        gravity=unknown,
+        context={Quantity.ELAPSED: t, Quantity.ENGINE_SPEED: 8.0 * v, Quantity.STOPS: np.zeros(n)},
+    )
+
+
+@pytest.fixture(scope="module")
+def strides():
+    return driven()
+
+
+@pytest.fixture(scope="module")
+def quiet(strides):
+    """A fit whose torque noise is next to nothing, so that no correction stands between us and the formula."""
+    found = fit(strides, np.random.default_rng(1))
+    assert found is not None
+    values = found.scales.values.copy()
+    values[0] = QUIET
+    return replace(found, scales=replace(found.scales, values=values))
+
+
+def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), further=()):
+    frame = Frame.of(fit)
+    given = [c for name in names for c in of_effect(frame, BY_NAME[name], frozenset(strides.context))[:2]]
+    return JointLikelihood(strides, fit, [*given, *further], np.random.default_rng(2))
+
+
+def covariance(strides, fit):
+    """Of the accelerations (n, n), from the model's products with unit vectors."""
+    model = RoadModel(strides, fit.scales.alpha, fit.scales.wander)
+    return np.linalg.inv(model.condition(fit.scales.values).gram(np.eye(len(strides))))
+
+
+def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
+    wander = next(p for p in processes(Frame.of(quiet)) if p.name == "force over time")
+    free = [
+        replace(c, positive=False) for c in of_effect(Frame.of(quiet), BY_NAME["warm_up"], frozenset(strides.context))
+    ]
+    joint = JointLikelihood(strides, quiet, [free[0], free[3], wander], np.random.default_rng(2))
+    K, base = covariance(strides, quiet), joint.data[:, 1 : 1 + joint.base_size]
+    K = K + base @ np.diag(1 / joint._prior) @ base.T
+
+    def dense(chosen):
+        total = K.copy()
+        for i in chosen:
+            X = joint.data[:, 1 + joint.places[i]]
+            total += joint.components[i].sd ** 2 * X @ X.T
+        factor = np.linalg.cholesky(total)
+        return -np.log(np.diag(factor)).sum() - 0.5 * np.sum(np.linalg.solve(factor, joint.data[:, 0]) ** 2)
+
+    none = joint.log_evidence([])
+    for chosen in ([0], [1], [2], [0, 2], [0, 1, 2]):
+        assert joint.log_evidence(chosen) - none == pytest.approx(dense(chosen) - dense([]), abs=0.05)
+
+
+def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
+    joint = joint_of(strides, quiet, names=("auxiliary_load",))
+    free = replace(joint.components[0], positive=False)
+    both = JointLikelihood(strides, quiet, [free], np.random.default_rng(2))
+    posterior = both.posterior([0])
+    mean, sd = posterior.mean[-1], np.sqrt(posterior.covariance[-1, -1])
+    above = quad(lambda x: np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi)), 0, mean + 12 * sd)[0]
+    assert joint.log_evidence([0]) - both.log_evidence([0]) == pytest.approx(np.log(2 * above), abs=1e-4)
+
+
+def test_gains_are_differences_of_evidence_and_costs_are_left_to_the_caller(strides, quiet):
+    joint = joint_of(strides, quiet)
+    for chosen in ([], [0], [0, 3]):
+        others = [i for i in range(len(joint.components)) if i not in chosen]
+        gains = joint.gains(chosen, others)
+        for gain, i in zip(gains.gain, others, strict=True):
+            # The sign of those chosen before is an approximation: each is judged by its own margin.
+            free = [i for i in chosen if joint.components[i].positive]
+            if not free:
+                assert gain == pytest.approx(joint.log_evidence([*chosen, i]) - joint.log_evidence(chosen), abs=1e-6)
+        posterior = joint.posterior([*chosen, others[0]])
+        assert gains.value[0] == pytest.approx(posterior.mean[-1])
+        assert gains.sd[0] == pytest.approx(np.sqrt(posterior.covariance[-1, -1]))
+
+
+def test_an_observation_at_rest_is_one_more_gaussian_factor(strides, quiet):
+    before, after = (joint_of(strides, quiet, names=("auxiliary_load",)) for _ in range(2))
+    after.observe(0, 1 / 800.0, 5000.0 / 800.0)
+    old, new = before.posterior([0]), after.posterior([0])
+    mean, variance = old.mean[-1], old.covariance[-1, -1]
+    precision = 1 / variance + 1 / 800.0**2
+    assert new.mean[-1] == pytest.approx((mean / variance + 5000.0 / 800.0**2) / precision)
+    assert new.covariance[-1, -1] == pytest.approx(1 / precision)
+
+
+def test_projected_products_are_those_of_the_columns_off_the_set(strides, quiet):
+    joint = joint_of(strides, quiet)
+    products, score = joint.projected([0], joint.components[2].columns(joint.frame))
+    gains = joint.gains([0], [2])
+    precision = products[0, 0] + joint.components[2].sd ** -2.0
+    assert score[0] / precision == pytest.approx(gains.value[0])
+    assert precision**-0.5 == pytest.approx(gains.sd[0])
+
+
+def test_the_weighed_residual_gives_the_scores_of_columns(strides, quiet):
+    joint = joint_of(strides, quiet)
+    columns = joint.components[2].columns(joint.frame)
+    _, score = joint.projected([0], columns)
+    assert_allclose(columns.T @ joint.weighed_residual([0]), score, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
+    rng = np.random.default_rng(seed)
+    b, sd = 9, 2.0
+    root = rng.normal(size=(b, b))
+    G = 30 * np.eye(b) + root @ root.T
+    on = np.zeros(b, bool)
+    on[2:5] = True
+    s = G @ (1.5 * on) + rng.normal(0, 5, b)
+
+    def evidence(z):
+        return switching.value(G, s, np.array(z, bool), sd, True)
+
+    best = max(product([False, True], repeat=b), key=evidence)
+    found = switching.exchanged(G, s, sd, True, False, np.ones(b))
+    assert evidence(found) == pytest.approx(evidence(best))
+    once = [z for z in product([False, True], repeat=b) if switching._changes(np.array(z)) <= 2]
+    one = switching.exchanged(G, s, sd, True, True, np.ones(b))
+    assert switching._changes(one) <= 2
+    assert evidence(one) <= max(map(evidence, once)) + 1e-9
+
+
+def test_changes_after_an_exchange_are_those_counted_anew():
+    rng = np.random.default_rng(1)
+    first, last = np.triu_indices(12)
+    for _ in range(20):
+        on = rng.random(12) < 0.5
+        for state in (True, False):
+            found = switching._changes_after(on, first, last + 1, state)
+            for k, (a, e) in enumerate(zip(first, last + 1, strict=True)):
+                if np.all(on[a:e] != state):
+                    then = on.copy()
+                    then[a:e] = state
+                    assert found[k] == switching._changes(then)
+
+
+def test_hats_are_a_partition_of_one():
+    axis = np.random.default_rng(0).uniform(3.0, 50.0, 300)
+    assert_allclose(hats(axis, 7.0).sum(axis=1), 1.0)
+
+
+def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
+    n = 2400
+    effects = [effect for effect in CATALOGUE if not effect.absorbed and not effect.is_gravity]
+    for power, named in ((np.zeros(n), []), (np.full(n, 15e3), ["auxiliary_load"])):
+        state = DriveState.of(driven(n, power=power), AtRest(float(power[0]), 800.0, 60.0))
+        found = search([state], effects, NEEDED)
+        assert [choice.ranked.name for choice in found.choices] == named
+    assert found.choices[0].ranked.best[1].value == pytest.approx(15e3, rel=0.1)
+
+
+def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
+    n = 2400
+    on = (np.arange(n) % 800) > 500
+    state = DriveState.of(driven(n, power=60e3 * on), None)
+    effects = [BY_NAME["auxiliary_cycling"]]
+    found = search([state], effects, NEEDED)
+    (choice,) = found.choices
+    term = choice.ranked.best[1].component.term
+    assert len(term.spans) == 3
+    starts = np.array([span[0] for span in term.spans])
+    assert_allclose(starts, [501, 1301, 2101], atol=2.0)
+    assert choice.ranked.best[1].value == pytest.approx(60e3, rel=0.1)
+
+
+def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
+    n = 2400
+    on = (np.arange(n) % 800) > 500
+    power = 60e3 * on
+    strides = driven(n, power=power)
+    found = search([DriveState.of(strides, None)], [BY_NAME["auxiliary_cycling"]], NEEDED)
+    whole = budget(found.drives, [[]], [None], np.random.default_rng(1))
+    assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
+    # The true parts, off the plain columns as the residual is.
+    v, F = strides.speed, strides.force[:, 0]
+    X = np.column_stack([strides.a, np.ones(n), v**2, np.minimum(F, 0.0)]) * v[:, None]
+
+    def off(x):
+        rest = x - X @ np.linalg.lstsq(X, x, rcond=None)[0]
+        return 0.5 * (rest[0::2] + rest[1::2])
+
+    residual, load = off(F * v), off(power)
+    assert whole.total == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.02)
+    part = whole.part("auxiliary_cycling")
+    assert part.share == pytest.approx(residual @ load / (residual @ residual), abs=0.05)
+    assert whole.part(ROAD).share + part.share > 0.9
+    assert part.reached < 0.97 * whole.total
+    assert part.expected < whole.total
+    assert whole.part(NOISE).reached is None
+
+
+def test_a_cause_of_one_drive_only_counts_among_several():
+    n = 1200
+    load = Component(
+        name="auxiliary_load",
+        columns=lambda frame: frame.as_acceleration(np.ones((len(frame.strides), 1))),
+        sd=8e3,
+        term=Term(BY_NAME["auxiliary_load"]),
+    )
+    loaded, plain = (DriveState.of(driven(n, seed, np.full(n, 15e3)), None) for seed in (1, 2))
+    for drives in ((loaded.having((load,)), plain), (plain, loaded.having((load,)))):
+        whole = budget(drives, [[], []], [None, None], np.random.default_rng(1))
+        assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
+        assert whole.part("auxiliary_load").reached is not None
+
+
+def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
+    model = RoadModel(strides, quiet.scales.alpha)
+    conditioned = model.condition(quiet.scales.values)
+    residual = np.random.default_rng(4).normal(0, 0.05, len(strides))
+    draws = conditioned.draws(np.repeat(residual[:, None], 4000, axis=1), np.random.default_rng(5))
+    slope = model.slope_under(strides, draws)
+    mean = model.slope_under(strides, conditioned.unknowns(residual))
+    assert_allclose(slope.mean(axis=1), mean, atol=5 * slope.std(axis=1).max() / np.sqrt(4000))
+
+
+def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
+    frame = Frame.of(quiet)
+    disturbed = frame.disturbed(np.full(len(strides), 500.0))
+    components: list[Component] = list(processes(frame))
+    for effect in CATALOGUE:
+        if not effect.absorbed and not effect.is_gravity:
+            components += of_effect(frame, effect, frozenset(strides.context))[:1]
+    for component in components:
+        changed = not np.allclose(component.columns(frame), component.columns(disturbed))
+        assert changed == component.is_noisy, component.name
+
+
+def test_of_several_shapes_the_one_that_the_drive_shows_is_taken():
+    n = 2400
+    t = np.arange(n) + 0.5
+    cold = driven(n)
+    for tau in (360.0, 1500.0):
+        warming = driven(n, power=0.6 * A * np.exp(-t / tau) * cold.speed)
+        warming = replace(warming, altitude=altitude_of(warming))
+        plain = fit(warming, np.random.default_rng(1))
+        shapes = [Term(BY_NAME["warm_up"], shape) for shape in BY_NAME["warm_up"].shapes]
+        (term,) = best_shapes(warming, plain, [shapes])
+        assert term.shape == pytest.approx(tau, rel=0.7)
+
+
+def test_what_was_climbed_counts_the_road_between_strides_too(strides):
+    whole = fit(replace(strides, altitude=altitude_of(strides)), np.random.default_rng(1))
+    known = np.ones(len(strides), bool)
+    known[100:160] = False
+    gappy = fit(replace(strides, altitude=altitude_of(strides), known=known), np.random.default_rng(1))
+    rise = np.diff(altitude_of(strides))
+    assert whole.climbed == pytest.approx(rise[rise > 0].sum(), rel=0.05)
+    assert gappy.climbed == pytest.approx(whole.climbed, rel=0.05)
+
+
+def altitude_of(strides):
+    s = 0.5 * (strides.s0 + strides.s1)
+    fine = np.arange(0.0, s[-1] + 5, 5.0)
+    slope = 0.008 * np.sin(2 * np.pi * fine / 700 + 1.0) + 0.004 * np.sin(2 * np.pi * fine / 260)
+    return np.interp(s, fine, np.cumsum(slope) * 5.0)

@@ -1,0 +1,168 @@
+"""The natural world: hills, wind, cold tyres and auxiliaries at once, something more on every second drive.
+
+python tools/natural_world.py [--drives 24] [--minutes 60] [--seed 1] [--json]
+
+The road is hidden, shown by a poor altimeter (3 m) or by a good one (0.3 m), a third of the drives each. Scored are the
+gap budget of `roadload diagnose` against the powers of the simulated truck, and the names of effects.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
+from estimator.components.budget import NOISE, ROAD, WHITE, Projection
+from estimator.components.search import DriveState
+from estimator.config import Config
+from estimator.diagnosis.drive_data import Record
+from estimator.model.effects import BY_NAME
+from estimator.report.diagnosis_summary import of_diagnosis
+from estimator.signals import Floats, Role
+from estimator.simulation.effects.catalogue import effects_from, kind_of
+from estimator.simulation.recording import Recording, record
+from estimator.simulation.route import generate_route
+from estimator.simulation.sensors import Sensors
+from estimator.simulation.truck import draw_truck
+from estimator.streaming.drive_extraction import diagnose_logs, drives
+
+NATURAL = {"headwind": (1.0, 5.0), "warm_up": (0.1, 0.3), "auxiliary_load": (2e3, 8e3)}
+EXTRA = {
+    "auxiliary_cycling": (15e3, 35e3),
+    "mass_step": (0.2, 0.5),
+    "resistance_segment": (0.2, 0.5),
+    "brake_use": (3e3, 6e3),
+    "sensor_drift": (0.05, 0.2),
+}
+ALTIMETERS = {"hidden": None, "poor": 3.0, "good": 0.3}  # m
+SLOPES = (0.004, 0.014)
+CLOSE = 0.05  # of the gap, within which a share is right
+SEEN = 0.03  # share of the gap from which an extra effect is expected to be named
+
+
+@dataclass(frozen=True)
+class World:
+    """One drive: how its road is shown, the extra effect or none, and the recording."""
+
+    shown: str
+    extra: str
+    recording: Recording
+
+
+def draw(number: int, seed: int, minutes: float) -> World:
+    """The drive with a number."""
+    rng = np.random.default_rng([seed, number])
+    truck, shown = draw_truck(rng), list(ALTIMETERS)[number % 3]
+    effects = {name: float(rng.uniform(*sizes)) for name, sizes in NATURAL.items()}
+    extra = str(rng.choice(list(EXTRA))) if number % 2 else ""
+    if extra:
+        effects[extra] = float(rng.uniform(*EXTRA[extra]))
+    kind = rng.choice(["mixed", "highway", "urban"])
+    route = generate_route(kind, 2000 * minutes, rng, float(rng.uniform(*SLOPES)))
+    noise = ALTIMETERS[shown]
+    without = {Role.GRADE, Role.LONGITUDINAL_ACCELERATION, Role.FAN_SPEED} | (set() if noise else {Role.ALTITUDE})
+    sensors = Sensors(altitude_noise=noise or 0.0, without=frozenset(without))
+    return World(shown, extra, record(truck, route, 60 * minutes, rng, sensors=sensors, effects=effects_from(effects)))
+
+
+def true_shares(recording: Recording, drive: Record) -> dict[str, float]:
+    """Share of the plain model's residual that each effect of the truck has, by the name the diagnosis knows it as."""
+    state = DriveState.of(drive.strides, None)
+    assert state is not None
+    off, truth = Projection(state), recording.truth
+    t = state.fit.strides.t - drive.start
+    residual = off(off.power)
+    until = np.concatenate([[0.0], np.cumsum(truth.t[1:] - truth.t[:-1])])
+
+    def mean(power: Floats) -> Floats:
+        total = np.concatenate([[0.0], np.cumsum(power[:-1] * np.diff(truth.t))])
+        over: Floats = np.interp(t + 0.5, until, total) - np.interp(t - 0.5, until, total)
+        return over
+
+    shares: dict[str, float] = {}
+    for name, power in truth.effect_power.items():
+        known = ROAD if name == "grade" else kind_of(name).known_as or name
+        shares[known] = shares.get(known, 0.0) + float(residual @ off(mean(power)) / (residual @ residual))
+    return shares
+
+
+def score(world: World, folder: Path) -> dict[str, Any]:
+    """Diagnose a drive from its log and compare."""
+    log = folder / "drive.blf"
+    write_log(frames_of(world.recording.signals), log)
+    answer = of_diagnosis(diagnose_logs([log], Config()))
+    truth = true_shares(world.recording, drives(log, Config())[0])
+    parts = {part["cause"]: part for part in answer["budget"]}
+    found = {cause: part["share"] for cause, part in parts.items()}
+    rest = 1 - sum(truth.values())
+    truth |= {NOISE: rest}
+    found[NOISE] = found.get(NOISE, 0.0) + found.pop(WHITE, 0.0)
+    causes = {*truth, *(cause for cause in found if cause in BY_NAME)}
+    errors = {cause: found.get(cause, 0.0) - truth.get(cause, 0.0) for cause in sorted(causes)}
+    named = [[effect["name"], *effect["equivalent"]] for effect in answer["effects"] if effect["name"] != "grade"]
+    there = {*NATURAL, world.extra, *(("torque_bias",) if "auxiliary_load" in NATURAL else ())}
+    road = parts[ROAD]
+    return {
+        "shown": world.shown,
+        "extra": world.extra,
+        "extra_share": truth.get(world.extra, 0.0),
+        "extra_named": any(world.extra in names for names in named),
+        "wrong": [names[0] for names in named if not there & set(names)],
+        "named": [names[0] for names in named],
+        "within": sum(abs(error) < CLOSE for error in errors.values()),
+        "shares": len(errors),
+        "road": [truth[ROAD], road["share"], road["q05"], road["q95"]],
+        "worst": max(errors.items(), key=lambda item: abs(item[1])),
+    }
+
+
+def main() -> int:
+    """Print a row a drive, and what they come to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--drives", type=int, default=24)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in track(range(options.drives), "driving", console=Console(stderr=True), transient=True):
+            rows.append(score(draw(number, options.seed, options.minutes), Path(folder)))
+    if options.json:
+        print(json.dumps(rows, indent=2))
+        return 0
+    table = Table("road", "extra", "its share", "named", "wrong", "shares right", "road: truth", "found", "worst share")
+    for row in rows:
+        truth, share, low, high = row["road"]
+        table.add_row(
+            row["shown"],
+            row["extra"],
+            f"{row['extra_share']:.3f}" if row["extra"] else "",
+            " ".join(row["named"]),
+            " ".join(row["wrong"]),
+            f"{row['within']} of {row['shares']}",
+            f"{truth:.3f}",
+            f"{share:.3f} ({low:.3f} .. {high:.3f})",
+            f"{row['worst'][0]} {row['worst'][1]:+.3f}",
+        )
+    Console(width=None if sys.stdout.isatty() else 200).print(table)
+    seen = [row for row in rows if row["extra"] and row["extra_share"] > SEEN]
+    holds = sum(row["road"][2] <= row["road"][0] <= row["road"][3] for row in rows)
+    print(f"shares within {CLOSE:.0%}: {sum(r['within'] for r in rows)} of {sum(r['shares'] for r in rows)}")
+    print(f"90 % interval of the road's share holds: {holds} of {len(rows)}")
+    print(f"extra effect of more than {SEEN:.0%} named: {sum(r['extra_named'] for r in seen)} of {len(seen)}")
+    print(f"drives with a wrong name: {sum(bool(r['wrong']) for r in rows)} of {len(rows)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
