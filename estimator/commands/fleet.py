@@ -1,0 +1,104 @@
+"""The subcommand `fleet`: many logs to one table of drives and one of vehicles."""
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from estimator.commands.arguments import add_output, add_settings, number
+from estimator.commands.complaints import complain
+from estimator.commands.log_options import add_effects, add_seed, settings
+from estimator.commands.terminal import print_json, progress_bar, say, standard_output
+from estimator.fleet.cache import Cache
+from estimator.fleet.engine import dask_engine
+from estimator.fleet.output import CACHE, prepare, write_fleet
+from estimator.fleet.rows import drive_rows, vehicle_rows
+from estimator.fleet.run import Fleet, run_fleet
+from estimator.fleet.sources import find_logs
+from estimator.fleet.tables import Row, require_arrow
+
+SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_output(parser)
+    add_settings(parser)
+    parser.add_argument("source", nargs="+", metavar="SOURCE", help=SOURCES)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="folder of the tables")
+    parser.add_argument("--vehicle", metavar="REGEX", help="its first group names the vehicle in the path of a log")
+    engine = parser.add_mutually_exclusive_group()
+    engine.add_argument("--workers", type=_workers, metavar="N", help="processes; as many as there are cores")
+    engine.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a Dask cluster, instead of processes")
+    parser.add_argument("--diagnose", action="store_true", help="diagnose each drive too; takes much longer")
+    rate = number(0.0, 1.0, "a rate from 0 to 1")
+    parser.add_argument("--fdr", type=rate, default=0.05, metavar="RATE", help="false-discovery rate of outliers: 0.05")
+    add_seed(parser, "sampler")
+    add_effects(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Estimate the fleet, write the tables, and print what came of it."""
+    config = settings(options)
+    require_arrow()
+    logs = find_logs(options.source, options.vehicle)
+    prepare(options.output)
+    cache = Cache.of(options.output / CACHE, config, options.diagnose)
+    workers = options.workers or len(os.sched_getaffinity(0))
+    with progress_bar("fleet") as progress, dask_engine(options.scheduler, workers) as engine:
+        found = run_fleet(logs, config, engine, cache=cache, with_diagnosis=options.diagnose, progress=progress)
+    written = write_fleet(found, config, options.output, options.fdr, options.diagnose)
+    drives, vehicles = drive_rows(found), vehicle_rows(found, options.fdr)
+    _complain_of(drives, vehicles)
+    if options.json:
+        print_json(_summary(found, drives, vehicles, written))
+    else:
+        _print(drives, vehicles, options.output)
+    return 0
+
+
+def _workers(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of processes from 1 to 1000")
+    return int(text)
+
+
+def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
+    """One line for each log that was left out, each doubtful clock and each vehicle that was not joined."""
+    for row in drives:
+        if row["status"] in ("unreadable", "duplicate", "failed"):
+            complain(f"{row['status']}: {row['reason']}")
+        elif row.get("note") and not row.get("segment"):
+            complain(f"note: {row['source']}: {row['note']}")
+    for row in vehicles:
+        if "overlap" in row["C_reason"]:
+            complain(f"note: {row['vehicle']}: {row['C_reason']}")
+
+
+def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], written: Sequence[Path]) -> dict[str, Any]:
+    counts: dict[str, int] = {}
+    for row in drives:
+        counts[row["status"]] = counts.get(row["status"], 0) + 1
+    return {
+        "drives": len(found.grouped.drives),
+        "rows": counts,
+        "vehicles": len(vehicles),
+        "vehicles_estimated": sum(row["status"] == "estimated" for row in vehicles),
+        "outliers": {row["vehicle"]: row["outlier"] for row in vehicles if row["outlier"]},
+        "files": [str(path) for path in written],
+    }
+
+
+def _print(drives: Sequence[Row], vehicles: Sequence[Row], out: Path) -> None:
+    console = standard_output()
+    estimated = sum(row["status"] == "estimated" for row in drives)
+    say(console, f"{len(drives)} rows of drives, {estimated} estimated; {len(vehicles)} vehicles; written to {out}")
+    for row in vehicles:
+        rolling, drag = (_value(row, name) for name in ("A_per_mass_N_kg", "C_N_s2_m2"))
+        line = f"{row['vehicle']}: {row['drives']} drives, A/m {rolling} N/kg, C {drag} N/(m/s)^2"
+        say(console, line + (f"; out of line: {row['outlier']}" if row["outlier"] else ""))
+
+
+def _value(row: Row, name: str) -> str:
+    return f"{row[f'{name}_mean']:.4g} +- {row[f'{name}_sd']:.2g}" if f"{name}_mean" in row else "unestimated"

@@ -1,0 +1,62 @@
+"""Results of drives on disk, by the contents of their logs, the version of the program and the settings."""
+
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+
+import msgspec
+
+from estimator import __version__
+from estimator.config import Config, estimation_key
+from estimator.errors import RoadloadError
+from estimator.fleet.drive_result import DriveResult
+from estimator.fleet.grouping import Drive
+from estimator.output_files import whole
+
+SCHEMA = 1  # of a result; raise it when older results must not be used
+
+
+@dataclass(frozen=True)
+class Cache:
+    """A folder of results; a result that cannot be read counts as missing."""
+
+    folder: Path
+    settings: str
+
+    @classmethod
+    def of(cls, folder: Path, config: Config, with_diagnosis: bool) -> "Cache":
+        """The cache for runs with these settings.
+
+        Raises
+        ------
+        RoadloadError
+            The folder cannot be made.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RoadloadError(f"{folder}: {error.strerror}") from error
+        key = f"{SCHEMA} {__version__} {with_diagnosis} {estimation_key(config)}"
+        return cls(folder, key)
+
+    def get(self, drive: Drive) -> DriveResult | None:
+        """The result of a drive; None where there is none."""
+        try:
+            return msgspec.json.decode(self._path(drive).read_bytes(), type=DriveResult)
+        except (OSError, msgspec.DecodeError):
+            return None
+
+    def put(self, drive: Drive, result: DriveResult) -> None:
+        """Keep a result.
+
+        Raises
+        ------
+        RoadloadError
+            It cannot be written.
+        """
+        with whole(self._path(drive)) as path:
+            path.write_bytes(msgspec.json.encode(result))
+
+    def _path(self, drive: Drive) -> Path:
+        key = "\n".join([self.settings, *drive.contents])
+        return self.folder / f"{blake2b(key.encode(), digest_size=16).hexdigest()}.json"

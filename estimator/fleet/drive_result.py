@@ -1,0 +1,167 @@
+"""One drive: its estimate for each load, with the statistics that a joint estimate needs."""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from estimator.blas_threads import one_blas_thread
+from estimator.config import Config
+from estimator.errors import RoadloadError
+from estimator.estimate import PARAMETERS, Estimate, Marginal
+from estimator.estimation.evidence import Coefficients
+from estimator.fleet.grouping import Drive
+from estimator.fleet.sources import local_copy
+from estimator.streaming.drive_extraction import diagnose_logs
+from estimator.streaming.log_frames import no_progress, read_frames
+from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.row_stream import Block, Interruption, RowStream
+
+MINUTE = 60.0  # s
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Status, reason and posterior of one parameter; no posterior where it is not estimated."""
+
+    status: str
+    reason: str
+    posterior: Marginal | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """What a drive says under one load.
+
+    ``start`` and ``minutes`` of the rows; the parameters m [kg], A [N] and C [N s^2/m^2]; ``mean`` (3,) and
+    ``covariance`` (3, 3) of the likelihood of [1/m, A/m, C/m], empty where the mass is not estimated.
+    """
+
+    start: float
+    minutes: float
+    status: str
+    reason: str
+    parameters: dict[str, Parameter]
+    mean: list[float]
+    covariance: list[list[float]]
+
+    @property
+    def coefficients(self) -> Coefficients | None:
+        """Likelihood of [1/m, A/m, C/m]."""
+        return Coefficients(np.array(self.mean), np.array(self.covariance)) if self.mean else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundEffect:
+    """An effect that the diagnosis of a drive names; ``magnitude`` and ``sd`` in ``unit``."""
+
+    name: str
+    probability: float
+    log_bayes_factor: float
+    quantity: str
+    magnitude: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveResult:
+    """What one drive says; ``fault`` is empty, or the reason why it says nothing."""
+
+    segments: tuple[Segment, ...] = ()
+    fault: str = ""
+    verdict: str = ""
+    effects: tuple[FoundEffect, ...] = ()
+
+
+@one_blas_thread()
+def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -> DriveResult:
+    """Estimate one drive from its files."""
+    try:
+        with ExitStack() as stack:
+            paths = [stack.enter_context(local_copy(source)) for source in drive.sources]
+            segments = _segments(paths, config)
+            if not with_diagnosis:
+                return DriveResult(segments=segments)
+            diagnosis = diagnose_logs(paths, config)
+    except (RoadloadError, OSError) as error:
+        return DriveResult(fault=" ".join(str(error).split()))
+    effects = tuple(
+        FoundEffect(
+            name=found.name,
+            probability=float(found.probability),
+            log_bayes_factor=float(found.log_bayes_factor),
+            quantity=found.magnitude.name,
+            magnitude=float(found.magnitude.value),
+            sd=float(found.magnitude.sd),
+            unit=found.magnitude.unit,
+        )
+        for found in diagnosis.effects
+    )
+    return DriveResult(segments=segments, verdict=diagnosis.verdict.value, effects=effects)
+
+
+class _Loads:
+    """The newest update and the times of each load."""
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._updates: dict[int, tuple[Estimate, Coefficients | None]] = {}
+        self._spans: dict[int, tuple[float, float]] = {}
+
+    def take(self, update: Estimate) -> None:
+        """Note an update, as long as the pipeline has not gone on."""
+        estimator = self._pipeline.estimator
+        evidence = estimator.evidence
+        self._updates[estimator.segment] = update, None if evidence is None else evidence.coefficients
+
+    def rows(self, first: float, last: float) -> None:
+        """Note the times of the first and last of the rows that have been used [s]."""
+        segment = self._pipeline.estimator.segment
+        start, _ = self._spans.get(segment, (first, last))
+        self._spans[segment] = start, last
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """Loads with an update, in order."""
+        return tuple(_segment(*self._updates[i], *self._spans[i]) for i in sorted(self._updates) if i in self._spans)
+
+
+def _segments(paths: list[Path], config: Config) -> tuple[Segment, ...]:
+    pipeline = Pipeline(config)
+    loads = _Loads(pipeline)
+    for item in _items(pipeline.traffic, paths):
+        for update in pipeline.take(item):
+            loads.take(update)
+        if isinstance(item, Block) and item.rows:
+            loads.rows(float(item.rows[0].t[0]), float(item.rows[-1].t[-1]))
+    for update in pipeline.estimator.finish():
+        loads.take(update)
+    pipeline.traffic.require_inputs(", ".join(map(str, paths)))
+    return loads.segments
+
+
+def _items(traffic: RowStream, paths: list[Path]) -> Iterator[Block | Interruption]:
+    for frames in read_frames(paths, no_progress, Counter()):
+        yield from traffic.feed(frames)
+    yield from traffic.finish()
+
+
+def _segment(update: Estimate, coefficients: Coefficients | None, start: float, end: float) -> Segment:
+    parameters = {
+        name: Parameter(status.value, reason, update.marginals[name])
+        for name in PARAMETERS
+        for status, reason in [update.status_of(name)]
+    }
+    return Segment(
+        start=start,
+        minutes=(end - start) / MINUTE,
+        status=update.status.value,
+        reason=update.reason,
+        parameters=parameters,
+        mean=[] if coefficients is None else coefficients.mean.tolist(),
+        covariance=[] if coefficients is None else coefficients.covariance.tolist(),
+    )

@@ -1,0 +1,123 @@
+"""Tasks of a fleet: in this process, or on Dask's workers."""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from estimator.errors import RoadloadError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+SECONDS_TO_CONNECT = 30
+GONE = "the scheduler has gone away; run again: the drives that are done are kept"
+DEATHS = 1  # of workers that a task may survive: a log that takes all memory does so again
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A task that ended without a result, and why: an error in the program, or a worker that was lost."""
+
+    reason: str
+    worker_died: bool = False
+
+
+class Engine(Protocol):
+    """Runs one function on many items."""
+
+    def map(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | Failure]]:
+        """Yield the index and the result of each item, in the order in which they are done."""
+        ...
+
+
+class Serial:
+    """Runs in this process, one item after the other."""
+
+    def map(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | Failure]]:
+        """See `Engine.map`."""
+        for i, item in enumerate(items):
+            try:
+                result: Result | Failure = work(item)
+            except Exception as error:  # one item is lost, and says why
+                result = _failure(error)
+            yield i, result
+
+
+class Distributed:
+    """Runs on the workers of a Dask cluster."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def map(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | Failure]]:
+        """See `Engine.map`.
+
+        Raises
+        ------
+        RoadloadError
+            The scheduler has gone away.
+        """
+        from distributed import as_completed
+
+        waiting = {self._client.submit(work, item, pure=False): i for i, item in enumerate(items)}
+        suspects = []
+        for future in as_completed(list(waiting), loop=self._client.loop):
+            i, answer = waiting.pop(future), self._answer(future)
+            if isinstance(answer, Failure) and answer.worker_died:
+                suspects.append(i)  # or its neighbour on that worker is to blame
+            else:
+                yield i, answer
+        for i in suspects:  # alone
+            yield i, self._answer(self._client.submit(work, items[i], pure=False))
+
+    def _answer(self, future: Any) -> Any:
+        """The result of a task, when it is done, or its failure."""
+        from distributed import KilledWorker
+        from distributed.client import FutureCancelledError
+
+        try:
+            error = future.exception()
+        except FutureCancelledError:
+            raise RoadloadError(GONE) from None
+        if self._client.status != "running":
+            raise RoadloadError(GONE)
+        if isinstance(error, KilledWorker):
+            return Failure(f"{DEATHS + 1} workers died of it, as one does that has too little memory", worker_died=True)
+        return future.result() if error is None else _failure(error)
+
+
+def _failure(error: BaseException) -> Failure:
+    return Failure(f"{type(error).__name__}: {' '.join(str(error).split())}")
+
+
+@contextmanager
+def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
+    """Workers of the cluster at the address ``scheduler``, or else processes of this machine.
+
+    Raises
+    ------
+    RoadloadError
+        Dask is not installed, or no scheduler answers at the address.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise RoadloadError("roadload fleet needs Dask: pip install 'roadload[fleet]'") from error
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=SECONDS_TO_CONNECT, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise RoadloadError(f"{scheduler}: no Dask scheduler answers there; check --scheduler") from error
+        with client:
+            yield Distributed(client)
+        return
+    options: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "silence_logs": logging.CRITICAL}
+    options["dashboard_address"] = "127.0.0.1:0"  # any port that is free
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}),
+        LocalCluster(n_workers=workers, **options) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield Distributed(client)

@@ -1,0 +1,109 @@
+"""Logs to drives: files that continue each other are one, a log that appears twice counts once."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from estimator.fleet.survey import Survey
+from estimator.streaming.row_stream import CLOCK_SET
+
+JOIN_GAP = 10.0  # s between two files, up to which the second continues the first
+OVERLAP = 10.0  # s by which drives of one vehicle must overlap to be doubted
+YEAR = 365.25 * 86400.0  # s
+CLOCK_YEARS = 2.0  # between the drives of a vehicle, beyond which one of the clocks is doubted
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """The files of one drive in order, and hashes of their contents; times of its first and last frame [s]."""
+
+    vehicle: str
+    sources: tuple[str, ...]
+    contents: tuple[str, ...]
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rejected:
+    """A log that gives no drive: ``status`` is "unreadable" or "duplicate"."""
+
+    vehicle: str
+    source: str
+    start: float
+    status: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Grouped:
+    """Drives in order of vehicle and time, rejected logs, and notes on drives by their first source."""
+
+    drives: tuple[Drive, ...]
+    rejected: tuple[Rejected, ...]
+    notes: dict[str, str] = field(default_factory=dict)
+
+    def overlapping(self, vehicle: str) -> int:
+        """The number of drives of a vehicle that begin before another one has ended."""
+        spans = sorted((d.start, d.end) for d in self.drives if d.vehicle == vehicle and d.start >= CLOCK_SET)
+        return sum(start < end - OVERLAP for (_, end), (start, _) in pairwise(spans))
+
+
+def group(surveys: Sequence[Survey]) -> Grouped:
+    """Group the logs of a fleet to drives."""
+    rejected: list[Rejected] = []
+    by_vehicle: dict[str, list[Survey]] = defaultdict(list)
+    seen: dict[str, Survey] = {}
+    for one in surveys:
+        if one.fault:
+            rejected.append(_rejection(one, "unreadable", one.fault))
+        elif one.content in seen:
+            reason = f"{one.log.source}: is the same log as {seen[one.content].log.source}; delete one of them"
+            rejected.append(_rejection(one, "duplicate", reason))
+        else:
+            seen[one.content] = one
+            by_vehicle[one.log.vehicle].append(one)
+    drives = [drive for name in sorted(by_vehicle) for drive in _joined(by_vehicle[name])]
+    return Grouped(tuple(drives), tuple(rejected), _notes(drives))
+
+
+def _rejection(one: Survey, status: str, reason: str) -> Rejected:
+    return Rejected(vehicle=one.log.vehicle, source=one.log.source, start=one.start, status=status, reason=reason)
+
+
+def _joined(surveys: list[Survey]) -> list[Drive]:
+    """Drives of one vehicle; a file joins the one before if it begins where that one ends."""
+    chains: list[list[Survey]] = []
+    for one in sorted(surveys, key=lambda each: (each.start, each.log.source)):
+        last = chains[-1][-1] if chains else None
+        continues = last is not None and last.end >= CLOCK_SET and 0 <= one.start - last.end <= JOIN_GAP
+        chains[-1].append(one) if continues else chains.append([one])
+    return [
+        Drive(
+            vehicle=chain[0].log.vehicle,
+            sources=tuple(one.log.source for one in chain),
+            contents=tuple(one.content for one in chain),
+            start=chain[0].start,
+            end=chain[-1].end,
+        )
+        for chain in chains
+    ]
+
+
+def _notes(drives: list[Drive]) -> dict[str, str]:
+    """Doubts about clocks, by the first source of a drive."""
+    notes: dict[str, str] = {}
+    starts: dict[str, list[float]] = defaultdict(list)
+    for drive in drives:
+        if drive.start >= CLOCK_SET:
+            starts[drive.vehicle].append(drive.start)
+        else:
+            notes[drive.sources[0]] = "the clock was not set: the times count from its start"
+    for drive in drives:
+        known = sorted(starts[drive.vehicle])
+        if drive.start >= CLOCK_SET and len(known) > 2:
+            years = (drive.start - known[len(known) // 2]) / YEAR
+            if abs(years) > CLOCK_YEARS:
+                notes[drive.sources[0]] = f"the clock is {years:+.1f} years from that of most drives of {drive.vehicle}"
+    return notes

@@ -1,0 +1,27 @@
+"""A fleet for programs: logs in, a table out, in one process."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from estimator.config import Config
+from estimator.fleet.engine import Serial
+from estimator.fleet.rows import drive_rows
+from estimator.fleet.run import run_fleet
+from estimator.fleet.sources import find_logs
+from estimator.fleet.tables import DRIVES, columns
+
+
+def estimate_drives(sources: Sequence[str | Path], config: Config, vehicle: str | None = None) -> dict[str, Any]:
+    """Estimate logs in this process: a table of drives, as arrays (n,) by column.
+
+    ``pandas.DataFrame`` and ``polars.DataFrame`` take it. The columns are those of ``drives.parquet``; numbers that
+    are missing are NaN. ``vehicle`` is a regular expression whose first group names the vehicle in a path.
+
+    Raises
+    ------
+    InputError
+        A source is missing or holds no log; or the configuration is wrong. A log that cannot be read is a row.
+    """
+    found = run_fleet(find_logs([str(source) for source in sources], vehicle), config, Serial())
+    return columns(DRIVES, drive_rows(found))

@@ -1,0 +1,60 @@
+"""The folder that a fleet is written to."""
+
+from pathlib import Path
+
+from estimator.config import Config
+from estimator.errors import ConfigError, RoadloadError
+from estimator.fleet.priors import as_toml, of_new_vehicle, of_vehicle
+from estimator.fleet.rows import drive_rows, effect_rows, vehicle_rows
+from estimator.fleet.run import Fleet
+from estimator.fleet.tables import DRIVES, EFFECTS, VEHICLES, write_tables
+
+CACHE = "cache"  # folders in the output
+PRIORS = "priors"
+NEW_VEHICLE = "new-vehicle"
+FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
+
+
+def prepare(out: Path) -> None:
+    """Make the folder, before the work is done.
+
+    Raises
+    ------
+    ConfigError
+        It is a file.
+    RoadloadError
+        It cannot be made.
+    """
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out}: is a file; give the name of a folder")
+    try:
+        (out / PRIORS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RoadloadError(f"{out}: {error.strerror}") from error
+
+
+def write_fleet(found: Fleet, config: Config, out: Path, rate: float, with_diagnosis: bool) -> list[Path]:
+    """Write tables and learnt beliefs: all files, or none; gives their names.
+
+    ``rate`` is the false-discovery rate at which a vehicle is named as out of line.
+
+    Raises
+    ------
+    RoadloadError
+        A file cannot be written.
+    """
+    tables = {
+        out / "drives.parquet": (DRIVES, drive_rows(found)),
+        out / "vehicles.parquet": (VEHICLES, vehicle_rows(found, rate)),
+    }
+    if with_diagnosis:
+        tables[out / "effects.parquet"] = EFFECTS, effect_rows(found)
+    learnt = {one.vehicle: of_vehicle(config, one) for one in found.vehicles}
+    learnt[NEW_VEHICLE] = of_new_vehicle(config, found.vehicles, found.new)
+    texts = {out / PRIORS / f"{_file_name(name)}.toml": as_toml(c) for name, c in learnt.items() if c is not None}
+    write_tables(tables, texts)
+    return [*tables, *texts]
+
+
+def _file_name(vehicle: str) -> str:
+    return vehicle.translate(FORBIDDEN).lstrip(".") or "_"

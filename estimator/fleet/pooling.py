@@ -1,0 +1,137 @@
+"""Estimates of one quantity from several drives, which scatter more than their own sd: a hierarchical model.
+
+Drive ``i`` has the true value theta_i ~ N(mu, T), T = diag(tau_1^2, tau_2^2), and shows z_i ~ N(theta_i, V_i). Wind,
+rain, tyres and errors of the model that last for a drive are in T. With a flat prior of mu, everything but tau is
+Gaussian (Gelman et al., Bayesian Data Analysis, section 5.4); tau, with a half-t prior (Gelman 2006), is summed over
+a grid, so there is no sampling and no choice of a seed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from estimator.estimate import Marginal
+from estimator.signals import Floats
+
+NODES = 20  # of the grid of each tau
+WIDEST = 8.0  # its largest node, in scales of the prior
+DEGREES = 4.0  # of freedom of the prior
+NEGLIGIBLE = 1e-8  # weight of a node, as a share of the largest
+REACH = 12.0  # sd within which a quantile is looked for
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """A mixture of normal distributions: ``weights`` (k,), which add up to 1, ``means`` (k,) and ``sds`` (k,)."""
+
+    weights: Floats
+    means: Floats
+    sds: Floats
+
+    def cdf(self, x: float) -> float:
+        """Probability of values up to ``x``."""
+        return float(self.weights @ ndtr((x - self.means) / self.sds))
+
+    def quantile(self, p: float) -> float:
+        """Value that is exceeded with probability 1 - p."""
+        low = float(np.min(self.means - REACH * self.sds))
+        high = float(np.max(self.means + REACH * self.sds))
+        return float(brentq(lambda x: self.cdf(x) - p, low, high, xtol=1e-12 * max(abs(low), abs(high), 1e-300)))
+
+    @property
+    def marginal(self) -> Marginal:
+        """Moments and quantiles."""
+        mean = float(self.weights @ self.means)
+        variance = float(self.weights @ (self.sds**2 + (self.means - mean) ** 2))
+        q05, q50, q95 = (self.quantile(p) for p in (0.05, 0.5, 0.95))
+        return Marginal(mean, variance**0.5, q05, q50, q95)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pooled:
+    """Posterior of mu and of each theta_i; a sum over K nodes of the grid of tau.
+
+    ``weights`` (K,); ``tau`` (K, 2); ``mean`` (K, 2) and ``covariance`` (K, 2, 2) of mu; ``drive_mean`` (K, n, 2) and
+    ``drive_covariance`` (K, n, 2, 2) of theta.
+    """
+
+    weights: Floats
+    tau: Floats
+    mean: Floats
+    covariance: Floats
+    drive_mean: Floats
+    drive_covariance: Floats
+
+    def shared(self, i: int) -> Mixture:
+        """Posterior of component ``i`` of mu."""
+        return Mixture(self.weights, self.mean[:, i], np.sqrt(self.covariance[:, i, i]))
+
+    def predicted(self, i: int) -> Mixture:
+        """Distribution of component ``i`` of theta on a drive to come."""
+        return Mixture(self.weights, self.mean[:, i], np.sqrt(self.covariance[:, i, i] + self.tau[:, i] ** 2))
+
+    def scatter(self, i: int) -> float:
+        """Posterior mean of tau of component ``i``."""
+        return float(self.weights @ self.tau[:, i])
+
+
+def pool(z: Floats, V: Floats, scale: float) -> Pooled:
+    """Estimate what drives share.
+
+    Parameters
+    ----------
+    z, V
+        Estimates (n, 2), positive by their meaning, and their covariances (n, 2, 2).
+    scale
+        Scale of the half-t prior of tau, as a share of the value.
+    """
+    centre = _weighted_mean(z, V, np.zeros(2))
+    centre = _weighted_mean(z, V, (scale * centre) ** 2)
+    steps = WIDEST * np.linspace(0.0, 1.0, NODES) ** 2  # close where tau is small
+    share = (1 + steps**2 / DEGREES) ** (-(DEGREES + 1) / 2) * np.gradient(steps)
+    first, second = np.meshgrid(np.arange(NODES), np.arange(NODES), indexing="ij")
+    nodes = np.column_stack([first.ravel(), second.ravel()])
+    tau = scale * np.abs(centre) * steps[nodes]
+    T = tau[:, :, None] * np.eye(2)[None] * tau[:, None, :]
+    W = _inverse(V[None] + T[:, None])  # (K, n, 2, 2)
+    P = _inverse(W.sum(axis=1))
+    mean = np.einsum("kij,knjl,nl->ki", P, W, z)
+    left = z[None] - mean[:, None]
+    misfit = np.einsum("kni,knij,knj->k", left, W, left)
+    log_weight = 0.5 * (np.log(_determinant(W)).sum(axis=1) + np.log(_determinant(P)) - misfit)
+    weights = np.exp(log_weight - log_weight.max()) * share[nodes].prod(axis=1)
+    used = weights > NEGLIGIBLE * weights.max()
+    weights, tau, T, W, P, mean, left = (each[used] for each in (weights, tau, T, W, P, mean, left))
+    # theta_i given mu is N(mu + B (z - mu), (1 - B) T) with B = T W.
+    B = T[:, None] @ W
+    rest = np.eye(2) - B
+    return Pooled(
+        weights=weights / weights.sum(),
+        tau=tau,
+        mean=mean,
+        covariance=P,
+        drive_mean=mean[:, None] + np.einsum("knij,knj->kni", B, left),
+        drive_covariance=rest @ T[:, None] + rest @ P[:, None] @ np.swapaxes(rest, 2, 3),
+    )
+
+
+def _weighted_mean(z: Floats, V: Floats, scatter: Floats) -> Floats:
+    W = _inverse(V + np.diag(scatter))
+    mean: Floats = np.linalg.solve(W.sum(axis=0), np.einsum("nij,nj->i", W, z))
+    return mean
+
+
+def _determinant(a: Floats) -> Floats:
+    determinant: Floats = a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0]
+    return determinant
+
+
+def _inverse(a: Floats) -> Floats:
+    """Inverse of symmetric matrices (..., 2, 2)."""
+    swapped = np.empty_like(a)
+    swapped[..., 0, 0], swapped[..., 1, 1] = a[..., 1, 1], a[..., 0, 0]
+    swapped[..., 0, 1], swapped[..., 1, 0] = -a[..., 0, 1], -a[..., 1, 0]
+    inverse: Floats = swapped / _determinant(a)[..., None, None]
+    return inverse

@@ -1,0 +1,71 @@
+"""The vehicles of a fleet: what a new one should have, and which one is out of line.
+
+A parameter of vehicle ``v`` is z_v with sd s_v. Most vehicles are drawn from N(mu, tau^2); a few may be anything, which
+a second, wide component takes up (Tukey's contaminated normal), so that they neither move mu nor widen tau. mu and
+tau are summed over a grid. Each vehicle is compared with the prediction from the others; the false-discovery rate over
+all comparisons is that of Benjamini and Hochberg (1995).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import false_discovery_control
+
+from estimator.fleet.pooling import Mixture
+from estimator.signals import Floats
+
+SCALE = 0.05  # sd of the half-normal prior of tau, as a share of the median
+OUTLIERS = 0.1  # share of vehicles that may be anything
+OUTLIER_SCALE = 0.5  # sd of those, as a share of the median
+MEANS, SPREADS = 161, 24  # nodes of the grids
+SPREAD_WIDEST = 5.0  # largest node of tau, in sd of its prior
+FEWEST = 4  # vehicles; among fewer, none is compared
+
+
+@dataclass(frozen=True)
+class Population:
+    """A parameter in a fleet: the distribution of a ``new`` vehicle's value, and p-values (n,) of the vehicles."""
+
+    new: Mixture
+    p_values: Floats
+
+
+def population(z: Floats, sd: Floats) -> Population:
+    """Compare vehicles by estimates ``z`` (n,) with their ``sd`` (n,)."""
+    middle = float(np.median(z))
+    size = abs(middle)
+    tau_nodes = SCALE * size * SPREAD_WIDEST * np.linspace(0.0, 1.0, SPREADS) ** 2
+    reach = 3 * float(np.max(sd)) + SCALE * size
+    mu_nodes = np.linspace(z.min() - reach, z.max() + reach, MEANS)
+    mu, tau = (grid.ravel() for grid in np.meshgrid(mu_nodes, tau_nodes, indexing="ij"))
+    prior = np.exp(-0.5 * (tau / (SCALE * size)) ** 2) * np.tile(np.gradient(tau_nodes), MEANS)
+    width = np.sqrt(tau[:, None] ** 2 + sd**2)  # (K, n)
+    wide = np.sqrt(width**2 + (OUTLIER_SCALE * size) ** 2)
+    left = z - mu[:, None]
+    log_shown = np.logaddexp(
+        np.log(1 - OUTLIERS) - 0.5 * (left / width) ** 2 - np.log(width),
+        np.log(OUTLIERS) - 0.5 * (left / wide) ** 2 - np.log(wide),
+    )
+    together = log_shown.sum(axis=1)
+    p_values = np.empty(len(z))
+    for v in range(len(z)):  # the posterior from the others
+        weights = _normalised(together - log_shown[:, v], prior)
+        below = float(weights @ ndtr(left[:, v] / width[:, v]))
+        p_values[v] = 2 * min(below, 1 - below)
+    weights = _normalised(together, prior)
+    used = weights > 0
+    smallest = 1e-9 * size
+    return Population(Mixture(weights[used], mu[used], np.maximum(tau[used], smallest)), p_values)
+
+
+def _normalised(log_weight: Floats, prior: Floats) -> Floats:
+    weights = np.exp(log_weight - log_weight.max()) * prior
+    normalised: Floats = weights / weights.sum()
+    return normalised
+
+
+def q_values(p_values: Floats) -> Floats:
+    """False-discovery rates (n,) at which each comparison is found."""
+    adjusted: Floats = false_discovery_control(np.clip(p_values, 0.0, 1.0), method="bh")
+    return adjusted

@@ -1,0 +1,78 @@
+"""What a fleet has learnt, as configurations: beliefs with which a gateway begins its first drive."""
+
+from collections.abc import Sequence
+from math import sqrt
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from estimator import config as configuration
+from estimator import toml_text
+from estimator.config import Config
+from estimator.errors import ConfigError
+from estimator.fleet.pooling import Mixture
+from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
+
+BELIEFS = ("mass_belief_kg", "A_belief_N", "C_belief_N_s2_m2")
+Normal = tuple[float, float]  # mean and sd
+
+
+def with_beliefs(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Config:
+    """The configuration with beliefs about A and C of the next drive.
+
+    ``load`` is the mass [kg] to expect, ``rolling`` A/m [N/kg], ``drag`` C [N s^2/m^2]. The sd of A allows for loads
+    of other mass. The mass itself is left to the drive, for it changes with the load.
+
+    Raises
+    ------
+    ConfigError
+        The boxes of the configuration exclude a belief.
+    """
+    mass, mass_sd = load
+    ratio, ratio_sd = rolling
+    A = ratio * mass, sqrt((ratio_sd * mass) ** 2 + (ratio * mass_sd) ** 2)
+    prior = msgspec.structs.replace(config.prior, A_belief_N=A, C_belief_N_s2_m2=drag)
+    changed = configuration.replace(config, prior=prior)
+    configuration.check(changed)
+    return changed
+
+
+def of_vehicle(config: Config, found: VehicleResult) -> Config | None:
+    """The configuration for a vehicle; None where A/m or C is not estimated, or the boxes exclude it."""
+    if found.rolling is None or found.drag is None or found.next_drive is None or found.load is None:
+        return None
+    rolling, drag = found.next_drive
+    return _allowed(config, found.load, (rolling.mean, rolling.sd), (drag.mean, drag.sd))
+
+
+def of_new_vehicle(config: Config, found: Sequence[VehicleResult], new: Sequence[Mixture]) -> Config | None:
+    """The configuration for a vehicle of this fleet's type before its first drive; ``new`` of A/m and C."""
+    known = [one for one in found if one.load is not None]
+    if not known or not new:
+        return None
+    means = np.array([one.load[0] for one in known if one.load is not None])
+    variances = np.array([one.load[1] ** 2 for one in known if one.load is not None])
+    load = float(means.mean()), float(np.sqrt(variances.mean() + means.var()))
+    rolling, drag = (_widened(new[i], [one.scatter[i] for one in known]) for i in (ROLLING, DRAG))
+    return _allowed(config, load, rolling, drag)
+
+
+def _widened(new: Mixture, scatter: Sequence[float]) -> Normal:
+    """A value of a new vehicle on one drive: the vehicle's, and the scatter of drives around it."""
+    marginal = new.marginal
+    return marginal.mean, sqrt(marginal.sd**2 + sum(s**2 for s in scatter) / len(scatter))
+
+
+def _allowed(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Config | None:
+    try:
+        return with_beliefs(config, load, rolling, drag)
+    except ConfigError:  # the user's boxes exclude what was found: there is nothing to hand on
+        return None
+
+
+def as_toml(config: Config) -> str:
+    """A configuration as a file that stands anywhere: paths of databases are absolute."""
+    databases = [str(Path(name).resolve()) for name in config.bus.dbc]
+    whole = configuration.replace(config, bus=msgspec.structs.replace(config.bus, dbc=databases))
+    return toml_text.dump(msgspec.to_builtins(whole))

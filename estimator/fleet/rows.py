@@ -1,0 +1,117 @@
+"""A fleet as rows of its tables."""
+
+from typing import Any
+
+import numpy as np
+
+from estimator.estimate import Marginal, Status
+from estimator.fleet.drive_result import Segment
+from estimator.fleet.run import Fleet
+from estimator.fleet.tables import Row, statistics
+from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
+from estimator.signals import Floats
+
+MINUTE = 60.0  # s
+
+
+def drive_rows(found: Fleet) -> list[Row]:
+    """Rows of `DRIVES`: a row for each load of a drive, for each drive without, and for each rejected log."""
+    masses = {one.vehicle: iter(one.masses) for one in found.vehicles}
+    rows: list[Row] = []
+    for drive, result in zip(found.grouped.drives, found.results, strict=True):
+        common = {
+            "source": drive.sources[0],
+            "files": len(drive.sources),
+            "vehicle": drive.vehicle,
+            "note": found.grouped.notes.get(drive.sources[0], ""),
+            "verdict": result.verdict,
+        }
+        if not result.segments:
+            status = "failed" if result.fault else Status.UNESTIMATED.value
+            reason = result.fault or "no usable samples"
+            minutes = (drive.end - drive.start) / MINUTE
+            rows.append(common | {"status": status, "reason": reason, "start": drive.start, "minutes": minutes})
+        for number, segment in enumerate(result.segments):
+            joint = next(masses[drive.vehicle], None) if segment.mean else None
+            rows.append(common | {"segment": number} | _segment_cells(segment, joint))
+    for log in found.grouped.rejected:
+        cells = {"source": log.source, "files": 1, "vehicle": log.vehicle, "start": log.start}
+        rows.append(cells | {"status": log.status, "reason": log.reason})
+    return sorted(rows, key=lambda row: (row["vehicle"], row["start"], row["source"], row.get("segment", 0)))
+
+
+def _segment_cells(segment: Segment, joint: Marginal | None) -> dict[str, Any]:
+    m, A, C = (segment.parameters[name] for name in ("m", "A", "C"))
+    return {
+        "start": segment.start,
+        "minutes": segment.minutes,
+        "status": segment.status,
+        "reason": segment.reason,
+        **statistics("mass_kg", m.posterior),
+        **statistics("A_N", A.posterior),
+        **statistics("C_N_s2_m2", C.posterior),
+        "A_reason": A.reason,
+        "C_reason": C.reason,
+        **statistics("joint_mass_kg", joint),
+    }
+
+
+def vehicle_rows(found: Fleet, rate: float) -> list[Row]:
+    """Rows of `VEHICLES`; a parameter is out of line where its false-discovery rate is at most ``rate``."""
+    rows: list[Row] = []
+    for one, q in zip(found.vehicles, found.q_values, strict=True):
+        drives = [
+            (drive, result)
+            for drive, result in zip(found.grouped.drives, found.results, strict=True)
+            if drive.vehicle == one.vehicle
+        ]
+        row: dict[str, Any] = {
+            "vehicle": one.vehicle,
+            "drives": len(drives),
+            "loads": sum(bool(segment.mean) for _, result in drives for segment in result.segments),
+            "minutes": sum(segment.minutes for _, result in drives for segment in result.segments),
+            "start": min(drive.start for drive, _ in drives),
+            "end": max(drive.end for drive, _ in drives),
+            "status": one.status,
+            **statistics("A_per_mass_N_kg", one.rolling),
+            "A_per_mass_reason": one.reasons[ROLLING],
+            "A_per_mass_q_value": float(q[ROLLING]),
+            **statistics("C_N_s2_m2", one.drag),
+            "C_reason": one.reasons[DRAG],
+            "C_q_value": float(q[DRAG]),
+            "outlier": ", ".join(_out_of_line(found, one, q, rate)),
+        }
+        if one.load is not None:
+            row |= {"mass_kg_mean": one.load[0], "mass_kg_sd": one.load[1]}
+            row |= {"A_per_mass_scatter_N_kg": one.scatter[ROLLING], "C_scatter_N_s2_m2": one.scatter[DRAG]}
+        rows.append(row)
+    return rows
+
+
+def _out_of_line(found: Fleet, one: VehicleResult, q: Floats, rate: float) -> list[str]:
+    words = []
+    for i, (name, marginal) in enumerate([("A/m", one.rolling), ("C", one.drag)]):
+        if marginal is not None and q[i] <= rate:
+            others = [each for v in found.vehicles if (each := (v.rolling, v.drag)[i]) is not None]
+            middle = float(np.median([each.mean for each in others]))
+            words.append(f"{name} {100 * (marginal.mean / middle - 1):+.0f} %")
+    return words
+
+
+def effect_rows(found: Fleet) -> list[Row]:
+    """Rows of `EFFECTS`."""
+    return [
+        {
+            "source": drive.sources[0],
+            "vehicle": drive.vehicle,
+            "effect": effect.name,
+            "probability": effect.probability,
+            "log_bayes_factor": effect.log_bayes_factor,
+            "magnitude": effect.quantity,
+            "value": effect.magnitude,
+            "sd": effect.sd,
+            "unit": effect.unit,
+        }
+        for drive, result in zip(found.grouped.drives, found.results, strict=True)
+        for effect in result.effects
+    ]

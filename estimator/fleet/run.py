@@ -1,0 +1,153 @@
+"""A fleet from its logs to tables: survey, estimate each drive, join the drives of each vehicle, compare vehicles."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from estimator.can_io.binding import bind, load_database
+from estimator.config import Config
+from estimator.errors import ConfigError
+from estimator.estimation.evidence import Coefficients
+from estimator.fleet.cache import Cache
+from estimator.fleet.drive_result import DriveResult, estimate_drive
+from estimator.fleet.engine import Engine, Failure
+from estimator.fleet.grouping import Drive, Grouped, group
+from estimator.fleet.pooling import Mixture
+from estimator.fleet.population import FEWEST, population, q_values
+from estimator.fleet.sources import LogFile
+from estimator.fleet.survey import Survey, survey
+from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult, join
+from estimator.settings import Gate
+from estimator.signals import Floats
+
+Progress = Callable[[float], None]
+SURVEYING = 0.05  # share of the work
+SMALLEST_SCALE = 1e-3  # of the scatter between drives, where the configuration allows none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleet:
+    """Logs grouped to drives, the result of each drive, the vehicles, and the comparison of vehicles.
+
+    ``q_values`` (n, 2) of A/m and C of the vehicles, NaN where they are not compared; ``new`` is the distribution of
+    A/m and C of a new vehicle, empty where the vehicles are too few.
+    """
+
+    grouped: Grouped
+    results: tuple[DriveResult, ...]
+    vehicles: tuple[VehicleResult, ...]
+    q_values: Floats
+    new: tuple[Mixture, ...]
+
+
+@dataclass(frozen=True)
+class _Vehicle:
+    """The likelihoods of its drives, and why they must not be joined, or empty."""
+
+    name: str
+    loads: list[Coefficients]
+    doubt: str
+
+
+def run_fleet(
+    logs: Sequence[LogFile],
+    config: Config,
+    engine: Engine,
+    *,
+    cache: Cache | None = None,
+    with_diagnosis: bool = False,
+    progress: Progress = lambda share: None,
+) -> Fleet:
+    """Estimate the drives and vehicles of a fleet.
+
+    Raises
+    ------
+    ConfigError
+        The configuration has another likelihood than "road", or its databases do not fit.
+    """
+    if config.sampler.likelihood != "road":
+        raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
+    bind(config, load_database(config.bus.dbc))
+    grouped = group(_surveys(logs, engine, progress))
+    results = _results(grouped.drives, config, engine, cache, with_diagnosis, progress)
+    vehicles = _vehicles(grouped, results, config, engine)
+    compared, new = _compared(vehicles)
+    return Fleet(grouped=grouped, results=results, vehicles=vehicles, q_values=compared, new=new)
+
+
+def _surveys(logs: Sequence[LogFile], engine: Engine, progress: Progress) -> list[Survey]:
+    found: dict[int, Survey] = {}
+    for done, (i, result) in enumerate(engine.map(survey, logs), start=1):
+        if isinstance(result, Failure):
+            fault = f"{logs[i].source}: {result.reason}"
+            result = Survey(log=logs[i], content="", start=0.0, end=0.0, fault=fault)
+        found[i] = result
+        progress(SURVEYING * done / len(logs))
+    return [found[i] for i in range(len(logs))]
+
+
+def _results(
+    drives: Sequence[Drive],
+    config: Config,
+    engine: Engine,
+    cache: Cache | None,
+    with_diagnosis: bool,
+    progress: Progress,
+) -> tuple[DriveResult, ...]:
+    """Results of the drives in their order: those of the cache, and the others computed and, without a fault, kept."""
+    kept = [None if cache is None else cache.get(drive) for drive in drives]
+    missing = [i for i, result in enumerate(kept) if result is None]
+    work = partial(estimate_drive, config=config, with_diagnosis=with_diagnosis)
+    for done, (i, result) in enumerate(engine.map(work, [drives[i] for i in missing]), start=1):
+        if isinstance(result, Failure):
+            kept[missing[i]] = DriveResult(fault=result.reason)
+        else:
+            kept[missing[i]] = result
+            if cache is not None and not result.fault:
+                cache.put(drives[missing[i]], result)
+        progress(SURVEYING + (1 - SURVEYING) * done / len(missing))
+    return tuple(result for result in kept if result is not None)
+
+
+def _vehicles(
+    grouped: Grouped, results: Sequence[DriveResult], config: Config, engine: Engine
+) -> tuple[VehicleResult, ...]:
+    loads: dict[str, list[Coefficients]] = {drive.vehicle: [] for drive in grouped.drives}
+    for drive, result in zip(grouped.drives, results, strict=True):
+        loads[drive.vehicle] += [one for segment in result.segments if (one := segment.coefficients) is not None]
+    vehicles = [_Vehicle(name, loads[name], _doubt(grouped.overlapping(name))) for name in sorted(loads)]
+    gate, scale = config.gate, max(config.load.change_sd, SMALLEST_SCALE)
+    found: dict[int, VehicleResult] = {}
+    for i, answer in engine.map(partial(_joined, gate=gate, scale=scale), vehicles):
+        found[i] = join(vehicles[i].name, (), gate, scale, answer.reason) if isinstance(answer, Failure) else answer
+    return tuple(found[i] for i in range(len(vehicles)))
+
+
+def _joined(vehicle: _Vehicle, gate: Gate, scale: float) -> VehicleResult:
+    return join(vehicle.name, vehicle.loads, gate, scale, vehicle.doubt)
+
+
+def _doubt(overlapping: int) -> str:
+    if not overlapping:
+        return ""
+    return f"{overlapping} of its drives overlap others in time: two vehicles in one folder? give --vehicle"
+
+
+def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture, ...]]:
+    """False-discovery rates (n, 2) of A/m and C over all comparisons, and the distributions of a new vehicle."""
+    rates = np.full((len(vehicles), 2), np.nan)
+    new: list[Mixture] = []
+    for i in (ROLLING, DRAG):
+        known = [(v, found) for v, one in enumerate(vehicles) if (found := (one.rolling, one.drag)[i]) is not None]
+        if len(known) < FEWEST:
+            continue
+        means, sds = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "sd"))
+        compared = population(means, sds)
+        rates[[v for v, _ in known], i] = compared.p_values
+        new.append(compared.new)
+    shown = np.isfinite(rates)
+    if shown.any():
+        rates[shown] = q_values(rates[shown])
+    return rates, tuple(new) if len(new) == 2 else ()

@@ -1,0 +1,182 @@
+"""Where the logs of a fleet lie, and whose they are.
+
+A source is a log, a folder, a glob, a list of logs or a URL of fsspec (``s3://bucket/truck-*/``).
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from estimator.can_io.logs import FORMATS
+from estimator.errors import ConfigError, InputError, LogError
+
+LIST = ".txt"  # suffix of a list of logs: a log a line, and its vehicle after a tab
+WILD = re.compile(r"[*?\[]")
+
+
+@dataclass(frozen=True, order=True)
+class LogFile:
+    """A log, by path or URL, and the name of its vehicle."""
+
+    source: str
+    vehicle: str
+
+
+def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFile]:
+    """Find the logs, each once, in the order of vehicles and names.
+
+    The vehicle is the first group of ``pattern`` in the path of the log; without a pattern the first folder below the
+    source, or the folder of the log where there is none.
+
+    Raises
+    ------
+    InputError
+        A source is missing or holds no log.
+    ConfigError
+        The pattern is no regular expression with a group, or matches the path of no log.
+    """
+    expression = None if pattern is None else _compiled(pattern)
+    found: dict[str, str] = {}
+    for source in sources:
+        logs = list(_logs_of(source))
+        if not logs:
+            raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(FORMATS)}")
+        for log in logs:
+            found.setdefault(log.source, _named(log, expression))
+    return sorted((LogFile(log, vehicle) for log, vehicle in found.items()), key=lambda log: (log.vehicle, log.source))
+
+
+def _compiled(pattern: str) -> re.Pattern[str]:
+    try:
+        expression = re.compile(pattern)
+    except re.error as error:
+        raise ConfigError(f"--vehicle {pattern}: no regular expression: {error}") from error
+    if not expression.groups:
+        raise ConfigError(f"--vehicle {pattern}: put the vehicle's part of the path in parentheses")
+    return expression
+
+
+def _named(log: LogFile, expression: re.Pattern[str] | None) -> str:
+    if expression is None:
+        return log.vehicle
+    match = expression.search(log.source)
+    if match is None or not match[1]:
+        raise ConfigError(f"{log.source}: --vehicle {expression.pattern} finds no vehicle in this path")
+    return match[1]
+
+
+def _logs_of(source: str) -> Iterator[LogFile]:
+    if "://" in source:
+        yield from _remote(source)
+    elif Path(source).suffix == LIST and Path(source).is_file():
+        yield from _listed(Path(source))
+    elif Path(source).is_dir():
+        for path in Path(source).rglob("*"):
+            if _is_log(path.name) and path.is_file():
+                yield LogFile(str(path), _vehicle(source, str(path)))
+    elif Path(source).is_file():
+        yield LogFile(source, _vehicle(source, source))
+    elif WILD.search(source):
+        for name in glob(source, recursive=True):
+            if Path(name).is_dir():
+                yield from _logs_of(name)
+            elif _is_log(name):
+                yield LogFile(name, _vehicle(name, name))
+    else:
+        raise InputError(f"{source}: no such file or folder; check the path")
+
+
+def _listed(path: Path) -> Iterator[LogFile]:
+    """Logs of a list; paths in it are relative to it."""
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as a list of logs ({error})") from error
+    for number, line in enumerate(lines, start=1):
+        name, _, vehicle = line.strip().partition("\t")
+        if not name:
+            continue
+        place = name if "://" in name else str(path.parent / name)
+        if "://" not in name and not Path(place).is_file():
+            raise InputError(f"{path}:{number}: no such log: {place}; correct or delete the line")
+        yield LogFile(place, vehicle.strip() or _vehicle(place, place))
+
+
+def _remote(source: str) -> Iterator[LogFile]:
+    files, root = file_system(source)
+    try:
+        if WILD.search(root):
+            names = [name for one in files.glob(root) for name in (files.find(one) if files.isdir(one) else [one])]
+            root = root[: root.rfind("/", 0, WILD.search(root).start()) + 1]  # type: ignore[union-attr]
+        else:
+            names = files.find(root)
+    except Exception as error:  # of any storage library
+        raise InputError(f"{source}: cannot be listed ({_line(error)})") from error
+    for name in names:
+        if _is_log(name):
+            yield LogFile(files.unstrip_protocol(name), _vehicle(root, name))
+
+
+def _is_log(name: str) -> bool:
+    lower = name.lower()
+    return lower.endswith(tuple(FORMATS)) and not PurePosixPath(name).name.startswith(".")
+
+
+def _vehicle(root: str, log: str) -> str:
+    """The first folder between a source and the log, or the folder that the log is in."""
+    path = PurePosixPath(Path(log).as_posix())
+    base = PurePosixPath(Path(root).as_posix())
+    below = path.relative_to(base).parts if path.is_relative_to(base) else ()
+    if len(below) > 1:
+        return below[0]
+    return path.parent.name or Path.cwd().name
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it.
+
+    Raises
+    ------
+    InputError
+        fsspec or its package for this protocol is missing, or it does not know the protocol.
+    """
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError as error:
+        raise InputError(f"{url}: URLs need fsspec: pip install 'roadload[fleet]'") from error
+    try:
+        files, path = url_to_fs(url)
+    except (ImportError, ValueError, OSError) as error:
+        raise InputError(f"{url}: {_line(error)}") from error
+    return files, str(path)
+
+
+@contextmanager
+def local_copy(source: str) -> Iterator[Path]:
+    """The log as a local file; that of a URL is there for the time of the block.
+
+    Raises
+    ------
+    LogError
+        It cannot be fetched.
+    """
+    if "://" not in source:
+        yield Path(source)
+        return
+    with TemporaryDirectory(prefix="roadload-") as folder:
+        path = Path(folder, PurePosixPath(source).name)
+        files, name = file_system(source)
+        try:
+            files.get_file(name, str(path))
+        except Exception as error:  # of any storage library
+            raise LogError(f"{source}: cannot be fetched ({_line(error)})") from error
+        yield path
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,161 @@
+"""Tables of a fleet as columns, and as Parquet files with units in the schema."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.errors import RoadloadError
+from estimator.estimate import Marginal
+from estimator.output_files import whole
+
+Row = Mapping[str, Any]
+STATISTICS = ("mean", "sd", "q05", "q95")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: ``kind`` is "text", "number", "count" or "time"."""
+
+    name: str
+    kind: str
+    unit: str = ""
+    meaning: str = ""
+
+
+def _posterior(name: str, unit: str, meaning: str) -> list[Column]:
+    return [Column(f"{name}_{part}", "number", unit, f"{meaning}: {part}") for part in STATISTICS]
+
+
+DRIVES = (
+    Column("source", "text", meaning="first file of the drive"),
+    Column("files", "count", meaning="files of the drive"),
+    Column("vehicle", "text"),
+    Column("segment", "count", meaning="number of the load within the drive"),
+    Column("start", "time", "UTC", "first row"),
+    Column("minutes", "number", "min"),
+    Column("status", "text"),
+    Column("reason", "text"),
+    Column("note", "text", meaning="doubts about the clock"),
+    *_posterior("mass_kg", "kg", "mass, by the drive"),
+    *_posterior("A_N", "N", "rolling and friction force, by the drive"),
+    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient, by the drive"),
+    Column("A_reason", "text", meaning="why A is not estimated"),
+    Column("C_reason", "text", meaning="why C is not estimated"),
+    *_posterior("joint_mass_kg", "kg", "mass, given all drives of the vehicle"),
+    Column("verdict", "text", meaning="of the diagnosis"),
+)
+VEHICLES = (
+    Column("vehicle", "text"),
+    Column("drives", "count"),
+    Column("loads", "count", meaning="with an estimated mass"),
+    Column("minutes", "number", "min"),
+    Column("start", "time", "UTC", "first row of the first drive"),
+    Column("end", "time", "UTC", "last row of the last drive"),
+    Column("status", "text"),
+    *_posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m"),
+    Column("A_per_mass_reason", "text", meaning="why A/m is not estimated"),
+    Column("A_per_mass_scatter_N_kg", "number", "N/kg", "sd of A/m between drives"),
+    Column("A_per_mass_q_value", "number", "1", "false-discovery rate at which A/m is out of line"),
+    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient"),
+    Column("C_reason", "text", meaning="why C is not estimated"),
+    Column("C_scatter_N_s2_m2", "number", "N s2/m2", "sd of C between drives"),
+    Column("C_q_value", "number", "1", "false-discovery rate at which C is out of line"),
+    Column("mass_kg_mean", "number", "kg", "mean of the loads"),
+    Column("mass_kg_sd", "number", "kg", "sd of the loads"),
+    Column("outlier", "text", meaning="parameters that are out of line, and their direction"),
+)
+EFFECTS = (
+    Column("source", "text", meaning="first file of the drive"),
+    Column("vehicle", "text"),
+    Column("effect", "text"),
+    Column("probability", "number", "1"),
+    Column("log_bayes_factor", "number", "1", "natural logarithm"),
+    Column("magnitude", "text", meaning="quantity that is estimated"),
+    Column("value", "number", meaning="of the magnitude, in `unit`"),
+    Column("sd", "number", meaning="of the magnitude, in `unit`"),
+    Column("unit", "text"),
+)
+_FILL = {"text": "", "number": np.nan, "count": 0, "time": 0.0}
+_TYPES = {"text": np.str_, "number": np.float64, "count": np.int64, "time": np.float64}
+
+
+def statistics(name: str, posterior: Marginal | None) -> dict[str, float]:
+    """The columns of a posterior; none where it is not estimated."""
+    return {} if posterior is None else {f"{name}_{part}": getattr(posterior, part) for part in STATISTICS}
+
+
+def columns(schema: Sequence[Column], rows: Sequence[Row]) -> dict[str, Any]:
+    """Rows as arrays (n,) by column, which pandas and polars take.
+
+    A number that is missing is NaN, a text that is missing is empty. Times are ``datetime64[us]``, UTC.
+    """
+    table: dict[str, Any] = {}
+    for column in schema:
+        values: Any = np.array([row.get(column.name, _FILL[column.kind]) for row in rows], dtype=_TYPES[column.kind])
+        if column.kind == "time":
+            values = np.round(values * 1e6).astype("datetime64[us]")
+        table[column.name] = values
+    return table
+
+
+def write_tables(tables: Mapping[Path, tuple[Sequence[Column], Sequence[Row]]], texts: Mapping[Path, str]) -> None:
+    """Write Parquet files and text files: all of them, or none.
+
+    Raises
+    ------
+    RoadloadError
+        A file cannot be written, or pyarrow is not installed.
+    """
+    contents = {path: _parquet(schema, rows) for path, (schema, rows) in tables.items()}
+    contents |= {path: text.encode() for path, text in texts.items()}
+    with ExitStack() as stack:
+        for path, content in contents.items():
+            stack.enter_context(whole(path)).write_bytes(content)
+
+
+def require_arrow() -> Any:
+    """The modules of pyarrow that write a table.
+
+    Raises
+    ------
+    RoadloadError
+        It is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise RoadloadError("roadload fleet needs pyarrow: pip install 'roadload[fleet]'") from error
+    return pyarrow
+
+
+def _parquet(schema: Sequence[Column], rows: Sequence[Row]) -> bytes:
+    arrow = require_arrow()
+    types = {
+        "text": arrow.string(),
+        "number": arrow.float64(),
+        "count": arrow.int64(),
+        "time": arrow.timestamp("us", tz="UTC"),
+    }
+    fields = []
+    for column in schema:
+        metadata = {"unit": column.unit, "meaning": column.meaning}
+        fields.append(arrow.field(column.name, types[column.kind], metadata={k: v for k, v in metadata.items() if v}))
+    arrays = [arrow.array([_cell(column, row) for row in rows], types[column.kind]) for column in schema]
+    sink = arrow.BufferOutputStream()
+    arrow.parquet.write_table(arrow.Table.from_arrays(arrays, schema=arrow.schema(fields)), sink)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def _cell(column: Column, row: Row) -> Any:
+    """A value for Arrow; None where there is none."""
+    value = row.get(column.name)
+    if value is None or (column.kind == "number" and not np.isfinite(value)):
+        return None
+    return datetime.fromtimestamp(value, UTC) if column.kind == "time" else value

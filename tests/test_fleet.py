@@ -1,0 +1,351 @@
+"""A fleet from logs to tables: `roadload fleet` and `estimate_drives`, on simulated trucks."""
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator import config as configuration
+from estimator import estimate_drives
+from estimator.can_io.frames import Frames
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
+from estimator.commands.main import main
+from estimator.config import Config
+from estimator.diagnosis.result import Diagnosis, Finding, Magnitude, Verdict
+from estimator.errors import ConfigError, RoadloadError
+from estimator.fleet import output
+from estimator.fleet.cache import Cache
+from estimator.fleet.drive_result import DriveResult
+from estimator.fleet.engine import Failure, Serial, dask_engine
+from estimator.fleet.rows import drive_rows
+from estimator.fleet.run import run_fleet
+from estimator.fleet.sources import find_logs
+from estimator.simulation.recording import simulate
+from estimator.simulation.truck import Truck
+
+pyarrow = pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
+pytestmark = pytest.mark.slow
+TRUTH = {"truck-1": Truck(mass=20_000.0, A=1300.0, C=3.7), "truck-2": Truck(mass=18_000.0, A=1170.0, C=5.0)}
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two trucks: one drive of truck-1 in two files that continue each other, one of truck-2; and what goes wrong."""
+    folder = tmp_path_factory.mktemp("fleet")
+    for i, (name, truck) in enumerate(TRUTH.items()):
+        frames = frames_of(simulate(truck, "highway", 360.0, np.random.default_rng(3)).signals)
+        frames = replace(frames, t=frames.t + 86_400.0 * i)
+        (folder / name).mkdir()
+        half = len(frames) // 2
+        parts = {"a.blf": frames[:half], "b.blf": frames[half:]} if i == 0 else {"a.blf": frames}
+        for file, part in parts.items():
+            write_log(part, folder / name / file)
+    shutil.copy(folder / "truck-2/a.blf", folder / "truck-2/copy.blf")
+    (folder / "truck-2/cut.blf").write_bytes((folder / "truck-2/a.blf").read_bytes()[:200_000])
+    idle = Frames(np.arange(60) + 1.7e9, *(getattr(frames[:60], name) for name in ("ident", "length", "data")))
+    write_log(idle, folder / "truck-2/idle.blf")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def table(fleet: Path) -> dict[str, Any]:
+    """What the library makes of it."""
+    return estimate_drives([fleet], Config())
+
+
+def ask(*arguments: object) -> tuple[int, dict[str, Any], list[str]]:
+    out, err = StringIO(), StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        status = main(["fleet", *map(str, arguments), "--json"])
+    return status, json.loads(out.getvalue() or "{}"), err.getvalue().splitlines()
+
+
+def row(table: dict[str, Any], source: str) -> dict[str, Any]:
+    (at,) = np.flatnonzero([text.endswith(source) for text in table["source"]])
+    return {name: column[at] for name, column in table.items()}
+
+
+def test_drives_are_estimated_and_split_files_are_one(table: dict[str, Any]) -> None:
+    assert sorted(table["status"]) == ["duplicate", "estimated", "estimated", "failed", "unreadable"]
+    for name, truck in TRUTH.items():
+        found = row(table, f"{name}/a.blf")
+        for parameter, truth in (("mass_kg", truck.mass), ("A_N", truck.A), ("C_N_s2_m2", truck.C)):
+            assert abs(found[f"{parameter}_mean"] - truth) < 4 * found[f"{parameter}_sd"]
+        assert abs(found["joint_mass_kg_mean"] / truck.mass - 1) < 0.03
+        assert found["minutes"] == pytest.approx(6, abs=0.1)
+    assert row(table, "truck-1/a.blf")["files"] == 2
+
+
+def test_a_bad_log_is_a_row_with_its_reason(table: dict[str, Any]) -> None:
+    assert "damaged or cut" in row(table, "cut.blf")["reason"]
+    assert "is the same log as" in row(table, "copy.blf")["reason"]
+    assert "missing inputs" in row(table, "idle.blf")["reason"]
+    assert all("\n" not in reason for reason in table["reason"])
+
+
+def test_pandas_and_polars_take_the_table(table: dict[str, Any]) -> None:
+    pandas, polars = pytest.importorskip("pandas"), pytest.importorskip("polars")
+    assert pandas.DataFrame(table)["mass_kg_mean"].notna().sum() == 2
+    assert polars.DataFrame(table)["mass_kg_mean"].is_not_nan().sum() == 2
+
+
+class Counted(Serial):
+    """Counts the drives that are computed."""
+
+    def __init__(self) -> None:
+        self.estimated: list[str] = []
+
+    def map(self, work: Any, items: Any) -> Iterator[Any]:
+        if getattr(getattr(work, "func", None), "__name__", "") == "estimate_drive":
+            self.estimated += [drive.sources[0] for drive in items]
+        yield from super().map(work, items)
+
+
+def test_a_rerun_computes_what_is_new(fleet: Path, tmp_path: Path, table: dict[str, Any]) -> None:
+    shutil.copytree(fleet, tmp_path / "in")
+    cache = Cache.of(tmp_path / "cache", Config(), with_diagnosis=False)
+    engine = Counted()
+    first = run_fleet(find_logs([str(tmp_path / "in/truck-1")]), Config(), engine, cache=cache)
+    sizes = [path.stat().st_size for path in (tmp_path / "cache").iterdir()]
+    assert len(sizes) == 1
+    assert max(sizes) < 20_000
+    (tmp_path / "in/truck-1").rename(tmp_path / "in/other name")
+    again = run_fleet(find_logs([str(tmp_path / "in")]), Config(), engine, cache=cache)
+    assert [Path(source).name for source in engine.estimated] == ["a.blf", "idle.blf", "a.blf"]
+    assert again.results[0] == first.results[0]
+    assert again.results[0].segments[0].parameters["m"].posterior.mean == row(table, "truck-1/a.blf")["mass_kg_mean"]
+    other = configuration.from_dict({"gate": {"minimum_samples": 700}})
+    key = Cache.of(tmp_path / "cache", other, with_diagnosis=False)
+    assert [key.get(drive) for drive in again.grouped.drives] == [None] * 3
+    assert [cache.get(drive) is None for drive in again.grouped.drives] == [False, True, False]  # not of a failure
+    for path in (tmp_path / "cache").iterdir():
+        path.write_text("{")
+    assert [cache.get(drive) for drive in again.grouped.drives] == [None] * 3
+
+
+def test_effects_that_a_diagnosis_names_are_a_table(
+    fleet: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import pyarrow.parquet
+
+    found = Finding(
+        name="headwind",
+        probability=0.98,
+        log_bayes_factor=12.5,
+        equivalent=(),
+        magnitude=Magnitude("wind", 6.1, 0.4, "m/s"),
+        gap_closed=None,
+        rms_before=9e3,
+        rms_after=7e3,
+        shift=None,
+    )
+    diagnosis = Diagnosis(verdict=Verdict.EFFECT, effects=(found,))
+    monkeypatch.setattr("estimator.fleet.drive_result.diagnose_logs", lambda paths, config: diagnosis)
+    logs = find_logs([str(fleet / "truck-2/a.blf")])
+    output.prepare(tmp_path)
+    result = run_fleet(logs, Config(), Serial(), with_diagnosis=True)
+    output.write_fleet(result, Config(), tmp_path, 0.05, with_diagnosis=True)
+    (effect,) = pyarrow.parquet.read_table(tmp_path / "effects.parquet").to_pylist()
+    assert effect == {
+        "source": logs[0].source,
+        "vehicle": "truck-2",
+        "effect": "headwind",
+        "probability": 0.98,
+        "log_bayes_factor": 12.5,
+        "magnitude": "wind",
+        "value": 6.1,
+        "sd": 0.4,
+        "unit": "m/s",
+    }
+    assert drive_rows(result)[0]["verdict"] == "effect"
+
+
+def test_an_error_in_a_task_is_the_reason_of_its_drive(monkeypatch: pytest.MonkeyPatch, fleet: Path) -> None:
+    def broken(*_: object, **__: object) -> DriveResult:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("estimator.fleet.run.estimate_drive", broken)
+    found = run_fleet(find_logs([str(fleet / "truck-1")]), Config(), Serial())
+    assert [(r["status"], r["reason"]) for r in drive_rows(found)] == [("failed", "ZeroDivisionError: by zero")]
+    assert found.vehicles[0].status == "unestimated"
+
+
+def test_only_the_road_likelihood_can_be_joined(fleet: Path) -> None:
+    other = configuration.from_dict({"sampler": {"likelihood": "instruments"}})
+    with pytest.raises(ConfigError, match=r"sampler\.likelihood"):
+        run_fleet(find_logs([str(fleet)]), other, Serial())
+
+
+@pytest.fixture(scope="module")
+def outputs(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, dict[str, Any], list[str]]]:
+    """The command on one worker and on two."""
+    pytest.importorskip("distributed")
+    made = []
+    for workers in (1, 2):
+        out = tmp_path_factory.mktemp("out") / "fleet"
+        status, answer, lines = ask(fleet, "-o", out, "--workers", workers)
+        assert status == 0
+        made.append((out, answer, lines))
+    return made
+
+
+def test_one_worker_and_two_give_the_same_bits(outputs: list[tuple[Path, dict[str, Any], list[str]]]) -> None:
+    (one, first, _), (two, second, _) = outputs
+    names = sorted(str(path.relative_to(one)) for path in one.rglob("*") if path.is_file())
+    assert names == sorted(str(path.relative_to(two)) for path in two.rglob("*") if path.is_file())
+    assert "priors/truck-1.toml" in names
+    for name in names:
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+    assert first["rows"] == second["rows"] == {"estimated": 2, "duplicate": 1, "unreadable": 1, "failed": 1}
+
+
+def test_each_fault_is_one_line(outputs: list[tuple[Path, dict[str, Any], list[str]]]) -> None:
+    for _, _, lines in outputs:
+        assert sorted(line.split(":")[0] for line in lines) == ["duplicate", "failed", "unreadable"]
+
+
+def test_units_are_in_the_schema(outputs: list[tuple[Path, dict[str, Any], list[str]]]) -> None:
+    import pyarrow.parquet
+
+    schema = pyarrow.parquet.read_schema(outputs[0][0] / "drives.parquet")
+    units = {name: (schema.field(name).metadata or {}).get(b"unit") for name in schema.names}
+    assert units["mass_kg_mean"] == b"kg"
+    assert units["A_N_q95"] == b"N"
+    assert units["C_N_s2_m2_sd"] == b"N s2/m2"
+    assert units["minutes"] == b"min"
+    assert units["vehicle"] is None
+
+
+def test_duckdb_joins_drives_and_vehicles(
+    outputs: list[tuple[Path, dict[str, Any], list[str]]], table: dict[str, Any]
+) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    out = outputs[0][0]
+    found = duckdb.sql(
+        f"select d.vehicle, d.mass_kg_mean, v.C_N_s2_m2_mean from '{out}/drives.parquet' d "
+        f"join '{out}/vehicles.parquet' v using (vehicle) where d.status = 'estimated' order by d.vehicle"
+    ).fetchall()
+    assert [name for name, _, _ in found] == ["truck-1", "truck-2"]
+    assert [mass for _, mass, _ in found] == [row(table, f"{name}/a.blf")["mass_kg_mean"] for name in TRUTH]
+    assert [C for _, _, C in found] == pytest.approx([truck.C for truck in TRUTH.values()], rel=0.15)
+
+
+def test_learnt_beliefs_configure_a_gateway(outputs: list[tuple[Path, dict[str, Any], list[str]]]) -> None:
+    learnt = configuration.load(outputs[0][0] / "priors/truck-1.toml")
+    truck = TRUTH["truck-1"]
+    for belief, truth in ((learnt.prior.C_belief_N_s2_m2, truck.C), (learnt.prior.A_belief_N, truck.A)):
+        assert belief is not None
+        assert abs(belief[0] - truth) < 2 * belief[1]
+    plain = learnt.prior.__class__()
+    assert configuration.replace(learnt, prior=plain) == Config()
+
+
+def test_a_full_disk_leaves_the_tables_of_before(fleet: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    output.prepare(out)
+    (out / "drives.parquet").write_text("before")
+    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]), Config(), Serial())
+    write = Path.write_bytes
+
+    def full(path: Path, content: bytes) -> int:
+        if "vehicles" in path.name:
+            write(path, content[:100])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(RoadloadError, match=r"vehicles\.parquet: cannot write: No space left on device"):
+        output.write_fleet(found, Config(), out, 0.05, with_diagnosis=False)
+    assert [path.name for path in out.iterdir() if path.is_file()] == ["drives.parquet"]
+    assert (out / "drives.parquet").read_text() == "before"
+
+
+def test_bad_arguments_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "a.log").write_text("(1.0) can0 123#11\n")
+    for arguments, reason in (
+        ([tmp_path / "empty", "-o", tmp_path / "out"], "no logs there"),
+        ([tmp_path / "a.log", "-o", tmp_path / "file"], "is a file"),
+        ([tmp_path / "a.log", "-o", tmp_path / "out", "--vehicle", "x("], "no regular expression"),
+    ):
+        status, _, lines = ask(*arguments)
+        assert status == 2
+        assert len(lines) == 1
+        assert reason in lines[0]
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("estimator.fleet.engine.SECONDS_TO_CONNECT", 1)
+    with pytest.raises(RoadloadError, match="no Dask scheduler answers"), dask_engine("tcp://127.0.0.1:9", 1):
+        pass
+
+
+def test_a_worker_that_dies_costs_its_task_only() -> None:
+    pytest.importorskip("distributed")
+    with dask_engine(None, 1) as engine:
+        answers = dict(engine.map(_fragile, [1, 0, 2, 13]))
+    assert (answers[0], answers[2]) == (1, 2)
+    assert isinstance(answers[1], Failure)
+    assert answers[1].reason.startswith("ZeroDivisionError")
+    assert isinstance(answers[3], Failure)
+    assert answers[3].reason.startswith("2 workers died of it")
+
+
+def _fragile(number: int) -> int:
+    if number == 13:
+        os._exit(1)
+    return number * number // number
+
+
+def test_logs_in_s3(fleet: Path, table: dict[str, Any]) -> None:
+    moto = pytest.importorskip("moto.server")
+    pytest.importorskip("s3fs")
+    server = moto.ThreadedMotoServer(port=0, verbose=False)
+    server.start()
+    try:
+        _, port = server.get_host_and_port()
+        options = {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}", "AWS_ACCESS_KEY_ID": "test"}
+        options |= {"AWS_SECRET_ACCESS_KEY": "test", "AWS_DEFAULT_REGION": "us-east-1"}
+        program = (
+            "import sys, boto3; from estimator import estimate_drives, load_config;"
+            "s3 = boto3.client('s3'); s3.create_bucket(Bucket='lake');"
+            "s3.upload_file(sys.argv[1], 'lake', 'fleet/truck-2/a.blf');"
+            "s3.upload_file(sys.argv[2], 'lake', 'fleet/truck-2/cut.blf');"
+            "t = estimate_drives(['s3://lake/fleet/'], load_config());"
+            "names = ('source', 'vehicle', 'status', 'mass_kg_mean');"
+            "print(*sorted(' '.join(str(t[n][i]) for n in names) for i in range(len(t['source']))), sep=chr(10))"
+        )
+        logs = [str(fleet / "truck-2" / name) for name in ("a.blf", "cut.blf")]
+        command = [sys.executable, "-c", program, *logs]
+        answer = subprocess.run(command, env=os.environ | options, capture_output=True, text=True, timeout=120)
+    finally:
+        server.stop()
+    assert answer.returncode == 0, answer.stderr
+    assert [line.split()[:3] for line in answer.stdout.splitlines()] == [
+        ["s3://lake/fleet/truck-2/a.blf", "truck-2", "estimated"],
+        ["s3://lake/fleet/truck-2/cut.blf", "truck-2", "unreadable"],
+    ]
+    assert float(answer.stdout.split()[3]) == row(table, "truck-2/a.blf")["mass_kg_mean"]
+
+
+def test_neither_the_daemon_nor_an_estimate_imports_the_fleet() -> None:
+    program = (
+        "import sys, estimator, estimator.daemon.service.assembly, estimator.commands.run, estimator.commands.estimate;"
+        "print([m for m in sys.modules if m.startswith(('estimator.fleet', 'distributed', 'dask'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

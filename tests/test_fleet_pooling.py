@@ -1,0 +1,122 @@
+"""What drives of a vehicle share, and vehicles of a fleet: known truth is recovered, intervals cover it."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from estimator.estimation.evidence import Coefficients
+from estimator.fleet.pooling import Mixture, pool
+from estimator.fleet.population import population, q_values
+from estimator.fleet.vehicles import join
+from estimator.settings import Gate
+
+TRUTH = np.array([0.065, 3.7])  # A/m, C
+
+
+def drives(rng: np.random.Generator, n: int, scatter: float) -> tuple[np.ndarray, np.ndarray]:
+    """Estimates of drives that scatter by a share of the truth more than their own sd."""
+    theta = TRUTH * (1 + scatter * rng.standard_normal((n, 2)))
+    sd = 0.08 * TRUTH * rng.uniform(0.3, 2, (n, 1))
+    V = sd[:, :, None] * np.array([[1, -0.85], [-0.85, 1]]) * sd[:, None, :]
+    return np.array([rng.multivariate_normal(*one) for one in zip(theta, V, strict=True)]), V
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scatter", "least"), [(0.0, 0.87), (0.05, 0.87), (0.15, 0.8)])  # the prior's scale is 0.1
+def test_intervals_of_what_drives_share_cover_the_truth(scatter: float, least: float) -> None:
+    rng = np.random.default_rng(1)
+    shared, coming = [], []
+    for _ in range(150):
+        pooled = pool(*drives(rng, int(rng.integers(2, 13)), scatter), scale=0.1)
+        following = TRUTH * (1 + scatter * rng.standard_normal(2))
+        for i in range(2):
+            interval = pooled.shared(i).marginal
+            shared.append(interval.q05 <= TRUTH[i] <= interval.q95)
+            interval = pooled.predicted(i).marginal
+            coming.append(interval.q05 <= following[i] <= interval.q95)
+    assert np.mean(shared) > least
+    assert np.mean(coming) > least
+
+
+def test_drives_that_scatter_more_than_their_sd_widen_the_interval() -> None:
+    V = np.broadcast_to(np.diag((0.01 * TRUTH) ** 2), (6, 2, 2))
+    equal = np.tile(TRUTH, (6, 1))
+    apart = TRUTH * (1 + 0.1 * np.array([-1.5, -1, -0.5, 0.5, 1, 1.5]))[:, None]
+    agreed, scattered = pool(equal, V, 0.1), pool(apart, V, 0.1)
+    for i in range(2):
+        assert scattered.shared(i).marginal.sd > 5 * agreed.shared(i).marginal.sd
+        assert scattered.scatter(i) == pytest.approx(0.1 * TRUTH[i], rel=0.35)
+
+
+def test_the_posterior_is_that_of_numerical_integration() -> None:
+    z, V = drives(np.random.default_rng(3), 3, 0.05)
+    pooled = pool(z, V, 0.1)
+    node = int(np.argmax(pooled.weights))
+    T, spread = np.diag(pooled.tau[node] ** 2), pooled.covariance[node]
+    axes = [np.linspace(-7, 7, 141) * np.sqrt(spread[i, i]) + pooled.mean[node, i] for i in range(2)]
+    mu = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    shown = np.prod([multivariate_normal.pdf(mu, z[i], V[i] + T) for i in range(3)], axis=0)
+    shown /= shown.sum()
+    mean = np.einsum("ij,ijk->k", shown, mu)
+    left = mu - mean
+    assert mean == pytest.approx(pooled.mean[node], rel=1e-6)
+    assert np.einsum("ij,ijk,ijl->kl", shown, left, left) == pytest.approx(spread, rel=1e-6)
+
+
+def test_quantiles_of_a_mixture_of_one_are_those_of_a_normal_distribution() -> None:
+    marginal = Mixture(np.array([1.0]), np.array([3.0]), np.array([0.5])).marginal
+    assert (marginal.mean, marginal.sd) == pytest.approx((3.0, 0.5))
+    assert (marginal.q05, marginal.q95) == pytest.approx(tuple(norm(3.0, 0.5).ppf([0.05, 0.95])))
+
+
+def load(rng: np.random.Generator, mass: float) -> Coefficients:
+    """What a drive shows: 1/m to 1 %, A/m to 10 % and C/m to 6 %, against each other."""
+    beta = np.array([1 / mass, TRUTH[0], TRUTH[1] / mass])
+    sd = beta * [0.01, 0.1, 0.06]
+    covariance = np.outer(sd, sd) * [[1, 0.6, 0.3], [0.6, 1, -0.5], [0.3, -0.5, 1]]
+    return Coefficients(rng.multivariate_normal(beta, covariance), covariance)
+
+
+def test_a_vehicle_is_known_better_from_ten_drives_than_from_one_and_each_load_keeps_its_mass() -> None:
+    rng = np.random.default_rng(4)
+    masses = np.linspace(15_000, 40_000, 10)
+    inside = 0
+    for _ in range(20):
+        loads = [load(rng, mass) for mass in masses]
+        one, ten = join("t", loads[:1], Gate(), 0.1), join("t", loads, Gate(), 0.1)
+        assert one.drag is not None
+        assert ten.drag is not None
+        assert ten.drag.sd < 0.6 * one.drag.sd
+        assert ten.drag.mean == pytest.approx(TRUTH[1], rel=0.12)
+        inside += sum(m.q05 <= mass <= m.q95 for m, mass in zip(ten.masses, masses, strict=True))
+        alone = join("t", loads[-1:], Gate(), 0.1)
+        assert ten.masses[-1].sd < alone.masses[0].sd
+    assert 0.83 * 200 < inside < 0.97 * 200
+
+
+def test_a_vehicle_without_a_known_mass_is_unestimated() -> None:
+    result = join("t", [], Gate(), 0.1)
+    assert result.status == "unestimated"
+    assert result.reasons == ("no drive with an estimated mass",) * 2
+
+
+def test_outliers_are_found_at_the_false_discovery_rate() -> None:
+    rng = np.random.default_rng(5)
+    found, false_share = 0, []
+    for _ in range(30):
+        values = 4 * (1 + 0.03 * rng.standard_normal(20))
+        values[:2] *= 1.25
+        named = q_values(population(values + 0.1 * rng.standard_normal(20), np.full(20, 0.1)).p_values) <= 0.05
+        found += int(named[:2].sum())
+        false_share.append(named[2:].sum() / max(named.sum(), 1))
+    assert found >= 54  # of 60
+    assert np.mean(false_share) < 0.1
+
+
+def test_a_new_vehicle_lies_where_the_usual_ones_do() -> None:
+    rng = np.random.default_rng(6)
+    values = 4 * (1 + 0.03 * rng.standard_normal(30))
+    values[0] = 8.0
+    new = population(values, np.full(30, 0.05)).new.marginal
+    assert new.mean == pytest.approx(4.0, rel=0.02)
+    assert 0.06 < new.sd < 0.25

@@ -1,0 +1,153 @@
+"""Logs of a fleet: where they are found, whose they are, which belong together, and what is wrong with them."""
+
+from pathlib import Path
+
+import pytest
+
+from estimator.errors import ConfigError, InputError, LogError
+from estimator.fleet.grouping import YEAR, Drive, group
+from estimator.fleet.sources import LogFile, find_logs, local_copy
+from estimator.fleet.survey import Survey, survey
+
+T0 = 1_700_000_000.0
+
+
+def candump(path: Path, start: float = T0, seconds: int = 3) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(f"({start + i:.6f}) can0 18FEF100#0011223344556677\n" for i in range(seconds + 1)))
+    return path
+
+
+def found(*sources: object, pattern: str | None = None) -> dict[str, str]:
+    return {Path(log.source).name: log.vehicle for log in find_logs([str(s) for s in sources], pattern)}
+
+
+def test_a_vehicle_is_the_first_folder_below_the_source(tmp_path: Path) -> None:
+    candump(tmp_path / "truck-1/2024/a.log")
+    candump(tmp_path / "truck-2/b.log")
+    (tmp_path / "truck-2/notes.md").write_text("no log")
+    assert found(tmp_path) == {"a.log": "truck-1", "b.log": "truck-2"}
+    assert found(tmp_path / "truck-1", tmp_path / "truck-2") == {"a.log": "2024", "b.log": "truck-2"}
+    assert found(f"{tmp_path}/truck-*/*.log") == {"b.log": "truck-2"}
+    assert found(f"{tmp_path}/**/*.log") == {"a.log": "2024", "b.log": "truck-2"}
+
+
+def test_a_vehicle_is_the_group_of_a_pattern(tmp_path: Path) -> None:
+    candump(tmp_path / "drives/truck-1_monday.log")
+    candump(tmp_path / "drives/truck-2_monday.log")
+    names = {"truck-1_monday.log": "1", "truck-2_monday.log": "2"}
+    assert found(tmp_path, pattern=r"truck-(\d+)_") == names
+    with pytest.raises(ConfigError, match="finds no vehicle in this path"):
+        found(tmp_path, pattern="bus-(.)")
+    with pytest.raises(ConfigError, match="in parentheses"):
+        found(tmp_path, pattern="truck")
+    with pytest.raises(ConfigError, match="no regular expression"):
+        found(tmp_path, pattern="(")
+
+
+def test_a_list_names_logs_and_vehicles(tmp_path: Path) -> None:
+    candump(tmp_path / "a.log")
+    candump(tmp_path / "b.log")
+    listed = tmp_path / "fleet.txt"
+    listed.write_text("a.log\tred\n\nb.log\tblue\n")
+    assert found(listed) == {"a.log": "red", "b.log": "blue"}
+    listed.write_text("a.log\nc.log\n")
+    with pytest.raises(InputError, match=r"fleet\.txt:2: no such log"):
+        found(listed)
+
+
+def test_a_source_without_logs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no logs there"):
+        found(tmp_path)
+    with pytest.raises(InputError, match="no such file or folder"):
+        found(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="no logs there"):
+        found(f"{tmp_path}/*.blf")
+
+
+def test_a_log_that_two_sources_name_counts_once(tmp_path: Path) -> None:
+    candump(tmp_path / "t/a.log")
+    assert len(find_logs([str(tmp_path), str(tmp_path), f"{tmp_path}/t/*.log"])) == 1
+
+
+def test_logs_of_a_url(tmp_path: Path) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    files = fsspec.filesystem("memory")
+    text = candump(tmp_path / "a.log").read_bytes()
+    for name in ("/lake/truck-1/a.log", "/lake/truck-2/b.log", "/lake/truck-2/readme.md"):
+        files.pipe_file(name, text)
+    try:
+        logs = find_logs(["memory://lake"])
+        assert [(log.source, log.vehicle) for log in logs] == [
+            ("memory:///lake/truck-1/a.log", "truck-1"),
+            ("memory:///lake/truck-2/b.log", "truck-2"),
+        ]
+        assert find_logs(["memory://lake/*/a.log"]) == logs[:1]
+        one = survey(logs[0])
+        assert (one.start, one.end, one.fault) == (T0, T0 + 3, "")
+        with local_copy(logs[1].source) as path:
+            assert path.read_bytes() == text
+        assert not path.exists()
+        with pytest.raises(LogError, match="cannot be fetched"), local_copy("memory:///lake/gone.log"):
+            pass
+        with pytest.raises(InputError, match="no logs there"):
+            find_logs(["memory://empty"])
+    finally:
+        files.rm("/lake", recursive=True)
+
+
+def test_an_unknown_protocol_is_refused() -> None:
+    pytest.importorskip("fsspec")
+    with pytest.raises(InputError, match="floppy://"):
+        find_logs(["floppy://disk/*.log"])
+
+
+def surveyed(vehicle: str, name: str, start: float, end: float, content: str = "") -> Survey:
+    return Survey(log=LogFile(name, vehicle), content=content or name, start=start, end=end)
+
+
+def sources(drives: tuple[Drive, ...]) -> list[tuple[str, ...]]:
+    return [drive.sources for drive in drives]
+
+
+def test_files_that_continue_each_other_are_one_drive() -> None:
+    surveys = [
+        surveyed("t", "3", T0 + 120.1, T0 + 180),
+        surveyed("t", "1", T0, T0 + 60),
+        surveyed("t", "2", T0 + 60.05, T0 + 120),
+        surveyed("t", "4", T0 + 200, T0 + 260),
+        surveyed("u", "5", T0 + 60.1, T0 + 90),
+    ]
+    assert sources(group(surveys).drives) == [("1", "2", "3"), ("4",), ("5",)]
+
+
+def test_files_whose_clock_counts_from_zero_are_not_joined() -> None:
+    grouped = group([surveyed("t", "1", 0.0, 60.0), surveyed("t", "2", 60.0, 120.0)])
+    assert sources(grouped.drives) == [("1",), ("2",)]
+    assert grouped.overlapping("t") == 0
+    assert "the clock was not set" in grouped.notes["1"]
+
+
+def test_a_log_that_appears_twice_is_used_once() -> None:
+    grouped = group([surveyed("t", "a", T0, T0 + 60, "same"), surveyed("u", "b", T0, T0 + 60, "same")])
+    assert sources(grouped.drives) == [("a",)]
+    assert [(one.status, one.reason) for one in grouped.rejected] == [
+        ("duplicate", "b: is the same log as a; delete one of them")
+    ]
+
+
+def test_drives_that_overlap_and_clocks_that_differ_by_years_are_named() -> None:
+    hours = [surveyed("t", str(i), T0 + 3600 * i, T0 + 3600 * i + 1800) for i in range(4)]
+    grouped = group([*hours, surveyed("t", "late", T0 + 5 * YEAR, T0 + 5 * YEAR + 60)])
+    assert grouped.overlapping("t") == 0
+    assert grouped.notes == {"late": "the clock is +5.0 years from that of most drives of t"}
+    assert group([*hours, surveyed("t", "other", T0 + 600, T0 + 1200)]).overlapping("t") == 1
+
+
+def test_a_log_that_cannot_be_read_says_why(tmp_path: Path) -> None:
+    path = candump(tmp_path / "a.log")
+    path.write_text(path.read_text() + "(1700000004.0) can0 18FEF1")
+    one = survey(LogFile(str(path), "t"))
+    assert f"{path}:5: the file ends inside this line" in one.fault
+    assert [r.status for r in group([one]).rejected] == ["unreadable"]
+    assert "no such file" in survey(LogFile(str(tmp_path / "gone.log"), "t")).fault
