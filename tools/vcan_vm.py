@@ -1,8 +1,8 @@
-"""Run a command on a kernel with SocketCAN, where the host's has none: a stock Debian kernel in QEMU.
+"""Run a command on a kernel with SocketCAN, for hosts without it: a stock Debian kernel in QEMU.
 
     python tools/vcan_vm.py [--share FOLDER] [--timeout SECONDS] -- COMMAND...
 
-The command sees the host's files, and may write to FOLDER alone; ``ip link add type vcan``, can-utils and the
+The command can read the host's files and write to FOLDER only; ``ip link add type vcan``, can-utils and the
 project's Python work in it. The exit status is the command's.
 """
 
@@ -16,7 +16,7 @@ from vm.machine import run
 
 
 def main() -> int:
-    """Boot, run, show what the console showed."""
+    """Boot, run the command, print the console output."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--share", type=Path, help="folder to write to (default: a temporary one)")
     parser.add_argument("--timeout", type=float, default=600.0, help="s, default 600")

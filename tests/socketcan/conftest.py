@@ -1,19 +1,26 @@
 """Tests on a real SocketCAN stack. Where this kernel has none, all of them run in one boot of a virtual machine.
 
-In the machine an ordinary pytest runs the tests that were chosen here and hands back its reports, which are then shown
-as if the tests had run in place.
+Each test runs in a process of its own, with a limit of its own, here and in the machine: one that hangs or dies takes
+no other with it. In the machine an ordinary pytest runs the tests that were chosen here and hands back its reports,
+which are then shown as if the tests had run in place.
 """
 
+import faulthandler
 import json
 import os
+import select
+import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 import pytest
+from _pytest.runner import runtestprotocol
 
 sys.path.append(str(Path(__file__).parents[2] / "tools"))
 
@@ -21,31 +28,73 @@ from vm.debian import VmError
 from vm.machine import has_vcan, run
 
 HERE = Path(__file__).parent
+GATEWAY = HERE / "gateway"  # hides what is not installed on a gateway, and is slow to import
 REPORTS = "ROADLOAD_TEST_REPORTS"  # where the pytest in the machine writes them
-LONGEST = 600.0  # s, of the whole batch
-STUCK = 150  # s, of one test
+LONGEST = 240.0  # s, of one test
+LONGEST_BATCH = 1200.0  # s of this host, which may be busy, for all tests in the machine
+TRACE = 5.0  # s before the end at which a test that hangs says where
 SHOWN = 40  # lines of the console, when something went wrong
 
 in_place = cache(has_vcan)
 
 
+class Alone:
+    """A test in a process of its own, which is killed with all that it started when it takes longer than LONGEST."""
+
+    def __init__(self, item: pytest.Item, folder: Path) -> None:
+        self._item = item
+        self._reports, self._trace = folder / "reports", folder / "trace"
+
+    def run(self) -> list[pytest.TestReport]:
+        """The reports of the test; a failure where it has given none."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of the threads of pytest-xdist
+            child = os.fork()
+        if child == 0:
+            self._be_the_child()
+        process = os.pidfd_open(child)
+        try:
+            ended, _, _ = select.select([process], [], [], LONGEST)
+        finally:
+            os.close(process)
+            with suppress(ProcessLookupError):
+                os.killpg(child, signal.SIGKILL)
+            _, status = os.waitpid(child, 0)
+        reports = read_reports(self._item.config, self._reports)
+        if ended and status == 0:
+            return reports
+        reason = f"died with status {status}" if ended else f"hung for {LONGEST:g} s"
+        trace = self._trace.read_text() if self._trace.exists() else ""
+        return [*reports, failure(self._item, f"{reason}\n{trace}".strip())]
+
+    def _be_the_child(self) -> None:
+        status = 1
+        try:
+            os.setsid()
+            with self._trace.open("w") as trace:
+                faulthandler.dump_traceback_later(LONGEST - TRACE, file=trace)
+                for report in runtestprotocol(self._item, nextitem=None, log=False):
+                    write_report(self._item.config, self._reports, report)
+                faulthandler.cancel_dump_traceback_later()
+            status = 0
+        finally:
+            os._exit(status)
+
+
 class Reporter:
-    """Writes every report as a JSON line."""
+    """Writes the reports of all tests to a file."""
 
     def __init__(self, config: pytest.Config, path: Path) -> None:
         self._config, self._path = config, path
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        data = self._config.hook.pytest_report_to_serializable(config=self._config, report=report)
-        with self._path.open("a") as file:
-            file.write(json.dumps(data) + "\n")
+        write_report(self._config, self._path, report)
 
 
 class Batch:
-    """The reports of the chosen tests, by node id; or why there are none."""
+    """The reports of the chosen tests from the machine, by node id; or why there are none."""
 
     def __init__(self, session: pytest.Session) -> None:
-        self._config = session.config
         self.reports: dict[str, list[pytest.TestReport]] = {}
         self.missing = ("failed", "the machine gave no report of this test")
         chosen = [item.nodeid for item in session.items if HERE in item.path.parents]
@@ -57,30 +106,48 @@ class Batch:
                 started = console.exists()
                 shown = "\n".join(console.read_text(errors="replace").splitlines()[-SHOWN:]) if started else ""
                 self.missing = ("failed" if started else "skipped", f"{error}\n{shown}".strip())
-            self._read(Path(folder) / "reports")
+            for report in read_reports(session.config, Path(folder) / "reports"):
+                self.reports.setdefault(report.nodeid, []).append(report)
 
-    def _boot(self, chosen: list[str], folder: Path) -> None:
-        options = ["-p", "no:cacheprovider", "-p", "no:hypothesispytest", "-o", f"faulthandler_timeout={STUCK}"]
-        options += ["-o", "faulthandler_exit_on_timeout=true"]
-        command = [sys.executable, "-m", "pytest", *options, *chosen]
-        run(command, folder, timeout=LONGEST, environment={REPORTS: str(folder / "reports")})
+    def _boot(self, chosen: Iterable[str], folder: Path) -> None:
+        command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", *chosen]
+        environment = {REPORTS: str(folder / "reports"), "PYTHONPATH": str(GATEWAY)}
+        run(command, folder, timeout=LONGEST_BATCH, environment=environment)
         console = (folder / "console.txt").read_text(errors="replace").splitlines()
         self.missing = ("failed", "\n".join([self.missing[1], *console[-SHOWN:]]))
-
-    def _read(self, path: Path) -> None:
-        for line in path.read_text().splitlines() if path.exists() else []:
-            report = self._config.hook.pytest_report_from_serializable(config=self._config, data=json.loads(line))
-            if isinstance(report.longrepr, list):  # JSON knows no tuples, and pytest takes a skip's reason from one
-                report.longrepr = tuple(report.longrepr)
-            self.reports.setdefault(report.nodeid, []).append(report)
 
     def of(self, item: pytest.Item) -> list[pytest.TestReport]:
         """What to show for a test."""
         if item.nodeid in self.reports:
             return self.reports[item.nodeid]
         outcome, reason = self.missing
-        shown = (str(item.path), item.location[1], f"Skipped: {reason}") if outcome == "skipped" else reason
-        return [pytest.TestReport(item.nodeid, item.location, {}, outcome, shown, "setup")]
+        if outcome == "failed":
+            return [failure(item, reason)]
+        skip = (str(item.path), item.location[1] or 0, f"Skipped: {reason}")
+        return [pytest.TestReport(item.nodeid, item.location, {}, "skipped", skip, "setup")]
+
+
+def failure(item: pytest.Item, reason: str) -> pytest.TestReport:
+    """The report of a test that has given none itself."""
+    return pytest.TestReport(item.nodeid, item.location, {}, "failed", reason, "call")
+
+
+def write_report(config: pytest.Config, path: Path, report: pytest.TestReport) -> None:
+    """Add a report to a file, as a JSON line."""
+    data = config.hook.pytest_report_to_serializable(config=config, report=report)
+    with path.open("a") as file:
+        file.write(json.dumps(data) + "\n")
+
+
+def read_reports(config: pytest.Config, path: Path) -> list[pytest.TestReport]:
+    """The reports in a file, none where there is no file."""
+    reports = []
+    for line in path.read_text().splitlines() if path.exists() else []:
+        report = config.hook.pytest_report_from_serializable(config=config, data=json.loads(line))
+        if isinstance(report.longrepr, list):  # JSON knows no tuples, and pytest takes a skip's reason from one
+            report.longrepr = tuple(report.longrepr)
+        reports.append(report)
+    return reports
 
 
 BATCH = pytest.StashKey[Batch]()
@@ -92,15 +159,23 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
-    if HERE not in item.path.parents or in_place():  # the hook is asked about every test of the session
+    if HERE not in item.path.parents:  # the hook is asked about every test of the session
         return None
-    if BATCH not in item.config.stash:
-        item.config.stash[BATCH] = Batch(item.session)
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for report in item.config.stash[BATCH].of(item):
+    for report in reports_of(item):
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
+
+
+def reports_of(item: pytest.Item) -> list[pytest.TestReport]:
+    """Run a test, here or with all others in the machine."""
+    if in_place():
+        with tempfile.TemporaryDirectory() as folder:
+            return Alone(item, Path(folder)).run()
+    if BATCH not in item.config.stash:
+        item.config.stash[BATCH] = Batch(item.session)
+    return item.config.stash[BATCH].of(item)
 
 
 def ip(*arguments: str) -> None:
@@ -112,10 +187,16 @@ def ip(*arguments: str) -> None:
 def buses() -> Iterator[tuple[str, str]]:
     """Two virtual CAN interfaces that are up; a test may take them down or away."""
     names = ("vcan0", "vcan1")
+    delete(names)  # a test that was killed has left them
     for name in names:
         ip("add", "dev", name, "type", "vcan")
         ip("set", "dev", name, "up")
     yield names
+    delete(names)
+
+
+def delete(names: tuple[str, ...]) -> None:
+    """Take interfaces away that are there."""
     for name in names:
         if Path("/sys/class/net", name).exists():
             ip("delete", "dev", name)

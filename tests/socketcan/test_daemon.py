@@ -19,28 +19,32 @@ import numpy as np
 import pytest
 from conftest import ip
 
+from estimator.can_io.counter_crc import verify
 from estimator.can_io.frames import Frames
-from estimator.can_io.node import ADDRESS_CLAIMED
-from estimator.can_io.protection import verify
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.j1939_node import ADDRESS_CLAIMED
+from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
-from estimator.can_io.recorder import frames_of, write_log
-from estimator.config import load
-from estimator.daemon.assembly import estimation_key, plan
-from estimator.daemon.supervision import Signals, supervise
-from estimator.daemon.worker import Worker
-from estimator.pipeline import Pipeline
+from estimator.checkpoint.store import StateStore
+from estimator.config import estimation_key, load
+from estimator.daemon.service.assembly import plan
+from estimator.daemon.service.supervision import Signals, supervise
+from estimator.daemon.service.worker import Worker
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
-from estimator.state_store import StateStore
+from estimator.streaming.pipeline import Pipeline
 
 # python-can leaves the socket of an attempt that failed to the garbage collector.
-pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")]
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KNOWN, PLAYED = 400.0, 90.0  # s of driving: before the daemon starts, and at most while it runs
 LONGEST = 60.0  # s for anything here to happen; the machine is slow
 SETTINGS = """
+[sampler]
+likelihood = "instruments" # an emulated machine takes a minute for the first search of the road's scales
+
 [gate]
 interval_s = 5.0
 minimum_samples = 100

@@ -5,10 +5,12 @@ import socket
 import can
 import pytest
 
-from estimator.can_io.protection import verify
+from estimator.can_io.counter_crc import verify
 from estimator.can_io.publisher import Publisher, output_database
 from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
 from estimator.settings import Publish
+
+pytestmark = pytest.mark.slow
 
 MASS = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 ESTIMATE = Estimate(0.0, Status.ESTIMATED, "", Coverage(30, 40), 12345, MASS, MASS, MASS, Convergence(1, 1, 1, 1, 3))

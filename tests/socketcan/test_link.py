@@ -13,15 +13,15 @@ from conftest import ip
 
 from estimator.can_io.binding import bind, load_database
 from estimator.config import Config
-from estimator.daemon.buses import BusSpec, open_bus
-from estimator.daemon.filters import input_filters
-from estimator.daemon.link import Link
-from estimator.daemon.reader import reader_of
+from estimator.daemon.reception.buses import BusSpec, open_bus
+from estimator.daemon.reception.filters import input_filters
+from estimator.daemon.reception.link import Link
+from estimator.daemon.reception.reader import reader_of
 from estimator.errors import ConfigError
 from estimator.settings import Reception
 
 # python-can leaves the socket of an attempt that failed to the garbage collector.
-pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")]
 
 LONGEST = 20.0  # s for anything here to happen; the machine is slow
 CCVS1 = 0x18FEF100

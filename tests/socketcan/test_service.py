@@ -16,6 +16,8 @@ from pathlib import Path
 import can
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).parents[2]
 UNIT = PROJECT / "tools" / "systemd" / "roadload.service"
 SYSTEMD = Path("/lib/systemd/systemd")

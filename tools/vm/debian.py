@@ -1,4 +1,4 @@
-"""The parts of Debian the machine is made of: a stock kernel with its modules, busybox, can-utils.
+"""Debian parts of the machine: a stock kernel with its modules, busybox, can-utils.
 
 They are downloaded by apt and unpacked into the user's cache; nothing is installed and no root is needed.
 """
@@ -21,12 +21,12 @@ MODULES = (
 
 
 class VmError(Exception):
-    """The machine cannot be had here: something is not installed, not downloaded, or did not start."""
+    """The machine is not available: a part is not installed, was not downloaded, or did not start."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Where things were unpacked to."""
+    """Paths of the unpacked parts."""
 
     root: Path
 
@@ -46,12 +46,12 @@ class Parts:
         return self.root / "usr" / "bin"
 
     def modules(self) -> list[Path]:
-        """The wanted kernel modules and what they depend on, in the order to insert them."""
+        """The wanted kernel modules and their dependencies, in the order of insertion."""
         files = {path.stem.replace("-", "_"): path for path in self.root.glob(ALL_MODULES)}
         ordered: dict[str, Path] = {}
 
         def need(name: str) -> None:
-            if name in ordered or name not in files:  # what is not a file is built into the kernel
+            if name in ordered or name not in files:  # a module without a file is built into the kernel
                 return
             depends = re.search(rb"\0depends=([^\0]*)\0", files[name].read_bytes())
             for other in depends.group(1).decode().split(",") if depends else []:
@@ -75,7 +75,7 @@ def parts() -> Parts:
     Raises
     ------
     VmError
-        No apt here, or the download failed.
+        apt is missing, or the download failed.
     """
     folder = cache() / "debian"
     if not folder.exists():

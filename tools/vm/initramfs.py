@@ -1,4 +1,4 @@
-"""The first programs the kernel sees: busybox, modules and an init that runs one command in the host's file system.
+"""The initial file system: busybox, modules and an init that runs one command in the host's file system.
 
 The archive is written in cpio's "newc" format (Linux: Documentation/driver-api/early-userspace/buffer-format.rst),
 which needs neither root nor device files on the host.

@@ -1,7 +1,10 @@
 """One boot, one command: QEMU runs the kernel, the command runs in the host's own file system.
 
-The host's root is shared read-only (9p), so the command finds the project, its virtual environment and its Python
-where they are on the host; one folder is shared for writing. No root, no KVM, no network.
+The host's root is shared read-only (9p), so the project, its virtual environment and its Python have the
+same paths as on the host; one folder is shared for writing. No root, no KVM, no network.
+
+The machine's clock counts executed instructions, so the load of the host does not change how much the command computes
+between two times. QEMU counts instructions with a single processor only.
 """
 
 import os
@@ -17,7 +20,7 @@ from vm.debian import VmError, parts
 
 QEMU = "qemu-system-x86_64"
 CPU = "Nehalem"  # enough for NumPy (x86-64-v2); with the emulated AVX2 of "max" NumPy and OpenBLAS crash
-CORES = 2
+INSTRUCTION = 1  # log2 of the time of an instruction [ns]: 500 million a second, more than a busy host executes
 MEMORY = 1536  # MiB
 SHARES = "local,security_model=none,multidevs=remap"
 
@@ -30,10 +33,10 @@ def run(command: Sequence[str], share: Path, *, timeout: float, environment: Map
     command
         Program and arguments. Its programs include can-utils and ``ip``; /dev/shm is its temporary folder.
     share
-        A folder on the host that the command may write to, at the same path. What the console shows is left there
-        in ``console.txt``.
+        A folder on the host that the command may write to, at the same path. The console output is written
+        there as ``console.txt``.
     timeout
-        Longest time for all of it [s].
+        Longest time for all of it [s], by the clock of the host.
     environment
         Variables of the command, besides PATH, HOME and TMPDIR.
 
@@ -45,7 +48,7 @@ def run(command: Sequence[str], share: Path, *, timeout: float, environment: Map
     Raises
     ------
     VmError
-        The machine cannot be had here, or did not come to an end in time.
+        The machine is not available, or did not end in time.
     """
     if shutil.which(QEMU) is None:
         raise VmError(f"{QEMU} is not installed")
@@ -79,7 +82,8 @@ def run(command: Sequence[str], share: Path, *, timeout: float, environment: Map
 def _qemu(kernel: Path, archive: Path, share: Path) -> list[str]:
     boot = f"console=ttyS0 quiet panic=-1 mitigations=off share={share} end"
     return [
-        *(QEMU, "-accel", "tcg,thread=multi", "-cpu", CPU, "-smp", str(CORES), "-m", str(MEMORY)),
+        *(QEMU, "-accel", "tcg,thread=single", "-cpu", CPU, "-m", str(MEMORY)),
+        *("-icount", f"shift={INSTRUCTION},sleep=on"),
         *("-kernel", str(kernel), "-initrd", str(archive), "-append", boot),
         *("-virtfs", f"{SHARES},path=/,mount_tag=root,readonly=on"),
         *("-virtfs", f"{SHARES},path={share},mount_tag=share"),
@@ -88,7 +92,7 @@ def _qemu(kernel: Path, archive: Path, share: Path) -> list[str]:
 
 
 def has_vcan() -> bool:
-    """Whether this very kernel lets us make virtual CAN interfaces, so that no machine is needed."""
+    """Whether the host's kernel allows virtual CAN interfaces, so that no machine is needed."""
     if sys.platform != "linux" or shutil.which("ip") is None:
         return False
     made = subprocess.run(["ip", "link", "add", "dev", "vcan9", "type", "vcan"], capture_output=True)

@@ -1,0 +1,91 @@
+"""One attack on one drive: what a receiver was told meanwhile and after, and how wrong that was."""
+
+from collections import Counter
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from bus_attacks.catalogue import Attack
+from estimator.can_io.frames import Frames
+from estimator.config import Config
+from estimator.estimate import Estimate, Status
+from estimator.simulation.truck import Truck
+from estimator.streaming.pipeline import Pipeline
+
+PIECE = 5.0  # s of traffic between two looks at the estimate
+BIASED_SD = 4.0  # posterior standard deviations off the truth that count as biased
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a receiver of the broadcasts knows at time ``t`` [s]."""
+
+    t: float
+    estimate: Estimate | None
+    contested: dict[str, str]
+
+    @property
+    def is_estimated(self) -> bool:
+        """Whether there are values."""
+        return self.estimate is not None and self.estimate.status == Status.ESTIMATED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of the estimate; times in seconds, None where it did not happen."""
+
+    looks: int  # with an estimate, from the begin of the attack on
+    worst_sd: float  # largest deviation from the truth of mass, A and C, in posterior standard deviations
+    worst_share: float  # largest of the mass, as a share of the truth
+    withheld_after: float | None  # from the begin of the attack
+    recovered_after: float | None  # from its end, until there is an estimate again
+    reasons: Counter[str]  # of contests, by look
+
+    @property
+    def verdict(self) -> str:
+        """In two words at most."""
+        if self.worst_sd > BIASED_SD:
+            return "silently biased"
+        return "unharmed" if self.withheld_after is None else "withheld"
+
+
+def look_at(frames: Frames, config: Config) -> list[Look]:
+    """What a receiver knows every PIECE, at multiples of it."""
+    pipeline, seen = Pipeline(config), []
+    edges = PIECE * np.arange(ceil(float(frames.t[0]) / PIECE), ceil(float(frames.t[-1]) / PIECE) + 1)
+    bounds = [0, *np.searchsorted(frames.t, edges).tolist()]
+    for edge, low, high in zip(edges.tolist(), bounds[:-1], bounds[1:], strict=True):
+        for _ in pipeline.feed(frames[low:high]):
+            pass
+        seen.append(Look(edge, pipeline.latest, pipeline.traffic.contested))
+    return seen
+
+
+def deviations(looks: list[Look], truck: Truck) -> list[float]:
+    """How far mass, A and C of every estimate are off, in posterior standard deviations."""
+    pairs = [
+        (marginal, truth)
+        for look in looks
+        if look.is_estimated and (e := look.estimate)
+        for marginal, truth in ((e.mass, truck.mass), (e.A, truck.A), (e.C, truck.C))
+    ]
+    return [abs(marginal.mean - truth) / marginal.sd for marginal, truth in pairs if marginal is not None]
+
+
+def attempt(attack: Attack, drive: Frames, clean: list[Look], truck: Truck, config: Config) -> Outcome:
+    """Attack the drive of a truck that is known; ``clean`` is what a receiver knows without the attack."""
+    frames, start, stop = attack.on(drive)
+    after = [look for look in look_at(frames, config) if look.t > start]
+    known = [look.estimate.mass for look in after if look.is_estimated and look.estimate and look.estimate.mass]
+    there = {look.t for look in after if look.is_estimated}
+    missing = [look.t for look in clean if look.is_estimated and look.t > start and look.t not in there]
+    back = [t for t in sorted(there) if t > stop and missing and t > missing[0]]
+    return Outcome(
+        looks=len(known),
+        worst_sd=max(deviations(after, truck), default=0.0),
+        worst_share=max((abs(m.mean / truck.mass - 1) for m in known), default=0.0),
+        withheld_after=missing[0] - start if missing else None,
+        recovered_after=back[0] - stop if back else None,
+        reasons=Counter(reason for look in after for reason in set(look.contested.values())),
+    )
