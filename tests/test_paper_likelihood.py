@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from estimator.checkpoint.store import pack, unpack
 from estimator.config import from_dict
 from estimator.errors import StateError
 from estimator.estimation.paper_likelihood import PaperLikelihood
 from estimator.estimation.window import Window
-from estimator.road_load import design, power
+from estimator.model.road_load import design, power
 from estimator.samples import Samples
 from estimator.sampling.condensed import Region
 from estimator.sampling.likelihood import factor
-from estimator.state_store import pack, unpack
 
 TRUTH = np.array([1800.0, 3.7, 27_000.0])
 LOWER, UPPER = np.zeros(3), np.array([10_000.0, 20.0, 100_000.0])
@@ -62,7 +62,7 @@ def stored(state):
 
 
 def new_window(samples, hours):
-    return Window(from_dict({"window": {"samples": samples, "hours": hours}}))
+    return Window(from_dict({"window": {"samples": samples, "hours": hours}}), Samples)
 
 
 steps = st.lists(
@@ -76,6 +76,7 @@ steps = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(steps, st.integers(600, 2000), st.floats(0.02, 1.0), st.floats(1, 4.5), st.integers(0, 2**32))
 def test_chi2_is_exact_whatever_the_window_does(steps, capacity, hours, noise, seed):
@@ -147,6 +148,7 @@ def test_another_load_is_found_far_away(share):
     check(target, window, rng)
 
 
+@pytest.mark.slow
 def test_the_sums_of_days_are_those_of_what_is_left():
     """After 1,000 windows nothing is left of the rounding of what went."""
     rng = np.random.default_rng(2)

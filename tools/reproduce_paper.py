@@ -2,72 +2,85 @@
 
 python tools/reproduce_paper.py [--output docs]
 
-HWFET and COMMUT come with the project; HHDDT is read from the folder of recordings (ROADLOAD_DATA) and left out,
-visibly, where that is absent.
+HWFET and COMMUT come with the project; HHDDTNC is read from the folder of recordings (ROADLOAD_DATA).
 """
 
 import argparse
 import sys
 from pathlib import Path
 
-from paper import experiments, figures
-from paper.cycles import Cycle
+from paper import experiments, figures, studies
+from paper.cycles import Cycle, all_parts, cycles_of
 from paper.estimation import BURN_IN, Availability, Drive, scheduled_walk
 from paper.page import render
+from paper.printed import PRINTED
 from paper.results import Results
-from paper.vehicles import DUMMY, DYNO
+from paper.table_five import search
+from paper.vehicle_posterior import BETWEEN_PRIORS, vehicle_posteriors
+from paper.vehicles import DUMMY
 from rich.console import Console
 
 from estimator.sampling.metropolis import REFRESH
+from estimator.signals import Floats
 
 
-def compute(console: Console) -> Results:
+def compute(parts: dict[str, tuple[Floats, ...]], console: Console) -> Results:
     """Run every experiment."""
-    cycles = experiments.cycles_at_hand()
-    hwfet, joined = cycles[0], Cycle.joined(cycles)
-    if len(cycles) < 3:
-        console.print("HHDDT is skipped: no recordings found; set ROADLOAD_DATA")
-
+    cycles = cycles_of(parts)
+    hwfet = cycles["HWFET"]
+    reach = Availability.of(Cycle.joined(list(cycles.values())), DUMMY)
+    with console.status("Table 5 and the hierarchical fit"):
+        matches = search(parts)
+        vehicle = vehicle_posteriors(cycles)
     with console.status("estimates by cycle and run"):
-        runs = {c.name: experiments.runs(c) for c in cycles}
-        dummy = [experiments.dummy_case(c) for c in cycles]
+        runs = {name: experiments.runs(c) for name, c in cycles.items()}
+        dummy = [experiments.dummy_case(c) for c in cycles.values()]
     with console.status("schedules"):
         schedules = experiments.schedule_effects(hwfet)
     with console.status("error by coverage, noise and duration"):
-        coverage = experiments.coverage_and_error(joined)
-        noise = experiments.noise_and_error(hwfet)
-        duration = {c.name: experiments.duration_and_error(c) for c in cycles}
+        coverage = {n: studies.coverage_and_error(c, reach, i) for i, (n, c) in enumerate(cycles.items())}
+        noise = studies.noise_and_error(hwfet)
+        duration = {name: studies.duration_and_error(c) for name, c in cycles.items()}
+    kept = experiments.simulated_run(hwfet, 0).positive()
     return Results(
         cycles=cycles,
         dummy=dummy,
         runs=runs,
-        selection={c.name: experiments.selection_bias(c) for c in cycles},
-        levene_estimates=experiments.levene_of_estimates(runs),
-        levene_residuals=experiments.levene_of_residuals(cycles, runs),
-        eigen=experiments.table_five(cycles, runs),
+        trace=experiments.TraceFit.of(kept, runs["HWFET"][0].mean),
+        scatter={name: experiments.scatter(name, repeated) for name, repeated in runs.items()},
+        selection={name: experiments.selection_bias(c) for name, c in cycles.items()},
+        levene_printed=experiments.levene_tests({name: p.estimates for name, p in PRINTED.items()}),
+        levene_here=experiments.levene_tests({name: experiments.means(repeated) for name, repeated in runs.items()}),
+        matches=matches,
+        scaled=experiments.scaled_eigen_metrics(cycles, runs),
+        vehicle=vehicle,
         schedules=schedules,
-        reach=Availability.of(joined, DUMMY),
+        reach=reach,
         coverage=coverage,
         noise=noise,
         duration=duration,
+        copies=studies.exact_copies(cycles["HHDDTNC"]),
     )
 
 
 def draw(results: Results, folder: Path) -> None:
     """Write every figure."""
-    drive = Drive.of(results.cycles[0], DYNO, experiments.NOISE, (1, 0))
+    dummy = Drive.of(results.cycles["HWFET"], DUMMY, experiments.NOISE, (3, 0)).positive()
     walks = {
-        "sigma and R frozen until iteration 5000": scheduled_walk(drive.positive(), BURN_IN),
-        "refreshed from the start": scheduled_walk(drive.positive(), REFRESH),
+        "sigma and R frozen until iteration 5000": scheduled_walk(dummy, BURN_IN),
+        "refreshed from the start": scheduled_walk(dummy, REFRESH),
     }
-    first_runs = {name: repeated[0] for name, repeated in results.runs.items()}
+    first = {name: repeated[0] for name, repeated in results.runs.items()}
+    drive = experiments.simulated_run(results.cycles["HWFET"], 0)
+    names = list(results.cycles)
     figures.random_walk(walks, folder / "fig1_random_walk.png")
-    figures.power_trace(drive, first_runs["HWFET"].mean, folder / "fig2_power_trace.png")
+    figures.power_trace(drive, first["HWFET"].mean, folder / "fig2_power_trace.png")
     figures.coverage_map(results.cycles, results.reach, folder / "fig3_coverage_map.png")
-    figures.coverage_error(*results.coverage, folder / "fig4_coverage_error.png")
+    figures.coverage_error(results.coverage, folder / "fig4_coverage_error.png")
     figures.noise_error(results.noise, folder / "fig5_noise_error.png")
     figures.duration_error(results.duration, folder / "fig6_duration_error.png")
-    figures.joint_posteriors(first_runs, folder / "appendix_joint_posteriors.png")
+    figures.hierarchical_fit(results.vehicle[BETWEEN_PRIORS[0]], names, folder / "hierarchical_fit.png")
+    figures.joint_posteriors(first, experiments.truth_of("HWFET"), folder / "appendix_joint_posteriors.png")
 
 
 def main() -> int:
@@ -76,7 +89,12 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=Path("docs"), help="folder of paper.md and paper/")
     options = parser.parse_args()
     console = Console(stderr=True)
-    results = compute(console)
+    try:
+        parts = all_parts()
+    except FileNotFoundError as error:
+        console.print(f"error: {error.filename}: no such file; set ROADLOAD_DATA to the folder of recordings")
+        return 2
+    results = compute(parts, console)
     (options.output / "paper").mkdir(parents=True, exist_ok=True)
     draw(results, options.output / "paper")
     page = options.output / "paper.md"

@@ -1,4 +1,4 @@
-"""The paper's drive cycles at 1 Hz: HWFET from a table, COMMUT from its description, HHDDT where it is at hand."""
+"""The paper's drive cycles at 1 Hz: HWFET from a table, COMMUT from its description, HHDDTNC from recorded tables."""
 
 import os
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from paper.vehicles import MPH
 
 SHIPPED = Path(__file__).parents[1] / "cycles"
 RECORDED = Path(os.environ.get("ROADLOAD_DATA", Path(__file__).parents[3] / "shared" / "data")) / "drive_cycles" / "csv"
-HHDDT_MODES = ("EPA_Ph2_transient", "hhddt_cruise3")  # transient and cruise; creep is left out as in the paper
+HHDDT_MODES = ("EPA_Ph2_transient", "hhddt_cruise3")  # transient and cruise; the paper leaves out creep ("NC")
 
 COMMUT_IDLE, COMMUT_LAUNCH, COMMUT_CRUISE, COMMUT_BRAKE = 20.0, 90.0, 188.0, 12.0  # s; idle at both ends
 COMMUT_SPEED = 55 * MPH
@@ -37,6 +37,10 @@ class Cycle:
         """All of ``cycles``, one after the other."""
         return cls("all cycles", np.concatenate([c.v for c in cycles]), np.concatenate([c.a for c in cycles]))
 
+    def repeated(self, copies: int) -> "Cycle":
+        """``copies`` of the cycle, one after the other."""
+        return Cycle(self.name, np.tile(self.v, copies), np.tile(self.a, copies))
+
     def __getitem__(self, part: slice) -> "Cycle":
         return Cycle(self.name, self.v[part], self.a[part])
 
@@ -56,12 +60,7 @@ def _table(path: Path) -> Floats:
     return np.array([float(row.split(",")[1]) for row in rows])
 
 
-def hwfet() -> Cycle:
-    """EPA Highway Fuel Economy driving schedule, 40 CFR part 600, appendix I."""
-    return Cycle.of("HWFET", _table(SHIPPED / "hwfet.csv"))
-
-
-def commut() -> Cycle:
+def _commut() -> Floats:
     """Commuter phase of SAE J1376, from its description.
 
     Idle 20 s, 90 s to 55 mph, 188 s at 55 mph, 12 s of even braking to a standstill, idle 20 s; 4 miles. The launch
@@ -73,16 +72,34 @@ def commut() -> Cycle:
     t = np.arange(2 * COMMUT_IDLE + COMMUT_LAUNCH + COMMUT_CRUISE + COMMUT_BRAKE)
     rise = np.expm1(-k * np.clip((t - COMMUT_IDLE) / COMMUT_LAUNCH, 0, 1)) / np.expm1(-k)
     fall = np.clip((COMMUT_IDLE + COMMUT_LAUNCH + COMMUT_CRUISE + COMMUT_BRAKE - t) / COMMUT_BRAKE, 0, 1)
-    return Cycle.of("COMMUT", COMMUT_SPEED * rise * fall)
+    speed: Floats = COMMUT_SPEED * rise * fall
+    return speed
 
 
-def hhddt() -> Cycle | None:
-    """Transient and cruise of the Heavy Heavy-Duty Diesel Truck schedule, or None where the tables are absent."""
-    files = [RECORDED / f"{mode}.csv" for mode in HHDDT_MODES]
-    return Cycle.of("HHDDT", *map(_table, files)) if all(file.is_file() for file in files) else None
+def shipped_parts() -> dict[str, tuple[Floats, ...]]:
+    """Speeds [m/s] of the cycles that come with the project, as uninterrupted parts: HWFET and COMMUT.
+
+    HWFET is the EPA Highway Fuel Economy driving schedule, 40 CFR part 600, appendix I.
+    """
+    return {"HWFET": (_table(SHIPPED / "hwfet.csv"),), "COMMUT": (_commut(),)}
 
 
-def tabulated_commut() -> Floats | None:
-    """COMMUT as a table of others [m/s], to compare with, or None where it is absent."""
-    file = RECORDED / "sae_j1376_commut.csv"
-    return _table(file) if file.is_file() else None
+def all_parts() -> dict[str, tuple[Floats, ...]]:
+    """Speeds [m/s] of all three cycles, as uninterrupted parts.
+
+    Raises
+    ------
+    FileNotFoundError
+        A table of the Heavy Heavy-Duty Diesel Truck schedule is missing.
+    """
+    return shipped_parts() | {"HHDDTNC": tuple(_table(RECORDED / f"{mode}.csv") for mode in HHDDT_MODES)}
+
+
+def cycles_of(parts: dict[str, tuple[Floats, ...]]) -> dict[str, Cycle]:
+    """Cycles by name, with central differences as acceleration."""
+    return {name: Cycle.of(name, *speeds) for name, speeds in parts.items()}
+
+
+def tabulated_commut() -> Floats:
+    """COMMUT as a published table [m/s], to compare with."""
+    return _table(RECORDED / "sae_j1376_commut.csv")

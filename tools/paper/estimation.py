@@ -1,4 +1,4 @@
-"""Made-up power on a cycle, and the paper's estimate from it."""
+"""Simulated power on a cycle, and the paper's estimate from it."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -6,14 +6,14 @@ from itertools import pairwise
 import numpy as np
 
 from estimator.estimation.window import Grid
-from estimator.road_load import design, power
+from estimator.model.road_load import design, power
 from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
 from estimator.sampling.metropolis import REFRESH, random_walk
 from estimator.sampling.run import run
 from estimator.signals import Floats, Mask
 from paper.cycles import Cycle
-from paper.vehicles import LOWER, MPH, UPPER
+from paper.vehicles import LOWER, UPPER
 
 CHAINS = 3
 ITERATIONS = 10_000
@@ -37,11 +37,11 @@ class Drive:
         return cls(cycle.v, cycle.a, P + noise * np.random.default_rng(seed).standard_normal(len(P)))
 
     def positive(self) -> "Drive":
-        """What the paper keeps: samples with measured power above zero; standing ones say nothing and are left out."""
+        """Keep the paper's samples: measured power above zero, while the vehicle moves."""
         return self._where((self.P > 0) & (self.v > 0))
 
     def above_noise(self) -> "Drive":
-        """What the program keeps by default: samples whose model power is above three sd of the residual."""
+        """Keep samples whose model power is above three sd of the residual: no selection on the noise."""
         fitted = self.positive().target()
         return self._where(power(self.v, self.a, fitted.centre) > 3 * np.sqrt(fitted.variance))
 
@@ -55,42 +55,76 @@ class Drive:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Kept draws (draws, 3) of [A, C, m] in SI, the sd ``sigma`` [W] of the residual, and the largest R-hat."""
+    """Kept ``chains`` (chains, draws, 3) of [A, C, m] in SI, sd ``sigma`` [W] of the residual, and largest R-hat."""
 
-    draws: Floats
+    chains: Floats
     sigma: float
     r_hat: float
 
     @property
+    def draws(self) -> Floats:
+        """Draws (n, 3) of all chains."""
+        draws: Floats = self.chains.reshape(-1, 3)
+        return draws
+
+    @property
     def mean(self) -> Floats:
         """Posterior means (3,)."""
-        return self.draws.mean(axis=0)
+        mean: Floats = self.draws.mean(axis=0)
+        return mean
 
     @property
     def sd(self) -> Floats:
         """Posterior standard deviations (3,)."""
-        return self.draws.std(axis=0, ddof=1)
+        sd: Floats = self.draws.std(axis=0, ddof=1)
+        return sd
+
+    @property
+    def chain_deviation(self) -> Floats:
+        """Mean absolute deviation (3,) of the chains' means from their common mean, relative to it."""
+        means = self.chains.mean(axis=1)
+        deviation: Floats = np.abs(means / means.mean(axis=0) - 1).mean(axis=0)
+        return deviation
 
     def holds(self, theta: Floats) -> Mask:
         """Which of the 90 % intervals (3,) hold ``theta``."""
         low, high = np.quantile(self.draws, [0.05, 0.95], axis=0)
-        return (low <= theta) & (theta <= high)
+        held: Mask = (low <= theta) & (theta <= high)
+        return held
 
 
-def estimate(kept: Drive, seed: tuple[int, ...] = (0,)) -> Estimate:
-    """The program's form of the paper's estimate: sigma at the least-squares point, chains started around it."""
+def estimate(kept: Drive, seed: tuple[int, ...] = (0,), kernel: str = "random_walk") -> Estimate:
+    """Estimate with sigma fixed at the least-squares point and chains started around it.
+
+    ``kernel`` is the paper's ``random_walk``, or ``independence``, which samples the same posterior faster.
+    """
     target = kept.target()
-    result = run(target, "random_walk", CHAINS, BURN_IN, ITERATIONS - BURN_IN, np.random.default_rng(seed))
+    result = run(target, kernel, CHAINS, BURN_IN, ITERATIONS - BURN_IN, np.random.default_rng(seed))
     r_hat = max(diagnosis.r_hat for diagnosis in result.diagnoses)
-    return Estimate(result.draws.reshape(-1, 3), float(np.sqrt(target.variance)), r_hat)
+    return Estimate(result.draws, float(np.sqrt(target.variance)), r_hat)
 
 
 @dataclass(frozen=True)
 class _Reweighted:
-    """What the random walk needs of ``base``, with sigma^2 ``variance`` (k,) [W^2] of its own for each of k chains."""
+    """The target ``base`` with a sigma^2 ``variance`` (k,) [W^2] of its own for each of k chains."""
 
     base: ClippedGaussianTarget
     variance: Floats
+
+    @property
+    def lower(self) -> Floats:
+        """See `Target.lower`."""
+        return self.base.lower
+
+    @property
+    def upper(self) -> Floats:
+        """See `Target.upper`."""
+        return self.base.upper
+
+    @property
+    def centre(self) -> Floats:
+        """See `Target.centre`."""
+        return self.base.centre
 
     def log_density(self, theta: Floats) -> Floats:
         return self.base.log_density(theta) * (self.base.variance / self.variance)
@@ -108,19 +142,13 @@ def scheduled_walk(kept: Drive, first_refresh: int, seed: tuple[int, ...] = (0,)
     rng = np.random.default_rng(seed)
     base = kept.target()
     edges = [0, *range(first_refresh, ITERATIONS, REFRESH), ITERATIONS]
-    parts = [rng.uniform(LOWER, UPPER, (CHAINS, 1, 3))]
+    parts: list[Floats] = [rng.uniform(LOWER, UPPER, (CHAINS, 1, 3))]
     for begin, end in pairwise(edges):
         position = parts[-1][:, -1]
         residual = np.stack([kept.P - power(kept.v, kept.a, theta) for theta in position])
         variance = np.maximum((residual**2).sum(axis=1) / (len(kept.P) - 3), POWER_RESOLUTION**2)
         parts.append(random_walk(_Reweighted(base, variance), position, 0, end - begin, rng).draws)
     return np.concatenate(parts[1:], axis=1)
-
-
-def raw_metrics(cycle: Cycle, theta: Floats) -> EigenMetrics:
-    """Eigen-metrics of J' J in mph and mph/s, over the samples where the model with ``theta`` has power above zero."""
-    J = design(cycle.v / MPH, cycle.a / MPH)[power(cycle.v, cycle.a, theta) > 0]
-    return eigen_metrics(J.T @ J)
 
 
 def scaled_metrics(kept: Drive, result: Estimate) -> EigenMetrics:
@@ -132,7 +160,7 @@ def scaled_metrics(kept: Drive, result: Estimate) -> EigenMetrics:
 
 @dataclass(frozen=True)
 class Availability:
-    """The cells of speed x acceleration that a vehicle can reach: power above zero, and not beyond what is shown."""
+    """The cells of speed x acceleration that a vehicle can reach: power above zero and within given limits."""
 
     cells: Mask
 

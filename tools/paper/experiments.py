@@ -1,41 +1,52 @@
-"""What the paper computed, one function a table or figure; seeds are fixed, so a second run gives the same numbers."""
+"""Tables 1 to 4, Levene's test and Figure 1 on simulated runs, from fixed seeds."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import levene
+from scipy.stats import chi2, levene
 
 from estimator.sampling.identifiability import EigenMetrics
 from estimator.sampling.metropolis import REFRESH
 from estimator.signals import Floats
-from paper.cycles import Cycle, commut, hhddt, hwfet
-from paper.estimation import (
-    BURN_IN,
-    Availability,
-    Drive,
-    Estimate,
-    estimate,
-    raw_metrics,
-    scaled_metrics,
-    scheduled_walk,
-)
-from paper.vehicles import DUMMY, DYNO, LBF, MPH, SLUG
+from paper.cycles import Cycle
+from paper.estimation import BURN_IN, Drive, Estimate, estimate, scaled_metrics, scheduled_walk
+from paper.printed import PRINTED
+from paper.table_five import printed_information
+from paper.vehicles import DUMMY, HP, NOMINAL, TO_SI
 
-NOISE = 5e3  # W, sd of the power noise where nothing else is said: about 1 % of the highest power
-RUNS = 12  # repetitions of each cycle
+NOISE = 5 * HP  # W, sd of the power noise where nothing else is said: the level of Figure 6
 SELECTION_FITS = 200
 PAPER_RULE, PROGRAM_RULE = "P > 0", "model power > 3 sd"  # which samples are kept
 SCHEDULES = {"from the start": REFRESH, "at iteration 5000": BURN_IN, "at iteration 5100": BURN_IN + REFRESH}
-SCHEDULE_NOISES = (1e3, 5e3)  # W
+SCHEDULE_NOISES = (1 * HP, 5 * HP)  # W
 SCHEDULE_SEEDS = 5
-PARTS = 60  # of the joined cycles, for coverage against error
-SHORTEST = 60  # s
-FEWEST = 20  # samples that a stretch must keep
-NOISE_LEVELS = np.array([0.5e3, 1e3, 2e3, 5e3, 10e3, 20e3, 40e3])  # W
-NOISE_REPEATS = 6
-DURATIONS = 7
-DURATION_REPEATS = 4
-COMMON_MASS = DYNO * [1.0, 1.0, LBF / MPH / SLUG]  # 1863 taken as lbf/(mph/s), what needs no constant in mph
+
+
+def truth_of(cycle: str) -> Floats:
+    """Parameters (3,) in SI of the simulated truck: the printed mean over the runs of ``cycle``."""
+    truth: Floats = PRINTED[cycle].estimates.mean(axis=0) * TO_SI
+    return truth
+
+
+def simulated_run(cycle: Cycle, index: int) -> Drive:
+    """Run ``index`` of a cycle with white power noise of the rms that is printed for that run."""
+    return Drive.of(cycle, truth_of(cycle.name), PRINTED[cycle.name].rms[index] * HP, (1, index))
+
+
+def run_estimate(cycle: Cycle, index: int) -> Estimate:
+    """Estimate of run ``index`` from the samples that the paper keeps."""
+    return estimate(simulated_run(cycle, index).positive(), (2, index))
+
+
+def runs(cycle: Cycle) -> list[Estimate]:
+    """Estimates of as many runs as the paper prints for ``cycle``."""
+    return [run_estimate(cycle, index) for index in range(len(PRINTED[cycle.name].rms))]
+
+
+def means(estimates: list[Estimate]) -> Floats:
+    """Posterior means (n, 3) in the paper's units."""
+    converted: Floats = np.array([estimate.mean for estimate in estimates]) / TO_SI
+    return converted
 
 
 @dataclass(frozen=True)
@@ -47,11 +58,6 @@ class DummyCase:
     frozen: tuple[Floats, Floats]
 
 
-def cycles_at_hand() -> list[Cycle]:
-    """HWFET and COMMUT, and HHDDT where its tables are."""
-    return [cycle for cycle in (hwfet(), commut(), hhddt()) if cycle is not None]
-
-
 def dummy_case(cycle: Cycle) -> DummyCase:
     """Sample the dummy vehicle's posterior from power without noise."""
     kept = Drive.of(cycle, DUMMY).positive()
@@ -60,16 +66,49 @@ def dummy_case(cycle: Cycle) -> DummyCase:
     return DummyCase(cycle.name, refreshed, frozen)
 
 
-def runs(cycle: Cycle) -> list[Estimate]:
-    """Estimates of the dynamometer truck from RUNS noisy repetitions of a cycle."""
-    return [estimate(Drive.of(cycle, DYNO, NOISE, (1, run)).positive(), (2, run)) for run in range(RUNS)]
+@dataclass(frozen=True, kw_only=True)
+class Scatter:
+    """Sd between runs of one cycle beside what white noise gives; all (3,) in the paper's units.
+
+    ``printed``: over the printed runs. ``white``: from the printed Table 5 and the printed rms. ``posterior`` and
+    ``simulated``: mean sd of the posterior and sd between runs, of simulated runs. ``p`` (3,): probability of at
+    least the printed scatter if ``white`` were its sd.
+    """
+
+    printed: Floats
+    white: Floats
+    posterior: Floats
+    simulated: Floats
+    p: Floats
+
+
+def white_noise_covariance(cycle: str) -> Floats:
+    """Covariances (n, 3, 3) of the printed runs for white power noise of the printed rms, in the paper's units."""
+    printed = PRINTED[cycle]
+    return np.linalg.inv(printed_information(printed)) * (550 * printed.rms[:, None, None]) ** 2
+
+
+def scatter(cycle: str, simulated: list[Estimate]) -> Scatter:
+    """Compare the scatter of the printed runs of ``cycle`` with that of white noise."""
+    printed = PRINTED[cycle].estimates
+    white = np.sqrt(np.diagonal(white_noise_covariance(cycle).mean(axis=0)))
+    sd = printed.std(axis=0, ddof=1)
+    degrees = len(printed) - 1
+    return Scatter(
+        printed=sd,
+        white=white,
+        posterior=np.mean([run.sd for run in simulated], axis=0) / TO_SI,
+        simulated=means(simulated).std(axis=0, ddof=1),
+        p=chi2.sf(degrees * (sd / white) ** 2, degrees),
+    )
 
 
 def selection_bias(cycle: Cycle) -> dict[str, Floats]:
     """Mean error (3,) of SELECTION_FITS least-squares fits, for the paper's choice of samples and the program's."""
-    drives = [Drive.of(cycle, DYNO, NOISE, (1, i)) for i in range(SELECTION_FITS)]
+    truth = truth_of(cycle.name)
+    drives = [Drive.of(cycle, truth, NOISE, (1, i)) for i in range(SELECTION_FITS)]
     chosen = {PAPER_RULE: [d.positive() for d in drives], PROGRAM_RULE: [d.above_noise() for d in drives]}
-    return {rule: np.mean([k.target().centre / DYNO - 1 for k in kept], axis=0) for rule, kept in chosen.items()}
+    return {rule: np.mean([k.target().centre / truth - 1 for k in kept], axis=0) for rule, kept in chosen.items()}
 
 
 @dataclass(frozen=True)
@@ -86,19 +125,23 @@ class Levene:
         return cls(float(result.statistic), float(result.pvalue))
 
 
-def levene_of_estimates(all_runs: dict[str, list[Estimate]]) -> list[Levene]:
-    """Does the scatter of the estimates between runs differ between cycles: one test each for A, C, m."""
-    means = [np.array([run.mean for run in repeated]) for repeated in all_runs.values()]
-    return [Levene.of([m[:, i] for m in means]) for i in range(3)]
+def levene_tests(estimates: dict[str, Floats]) -> list[Levene]:
+    """Test each of A, C, m for equal variance between cycles; ``estimates`` (n, 3) by cycle."""
+    return [Levene.of([values[:, i] for values in estimates.values()]) for i in range(3)]
 
 
-def levene_of_residuals(cycles: list[Cycle], all_runs: dict[str, list[Estimate]]) -> Levene:
-    """Does the power residual of the first run differ between cycles; its true sd is the same in all."""
-    residuals = []
-    for cycle in cycles:
-        kept = Drive.of(cycle, DYNO, NOISE, (1, 0)).positive()
-        residuals.append(kept.P - Drive.of(Cycle(cycle.name, kept.v, kept.a), all_runs[cycle.name][0].mean).P)
-    return Levene.of(residuals)
+@dataclass(frozen=True)
+class TraceFit:
+    """Rms [W] of measured power minus model power over the kept samples of a run: best fit, and nominal parameters."""
+
+    best: float
+    nominal: float
+
+    @classmethod
+    def of(cls, kept: Drive, best: Floats) -> "TraceFit":
+        """Residuals of ``kept`` with the parameters ``best`` (3,) and with the nominal ones."""
+        powers = [Drive.of(Cycle("", kept.v, kept.a), theta).P for theta in (best, NOMINAL)]
+        return cls(*(float(np.sqrt(np.mean((kept.P - P) ** 2))) for P in powers))
 
 
 @dataclass(frozen=True)
@@ -112,10 +155,10 @@ class ScheduleEffect:
 
 
 def schedule_effects(cycle: Cycle) -> list[ScheduleEffect]:
-    """How much the frozen start of the paper's schedule widens what is kept."""
+    """How much the frozen start of the paper's schedule widens the kept draws."""
     effects = []
     for noise in SCHEDULE_NOISES:
-        drives = [Drive.of(cycle, DYNO, noise, (3, i)).positive() for i in range(SCHEDULE_SEEDS)]
+        drives = [Drive.of(cycle, DUMMY, noise, (3, i)).positive() for i in range(SCHEDULE_SEEDS)]
         reference = [estimate(kept, (4, i)).sd[2] for i, kept in enumerate(drives)]
         for schedule, first in SCHEDULES.items():
             walks = [scheduled_walk(kept, first, (5, i))[:, BURN_IN:, 2] for i, kept in enumerate(drives)]
@@ -124,66 +167,6 @@ def schedule_effects(cycle: Cycle) -> list[ScheduleEffect]:
     return effects
 
 
-@dataclass(frozen=True)
-class TableFive:
-    """Raw eigen-metrics for two readings of the mass unit, by cycle, and those scaled by the posterior."""
-
-    slug: dict[str, EigenMetrics]
-    common: dict[str, EigenMetrics]
-    scaled: dict[str, EigenMetrics]
-
-
-def table_five(cycles: list[Cycle], all_runs: dict[str, list[Estimate]]) -> TableFive:
-    """Eigen-metrics of every cycle."""
-    drives = {c.name: Drive.of(c, DYNO, NOISE, (1, 0)).positive() for c in cycles}
-    return TableFive(
-        {c.name: raw_metrics(c, DYNO) for c in cycles},
-        {c.name: raw_metrics(c, COMMON_MASS) for c in cycles},
-        {name: scaled_metrics(kept, all_runs[name][0]) for name, kept in drives.items()},
-    )
-
-
-def _errors(kept: Drive, seed: tuple[int, ...]) -> Floats:
-    return estimate(kept, seed).mean / DUMMY - 1
-
-
-def coverage_and_error(cycle: Cycle) -> tuple[Floats, Floats]:
-    """Coverage (PARTS,) and error of [A, C, m] (PARTS, 3) from random stretches of the joined cycles."""
-    rng = np.random.default_rng(6)
-    reach = Availability.of(cycle, DUMMY)
-    looped = Cycle(cycle.name, np.tile(cycle.v, 2), np.tile(cycle.a, 2))
-    coverage, errors = [], []
-    while len(coverage) < PARTS:
-        length = round(np.exp(rng.uniform(np.log(SHORTEST), np.log(cycle.duration))))
-        start = int(rng.integers(cycle.duration))
-        kept = Drive.of(looped[start : start + length], DUMMY, NOISE, (7, start, length)).positive()
-        if len(kept.P) >= FEWEST:
-            coverage.append(reach.coverage(kept))
-            errors.append(_errors(kept, (8, start, length)))
-    return np.array(coverage), np.array(errors)
-
-
-def noise_and_error(cycle: Cycle) -> dict[str, Floats]:
-    """Error (levels, repeats, 3) by power noise, for the paper's choice of samples and the program's."""
-    errors: dict[str, list[list[Floats]]] = {PAPER_RULE: [], PROGRAM_RULE: []}
-    for level in NOISE_LEVELS:
-        drives = [Drive.of(cycle, DUMMY, level, (9, i)) for i in range(NOISE_REPEATS)]
-        errors[PAPER_RULE].append([_errors(drive.positive(), (10, i)) for i, drive in enumerate(drives)])
-        errors[PROGRAM_RULE].append([_errors(drive.above_noise(), (10, i)) for i, drive in enumerate(drives)])
-    return {rule: np.array(e) for rule, e in errors.items()}
-
-
-def duration_and_error(cycle: Cycle) -> tuple[Floats, Floats]:
-    """Seconds from the start of a cycle (DURATIONS,) and median absolute error of [A, C, m] (DURATIONS, 3)."""
-    seconds = np.geomspace(SHORTEST, cycle.duration, DURATIONS).round()
-    errors = [
-        np.median(
-            [
-                np.abs(_errors(Drive.of(cycle[: int(s)], DUMMY, NOISE, (11, i)).positive(), (12, i)))
-                for i in range(DURATION_REPEATS)
-            ],
-            axis=0,
-        )
-        for s in seconds
-    ]
-    return seconds, np.array(errors)
+def scaled_eigen_metrics(cycles: dict[str, Cycle], all_runs: dict[str, list[Estimate]]) -> dict[str, EigenMetrics]:
+    """Eigen-metrics of the first run of every cycle, with parameters in units of their posterior sd."""
+    return {name: scaled_metrics(simulated_run(c, 0).positive(), all_runs[name][0]) for name, c in cycles.items()}

@@ -1,4 +1,4 @@
-"""What the page is made of: all results, and numbers as text."""
+"""All results on the page, and the formatting of numbers and text."""
 
 import textwrap
 from collections.abc import Iterable
@@ -8,31 +8,38 @@ from estimator.sampling.identifiability import EigenMetrics
 from estimator.signals import Floats
 from paper.cycles import Cycle
 from paper.estimation import Availability, Estimate
-from paper.experiments import DummyCase, Levene, ScheduleEffect, TableFive
+from paper.experiments import DummyCase, Levene, Scatter, ScheduleEffect, TraceFit
+from paper.studies import CoverageStudy, DurationStudy, NoiseStudy
+from paper.table_five import Match
+from paper.vehicle_posterior import VehiclePosterior
 from paper.vehicles import NAMES, PAPER_UNITS, TO_SI
 
 WIDTH = 118  # characters
-UNKNOWN = "not at hand"
 DIGITS = (1, 4, 1)  # of A, C, m in the paper's units
 PARAMETERS = [f"{name} [{unit}]" for name, unit in zip(NAMES, PAPER_UNITS, strict=True)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Results:
     """Everything that is on the page; keys are names of cycles, arrays of parameters are [A, C, m]."""
 
-    cycles: list[Cycle]
+    cycles: dict[str, Cycle]
     dummy: list[DummyCase]
     runs: dict[str, list[Estimate]]
+    trace: TraceFit
+    scatter: dict[str, Scatter]
     selection: dict[str, dict[str, Floats]]
-    levene_estimates: list[Levene]
-    levene_residuals: Levene
-    eigen: TableFive
+    levene_printed: list[Levene]
+    levene_here: list[Levene]
+    matches: list[Match]
+    scaled: dict[str, EigenMetrics]
+    vehicle: dict[float, VehiclePosterior]
     schedules: list[ScheduleEffect]
     reach: Availability
-    coverage: tuple[Floats, Floats]
-    noise: dict[str, Floats]
-    duration: dict[str, tuple[Floats, Floats]]
+    coverage: dict[str, CoverageStudy]
+    noise: dict[str, NoiseStudy]
+    duration: dict[str, DurationStudy]
+    copies: tuple[Floats, Floats]
 
 
 def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
@@ -43,11 +50,15 @@ def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def values(theta: Floats, sd: Floats | None = None) -> list[str]:
-    """Parameters in the paper's units, with their sd where given."""
-    theta = theta / TO_SI
+    """Parameters [A, C, m] in SI as text in the paper's units, with their sd where given."""
+    return printed_values(theta / TO_SI, None if sd is None else sd / TO_SI)
+
+
+def printed_values(theta: Floats, sd: Floats | None = None) -> list[str]:
+    """Parameters [A, C, m] in the paper's units as text, with their sd where given."""
     if sd is None:
         return [f"{x:.{d}f}" for x, d in zip(theta, DIGITS, strict=True)]
-    return [f"{x:.{d}f} ± {s:.{d}f}" for x, s, d in zip(theta, sd / TO_SI, DIGITS, strict=True)]
+    return [f"{x:.{d}f} ± {s:.{d}f}" for x, s, d in zip(theta, sd, DIGITS, strict=True)]
 
 
 def percent(fractions: Iterable[float], digits: int = 1, sign: str = "+") -> list[str]:
@@ -59,11 +70,6 @@ def listed(words: Iterable[str]) -> str:
     """Words as English lists them."""
     *first, last = words
     return f"{', '.join(first)} and {last}" if first else last
-
-
-def nearest(metrics: EigenMetrics) -> Floats:
-    """Angle [deg] of every parameter's axis to the eigenvector nearest to it."""
-    return metrics.angles.min(axis=0)
 
 
 def reflow(text: str) -> str:
