@@ -1,11 +1,11 @@
-"""What the daemon costs on a full bus, how late it is and what it loses, beside what a user would write instead.
+"""CPU time, memory, delays and lost frames of the daemon on a full bus, beside a plain python-can program.
 
     python tools/bench_daemon.py [--seconds 60] [--loss-seconds 600] [--soak-hours 24] [--warm-minutes 60]
 
 A second process sends simulated driving, padded with unknown messages to the load of a full bus, at the pace of the
-bus, over a stand-in for SocketCAN (`daemon_bench/loopback.py`). "Filtered": only what the daemon's kernel filters let
-through is sent. The daemon starts with the state of an hour's driving, so its window is full and the sampler has its
-full work; its gate is asked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
+bus, over a stand-in for SocketCAN (`daemon_bench/loopback.py`). "Filtered": only frames that pass the daemon's kernel
+filters are sent. The daemon starts with the state of an hour's driving, so its window is full and the sampler has its
+full work; its gate is checked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
 start not counted; "peak" is the memory of the whole process, as installed without extras. Delays are those until a
 frame is handed to the pipeline, which decodes in blocks of five seconds of traffic.
 
@@ -24,6 +24,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from daemon_bench import soak, traffic
@@ -33,12 +34,11 @@ from rich.table import Table
 
 from estimator import config as configuration
 from estimator.can_io.binding import bind, load_database
-from estimator.config import Config
-from estimator.daemon.assembly import estimation_key
-from estimator.daemon.filters import input_filters
-from estimator.daemon.worker import Worker
-from estimator.pipeline import Pipeline
-from estimator.state_store import StateStore
+from estimator.checkpoint.store import StateStore
+from estimator.config import Config, estimation_key
+from estimator.daemon.reception.filters import input_filters
+from estimator.daemon.service.worker import Worker
+from estimator.streaming.pipeline import Pipeline
 
 TOOLS = Path(__file__).parent
 SETTINGS = "[gate]\ninterval_s = 10.0\n[service]\nstate_directory = '{folder}'\nruntime_directory = '{folder}'\n"
@@ -66,20 +66,20 @@ def peak_memory(pid: int) -> float:
 
 
 def free_port() -> int:
-    """A UDP port nobody uses."""
+    """A free UDP port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
 
 
 def is_bound(port: int) -> bool:
-    """Whether somebody listens there."""
+    """Whether a program listens on the port."""
     sockets = Path("/proc/net/udp").read_text().splitlines()[1:]
     return any(int(line.split()[1].split(":")[1], 16) == port for line in sockets)
 
 
 def write_state(folder: Path, minutes: float) -> None:
-    """Leave the daemon the state of so many minutes of driving that ended just now."""
+    """Write a state file of so many minutes of driving that ended just now."""
     settings = folder / "roadload.toml"
     settings.write_text(SETTINGS.format(folder=folder))
     config = configuration.load(settings)
@@ -90,7 +90,7 @@ def write_state(folder: Path, minutes: float) -> None:
         worker.close()
 
 
-def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float) -> dict:
+def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float) -> dict[str, Any]:
     """Run one program under one load; CPU share, memory, delays and losses."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
@@ -122,8 +122,8 @@ def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes
     return {**result, **rates, "sent": sent["frames"], "peak_MiB": peak}
 
 
-def wait_until_bound(port: int, subject: subprocess.Popen, folder: Path) -> None:
-    """Wait for a program to have opened its socket and to have come to rest."""
+def wait_until_bound(port: int, subject: subprocess.Popen[bytes], folder: Path) -> None:
+    """Wait until a program has opened its socket and is idle."""
     deadline = time.monotonic() + START
     while not is_bound(port):
         if subject.poll() is not None or time.monotonic() > deadline:
@@ -156,7 +156,7 @@ def show(console: Console, options: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    """Measure what was asked for."""
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="of each load; 0: none (default 60)")
     parser.add_argument("--loss-seconds", type=float, default=600.0, help="of full load; 0: none (default 600)")

@@ -1,8 +1,8 @@
-"""Speed of reading, decoding and replaying a long log, beside what a user would write with python-can and cantools.
+"""Speed of reading, decoding and replaying a long log, beside plain python-can and cantools.
 
     python tools/bench_replay.py [--frames 1000000]
 
-Ratios are what counts: all rows are measured in one run on one machine. Peak memory is that of a fresh process.
+Compare ratios: all rows are measured in one run on one machine. Peak memory is that of a fresh process.
 """
 
 import argparse
@@ -22,13 +22,15 @@ from rich.table import Table
 
 from estimator.can_io.binding import bind, load_database
 from estimator.can_io.decoder import Decoder
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import open_log
-from estimator.can_io.recorder import frames_of, write_log
 from estimator.config import Config
-from estimator.replay import estimate, replay
+from estimator.settings import Bus
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import draw_truck
+from estimator.streaming.replay import estimate_logs, replay
 
 FRAMES_PER_SECOND = 158.39  # of the simulated truck's bus
 METRES_PER_SECOND = 33.0  # of road, more than any truck drives
@@ -39,7 +41,7 @@ def silent(share: float) -> None:
 
 
 def by_hand(path: Path) -> int:
-    """What the libraries offer: LogReader, a look-up by PGN, cantools decode."""
+    """The libraries alone: LogReader, a look-up by PGN, cantools decode."""
     messages = {message.key: message for message in bind(Config(), load_database([]))}
     database = load_database([])
     layouts = {key: database.get_message_by_name(message.name) for key, message in messages.items()}
@@ -55,7 +57,7 @@ def by_hand(path: Path) -> int:
 
 def read_and_decode(path: Path) -> int:
     """Our reader and decoder, no estimate."""
-    decoder, count = Decoder(bind(Config(), load_database([]))), 0
+    decoder, count = Decoder(bind(Config(), load_database([])), Bus()), 0
     for frames in open_log(path):
         decoder.decode(frames)
         count += len(frames)
@@ -65,8 +67,8 @@ def read_and_decode(path: Path) -> int:
 ROWS: dict[str, Callable[[Path], int]] = {
     "python-can + cantools, decode only": by_hand,
     "roadload, decode only": read_and_decode,
-    "roadload estimate": lambda path: estimate([path], Config(), silent).pipeline.frames,
-    "roadload replay on a virtual bus": lambda path: replay([path], Config(), silent).pipeline.frames,
+    "roadload estimate": lambda path: estimate_logs([path], Config(), silent).pipeline.traffic.frames,
+    "roadload replay on a virtual bus": lambda path: replay([path], Config(), silent).pipeline.traffic.frames,
 }
 
 
@@ -79,7 +81,7 @@ def write(path: Path, count: int) -> None:
 
 
 def measure(name: str, path: Path) -> None:
-    """Run one row in this process and print what it took."""
+    """Run one row in this process and print its time and memory."""
     start = time.perf_counter()
     count = ROWS[name](path)
     seconds = time.perf_counter() - start

@@ -1,12 +1,12 @@
-"""Effective draws per CPU second of our samplers and of others, all from the same posterior.
+"""Effective draws per CPU second of roadload's samplers and of other libraries, all from the same posterior.
 
     python tools/bench_sampler.py [--samples 1000 10000 100000]
 
 The others are installed by ``tools/peers.txt``; those that are missing are named and left out. Counted is the CPU
-time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Left out for
-everybody is what is done once: fit, compilation, and for NUTS (to its advantage) the warm-up. Means and standard
-deviations show that all rows sample the same thing. Last comes what our own fit costs: all at once, and update by
-update of a full window.
+time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Steps that run
+once are left out for all: fit, compilation, and for NUTS (to its advantage) the warm-up. Means and standard deviations
+show that all rows sample the same posterior. The last rows are the cost of roadload's own fit: from all samples, and
+update by update of a full window.
 """
 
 import argparse
@@ -16,16 +16,16 @@ import time
 import warnings
 from collections.abc import Callable
 
-import arviz
 import numpy as np
+from arviz_stats.base.array import array_stats
 from rich.console import Console
 from rich.table import Table
 from sampler_peers import BOX, Problem, blackjax_nuts, drive, emcee_stretch, paper, pymcmcstat_dram, samples
 
 from estimator.config import Config, from_dict
-from estimator.estimation.estimator import BLOCK
 from estimator.estimation.paper_likelihood import PaperLikelihood
 from estimator.estimation.window import Window
+from estimator.preparation.stage import BLOCK
 from estimator.samples import STEP, Samples
 from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.likelihood import in_box
@@ -40,7 +40,7 @@ ONE_THREAD = {
 
 
 def ours(q: Problem, kernel: str, burn_in: int, draws: int, repetitions: int) -> Floats:
-    """One of our own kernels, 256 chains."""
+    """One of roadload's kernels, 256 chains."""
     starts = overdispersed(q.target, 256, q.rng)
     return q.timed(lambda: KERNELS[kernel](q.target, starts, burn_in, draws, q.rng).draws, repetitions)
 
@@ -81,7 +81,8 @@ def compare(n: int, table: Table) -> None:
         except ModuleNotFoundError as error:
             table.add_row(f"{n:,}", name, f"left out: {error}")
             continue
-        rates[name] = min(float(arviz.ess(draws[:, :, i])) for i in range(3)) / problem.seconds
+        sizes = [float(array_stats.ess(draws[:, :, i])) for i in range(3)]  # type: ignore[no-untyped-call]
+        rates[name] = min(sizes) / problem.seconds
         moments[name] = [f"{x.mean():.5g} ± {x.std():.2g}" for x in draws.reshape(-1, 3).T]
     peers = [rate for name, rate in rates.items() if "roadload" not in name and name != FLOOR]
     for name, rate in rates.items():
@@ -107,8 +108,10 @@ def whole_answer(n: int) -> str:
 
 
 def updates(n: int) -> str:
-    """Cost of an update whenever another block has come into a full window of ``n`` samples."""
-    window, follower, kept, rebuilt = Window(from_dict({"window": {"samples": n}})), PaperLikelihood(), [], []
+    """Cost of one update of a full window of ``n`` samples when a block arrives."""
+    window, follower = Window(from_dict({"window": {"samples": n}}), Samples), PaperLikelihood()
+    kept: list[float] = []
+    rebuilt: list[float] = []
     v, a, P = drive(2 * n, np.random.default_rng(0))
     unknown = np.full(len(v), np.nan)
     whole = Samples(STEP * np.arange(len(v)), v, a, P, unknown, v, a, unknown, unknown)

@@ -1,12 +1,12 @@
-"""How honest are the intervals: coverage and simulation-based calibration on data whose truth is known exactly.
+"""Coverage of the intervals and simulation-based calibration, on data whose truth is known exactly.
 
     python tools/calibration.py [--sets 300] [--json]
 
 Speed and acceleration are those of simulated drives. For every data set a truth theta = [A, C, m] is drawn from a
 box, power is P = A v + C v^3 + m v a plus noise of one of several kinds, and speed is measured with white noise and
-the resolution of CCVS1. Rows, samples, fit and sampler are the project's own, with the masks of its admission. A
-truth drawn from the prior is, if the posterior is right, inside a 90 % interval in 90 % of the data sets, and its
-rank among posterior draws is uniform (Talts, Betancourt, Simpson, Vehtari, Gelman 2018, arXiv 1804.06788).
+the resolution of CCVS1. Rows, samples, fit and sampler are the project's own, with the masks of its admission. If the
+posterior is right, a truth drawn from the prior is inside a 90 % interval in 90 % of the data sets, and its rank among
+posterior draws is uniform (Talts, Betancourt, Simpson, Vehtari, Gelman 2018, arXiv 1804.06788).
 """
 
 import argparse
@@ -25,12 +25,13 @@ from rich.table import Table
 from scipy.stats import chisquare
 
 from estimator.config import Config
-from estimator.estimation import kinematics, moments, posterior, smoothing
-from estimator.estimation.admission import admit, row_reasons
-from estimator.road_load import design
+from estimator.estimation import moments, posterior
+from estimator.model.road_load import design
+from estimator.preparation.sample_maker import SampleMaker
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Mask, Role
 from estimator.simulation import drive as simulation
+from estimator.simulation.moment import STEP as SIMULATED_STEP
 from estimator.simulation.noise import correlated
 from estimator.simulation.route import RoadKind, generate_route
 from estimator.simulation.sensors import SPEED_RESOLUTION, Sensors
@@ -48,18 +49,18 @@ DRIVES: tuple[tuple[RoadKind, float], ...] = (  # kind of road, duration [min]
     ("urban", 50.0),
 )
 METRES_PER_MINUTE = 2000.0  # of road, more than any truck drives
-CELL = round(STEP / simulation.STEP)  # simulated steps that make a row
+CELL = round(STEP / SIMULATED_STEP)  # simulated steps per row
 SPEED_NOISE = 0.01  # m/s
 POWER_NOISE = 4e3  # W
 PERCENT = 0.01
-RANKED = 99  # thinned draws that a truth is ranked among
-THINNING = 50  # draws of a chain between two that are ranked
+RANKED = 99  # thinned draws for the rank of a truth
+THINNING = 50  # draws of a chain per draw used for the rank
 BINS = 10  # of the chi2 test of uniform ranks
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What the truck did, as means over rows of STEP: all arrays (n,).
+    """Motion of the truck as means over rows of STEP: all arrays (n,).
 
     ``columns`` (n, 3) are v, v^3, v a [SI]; ``v`` [m/s]; ``engine_speed`` [rad/s]; ``driving``: clutch closed and
     brakes off throughout the row; ``context`` are the switches that admission looks at.
@@ -96,7 +97,7 @@ class Drive:
         )
 
     def power(self, theta: Floats) -> Floats:
-        """Power at the wheels [W] that moves a vehicle of ``theta`` = [A, C, m] like this."""
+        """Power at the wheels [W] for this motion and ``theta`` = [A, C, m]."""
         return np.where(self.driving, self.columns @ theta, 0.0)
 
     def measure(self, power: Floats, rng: np.random.Generator) -> Rows:
@@ -130,7 +131,7 @@ def both(drive: Drive, power: Floats, rng: np.random.Generator) -> Floats:
 
 
 def stepped(drive: Drive, power: Floats, rng: np.random.Generator) -> Floats:
-    """``power`` [W] from torque known to 1 % of the reference torque, as without SPN 4154, and nothing else wrong."""
+    """``power`` [W] from torque rounded to 1 % of the reference torque, as without SPN 4154, without noise."""
     step = PERCENT * drive.reference_torque
     return np.round(power / drive.engine_speed / step) * step * drive.engine_speed
 
@@ -162,11 +163,11 @@ class Outcome:
 
 
 def conclude(rows: Rows, theta: Floats, config: Config, rng: np.random.Generator) -> Outcome | None:
-    """From ``rows`` to the posterior, and where the truth ``theta`` lies in it; None if there is no fit."""
-    smoother = smoothing.smoother_kernels(smoothing.fit_ratio(rows.speed, STEP), STEP)
-    margin = kinematics.margin(STEP)
-    codes = row_reasons(rows, config.admission)[margin : len(rows) - margin]
-    samples = admit(kinematics.to_samples(rows, smoother, 0.0, False), codes, Counter())
+    """Posterior from ``rows``, and the rank of the truth ``theta`` in it; None if there is no fit."""
+    maker = SampleMaker(config.kinematics, config.admission)
+    smoother, _ = maker.calibrate(rows.plausible_speed, rows.power)
+    samples = maker.samples(rows, smoother, 0.0, frozenset(), 0.0)  # power and speed are of the same instant
+    samples = maker.admit(samples, rows, Counter())
     fit = moments.fit(samples, config.admission.power_sigmas)
     if fit is None:
         return None

@@ -4,13 +4,13 @@
 
 Trucks, roads and sensors are those of accuracy.py. Every estimator gets the aligned rows at 10 Hz, the masks of
 roadload's admission and the lag between power and speed that roadload finds. Forgetting, cut-off and process noise of
-the peers are those with the smallest mean relative error on training drives, none of which is judged.
+the peers have the smallest mean relative error on training drives, which are not part of the comparison.
 """
 
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, TypeVar
@@ -29,43 +29,30 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from estimator.can_io.recorder import frames_of
+from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config
-from estimator.estimation.estimator import Estimator
-from estimator.estimation.lag import fit_lag
-from estimator.pipeline import Pipeline
+from estimator.preparation.lag import fit_lag
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Mask
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
+from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.row_stream import Block
 
 NAMES = ("A", "C", "mass")
 METRES_PER_MINUTE = 2000.0  # of road, more than any truck drives
 TRAINING_SEED = 5000
-FACTORS = (0.9997, 0.9999, 0.99999, 1.0)  # per row: memories of 6 min, 17 min, 3 h and for ever
+FACTORS = (0.9997, 0.9999, 0.99999, 1.0)  # per row: memories of 6 min, 17 min, 3 h and without end
 FORGETTING = [Forgetting(*x) for x in product(FACTORS, FACTORS, (0.05, 0.1, 0.2, 0.4, 0.8))]
 PROCESS_NOISE = [ProcessNoise(*x) for x in product((3e3, 10e3, 30e3, 100e3), (0.0, 0.01, 0.1, 0.3), (0.01, 0.03))]
 Settings = TypeVar("Settings")
 
 
-class RowKeeper(Estimator):
-    """The project's estimator, which keeps the rows that it was fed for the others."""
-
-    def __init__(self, config: Config) -> None:
-        super().__init__(config, np.random.default_rng(config.sampler.seed))
-        self.rows: list[Rows] = []
-
-    def feed(self, rows: Rows) -> Iterator[Any]:
-        """See `Estimator.feed`."""
-        self.rows.append(rows)
-        yield from super().feed(rows)
-
-
 @dataclass(frozen=True)
 class Drive:
-    """One simulated drive: the ``truth`` [A, C, m], what the peers may see, and what roadload made of it."""
+    """One simulated drive: the ``truth`` [A, C, m], the rows for the peers, and roadload's result."""
 
     truth: Floats
     data: list[Stretch]
@@ -82,19 +69,18 @@ class Drive:
         recording = record(truck, route, options.minutes * 60, rng, sensors=sensors)
         config = Config()
         pipeline = Pipeline(config)
-        pipeline.estimator = keeper = RowKeeper(config)
-        final = [*pipeline.feed(frames_of(recording.signals)), *pipeline.finish()][-1]
-        rows = keeper.rows[0]
-        for more in keeper.rows[1:]:
-            rows = Rows.concatenate(rows, more)
+        items = [*pipeline.traffic.feed(frames_of(recording.signals)), *pipeline.traffic.finish()]
+        rows = Rows.concatenate(*(rows for item in items if isinstance(item, Block) for rows in item.rows))
+        updates = [update for item in items for update in pipeline.take(item)]
+        final = [*updates, *pipeline.finish()][-1]
         lag = fit_lag(rows.speed, rows.power, STEP, config.kinematics.maximum_lag_s)
         truth = np.array([getattr(truck, name) for name in NAMES])
         marginals = [x for x in (getattr(final, name) for name in NAMES) if x is not None]
         return cls(
             truth,
             stretches(rows, config.admission, lag),
-            np.array([x.mean for x in marginals]) if marginals else None,
-            np.array([x.q05 <= value <= x.q95 for x, value in zip(marginals, truth, strict=bool(marginals))]),
+            np.array([x.mean for x in marginals]) if len(marginals) == len(NAMES) else None,
+            np.array([x.q05 <= value <= x.q95 for x, value in zip(marginals, truth, strict=False)]),
         )
 
 
@@ -107,6 +93,14 @@ def tune(
         return float(np.mean([np.abs(peer(x.data, settings).theta / x.truth - 1) for x in training]))
 
     return min(track(grid, f"tuning {peer.__name__}", console=Console(stderr=True), transient=True), key=error)
+
+
+def errors_of(
+    peer: Callable[[Sequence[Stretch], Settings], Estimate], settings: Settings, drives: Sequence[Drive]
+) -> list[tuple[Floats, Mask]]:
+    """Relative errors (3,) of a peer on each drive, and which of its 90 % intervals (3,) hold the truth."""
+    found = [(peer(drive.data, settings), drive.truth) for drive in drives]
+    return [(estimate.theta / truth - 1, estimate.holds(truth)) for estimate, truth in found]
 
 
 def main() -> int:
@@ -130,14 +124,12 @@ def main() -> int:
     forgetting = tune(recursive_least_squares, FORGETTING, training)
     noise = tune(extended_kalman, PROCESS_NOISE, training)
     drives = simulate(options.seed, options.drives, "driving")
-    estimated = [drive for drive in drives if drive.means is not None]
-    answers = {"roadload": [(drive.means / drive.truth - 1, drive.held) for drive in estimated]}
-    peers = {"RLS": (recursive_least_squares, forgetting), "EKF": (extended_kalman, noise)}
-    for name, (peer, settings) in peers.items():
-        found = [(peer(drive.data, settings), drive.truth) for drive in drives]
-        answers[name] = [(x.theta / truth - 1, x.holds(truth)) for x, truth in found]
-
-    figures: dict[str, Any] = {"settings": {name: asdict(settings) for name, (_, settings) in peers.items()}}
+    answers: dict[str, list[tuple[Floats, Mask]]] = {
+        "roadload": [(drive.means / drive.truth - 1, drive.held) for drive in drives if drive.means is not None],
+        "RLS": errors_of(recursive_least_squares, forgetting, drives),
+        "EKF": errors_of(extended_kalman, noise, drives),
+    }
+    figures: dict[str, Any] = {"settings": {"RLS": asdict(forgetting), "EKF": asdict(noise)}}
     table = Table("", "", "median error", "worst", "90 % intervals that hold the truth")
     for name, results in answers.items():
         size = np.abs([error for error, _ in results])

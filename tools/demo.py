@@ -1,4 +1,4 @@
-"""The main job in one go: simulate a class-8 truck, replay its J1939 log on a virtual bus, compare with the truth."""
+"""Demonstration: simulate a class-8 truck, replay its J1939 log on a virtual bus, compare with the truth."""
 
 import argparse
 import sys
@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
-from estimator.can_io.recorder import frames_of, write_log
-from estimator.cli_tables import print_run, say
+from estimator.commands.tables import print_run
+from estimator.commands.terminal import say
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.replay import Run, replay
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
+from estimator.streaming.replay import Run, replay
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the class-8 tractor of Miller, Konan and Duran
 HIDDEN = ("AliveCounter", "Checksum")
@@ -23,7 +25,7 @@ METRES_PER_MINUTE = 2000.0
 
 
 def main() -> int:
-    """Print estimate, interval and truth, and what went over the bus."""
+    """Print estimate, interval and truth, and the frames sent on the bus."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=45.0)
     parser.add_argument("--seed", type=int, default=1)
@@ -55,7 +57,7 @@ def show_last_broadcast(console: Console, run: Run) -> None:
     database = output_database()
     for ident, message in sorted(newest.items()):
         layout = database.get_message_by_frame_id(ident)
-        signals = layout.decode(bytes(message.data), decode_choices=True)
+        signals = layout.decode_simple(bytes(message.data))
         values = {n: f"{v:g}" if isinstance(v, float) else v for n, v in signals.items() if n not in HIDDEN}
         shown = ", ".join(f"{name} {value}" for name, value in values.items())
         say(console, f"  {ident:08X}  {bytes(message.data).hex(' ').upper()}  {layout.name}: {shown}")

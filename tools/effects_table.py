@@ -1,11 +1,11 @@
-"""The catalogue of effects as a page, from the objects themselves.
+"""The catalogue of effects as a Markdown page, generated from the effect objects.
 
 python tools/effects_table.py > docs/effects.md
 """
 
 import numpy as np
 
-from estimator.effects import CATALOGUE, SOURCES, Effect, Timing
+from estimator.model.effects import CATALOGUE, SOURCES, Effect, Timing
 from estimator.signals import Floats, Quantity
 
 TRUCK: Floats = np.array([1740.0, 3.74, 27_000.0])  # A [N], C [N s^2/m^2], m [kg] of a loaded tractor and semi-trailer
@@ -18,23 +18,26 @@ WHEN = {
 PAGE = """\
 # Effects
 
-What the plain road load `P = A v + C v³ + m v dv/dt` leaves out, and `roadload diagnose` looks for. The tables are
-printed by `tools/effects_table.py` from the objects in `estimator/effects/`: the same objects are the
-candidates of the diagnosis, the terms of the streaming model (`effects = ["grade"]`, `--effect grade`) and this page.
+Effects that the plain road load `P = A v + C v³ + m v dv/dt` leaves out and that `roadload diagnose` tests.
+`tools/effects_table.py` prints this page from the objects in `estimator/model/effects/`. The same objects are the
+candidates of the diagnosis and the terms of the streaming model (`effects = ["grade"]`, `--effect grade`).
 
-## What it adds to the power
+## Power of each effect
 
-`v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1; SI units. The usual size is that
-for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²): sizes like it are expected beforehand, others are not excluded.
+`v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1; SI units. "Usual" is the scale of
+the prior of the size, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²); larger sizes are not excluded.
 
 {equations}
 
-## What shows it
+## Signals and identifiability
 
-Not told apart: to first order the two leave the same trace in power and speed on any drive. Others may do so on a
-given drive; the diagnosis says which. Streams: it can be part of the model that estimates. What does not stream is
-diagnosed only, because its times have to be found afterwards; or the fit takes it up: A, C and m do, whatever its
-size, and the alignment of power and speed does with a lag, which the diagnosis reports.
+* "Signals": the effect is tested only if these are on the bus. "None": power and speed are enough.
+* "Equivalent": to first order both effects have the same trace in power and speed on any drive. Further pairs can be
+  equivalent on a single drive; the diagnosis lists them.
+* "Evidence": a measurement or a manoeuvre that identifies the effect.
+* "Streams": the effect can be a term of the streaming model. Effects with unknown times are diagnosed only. Some are
+  absorbed by the fit: A, C and m absorb any size of them, and the alignment of power and speed absorbs a lag, which the
+  diagnosis reports.
 
 {signals}
 
@@ -42,10 +45,10 @@ size, and the alignment of power and speed does with a lag, which the diagnosis 
 
 {sources}
 
-## One more
+## How to add an effect
 
-An effect is one object. With this added to `CATALOGUE` the diagnosis ranks it, the configuration knows it and it
-appears above:
+An effect is one object. After this is added to `CATALOGUE`, the diagnosis ranks it, the configuration accepts it and
+it appears in the tables above:
 
 ```python
 Effect(
@@ -60,14 +63,15 @@ Effect(
 )
 ```
 
-`power` gets a `View`: the samples as measured, and once more as their instruments see them (the same quantities from
-readings around each sample), so it must take all it needs from there. What it is computed from is declared in `needs`,
-or in `shapes` where one of several sources will do; an effect whose signals are missing is reported as not testable.
+`power` is called with a `View` of the samples as measured, and again with a `View` of their instruments (the same
+quantities from readings around each sample), so it must read all quantities from its argument. Required quantities are
+declared in `needs`, or in `shapes` where one of several sources is enough; an effect without its signals is reported
+as not testable.
 """
 
 
 def signals(effect: Effect) -> str:
-    """Names of the roles it is computed from beyond speed and power."""
+    """Names of the roles that an effect needs beyond speed and power."""
     needed = [_roles(quantity) for quantity in effect.needs if quantity in SOURCES]
     sources = [_roles(shape) for shape in effect.shapes if isinstance(shape, Quantity)]
     if sources and None in effect.shapes:
@@ -80,7 +84,7 @@ def _roles(quantity: Quantity) -> str:
 
 
 def usual(effect: Effect) -> str:
-    """Its usual size for TRUCK."""
+    """Usual size of an effect for TRUCK."""
     if effect.is_gravity:
         return "the mass"
     value, unit = effect.usual(TRUCK), effect.unit
@@ -109,16 +113,16 @@ def page() -> str:
     ]
     return PAGE.format(
         equations=table(("effect", "power added [W]", "size", "usual", "when"), *equations),
-        signals=table(("effect", "signals", "not told apart from", "what would tell", "streams"), *shown),
+        signals=table(("effect", "signals", "equivalent", "evidence", "streams"), *shown),
         sources="\n".join(f"* `{e.name}`: {e.source}" for e in CATALOGUE),
     )
 
 
 def _streams(effect: Effect) -> str:
     if effect.absorbed:
-        return "no: the fit takes it up"
+        return "no: absorbed by the fit"
     if not effect.streams:
-        return "no: its times are found afterwards"
+        return "no: its times are unknown"
     return "yes" if effect.timing is Timing.ALWAYS else "with its signal"
 
 

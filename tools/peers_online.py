@@ -5,14 +5,14 @@ Force at the wheels F = P / v is modelled as F = A + C v^2 + m dv/dt; A [N], C [
 `recursive_least_squares` follows Vahidi, Stefanopoulou, Peng, "Recursive least squares with forgetting for online
 estimation of vehicle mass and road grade", Vehicle System Dynamics 43 (2005) 31-55: mass and resistance are forgotten
 at rates of their own. Their gain treats the two as independent; here the whole covariance is kept and each
-parameter's part of it grows at its rate, D P D with D = diag(lambda^-1/2) (vector forgetting), because v^2 and 1 hang
-together. Both sides of the equation pass one causal low-pass, so that its delay cancels.
+parameter's part of it grows at its rate, D P D with D = diag(lambda^-1/2) (vector forgetting), because v^2 and 1 are
+correlated. Both sides of the equation pass one causal low-pass, so that its delay cancels.
 
 `extended_kalman` has the states v, A, C, m, the latter three as random walks; F drives dv/dt = (F - A - C v^2) / m
 and v is measured (Lingman & Schmidtbauer, Vehicle System Dynamics Supplement 37 (2002) 12-23, estimate mass and slope
 alike). The filter is filterpy's.
 
-Neither needs more than the present row, a few states and a covariance.
+Both need only the present row, a few states and a covariance.
 """
 
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.signal import butter, lfilter
 
-from estimator.estimation.admission import ADMITTED, row_reasons
+from estimator.preparation.admission import ADMITTED, row_reasons
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission
 from estimator.signals import Floats, Mask
 
-START = np.array([1800.0, 4.0, 25e3])  # N, N s^2/m^2, kg: a class-8 truck of which nothing is known
+START = np.array([1800.0, 4.0, 25e3])  # N, N s^2/m^2, kg: initial values for any class-8 truck
 START_SD = np.array([1000.0, 2.0, 10e3])  # N, N s^2/m^2, kg
-LEAST = np.array([0.1, *START / 20])  # lowest v, A, C, m of the filter: below, it would be astray
+LEAST = np.array([0.1, *START / 20])  # lowest v, A, C, m of the filter, which diverges below
 MEASURED = np.array([[1.0, 0.0, 0.0, 0.0]])  # of the states v, A, C, m
 HOUR = 3600.0  # s
-SHORTEST = 20  # rows: stretches of less than 2 s teach nothing
+SHORTEST = 20  # rows: stretches of less than 2 s are left out
 FORCE_NOISE = 300.0  # N, weighs the start of the recursion against data
 Z90 = 1.6449  # standard deviations to either end of a 90 % interval
 
@@ -120,7 +120,7 @@ def recursive_least_squares(data: Sequence[Stretch], settings: Forgetting) -> Es
     return Estimate(theta, np.sqrt(squares / max(count - 3, 1) * np.diag(P)))
 
 
-class RoadLoadFilter(ExtendedKalmanFilter):
+class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
     """Extended Kalman filter of the states v [m/s], A [N], C [N s^2/m^2], m [kg]; input: power [W]."""
 
     def __init__(self, settings: ProcessNoise) -> None:

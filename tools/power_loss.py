@@ -1,9 +1,8 @@
-"""Cuts the power of an estimator at random instants and looks at what is left: python tools/power_loss.py --kills 1000.
+"""Kill an estimator at random instants and check its state file: python tools/power_loss.py --kills 1000.
 
 A child process feeds a simulated drive through the pipeline as fast as it can and saves its state every few seconds
-of driving. It is killed by SIGKILL at a random instant; what it left is read, checked, and the next child goes on
-from it, a random while later in the drive. Exit status 1 if any state was lost for longer than the interval, or was
-not whole.
+of driving. It is killed by SIGKILL at a random instant; its state file is read and checked, and the next child
+continues from it, a random time later in the drive. Exit status 1 if a state was older than the interval or damaged.
 """
 
 import argparse
@@ -22,28 +21,28 @@ from typing import Any
 import numpy as np
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.recorder import frames_of
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.checkpoint.store import StateStore, pack
 from estimator.config import Config
 from estimator.errors import StateError
-from estimator.pipeline import Pipeline
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
-from estimator.state_store import StateStore, pack
+from estimator.streaming.pipeline import Pipeline
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KEY = "power loss"
 PIECE = 1.0  # s of driving fed at a time
 INTERVAL = 5.0  # s of driving between saves
 LONGEST_LIFE = 0.06  # s until a child is killed
-LONGEST_OUTAGE = 20.0  # s of driving that nobody sees
+LONGEST_OUTAGE = 20.0  # s of driving between two children, not recorded
 BREAK = 60.0  # s between two laps of the same drive
 LAST = 1500.0  # s driven after the last cut, for a last estimate
 COUNTS = ("failed", "while_saving", "leftovers", "previous_used", "lost", "corrupt")
 
 
 class Drive:
-    """A drive that begins again when it ends, ever later in time."""
+    """A drive that is repeated at later and later times."""
 
     def __init__(self, minutes: float, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -62,7 +61,7 @@ class Drive:
 
 
 class Witness:
-    """What a child tells before it dies, in memory that outlives it: seconds driven, being saved, and saved."""
+    """Progress of a child in shared memory: seconds driven, being saved, and saved."""
 
     def __init__(self) -> None:
         self._memory = mmap.mmap(-1, 24)
@@ -79,7 +78,7 @@ DRIVEN, SAVING, SAVED = range(3)
 
 
 def live(drive: Drive, directory: Path, config: Config, witness: Witness, start: float) -> None:
-    """What a child does until it is killed."""
+    """Main function of a child."""
     store, pipeline = StateStore(directory), Pipeline(config)
     state, _ = store.load(KEY)
     if state is not None:
@@ -98,7 +97,7 @@ def live(drive: Drive, directory: Path, config: Config, witness: Witness, start:
 
 
 def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Kill ``kills`` children, one after the other, and count what was found."""
+    """Kill ``kills`` children, one after the other, and count the states found."""
     witness, counts, losses = Witness(), dict.fromkeys(COUNTS, 0), [0.0]
     begin, frames, mass = 0.0, 0, float("nan")
     for _ in range(kills):
@@ -107,7 +106,7 @@ def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.rando
             try:
                 live(drive, directory, config, witness, begin)
             finally:
-                os._exit(70)  # only when something went wrong: it lives until it is killed
+                os._exit(70)  # reached only after an error: a child runs until it is killed
         time.sleep(rng.uniform(0, LONGEST_LIFE))
         os.kill(child, signal.SIGKILL)
         counts["failed"] += os.WIFEXITED(os.waitpid(child, 0)[1])
@@ -123,11 +122,11 @@ def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.rando
                 pipeline.restore(state["pipeline"])
             except StateError:
                 counts["corrupt"] += 1
-            if state["at"] not in (witness[SAVED], witness[SAVING]) or pipeline.frames < frames:
+            if state["at"] not in (witness[SAVED], witness[SAVING]) or pipeline.traffic.frames < frames:
                 counts["corrupt"] += 1
-            # What the child drove before its first save of this life, and after its last.
+            # Driving of this child before its first save and after its last.
             losses.append(witness[DRIVEN] - max(state["at"], begin))
-            frames = pipeline.frames
+            frames = pipeline.traffic.frames
             witness[SAVING] = witness[SAVED] = state["at"]
         begin = max(witness[DRIVEN], begin) + rng.uniform(0, LONGEST_OUTAGE)
     if state is not None:
@@ -144,7 +143,7 @@ def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.rando
 
 
 def main() -> int:
-    """Cut, tell, and judge."""
+    """Run the test, print the counts, return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)

@@ -1,13 +1,13 @@
-"""What the diagnosis says of real recordings whose signals are withheld and then revealed: promised against reached.
+"""Diagnosis of real recordings with signals withheld and then revealed: predicted against measured gap closed.
 
 python tools/real_recordings.py [--only bmw|vt|kenworth|surrogates] [--trip TripA02 ...] [--surrogates N] [--json]
 
 * A BMW i3, 29 trips: accelerometer and elevation withheld, so the road's grade is a gap; then each of them revealed.
 * A class-8 truck at 1 Hz (tools/table_to_log.py): elevation withheld, then revealed, with the mass by either.
-* A Kenworth, three drives of 30 s: too short to tell anything.
-* Surrogates of the BMW's trips, clean drives with the noise of real ones: every effect that is named is a false alarm.
+* A Kenworth, three drives of 30 s: too short for a diagnosis.
+* Surrogates of the BMW's trips, clean drives with the noise of real ones: every named effect is a false alarm.
 
-The recordings are no part of the project: `shared/data` beside it, or the folder that ROADLOAD_DATA names.
+The recordings are not part of the project: they are read from `shared/data` beside it or from ROADLOAD_DATA.
 """
 
 import argparse
@@ -27,7 +27,7 @@ import vt_truck
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
-from surrogates import original, write_surrogate
+from surrogate_drives import original, write_surrogate
 from table import read_table
 
 from estimator import config
@@ -41,13 +41,13 @@ WIDE = 180  # columns, where the output is no terminal
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The answer of `roadload diagnose --json`, in the terms of a table; rms and floor [kW]."""
+    """Values of `roadload diagnose --json` for one row of a table; rms and floor [kW]."""
 
     verdict: str
     named: tuple[str, ...]  # effects in order of adding
-    classes: tuple[frozenset[str], ...]  # each of them with what it cannot be told apart from
+    classes: tuple[frozenset[str], ...]  # each of them with its equivalents
     probability: float | None  # of the first one
-    promised: tuple[float, float, float] | None  # share of the gap that the first one closes: value, 5 %, 95 %
+    promised: tuple[float, float, float] | None  # share of the gap closed by the first one: value, 5 %, 95 %
     rms_base: float | None
     rms_final: float | None
     rms_promised: float | None  # with all that is named: less than rms_final where no signal shows it yet
@@ -57,7 +57,7 @@ class Diagnosis:
 
     @classmethod
     def of(cls, content: dict[str, Any]) -> Self:
-        """Take the wanted keys from the command's answer."""
+        """Read the values from the command's answer."""
         effects = content["effects"]
         first = effects[0] if effects else None
         closed = first and first["gap_closed"]
@@ -77,17 +77,17 @@ class Diagnosis:
         )
 
     def shrunk(self, rms: float | None) -> float | None:
-        """Share of the mean squared residual that is gone when ``rms`` [kW] is left."""
+        """Share of the mean squared residual removed when ``rms`` [kW] remains."""
         return None if rms is None or not self.rms_base else 1 - (rms / self.rms_base) ** 2
 
 
 def data_folder() -> Path:
-    """Where the recordings are.
+    """Folder of the recordings.
 
     Raises
     ------
     InputError
-        They are not there.
+        The folder does not exist.
     """
     folder = Path(os.environ.get("ROADLOAD_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
@@ -101,7 +101,7 @@ def roadload(*arguments: str | Path) -> dict[str, Any]:
     Raises
     ------
     RoadloadError
-        The command failed; with its own words.
+        The command failed; the message is the command's.
     """
     command = [sys.executable, "-m", "estimator", *map(str, arguments), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
@@ -113,7 +113,7 @@ def roadload(*arguments: str | Path) -> dict[str, Any]:
 
 
 def diagnose(*arguments: str | Path) -> Diagnosis:
-    """What `roadload diagnose` says, given its arguments."""
+    """Diagnosis by `roadload diagnose` with these arguments."""
     return Diagnosis.of(roadload("diagnose", *arguments))
 
 
@@ -155,7 +155,7 @@ def bmw_logs(folder: Path, trips: list[str]) -> list[Path]:
 
 
 def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
-    """Per trip: what is named when nothing feels the road, what is promised, and what two sensors reach.
+    """Per trip: effects named without a grade signal, predicted gap closed, and gap closed with two sensors.
 
     The accelerometer is revealed twice: as a signal of the climb, and as the acceleration itself.
     """
@@ -192,7 +192,7 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
 
 
 def _mass(log: Path, *arguments: str | Path) -> str:
-    """Of `roadload estimate` [t], with its 90 % interval, or why there is none."""
+    """Mass by `roadload estimate` [t] with its 90 % interval, or the reason why there is none."""
     answer = roadload("estimate", log, *arguments)
     mass = answer["parameters"]["mass_kg"]
     if mass is None:
@@ -206,10 +206,10 @@ def _tonnes(said: Diagnosis) -> str:
 
 
 def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
-    """Per recording of the truck: elevation withheld and revealed, with the mass [t] by either.
+    """Per recording of the truck: elevation withheld and revealed, with the mass [t] of both.
 
-    The first two masses are those of the diagnosis, which knows nothing beforehand; the others of the estimate, which
-    knows what C a truck may have.
+    The first two masses are from the diagnosis, which uses no prior knowledge; the others from the estimate, whose
+    prior holds the range of C of trucks.
     """
     table = read_table(folder / "vt_hd_trucks" / "veh002_all.csv")
     shown = ROOT / "tools" / "vt_truck.toml"
@@ -240,7 +240,7 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
 
 
 def kenworth(folder: Path) -> Iterator[dict[str, str]]:
-    """Per drive: the verdict, which can only be that nothing can be told, and why."""
+    """Per drive: the verdict, which must be "cannot tell", and its reason."""
     for log in sorted((folder / "j1939_trucks" / "kenworth_t270").glob("*.log")):
         said = diagnose(log)
         yield {"drive": log.stem, "verdict": said.verdict, "named": _names(said), "why": said.reason}
@@ -293,7 +293,7 @@ def print_table(title: str, rows: list[dict[str, str]]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Diagnose what is asked for and print a table for each vehicle."""
+    """Diagnose the chosen recordings and print a table for each vehicle."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=["bmw", "vt", "kenworth", "surrogates"])
     parser.add_argument("--trip", action="append", default=[], metavar="NAME", help="of the BMW; default: all")

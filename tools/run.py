@@ -1,5 +1,7 @@
 #!/usr/bin/env python3
-"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|test``.
+"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|check|test``.
+
+``check`` is the fast loop, ``test`` is everything; further options are passed on to the last step.
 
 Needs Python >= 3.11 and nothing else. The virtual environment `.venv` is made once and renewed when the pinned
 dependencies change.
@@ -15,19 +17,14 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 BIN = ENVIRONMENT / ("Scripts" if os.name == "nt" else "bin")
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # matrices are small here: more threads wait for each other
+HELPERS = sorted(str(path) for path in Path(ROOT, "tests").glob("*.py") if not path.name.startswith("test_"))
+TYPES = [["mypy"], ["mypy", *HELPERS], ["mypy", "tests/socketcan/conftest.py"]]  # one module of a name in each
+LINT = [["ruff", "check", "."], ["ruff", "format", "--check", "."], *TYPES, ["lint-imports"]]
+TESTS = ["pytest", "-n", "auto", "--no-loadscope-reorder"]  # a worker a core
 TASKS = {
     "demo": ("", [["python", "tools/demo.py"]]),
-    "test": (
-        "[dev]",
-        [
-            ["ruff", "check", "."],
-            ["ruff", "format", "--check", "."],
-            ["mypy"],
-            ["lint-imports"],
-            ["pytest"],
-        ],
-    ),
+    "check": ("[dev]", [*LINT, [*TESTS, "-m", "not slow"]]),
+    "test": ("[dev]", [*LINT, TESTS]),
 }
 
 
@@ -57,7 +54,7 @@ def main() -> int:
             print(f"> {program} {' '.join(arguments)}", flush=True)
             last = program == steps[-1][0]
             command = [str(BIN / program), *arguments, *(sys.argv[2:] if last else [])]
-            subprocess.run(command, cwd=ROOT, check=True, env=ONE_THREAD | os.environ)
+            subprocess.run(command, cwd=ROOT, check=True)
     except subprocess.CalledProcessError as error:
         return error.returncode
     return 0

@@ -1,16 +1,17 @@
-"""The posterior that all samplers of bench_sampler.py draw from, and those that are not ours.
+"""The posterior of bench_sampler.py, and the samplers of other libraries.
 
-Each draws, notes its CPU time in the problem, and returns its draws (chains, draws, 3).
+Each sampler adds its CPU time to the problem and returns its draws (chains, draws, 3).
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from estimator.config import Config
-from estimator.road_load import design, power
+from estimator.model.road_load import design, power
 from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.likelihood import factor, in_box
 from estimator.signals import Floats
@@ -39,7 +40,7 @@ def samples(n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 @dataclass
 class Problem:
-    """What is sampled: ``X`` (n, 3), ``P`` (n,) [W], and everybody's tools on it."""
+    """The problem: ``X`` (n, 3), ``P`` (n,) [W], and functions shared by the samplers."""
 
     X: Floats
     P: Floats
@@ -53,7 +54,7 @@ class Problem:
         return factor(self.target.curvature(self.target.centre[None])[0])
 
     def iterations(self, batch: int) -> int:
-        """How often a peer may evaluate ``batch`` points."""
+        """Number of evaluations of ``batch`` points allowed to a peer."""
         return int(np.clip(PEER_WORK / (len(self.P) * batch), 300, 20_000))
 
     def log_density(self, theta: Floats) -> Floats:
@@ -63,7 +64,7 @@ class Problem:
         return np.where(in_box(theta, *BOX), density, -np.inf)
 
     def timed(self, work: Callable[[], Floats], repetitions: int = 1) -> Floats:
-        """Draws of ``work``, whose median CPU time is noted."""
+        """Draws of ``work``; its median CPU time is recorded."""
         times = [time.process_time()]
         for _ in range(repetitions):
             draws = work()
@@ -100,14 +101,15 @@ def emcee_stretch(q: Problem) -> Floats:
     sampler = emcee.EnsembleSampler(32, 3, q.log_density, vectorize=True)
     starts, n = q.target.centre + q.rng.standard_normal((32, 3)) @ q.root.T, q.iterations(32)
     q.timed(lambda: sampler.run_mcmc(starts, n))
-    return sampler.get_chain()[n // 10 :].swapaxes(0, 1)
+    draws: Floats = sampler.get_chain()[n // 10 :].swapaxes(0, 1)
+    return draws
 
 
 def pymcmcstat_dram(q: Problem) -> Floats:
     """Pymcmcstat, delayed rejection and adaptive Metropolis, two chains from the fitted point."""
     import scipy
 
-    scipy.pi, scipy.sin, scipy.cos = np.pi, np.sin, np.cos  # names scipy has dropped, and it still imports
+    vars(scipy).update(pi=np.pi, sin=np.sin, cos=np.cos)  # names removed from scipy that pymcmcstat imports
     from pymcmcstat.MCMC import MCMC
 
     def chain() -> Floats:
@@ -121,7 +123,8 @@ def pymcmcstat_dram(q: Problem) -> Floats:
             sos_function=lambda theta, _: np.sum((q.P - np.maximum(q.X @ theta, 0)) ** 2), sigma2=q.target.variance
         )
         mcmc.run_simulation()
-        return mcmc.simulation_results.results["chain"]
+        draws: Floats = mcmc.simulation_results.results["chain"]
+        return draws
 
     return q.timed(lambda: np.stack([chain(), chain()]))
 
@@ -135,7 +138,7 @@ def blackjax_nuts(q: Problem) -> Floats:
     jax.config.update("jax_enable_x64", True)
     w, u, P = jnp.asarray(q.X @ q.root), jnp.asarray(q.X @ q.target.centre), jnp.asarray(q.P)
 
-    def density(z):
+    def density(z: Any) -> Any:
         theta = q.target.centre + q.root @ z
         inside = jnp.all((theta >= BOX[0]) & (theta <= BOX[1]))
         chi2 = jnp.sum((P - jnp.maximum(u + w @ z, 0.0)) ** 2)
@@ -144,9 +147,9 @@ def blackjax_nuts(q: Problem) -> Floats:
     (state, tuned), _ = blackjax.window_adaptation(blackjax.nuts, density).run(jax.random.PRNGKey(0), np.zeros(3), 300)
     step, n = blackjax.nuts(density, **tuned).step, q.iterations(8) // 2 * 2
 
-    @jax.jit
-    def draw(key):
+    def positions(key: Any) -> Any:
         return jax.lax.scan(lambda s, k: (step(k, s)[0],) * 2, state, jax.random.split(key, n))[1].position
 
+    draw = jax.jit(positions)
     draw(jax.random.PRNGKey(1)).block_until_ready()  # compiles
     return q.target.centre + q.timed(lambda: np.asarray(draw(jax.random.PRNGKey(2)))).reshape(2, -1, 3) @ q.root.T

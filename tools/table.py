@@ -1,4 +1,4 @@
-"""Tables of measurements, from CSV or Parquet, whose complaints name row and column."""
+"""Tables of measurements from CSV or Parquet; error messages name row and column."""
 
 import csv
 import re
@@ -19,7 +19,7 @@ SCALED = re.compile(rf"(?P<column>.+?)(?:\*(?P<factor>[+-]?{NUMBER}))?(?P<offset
 
 @dataclass(frozen=True)
 class Table:
-    """Cells (n,) by column, as text or as numbers; ``line`` (n,) is where a row stands in ``path``, for complaints."""
+    """Cells (n,) by column, as text or as numbers; ``line`` (n,) are the line numbers in ``path``, for messages."""
 
     path: Path
     line: list[int]
@@ -29,7 +29,7 @@ class Table:
         return len(self.line)
 
     def column(self, name: str) -> list[Any]:
-        """Cells of a column; an error lists the columns when there is none of that name."""
+        """Cells of a column; the error for an unknown name lists the columns."""
         if name not in self.cells:
             raise ConfigError(f"{self.path}: no column {name!r}; the columns are {', '.join(map(repr, self.cells))}")
         return self.cells[name]
@@ -48,7 +48,7 @@ class Table:
         return values
 
     def scaled(self, expression: str) -> Floats:
-        """Values (n,) of ``column[*factor][+offset]``; a column of exactly that name goes first."""
+        """Values (n,) of ``column[*factor][+offset]``; a column of exactly that name takes precedence."""
         match = SCALED.fullmatch(expression)
         if expression in self.cells or match is None:
             return self.numbers(expression)

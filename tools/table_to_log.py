@@ -1,4 +1,4 @@
-r"""A table of measurements becomes a CAN log, by a DBC: every row sends one frame of each mapped message.
+r"""Convert a table of measurements to a CAN log by a DBC: every row gives one frame of each mapped message.
 
 python tools/table_to_log.py TABLE.csv LOG.blf --dbc my.dbc --time "t [s]" \
     --map "MOTION.Speed=speed" --map "ENGINE.Power=fuel (g/s)*17.976-2.5" [--select vehicle=7 --select phase=2]
@@ -6,10 +6,10 @@ python tools/table_to_log.py TABLE.csv LOG.blf --dbc my.dbc --time "t [s]" \
 A mapping reads MESSAGE.signal=column[*factor][+offset]; the result is in the unit that the DBC gives the signal. Times
 are seconds, from a column (which may be scaled the same way) or, with --rate, from the place of a row in the table.
 A value that is empty, NaN or outside the range of its signal is sent as "not available" by J1939 messages; other
-messages cannot say so, and leave the frame out. Both are counted. Parquet tables need pyarrow.
+messages have no such value; their frame is left out. Both are counted. Parquet tables need pyarrow.
 
 Example, a truck of a public study whose table holds mass flow of fuel: 42.8 kJ/g (lower heating value of diesel) times
-an efficiency of 0.42 make kW at the crank, and `roadload estimate --config tools/vt_truck.toml truck.blf` reads it:
+an efficiency of 0.42 give kW at the crank, and `roadload estimate --config tools/vt_truck.toml truck.blf` reads it:
 
 python tools/table_to_log.py veh002_all.csv truck.blf --dbc tools/vt_truck.dbc --rate 1 \
     --map "MOTION.Speed=vel (mph)" --map "ENGINE.Power=fuel (g/s)*17.976" \
@@ -28,21 +28,25 @@ from table import Table, read_table
 
 from estimator.can_io.binding import load_database
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
-from estimator.can_io.recorder import EPOCH, HIGHEST_VALID, WRITABLE, write_log
+from estimator.can_io.j1939_encoder import EPOCH, HIGHEST_VALID
+from estimator.can_io.log_writer import WRITABLE, write_log
 from estimator.errors import ConfigError, DatabaseError, InputError, LogError, RoadloadError
-from estimator.report.files import check_suffix
+from estimator.output_files import check_suffix
 from estimator.signals import Floats, Mask
 
-SINCE_1970 = 1e9  # s, larger times are dates already
+SINCE_1970 = 1e9  # s, larger times are dates
 
 
 def times_of(table: Table, time: str | None, rate: float | None) -> Floats:
     """Times (n,) [s] by a column, or by the places of the rows at ``rate`` [1/s]."""
-    return np.arange(len(table)) / rate if time is None else table.scaled(time)
+    if time is not None:
+        return table.scaled(time)
+    assert rate is not None  # the parser takes one of the two
+    return np.arange(len(table)) / rate
 
 
 def _check_ascending(table: Table, t: Floats) -> None:
-    """Time must be there in every row, and go forward."""
+    """Check that every row has a time and that times increase."""
     bad = ~np.isfinite(t)
     bad[1:] |= np.diff(t) <= 0
     if bad.any():
@@ -53,14 +57,14 @@ def _check_ascending(table: Table, t: Floats) -> None:
 
 
 def frames_of_table(table: Table, t: Floats, database: Database, mappings: list[str]) -> tuple[Frames, list[str]]:
-    """Frames of a table's rows at times ``t`` (n,) [s], and remarks on what they could not carry.
+    """Frames of a table's rows at times ``t`` (n,) [s], and remarks on values that could not be sent.
 
     Raises
     ------
     ConfigError, DatabaseError
         A mapping is malformed, names an unknown signal or column, or a message that does not fit into one frame.
     InputError
-        A cell is no number, or time does not go forward; the message names row and column.
+        A cell is not a number, or time does not increase; the message names row and column.
     """
     _check_ascending(table, t)
     values: dict[str, dict[str, Floats]] = {}
@@ -123,14 +127,14 @@ def _frames_of_message(message: Message, t: Floats, columns: dict[str, Floats], 
 
 
 def _unset(signal: Signal, j1939: bool) -> float | int:
-    """Raw value of a signal that nothing is known of: all ones in J1939, elsewhere what the DBC starts with."""
+    """Raw value of a signal without a value: all ones in J1939, elsewhere the DBC's initial value."""
     if j1939:
         return np.nan if signal.is_float else -1 if signal.is_signed else (1 << signal.length) - 1
     return signal.raw_initial or 0
 
 
 def _raw(signal: Signal, value: Floats, j1939: bool) -> tuple[Floats, Mask]:
-    """Numbers on the bus (n,), and where the signal can carry the value at all."""
+    """Raw numbers (n,), and whether the value is inside the signal's range (n,)."""
     with np.errstate(invalid="ignore"):
         half_bit = 0.0 if signal.is_float else abs(signal.scale) / 2
         low = -np.inf if signal.minimum is None else signal.minimum - half_bit

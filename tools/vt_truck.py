@@ -1,8 +1,8 @@
-"""A class-8 truck's table at 1 Hz (Wang and Rakha 2017) as the recordings it was put together from, and their logs.
+"""Recordings and logs from the 1 Hz table of a class-8 truck (Wang and Rakha 2017).
 
-The table joins recordings phase by phase, and rows are missing inside some: speed or elevation jumps there. Each row's
-fuel, which stands for power, is smeared against its speed: the mass comes out too low, the more so the finer the time
-scale. So recordings are cut where they jump, and all columns pass one low-pass.
+The table joins recordings phase by phase, and rows are missing inside some: speed or elevation jumps there. Fuel, the
+measure of power, is smoothed in time relative to speed, so the estimated mass is too low, most at short time scales.
+Therefore recordings are cut at jumps, and all columns pass the same low-pass.
 """
 
 from collections import Counter
@@ -16,7 +16,7 @@ from table import Table
 from table_to_log import frames_of_table
 
 from estimator.can_io.binding import load_database
-from estimator.can_io.recorder import write_log
+from estimator.can_io.log_writer import write_log
 from estimator.signals import Mask
 
 DBC = Path(__file__).with_suffix(".dbc")
@@ -30,9 +30,9 @@ MAP = [
     f"ENGINE.Speed={ENGINE}",
     f"ROAD.Elevation={ELEVATION}",
 ]
-LARGEST_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # from one row to the next: 2.5 m/s^2, and steeper than any road
+LARGEST_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # from one row to the next: 2.5 m/s^2, and more than the steepest road
 SHORTEST = 30  # rows between jumps
-PAUSE = 60.0  # s put in at a jump, for no signal to be held across
+PAUSE = 60.0  # s inserted at a jump, so that no signal is held across it
 LOW_PASS = 4.0  # s, sd of the Gaussian
 
 
@@ -62,7 +62,7 @@ def _smoothed(recording: Table, low_pass: float) -> Table:
 
 
 def _runs(ends: Mask) -> list[NDArray[np.intp]]:
-    """Places (n,) in stretches; ``ends`` (n - 1,) says after which of them one ends."""
+    """Stretches of the indices (n,); ``ends`` (n - 1,) is true after the last index of a stretch."""
     return np.split(np.arange(len(ends) + 1), np.flatnonzero(ends) + 1)
 
 

@@ -1,4 +1,4 @@
-"""What a user of python-can and cantools would write: no estimate, no reconnection, no status."""
+"""A plain program with python-can and cantools: no estimate, no reconnection, no status."""
 
 import json
 import signal
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
 import can
-import cantools
+from cantools.database.can import Database
 
 from daemon_bench.latency import Delays
 from daemon_bench.loopback import LoopbackBus
@@ -19,8 +19,10 @@ CHUNK = 4096  # delays noted between two additions to the histogram
 
 
 def main(port: str, folder: str) -> None:
-    """Decode whatever is known until SIGTERM; leave counts and delays in the folder."""
-    layouts = {message.frame_id >> 8 & 0x3FFFF: message for message in cantools.database.load_file(DATABASE).messages}
+    """Decode known messages until SIGTERM; write counts and delays to the folder."""
+    database = Database()
+    database.add_dbc_file(DATABASE)
+    layouts = {message.frame_id >> 8 & 0x3FFFF: message for message in database.messages}
     delays, waiting, count = Delays(), [], 0
 
     def decode(message: can.Message) -> None:

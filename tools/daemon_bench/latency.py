@@ -1,4 +1,4 @@
-"""Quantiles of very many delays in little memory."""
+"""Quantiles of a stream of delays in constant memory."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ class Delays:
         self._longest = 0.0
 
     def add(self, delays: ArrayLike) -> None:
-        """Take delays (n,) [s]."""
+        """Add delays (n,) [s]."""
         values = np.asarray(delays, dtype=float)
         if len(values):
             np.add.at(self._counts, np.searchsorted(self._edges, values), 1)

@@ -19,15 +19,15 @@ TIMESTAMPS = 35  # SO_TIMESTAMPNS
 
 
 class _Socket(socket.socket):
-    """A socket that passes for one of AF_CAN where somebody asks."""
+    """A socket that reports the family AF_CAN."""
 
     @property
-    def family(self) -> int:
+    def family(self) -> socket.AddressFamily:
         return socket.AF_CAN
 
 
 class LoopbackBus(SocketcanBus):
-    """``channel`` is the UDP port; filters are the sender's business, as they are the kernel's on a real bus."""
+    """``channel`` is the UDP port; the sender applies the filters, as the kernel does on a real bus."""
 
     def __init__(self, channel: str, can_filters: Any = None, **options: Any) -> None:
         self.socket = _Socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -46,6 +46,7 @@ class LoopbackBus(SocketcanBus):
 
 
 def register() -> None:
-    """Make ``-i loopback`` known to python-can in this process."""
+    """Register ``-i loopback`` with python-can in this process."""
     can.interfaces.BACKENDS[NAME] = (__name__, LoopbackBus.__name__)
-    can.VALID_INTERFACES = can.util.VALID_INTERFACES = frozenset(can.interfaces.BACKENDS)
+    for module in (can, can.util):
+        vars(module)["VALID_INTERFACES"] = frozenset(can.interfaces.BACKENDS)

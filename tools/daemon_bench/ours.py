@@ -1,4 +1,4 @@
-"""``roadload run`` on the stand-in; its last status is left beside the delays to its reader and to its pipeline."""
+"""``roadload run`` on the stand-in; writes its last status and the delays to its reader and to its pipeline."""
 
 import json
 import sys
@@ -12,19 +12,19 @@ import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-c
 from daemon_bench import loopback
 from daemon_bench.latency import Delays
 from estimator.can_io.frames import Frames
-from estimator.cli import main as roadload
-from estimator.daemon import status
-from estimator.daemon.reader import Batch, SocketReader
+from estimator.commands.main import main as roadload
+from estimator.daemon.reception.reader import Batch, SocketReader
+from estimator.daemon.service import status_file
 from estimator.estimate import Estimate
-from estimator.pipeline import Pipeline
+from estimator.streaming.pipeline import Pipeline
 
 
 def main(port: str, folder: str, *options: str) -> None:
-    """Run until SIGTERM; leave counts and delays in the folder."""
+    """Run until SIGTERM; write counts and delays to the folder."""
     loopback.register()
     drained, taken = Delays(), Delays()
     last: dict[str, Any] = {}
-    read, feed, write = SocketReader.read, Pipeline.feed, status.write
+    read, feed, write = SocketReader.read, Pipeline.feed, status_file.write
 
     def timed_read(self: SocketReader, timeout: float) -> Batch:
         batch = read(self, timeout)
@@ -39,7 +39,12 @@ def main(port: str, folder: str, *options: str) -> None:
         last.update(content)
         write(path, content)
 
-    SocketReader.read, Pipeline.feed, status.write = timed_read, timed_feed, noted_write
+    for owner, name, function in (
+        (SocketReader, "read", timed_read),
+        (Pipeline, "feed", timed_feed),
+        (status_file, "write", noted_write),
+    ):
+        setattr(owner, name, function)
     roadload(["run", "-i", loopback.NAME, "-c", port, *options])
     received, estimator = last["input"], last["estimator"]
     result = {

@@ -1,5 +1,5 @@
-"""Importing this hides what only an extra installs: python-can imports asammdf, and so pandas, wherever it finds it."""
+"""Hide asammdf on import: python-can imports it, and pandas with it, wherever this extra is installed."""
 
 import sys
 
-sys.modules["asammdf"] = None
+sys.modules["asammdf"] = None  # type: ignore[assignment]  # an import of it fails

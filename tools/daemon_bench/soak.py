@@ -1,7 +1,7 @@
 """A day of traffic through the daemon's link, loop and estimator, on a clock that the traffic sets.
 
-The threads are turned by hand, one after the other, so that a day passes as fast as the machine computes. Every hour is
-another drive of one truck, made in a process of its own; between two drives the bus is silent for a minute.
+The work of the threads runs in one loop, so that a day takes only its computing time. Every hour is another drive of
+one truck, simulated in its own process; between two drives the bus is silent for a minute.
 """
 
 import json
@@ -23,18 +23,19 @@ from rich.table import Table
 
 from daemon_bench import traffic
 from estimator.can_io.frames import Frames
+from estimator.checkpoint.store import StateStore
 from estimator.config import Config
-from estimator.daemon.buses import BusSpec
-from estimator.daemon.link import Link
-from estimator.daemon.loop import Daemon
-from estimator.daemon.reader import Batch
-from estimator.daemon.worker import Worker
-from estimator.pipeline import Pipeline
+from estimator.daemon.reception.buses import BusSpec
+from estimator.daemon.reception.link import Link
+from estimator.daemon.reception.reader import Batch
+from estimator.daemon.service.loop import Daemon
+from estimator.daemon.service.worker import Worker
 from estimator.settings import Reception
-from estimator.state_store import StateStore
+from estimator.streaming.pipeline import Pipeline
 
 HOUR, PARKED = 3600.0, 60.0  # s
-PIECE = 1.0  # s of traffic that arrive at once
+PIECE = 1.0  # s of traffic per read
+COLUMNS = ("t", "ident", "length", "data")
 ROW = np.dtype([("t", "f8"), ("ident", "u4"), ("length", "u1"), ("data", "u1", 8)])  # of a file of frames
 NOTHING = Frames.from_messages([])
 EPOCH = 1_700_000_000.0  # s, wall time of the start
@@ -42,12 +43,12 @@ ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).par
 
 
 class Day:
-    """The day's clock and reader: every reading brings the next piece of traffic, and its time."""
+    """Clock and reader of the day: every read returns the next piece of traffic and advances the time."""
 
     def __init__(self, hours: int, folder: Path) -> None:
         self.now = 0.0  # s
         self.sent = 0  # frames
-        self.hour = 0  # that is over
+        self.hour = 0  # hours completed
         self._pieces = self._traffic(hours, folder)
 
     def clock(self) -> float:
@@ -64,12 +65,16 @@ class Day:
         return Batch(next(self._pieces, NOTHING))
 
     def kernel_drops(self) -> int:
-        """None are lost here."""
+        """No frames are lost."""
         return 0
 
     def buffer_bytes(self) -> int | None:
         """There is no buffer."""
         return None
+
+    def confirms(self) -> bool:
+        """Nothing is sent."""
+        return False
 
     def _traffic(self, hours: int, folder: Path) -> Iterator[Frames]:
         for hour in range(hours):
@@ -83,22 +88,22 @@ class Day:
 
 
 def one_drive(seed: int, folder: Path) -> Iterator[Frames]:
-    """An hour of driving in pieces; simulated in another process, so that this one's memory is the daemon's."""
+    """An hour of driving in pieces; simulated in another process, so that the memory measured here is the daemon's."""
     path = folder / "drive"
     command = [sys.executable, "-m", "daemon_bench.soak", "--drive", str(seed), str(path)]
     subprocess.run(command, env=os.environ | ENVIRONMENT, check=True)
     with path.open("rb") as file:
         for count in np.fromfile(file, np.int64, round(HOUR / PIECE)).tolist():
             rows = np.fromfile(file, ROW, count)
-            yield Frames(*(np.ascontiguousarray(rows[name]) for name in ROW.names))
+            yield Frames(*(np.ascontiguousarray(rows[name]) for name in COLUMNS))
 
 
 def write_drive(seed: int, path: Path) -> None:
-    """Leave the drive in a file: how many frames are in each piece, then the frames."""
+    """Write the drive to a file: the number of frames of each piece, then the frames."""
     frames = traffic.drive(HOUR, seed)
     ends = np.searchsorted(frames.t, PIECE * np.arange(1, round(HOUR / PIECE) + 1))
     rows = np.empty(int(ends[-1]), ROW)
-    for name in ROW.names:
+    for name in COLUMNS:
         rows[name] = getattr(frames, name)[: len(rows)]
     with path.open("wb") as file:
         np.diff(ends, prepend=0).astype(np.int64).tofile(file)
@@ -134,13 +139,13 @@ def run(hours: int) -> None:
 
 
 def report(day: Day, worker: Worker) -> dict[str, Any]:
-    """How things stand at the end of an hour."""
+    """Counters at the end of an hour."""
     latest = worker.knowledge.estimate
     estimates = [latest.mass, latest.A, latest.C] if latest else [None] * 3
     return {
         "hour": day.hour,
-        "frames": worker.pipeline.frames,
-        "lost": day.sent - worker.pipeline.frames,
+        "frames": worker.pipeline.traffic.frames,
+        "lost": day.sent - worker.pipeline.traffic.frames,
         "saves": worker.saves["saved"],
         "rss_MiB": resident_memory(),
         "estimates": [[x.mean, x.sd] if x else None for x in estimates],
@@ -174,7 +179,7 @@ def show(console: Console, hours: float) -> None:
 
 
 def main(what: str, *arguments: str) -> None:
-    """Either the day, or one of its drives."""
+    """Run the day, or simulate one of its drives."""
     if what == "--day":
         run(int(arguments[0]))
     else:

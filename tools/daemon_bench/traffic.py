@@ -1,4 +1,4 @@
-"""A full bus: the frames of simulated drives, padded with messages nobody wants, sent at the pace of the bus."""
+"""A full bus: frames of simulated drives, padded with unknown messages, sent at the pace of the bus."""
 
 import json
 import socket
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daemon_bench.loopback import HOST
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
-from estimator.can_io.recorder import frames_of
+from estimator.can_io.j1939_encoder import frames_of
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
@@ -20,14 +20,14 @@ from estimator.simulation.truck import Truck
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the class-8 tractor of Miller, Konan and Duran
 METRES_PER_SECOND = 33.0  # of road, more than any truck drives
 BUS_LOAD = {250: 1908, 500: 3817}  # frames/s of 8 bytes with 29-bit ids that fill a bus of so many kbit/s
-UNKNOWN = 0x18FF8000  # proprietary B, in no database of ours
+UNKNOWN = 0x18FF8000  # proprietary B, in none of the project's databases
 UNKNOWN_IDS = 64
 PACE = 0.002  # s between bursts: no frame is late by more
 
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """How sending went."""
+    """Result of sending."""
 
     frames: int
     seconds: float
@@ -54,7 +54,7 @@ def padded(frames: Frames, rate: float, rng: np.random.Generator) -> Frames:
 
 
 def passed(frames: Frames, filters: list[CanFilter]) -> Frames:
-    """What a kernel with these filters lets through."""
+    """Frames that pass these kernel filters."""
     wanted: NDArray[np.bool_] = np.zeros(len(frames), bool)
     for one in filters:
         whole = one["can_id"] | (EXTENDED if one.get("extended") else 0)
@@ -63,7 +63,7 @@ def passed(frames: Frames, filters: list[CanFilter]) -> Frames:
 
 
 def send(frames: Frames, port: int) -> Sent:
-    """Send each frame when its time has come; later ones first wait for their time."""
+    """Send each frame at its time."""
     packed = np.zeros(len(frames), np.dtype([("ident", "=u4"), ("length", "u1"), ("pad", "u1", 3), ("data", "u1", 8)]))
     packed["ident"], packed["length"], packed["data"] = frames.ident, frames.length, frames.data
     raw = packed.tobytes()
@@ -81,7 +81,7 @@ def send(frames: Frames, port: int) -> Sent:
 
 
 def main(path: str, port: str) -> None:
-    """Send the frames of an .npz file and print how that went."""
+    """Send the frames of an .npz file and print the result."""
     with np.load(path) as file:
         frames = Frames(**file)
     print(json.dumps(asdict(send(frames, int(port)))))

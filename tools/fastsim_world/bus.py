@@ -1,4 +1,4 @@
-"""What a J1939 bus tells of a drive: gears, sending rates, resolution and sensor noise, which fastsim does not have."""
+"""J1939 traffic of a drive: gears, sending rates, resolution and sensor noise, which fastsim does not have."""
 
 from math import exp, sqrt
 
@@ -35,7 +35,7 @@ def gears_of(v: Floats) -> Floats:
 def signals_of(
     drive: Drive, rng: np.random.Generator, grade: bool, speed_noise: float, torque_resolution: float
 ) -> Signals:
-    """What the bus tells of a drive; altitude and pitch only where ``grade``.
+    """Traffic of a drive; altitude and pitch only if ``grade``.
 
     ``speed_noise`` [m/s] is white, the engine's torque is off by slow noise of 1 % of the reference torque, and
     rounded to ``torque_resolution`` of it [1].
@@ -43,7 +43,7 @@ def signals_of(
     Raises
     ------
     RoadloadError
-        The engine's torque is more than a bus can say.
+        The engine's torque is above the range of its signal.
     """
     span = drive.t[-1]
     slow, fast = np.arange(0.0, span, 0.1), np.arange(0.0, span, 0.02)
@@ -72,7 +72,7 @@ def signals_of(
         Role.FRICTION_FRACTION: Series(late, np.interp(late, fast, friction)),
         Role.REFERENCE_TORQUE: Series(rare, np.full(len(rare), REFERENCE_TORQUE)),
         Role.AMBIENT_TEMPERATURE: Series(second, np.full(len(second), AIR_TEMPERATURE)),
-        # fastsim's air is the same at every height, so this is what its sensor would say.
+        # fastsim's air density does not change with altitude, so the pressure is constant.
         Role.AIR_PRESSURE: Series(second, np.full(len(second), SEA_LEVEL)),
     }
     if torque_resolution < PERCENT:

@@ -1,5 +1,6 @@
-"""Routes: speeds and grades that others have recorded or prescribed, as roads at 10 Hz."""
+"""Routes: published speeds and grades as roads at 10 Hz."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from estimator.signals import Floats
 
 STEP = 0.1  # s, of the simulation
 CORNER = 1.0  # s, width of the Gaussian that rounds a table's corners
-BRAKING = 1.2  # m/s^2, the hardest that a route's speeds may ask for
-STANDING = 0.01  # m/s, less is the tail of the Gaussian
+BRAKING = 1.2  # m/s^2, limit of the deceleration of a route's speeds
+STANDING = 0.01  # m/s, slower is standstill: the tail of the Gaussian
 MILE, FOOT, MPH = 1609.344, 0.3048, 0.44704  # m, m, m/s
 SURVEY_STEP, SURVEY_WIDTH = 10.0, 150.0  # m, for grade from surveyed elevation
 
@@ -51,7 +52,7 @@ def _mountain(folder: Path, name: str) -> Floats:
     return np.column_stack([t, speed * MPH, np.interp(distance, along, slope)])
 
 
-ROUTES = {
+ROUTES: dict[str, Callable[[Path], Floats]] = {
     "long-haul": lambda folder: _long_haul(folder, 4_500),
     "long-haul-hilly": lambda folder: _long_haul(folder, 0),
     "long-haul-stops": lambda folder: _long_haul(folder, 31_500),
@@ -63,7 +64,7 @@ ROUTES = {
 
 
 def road_of(table: Floats) -> Road:
-    """A table of time [s], speed [m/s] and grade (m, 3) at 10 Hz, without corners and without panic braking."""
+    """A table of time [s], speed [m/s] and grade (m, 3) at 10 Hz, smoothed and with limited braking."""
     t = np.arange(table[0, 0], table[-1, 0], STEP)
     v, grade = (np.interp(t, table[:, 0], table[:, k]) for k in (1, 2))
     for i in range(len(v) - 2, -1, -1):

@@ -1,4 +1,4 @@
-"""A class-8 truck in fastsim, and what fastsim makes of a road."""
+"""A class-8 truck in fastsim, and its drives."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from fastsim_world.roads import STEP, Road
 
 LAUNCH = 1.0  # m/s^2
 RESERVE = 0.9  # share of the engine's power that the driver plans with
-CRAWL = 0.5  # m/s, below which standing still does not hold up the road
-BRAKE_POWER = 500.0  # W, wheels that give more than this back are braked
+CRAWL = 0.5  # m/s, below which the schedule advances by its own time and not by distance
+BRAKE_POWER = 500.0  # W, negative power at the wheels beyond which the brakes are taken as applied
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Vehicle:
 
 @dataclass(frozen=True)
 class Drive:
-    """What fastsim made of a road, arrays (n,).
+    """Drive of a road by fastsim, arrays (n,).
 
     ``t`` [s], ``v`` [m/s], ``grade`` [1], ``altitude`` [m], and where wheels are ``braking``; ``power`` [W] of the
     engine at ``t_power`` [s], the middles of the steps (n - 1,); ``C`` [N s^2/m^2] by fastsim's density of the air.
@@ -61,7 +61,7 @@ def draw_vehicle(rng: np.random.Generator) -> Vehicle:
 
 
 def followed(vehicle: Vehicle, road: Road) -> Road:
-    """The road as this truck can drive it: where power is short it takes longer, over the same ground."""
+    """The road at speeds that this truck can reach: with too little power it takes longer for the same distance."""
     C = 0.6 * vehicle.drag_coefficient * vehicle.frontal_area
     most = RESERVE * vehicle.driveline_efficiency * (vehicle.rated_power - vehicle.auxiliary_power)
     speeds, grades = [0.0], [float(road.grade[0])]
@@ -79,7 +79,7 @@ def followed(vehicle: Vehicle, road: Road) -> Road:
 
 
 def simulate(vehicle: Vehicle, road: Road) -> Drive:
-    """Let fastsim drive the road.
+    """Simulate a drive of the road with fastsim.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def simulate(vehicle: Vehicle, road: Road) -> Drive:
     try:
         import fastsim
     except ImportError as error:
-        raise RoadloadError("fastsim is missing: pip install -r tools/second_world.txt") from error
+        raise RoadloadError("fastsim is missing: pip install -r tools/check_fastsim.txt") from error
     car = fastsim.Vehicle.from_resource("2012_Ford_Fusion.yaml").to_dict()
     engine, gearbox = car["pt_type"]["Conv"]["fc"], car["pt_type"]["Conv"]["transmission"]
     engine |= {"pwr_out_max_watts": vehicle.rated_power, "pwr_out_max_init_watts": vehicle.rated_power}
@@ -123,10 +123,11 @@ def simulate(vehicle: Vehicle, road: Road) -> Drive:
     history = run.to_dataframe()
 
     def column(name: str) -> Floats:
-        return history[name].to_numpy().astype(np.float64)
+        values: Floats = history[name].to_numpy().astype(np.float64)
+        return values
 
     v = column("veh.history.speed_ach_meters_per_second")
-    engine_power = sum(column(f"veh.pt_type.Conv.fc.history.pwr_{part}_watts")[1:] for part in ("prop", "aux"))
+    propulsion, auxiliaries = (column(f"veh.pt_type.Conv.fc.history.pwr_{part}_watts")[1:] for part in ("prop", "aux"))
     middle = (v[1:] + v[:-1]) / 2
     return Drive(
         t=t,
@@ -134,7 +135,7 @@ def simulate(vehicle: Vehicle, road: Road) -> Drive:
         grade=road.grade,
         altitude=np.concatenate([[0.0], np.cumsum(road.grade[1:] * middle * STEP)]),
         t_power=t[1:] - STEP / 2,
-        power=engine_power,
+        power=propulsion + auxiliaries,
         braking=column("veh.history.pwr_tractive_watts") < -BRAKE_POWER,
         C=float(column("veh.history.pwr_drag_watts")[1:].sum() / (middle**3).sum()),
     )

@@ -1,10 +1,10 @@
-"""What a diagnosis promises on one drive, and what its configuration line reaches on another of the same truck.
+"""Gap closed as predicted on one drive, and as measured on another drive of the same truck.
 
-python tools/second_drive.py [--effect NAME ...] [--minutes 60] [--seed 1] [--json]
+python tools/check_transfer.py [--effect NAME ...] [--minutes 60] [--seed 1] [--json]
 
 For each effect one simulated truck makes two drives on different roads, the effect in both. The first is diagnosed:
-that is the promise. The second is diagnosed without and with `--effect` for what was named on the first: that is what
-was reached. Both together are diagnosed jointly.
+this gives the prediction. The second is diagnosed without and with `--effect` for the effects named on the first: this
+gives the measured share. Then both are diagnosed jointly.
 """
 
 import argparse
@@ -17,10 +17,10 @@ from typing import Any
 
 from real_recordings import Diagnosis, diagnose, print_table, roadload, share_text
 
-from estimator.effects import BY_NAME
 from estimator.errors import RoadloadError
+from estimator.model.effects import BY_NAME
 
-# Those that the model can take as they are, and a usual size of which shows on one drive.
+# Effects that the model takes without further data and that show at their usual size on one drive.
 EFFECTS = ("grade", "headwind", "warm_up", "load_loss", "torque_bias", "auxiliary_load", "cornering", "sensor_drift")
 
 
@@ -33,7 +33,7 @@ class Pair:
 
 
 def simulate_pair(effect: str, minutes: float, seed: int, folder: Path) -> Pair:
-    """Write two logs; the second truck is the first one's equal."""
+    """Write two logs of identical trucks."""
     pair = Pair(folder / f"{effect}-1.blf", folder / f"{effect}-2.blf")
     common = ["--minutes", str(minutes), "--effect", effect]
     truth: dict[str, Any] = roadload("simulate", pair.first, *common, "--seed", str(seed))["truth"]
@@ -43,7 +43,7 @@ def simulate_pair(effect: str, minutes: float, seed: int, folder: Path) -> Pair:
 
 
 def row(effect: str, pair: Pair) -> dict[str, str]:
-    """Promise of the first drive and what is reached on the second, by what the first one named."""
+    """Predicted share of the first drive and measured share of the second, for the effects named on the first."""
     promise = diagnose(pair.first)
     able = [name for name in promise.named if name in BY_NAME and BY_NAME[name].streams]
     plain = diagnose(pair.second)
@@ -63,7 +63,7 @@ def row(effect: str, pair: Pair) -> dict[str, str]:
 
 
 def _reached(plain: Diagnosis, extended: Diagnosis) -> float | None:
-    """Share of the gap above the noise floor of the extended model that is closed."""
+    """Closed share of the gap above the noise floor of the extended model."""
     if plain.rms_base is None or extended.rms_base is None or extended.floor is None:
         return None
     gap = plain.rms_base**2 - extended.floor**2

@@ -1,11 +1,11 @@
-"""A world that this project did not write: class-8 drives by NREL's fastsim as J1939 logs, with their truth.
+"""Class-8 drives simulated independently by NREL's fastsim, as J1939 logs with their truth.
 
-python tools/second_world.py OUT [--route long-haul --route vail] [--grade shown|withheld|both] [--diagnose]
+python tools/check_fastsim.py OUT [--route long-haul --route vail] [--grade shown|withheld|both] [--diagnose]
 
 fastsim computes the power at the engine from speed and grade, step by step at 10 Hz: rolling resistance, drag, climb,
-inertia of vehicle and wheels, the loss of its drivetrain and a constant auxiliary load. What is added here is what a
-bus does with it: gears, sending rates, resolution, sensor noise. Each route is a table of others that has to be in
-the folder of recordings (ROADLOAD_DATA); what is not there is skipped. fastsim comes with tools/second_world.txt.
+inertia of vehicle and wheels, the loss of its drivetrain and a constant auxiliary load. Added here are the
+properties of a bus: gears, sending rates, resolution, sensor noise. Each route is a published table in the folder of
+recordings (ROADLOAD_DATA); a missing route is skipped. fastsim comes with tools/check_fastsim.txt.
 """
 
 import argparse
@@ -21,17 +21,18 @@ from fastsim_world.roads import ROUTES, road_of
 from fastsim_world.truck import Drive, Vehicle, draw_vehicle, followed, simulate
 from real_recordings import Diagnosis, data_folder, diagnose, print_table
 
-from estimator.can_io.recorder import frames_of, write_log
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
 from estimator.errors import RoadloadError
 from estimator.units import STANDARD_GRAVITY
 
 EFFECTS = frozenset(
     {"grade", "torque_gain", "auxiliary_load", "rotating_inertia"}
-)  # what this world has beyond the model
+)  # effects of fastsim beyond the model
 
 
 def truth_of(vehicle: Vehicle, drive: Drive) -> dict[str, Any]:
-    """The truth: as built, and as the three parameters look from the crank, losses of the driveline included."""
+    """The truth: as built, and the three parameters referred to the crank, losses of the driveline included."""
     A = vehicle.mass * STANDARD_GRAVITY * vehicle.rolling_coefficient
     inertia = vehicle.mass + vehicle.wheels * vehicle.wheel_inertia / vehicle.wheel_radius**2
     at_wheel = {"mass_kg": inertia, "A_N": A, "C_N_s2_m2": drive.C}
@@ -48,9 +49,9 @@ def truth_of(vehicle: Vehicle, drive: Drive) -> dict[str, Any]:
 
 
 def judge(truth: dict[str, Any], grade: str, said: Diagnosis) -> dict[str, str]:
-    """A row of the table: grade has to be named where it is withheld, and nothing invented anywhere.
+    """A row of the table: grade must be named where it is withheld, and no absent effect named anywhere.
 
-    A name is no invention if the answer says itself that it cannot be told apart from what is there.
+    A name is right if the answer lists it as equivalent to a present effect.
     """
     there = frozenset(truth["effects"])
     wanted = grade == "withheld" and "grade" in there
@@ -70,7 +71,7 @@ def judge(truth: dict[str, Any], grade: str, said: Diagnosis) -> dict[str, str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write logs and truths; with --diagnose, say what the diagnosis makes of them."""
+    """Write logs and truths; with --diagnose, diagnose the logs and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path, metavar="OUT", help="folder for logs and truth; made if need be")
     parser.add_argument("--route", action="append", choices=sorted(ROUTES), help="default: all")
@@ -89,7 +90,7 @@ def main(arguments: list[str] | None = None) -> int:
         folder = data_folder() / "drive_cycles" / "csv"
         options.output.mkdir(parents=True, exist_ok=True)
         for route in options.route or ROUTES:
-            # Each route has its own truck, whichever others are asked for.
+            # Each route has its own truck, independent of the other routes in this run.
             seed = [options.seed, list(ROUTES).index(route)]
             vehicle = draw_vehicle(np.random.default_rng([*seed, 0]))
             try:

@@ -2,31 +2,28 @@
 
 The model is fitted with the accelerometer revealed, so that hills are not in its residual. The surrogate is a
 Gaussian process with that residual's own spectrum (phase randomisation: Theiler et al. 1992, Physica D 58). Its power
-obeys the road load of a flat road, so whatever a diagnosis names on such a drive is a false alarm; slow swings of
-the real residual are still in it, so "unknown effect" is not.
+obeys the road load of a flat road, so every effect named on such a drive is a false alarm. Slow swings of the real
+residual are still in it, so "unknown effect" is not.
 """
 
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from scipy.signal import welch
 from table import Table
 from table_to_log import frames_of_table
 
 from estimator.can_io.binding import load_database
-from estimator.can_io.recorder import write_log
+from estimator.can_io.log_writer import write_log
 from estimator.config import Config
-from estimator.diagnosing import NEVER, drives
 from estimator.diagnosis.model import fit, select
-from estimator.estimation import smoothing
-from estimator.pipeline import Pipeline
-from estimator.replay import read
-from estimator.road_load import design
+from estimator.model.road_load import design
+from estimator.preparation import smoothing
+from estimator.preparation.sample_maker import SampleMaker
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
+from estimator.streaming.drive_extraction import drive_rows, drives
 
 SEGMENT = 4096  # samples, 7 min: spectra are means over stretches of this length
 TURNING = 10.0  # rad/s, of the motor, below which its torque is taken as zero
@@ -37,7 +34,7 @@ MAP = ["MOTION.VehicleSpeed=m/s*3.6", "MOTOR.MotorTorque=Nm", f"MOTOR.MotorSpeed
 class Original:
     """A real drive on the time grid, arrays (n,): ``speed`` as measured [m/s], model ``power`` [W], ``motor`` [rad/s].
 
-    ``frequency`` [Hz] and ``spectrum`` [W^2/Hz] are of the residual that the model left.
+    ``frequency`` [Hz] and ``spectrum`` [W^2/Hz] are those of the residual of the model.
     """
 
     speed: Floats
@@ -53,32 +50,19 @@ class Original:
 
 
 def original(log: Path, config: Config) -> Original | None:
-    """The drive in ``log`` and what a model that feels the grade leaves of it; None where it cannot be fitted."""
-    record = drives(log, config, lambda share: None)[0]
+    """The drive in ``log`` and the residual of a model with the grade; None where it cannot be fitted."""
+    record = drives(log, config)[0]
     kept = select(record.samples)
     model = None if kept is None else fit(record.samples[kept])
     if model is None:
         return None
-    rows = _rows(log, config)
+    rows = Rows.concatenate(*(piece for pieces in drive_rows(log, config) for piece in pieces))
     speed = rows.plausible_speed
-    smoother = smoothing.smoother_kernels(smoothing.fit_ratio(speed, STEP), STEP)
+    smoother, _ = SampleMaker(config.kinematics, config.admission).calibrate(speed, rows.power)
     v, a = smoothing.convolve(speed, smoother.value), smoothing.convolve(speed, smoother.slope)
     residual = model.base.residual
     frequency, spectrum = welch(residual, 1 / STEP, nperseg=min(SEGMENT, len(residual)), detrend="constant")
     return Original(rows.speed, rows.context[Role.ENGINE_SPEED], design(v, a) @ model.road_load, frequency, spectrum)
-
-
-def _rows(log: Path, config: Config) -> Rows:
-    """The time grid of a log; nothing is estimated."""
-    parts: list[Rows] = []
-    plain = msgspec.structs.replace(config, gate=msgspec.structs.replace(config.gate, interval_s=NEVER))
-    pipeline = Pipeline(plain, tap=parts.append)
-    for frames in read([log], lambda share: None, Counter()):
-        for _ in pipeline.feed(frames):
-            pass
-    for _ in pipeline.finish():
-        pass
-    return Rows.concatenate(*parts)
 
 
 def surrogate(like: Original, rng: np.random.Generator) -> Floats:

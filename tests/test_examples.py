@@ -1,0 +1,120 @@
+"""Every example is run, and finds the truth."""
+
+import importlib.util
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import cantools
+import numpy as np
+import pytest
+from played_bus import PlayedBus
+from simulated_logs import TRUCK, ask, drive, written
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.j1939_encoder import EPOCH, frames_of
+from estimator.can_io.log_writer import write_log
+from estimator.errors import RoadloadError
+from estimator.signals import Role, Series
+from estimator.simulation.recording import Recording
+
+pytestmark = pytest.mark.slow
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def example(name: str) -> Callable[[list[str]], None]:
+    """The main function of an example."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    main: Callable[[list[str]], None] = module.main
+    return main
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Recording:
+    return drive("mixed", 20, 4)
+
+
+def test_offline_estimate(mixed: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("offline_estimate")([str(written(mixed, tmp_path / "drive.blf"))])
+    out = capsys.readouterr().out
+    found = {name: float(value) for name, value in re.findall(r"^(mass|A|C) ([0-9.]+) ±", out, re.MULTILINE)}
+    assert found["mass"] == pytest.approx(TRUCK.mass, rel=0.02)
+    assert found["A"] == pytest.approx(TRUCK.A, rel=0.1)
+    assert found["C"] == pytest.approx(TRUCK.C, rel=0.1)
+    assert "unestimated: not yet" in out
+
+
+def test_live_listener(mixed: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    buses: list[PlayedBus] = []
+
+    def open_bus(interface: str, channel: str) -> PlayedBus:
+        assert (interface, channel) == ("virtual", "example")
+        buses.append(PlayedBus(frames_of(mixed.signals).messages()))
+        return buses[-1]
+
+    monkeypatch.setattr(can, "Bus", open_bus)
+    with pytest.raises(RoadloadError, match="Network is down"):
+        example("live_listener")(["--interface", "virtual", "--channel", "example", "--period", "0.1"])
+    masses = re.findall(r"^mass (\d+) kg", capsys.readouterr().out, re.MULTILINE)
+    assert float(masses[-1]) == pytest.approx(TRUCK.mass, rel=0.02)
+    assert {message.arbitration_id >> 8 & 0xFFFF for message in buses[0].sent} == {*range(0xFF60, 0xFF65)}
+
+
+def with_pump(recording: Recording, k: float) -> Recording:
+    """The drive with a pump on the engine that takes the torque k w [N m]."""
+    signals = dict(recording.signals)
+    torque, speed = signals[Role.TORQUE_FRACTION], signals[Role.ENGINE_SPEED]
+    reference = float(signals[Role.REFERENCE_TORQUE].value[0])
+    share = k * np.interp(torque.t, speed.t, speed.value) / reference
+    signals[Role.TORQUE_FRACTION] = Series(torque.t, torque.value + share)
+    return replace(recording, signals=signals)
+
+
+def test_own_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = with_pump(drive("mixed", 60, 5), 1.5)
+    example("own_effect")([str(written(recording, tmp_path / "drive.blf"))])
+    verdict, *effects = capsys.readouterr().out.splitlines()
+    assert verdict == "effect"
+    assert [effect.split(":")[0] for effect in effects] == ["hydraulic_pump"]
+    size = re.search(r"k = ([0-9.]+) ±", effects[0])
+    assert size is not None
+    assert float(size.group(1)) == pytest.approx(1.5, rel=0.2)
+
+
+def van_frames(recording: Recording) -> Frames:
+    """The drive as frames of the DBC in examples/own_vehicle, 20 a second."""
+    database = cantools.database.load_file(EXAMPLES / "own_vehicle" / "van.dbc")
+    signals = recording.signals
+    t = np.arange(signals[Role.SPEED].t[0], signals[Role.SPEED].t[-1], 0.05)
+
+    def at(role: Role) -> np.ndarray:
+        return np.interp(t, signals[role].t, signals[role].value)
+
+    reference = float(signals[Role.REFERENCE_TORQUE].value[0])
+    torque = (at(Role.TORQUE_FRACTION) - at(Role.FRICTION_FRACTION)) * reference
+    wheel = 3.6 * at(Role.SPEED)
+    turns, brake = at(Role.ENGINE_SPEED) * 30 / np.pi, np.round(at(Role.BRAKE_SWITCH))
+    messages = []
+    for i, moment in enumerate((EPOCH + t).tolist()):
+        wheels = dict.fromkeys(("FrontLeft", "FrontRight", "RearLeft", "RearRight"), wheel[i])
+        shaft = {"Torque": torque[i], "Speed": turns[i], "Brake": brake[i]}
+        for name, values in (("WHEELS", wheels), ("DRIVE", shaft)):
+            message = database.get_message_by_name(name)
+            data = message.encode(values, padding=True)
+            ident = message.frame_id
+            messages.append(can.Message(timestamp=moment, arbitration_id=ident, data=data, is_extended_id=False))
+    return Frames.from_messages(messages)
+
+
+def test_own_vehicle(mixed: Recording, tmp_path: Path) -> None:
+    write_log(van_frames(mixed), tmp_path / "van.blf")
+    answer = ask("estimate", tmp_path / "van.blf", "--config", EXAMPLES / "own_vehicle" / "van.toml")
+    assert answer["status"] == "estimated", answer["reason"]
+    assert answer["parameters"]["mass_kg"]["mean"] == pytest.approx(TRUCK.mass, rel=0.03)

@@ -1,0 +1,72 @@
+"""Compute the outputs that the README shows, and write them into it.
+
+python tools/readme.py
+
+``<!-- output of NAME -->`` stands above the block of an example.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+README = ROOT / "README.md"
+PROGRAM = ".venv/bin/roadload "
+RANKED = 3  # rows of the ranking that are shown
+BLOCK = re.compile(r"(?<=<!-- output of )(\w+)( -->\n+```\n)(.*?)(?=```)", re.DOTALL)
+
+
+def commands(page: str) -> list[list[str]]:
+    """Arguments of every call of `roadload` in the shell blocks of ``page``, in order."""
+    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith(PROGRAM)]
+    return [shlex.split(line.removeprefix(PROGRAM), comments=True) for line in lines]
+
+
+def blocks(page: str) -> dict[str, str]:
+    """The blocks of ``page`` that are outputs, by the name of their example."""
+    return {name: text for name, _, text in BLOCK.findall(page)}
+
+
+def output_of(command: list[str], folder: Path) -> list[str]:
+    """Lines that a command with the present Python prints in ``folder``, without those that are blank."""
+    done = subprocess.run([sys.executable, *command], cwd=folder, check=True, stdout=subprocess.PIPE, text=True)
+    return [line.rstrip() for line in done.stdout.splitlines() if line.strip()]
+
+
+def demo(folder: Path) -> str:
+    """The table of the demonstration, and the line that counts its frames."""
+    lines = output_of([str(ROOT / "tools" / "demo.py")], folder)
+    last = next(i for i, line in enumerate(lines) if line.lstrip().startswith("C "))
+    return "\n".join(lines[: last + 1])
+
+
+def hills(folder: Path) -> str:
+    """The diagnosis of the drive in hills: down to the first rows of the ranking, the budget, and the last line."""
+    (folder / "out").mkdir(exist_ok=True)
+    drive, diagnosis = (words for words in commands(README.read_text(encoding="utf-8")) if "out/hills.blf" in words)
+    output_of(["-m", "estimator", *drive], folder)
+    lines = output_of(["-m", "estimator", *diagnosis], folder)
+    heading = next(i for i, line in enumerate(lines) if line.startswith("effect "))
+    budget, where = (next(i for i, line in enumerate(lines) if line.startswith(head)) for head in ("gap ", "where "))
+    return "\n".join([*lines[: heading + 1 + RANKED], "...", *lines[budget:where], "...", lines[-1]])
+
+
+EXAMPLES: dict[str, Callable[[Path], str]] = {"demo": demo, "hills": hills}
+
+
+def main() -> int:
+    """Rewrite the blocks."""
+    page = README.read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        found = {name: EXAMPLES[name](Path(folder)) for name in blocks(page)}
+    README.write_text(BLOCK.sub(lambda block: f"{block[1]}{block[2]}{found[block[1]]}\n", page), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
