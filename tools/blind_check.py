@@ -6,7 +6,7 @@
     python tools/blind_check.py peers out/blind                            # in the environment of blind_peers.txt
 
 The drives come from the simulated truck: a forward simulation in time that shares no formula with the diagnosis.
-How the truths are sealed is said in `blind/seal.py`, what an oracle sees of an effect in `blind/oracle.py`.
+`blind/seal.py` describes how truths are sealed, `blind/oracle.py` how the visibility of an effect is computed.
 """
 
 import argparse
@@ -38,16 +38,18 @@ def _parser() -> argparse.ArgumentParser:
     generated = steps.add_parser("generate", help="draw drives, write their logs, seal the truth")
     generated.add_argument("--drives", type=int, default=600)
     generated.add_argument("--seed", type=int, default=1)
-    generated.add_argument("--minutes", type=float, default=75.0, help="length of a drive, give or take a tenth")
     generated.add_argument(
-        "--hilly", type=float, default=0.0, help="share of drives in hills that the configuration knows of"
+        "--minutes", type=float, default=75.0, help="mean length of a drive; lengths vary by a tenth"
+    )
+    generated.add_argument(
+        "--hilly", type=float, default=0.0, help="share of drives in hills, with the grade in the configuration"
     )
     generated.set_defaults(run=_generate)
 
-    diagnosed = steps.add_parser("diagnose", help="put every log to `roadload diagnose`")
+    diagnosed = steps.add_parser("diagnose", help="diagnose every log with `roadload diagnose`")
     diagnosed.set_defaults(run=_diagnose)
 
-    scored = steps.add_parser("score", help="unseal and judge")
+    scored = steps.add_parser("score", help="check the seal and score the answers")
     scored.add_argument("--json", action="store_true")
     scored.add_argument("--markdown", type=Path, metavar="FILE.md", help="the same tables as a page")
     scored.set_defaults(run=_score)

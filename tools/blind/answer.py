@@ -1,4 +1,4 @@
-"""What the diagnosis said of a log, and whether that is right."""
+"""The answer of the diagnosis for one log, and its comparison with the truth."""
 
 import msgspec
 import numpy as np
@@ -9,24 +9,24 @@ from blind.truth import Truth
 Spans = tuple[tuple[float, float], ...]  # from, to [s]
 
 CREDIBLE = 0.9
-CLASSES = (  # what no single drive tells apart, as printed beside the catalogue
+CLASSES = (  # effects that one drive cannot tell apart, as printed beside the catalogue
     frozenset({"torque_gain", "speed_scale"}),
     frozenset({"slip", "load_loss"}),
     frozenset({"time_lag", "speed_filter"}),
     frozenset({"grade", "grade_measured", "grade_unmeasured"}),
 )
-NONE, UNKNOWN = "none", "unknown"  # candidates that are no effects of the catalogue
+NONE, UNKNOWN = "none", "unknown"  # candidates outside the catalogue
 
 
 class GapClosed(msgspec.Struct, frozen=True):
-    """Promised share of the gap, with its 90 % interval; null where there is none."""
+    """Predicted share of the gap closed, with its 90 % interval; null where there is none."""
 
     fraction: float | None = None
     q05: float | None = None
     q95: float | None = None
 
     def holds(self, share: float) -> bool:
-        """Whether the interval covers a share; one that is missing covers nothing."""
+        """Whether the interval covers a share; false if there is no interval."""
         return self.q05 is not None and self.q95 is not None and self.q05 <= share <= self.q95
 
 
@@ -51,12 +51,12 @@ class Finding(msgspec.Struct, frozen=True):
     span: Spans = msgspec.field(default=(), name="span_s")
 
     def means(self, name: str) -> bool:
-        """Whether it says ``name``, or that it cannot be told from it."""
+        """Whether it is ``name`` or lists it as equivalent."""
         return name == self.name or name in self.equivalent or any({name, self.name} <= group for group in CLASSES)
 
 
 class Parameters(msgspec.Struct, frozen=True):
-    """A, C, m of the plain model and of that with the effects, and sd of the latter; null where there is no fit."""
+    """A, C, m of the plain model, and of the model with the effects with their sd; null where there is no fit."""
 
     base: dict[str, float | None] | None = None
     final: dict[str, float | None] | None = None
@@ -74,7 +74,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class Run(msgspec.Struct, frozen=True):
-    """One diagnosis: the answer, or why there is none, and what it cost."""
+    """One diagnosis: the answer or the reason why there is none, and its cost."""
 
     drive: str
     seconds: float
@@ -85,22 +85,22 @@ class Run(msgspec.Struct, frozen=True):
 
     @property
     def verdict(self) -> str:
-        """What was said; a failed run says ``error``."""
+        """The verdict; ``error`` for a failed run."""
         return "error" if self.answer is None else self.answer.verdict
 
     @property
     def named(self) -> tuple[Finding, ...]:
-        """The effects claimed; none unless the verdict is one."""
+        """The effects named; none unless the verdict is "effect"."""
         return self.answer.effects if self.answer is not None and self.answer.verdict == "effect" else ()
 
     @property
     def silent(self) -> bool:
-        """Whether nothing was claimed."""
+        """Whether no gap was claimed."""
         return self.verdict in ("no gap", "cannot tell")
 
 
 def first_is_right(truth: Truth, run: Run) -> bool:
-    """Whether the effect named first is one of the drive's, or cannot be told from one."""
+    """Whether the effect named first is one of the drive's effects or equivalent to one."""
     return bool(run.named) and any(run.named[0].means(effect.name) for effect in truth.effects)
 
 
@@ -110,7 +110,7 @@ def found(truth: Truth, run: Run) -> list[bool]:
 
 
 def invented(truth: Truth, run: Run) -> list[str]:
-    """Names that stand for none of the drive's effects, nor for physics that comes along with them."""
+    """Named effects that are neither among the drive's effects nor physics caused by them."""
     real = [*(effect.name for effect in truth.effects), *truth.companions]
     return [f.name for f in run.named if not any(f.means(name) for name in real)]
 
@@ -118,7 +118,7 @@ def invented(truth: Truth, run: Run) -> list[str]:
 def credible_set(run: Run) -> tuple[Finding, ...] | None:
     """The fewest candidates that hold CREDIBLE of the probability; None if the answer ranks nothing.
 
-    What the ranking leaves over to 1 belongs to "none", unless that is ranked itself.
+    The probability missing to 1 belongs to "none", unless "none" is in the ranking.
     """
     ranked = () if run.answer is None else run.answer.candidates
     if not ranked:

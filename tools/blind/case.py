@@ -18,7 +18,7 @@ class Case:
 
     @property
     def plain(self) -> bool:
-        """Whether nothing of the drive is allowed for unasked, so that there is something to find."""
+        """Whether no effect of the drive is modelled by default, so that there is a gap to find."""
         return not self.truth.shown
 
     @property
@@ -29,7 +29,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """One line of the table; ``failures`` are drives that a person may want to look at."""
+    """One line of the table; ``failures`` are drives for a closer look."""
 
     name: str
     goal: str
@@ -41,7 +41,7 @@ class Measure:
 def share_of(
     name: str, goal: str, cases: Iterable[Case], right: Callable[[Case], bool], lower: bool = False
 ) -> Measure:
-    """Share of cases for which ``right`` holds; ``lower``: holding is what should not happen."""
+    """Share of cases for which ``right`` holds; ``lower``: the goal is a small share."""
     judged = [(case.truth.drive, right(case)) for case in cases]
     failures = tuple(drive for drive, holds in judged if holds is lower)
     return Measure(name, goal, share(sum(holds for _, holds in judged), len(judged)), failures=failures)

@@ -1,4 +1,4 @@
-"""Put every log to ``roadload diagnose``, each in a process of its own that is given nothing but the log."""
+"""Run ``roadload diagnose`` on every log, each in its own process with the log as the only input."""
 
 import os
 import subprocess
@@ -18,19 +18,18 @@ from blind.answer import Answer, Run
 
 COMMAND = (sys.executable, "-m", "estimator", "diagnose")
 TIMEOUT = 900.0  # s
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def answer_of(folder: Path, drive: str) -> Path:
-    """Where the answer of the diagnosis to a drive lies."""
+    """Path of the answer for a drive."""
     return folder / "answers" / f"{drive}.json"
 
 
 def diagnose(folder: Path, drive: str, command: tuple[str, ...] = COMMAND) -> Run:
-    """Diagnose one log; the whole answer is kept, and what it cost."""
+    """Diagnose one log; store the whole answer and its cost."""
     log = seal.log_of(folder, drive).resolve()
-    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     configuration = log.with_suffix(".toml")
     settings = ["--config", configuration.name] if configuration.is_file() else []
     begin = time.perf_counter()
@@ -65,7 +64,7 @@ def _content(file: IO[str]) -> str:
 
 
 def diagnose_all(folder: Path, workers: int, command: tuple[str, ...] = COMMAND) -> Iterator[Run]:
-    """Diagnose every log of the manifest, ``workers`` at a time, as they end."""
+    """Diagnose every log of the manifest, ``workers`` at a time; yield results in order of completion."""
     with ThreadPoolExecutor(workers) as pool:
         for future in as_completed(pool.submit(diagnose, folder, drive, command) for drive in seal.drives(folder)):
             yield future.result()

@@ -1,4 +1,4 @@
-"""Draws drives: what kind, which effects and how strong, which truck, road, sensors and signals on the bus."""
+"""Draw drives: kind, effects and their sizes, truck, road, sensors and signals on the bus."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ TORQUE_RESOLUTION = (0.00125, 0.01)  # share of the reference torque
 TORQUE_NOISE = 5.0, 15.0  # N.m
 TORQUE_CORRELATION = 0.90, 0.98  # from one tenth of a second to the next
 MISALIGNMENT = 0.03, 0.10  # s
-LAG = 0.15  # s, shortest that is an effect and not the misalignment that every drive has
+LAG = 0.15  # s, shortest that counts as an effect; every drive has a smaller misalignment
 HEAVIEST_UNLOADING = 0.4  # share of the mass: more would leave less than the empty truck
 PRESENT = 0.7  # probability that an optional signal is on the bus
 
 CATALOGUE = tuple(name for name, kind in KINDS.items() if kind.known_as is not None and name != "quantisation")
 OUTSIDE = tuple(name for name, kind in KINDS.items() if kind.known_as is None)
-PAIRED = (  # effects that can be seen at their usual size; two that hide each other are drawn as well
+PAIRED = (  # effects visible at their usual size; pairs that hide each other are drawn as well
     "grade",
     "headwind",
     "warm_up",
@@ -46,7 +46,7 @@ PAIRED = (  # effects that can be seen at their usual size; two that hide each o
     "time_lag",
 )
 SIGNED = ("torque_bias", "torque_gain", "speed_scale", "sensor_drift", "mass_step", "air_density", "torque_saturation")
-NEEDED: dict[str, tuple[Role, ...]] = {  # an effect goes with a signal: one of these at least
+NEEDED: dict[str, tuple[Role, ...]] = {  # an effect needs at least one of these signals
     "headwind": (Role.HEADING,),
     "cornering": (Role.LATERAL_ACCELERATION, Role.YAW_RATE),
 }
@@ -81,9 +81,9 @@ class Plan:
 
 
 def draw(drives: int, seed: int, minutes: float, hilly: float = 0.0) -> list[Plan]:
-    """Plans of ``drives`` drives of about ``minutes``; a share ``hilly`` of all has hills the configuration knows of.
+    """Plans of ``drives`` drives of about ``minutes``; a share ``hilly`` has hills that are in the configuration.
 
-    Kinds, effects, noise levels and roads are dealt in turn from shuffled decks, so that every one has its share.
+    Kinds, effects, noise levels and roads are dealt in turn from shuffled decks, so that all are equally frequent.
     """
     rng = np.random.default_rng(seed)
     kinds = _kinds(drives, rng)
@@ -113,7 +113,7 @@ def draw(drives: int, seed: int, minutes: float, hilly: float = 0.0) -> list[Pla
 
 
 def magnitude(name: str, rng: np.random.Generator) -> float:
-    """Log-uniform over the plausible range, of either sign where that makes sense."""
+    """Log-uniform over the plausible range, with random sign if the effect has both."""
     kind = KINDS[name]
     low = LAG if name in ("time_lag", "speed_filter") else kind.low
     size = exp(rng.uniform(log(low), log(kind.high)))
@@ -130,7 +130,7 @@ def draw_sensors(
     given: bool,
     rng: np.random.Generator,
 ) -> Sensors:
-    """Sensors with every nuisance on; signals that an effect of the drive cannot be told without are there."""
+    """Sensors with all nuisances; signals that are necessary to identify the drive's effects are present."""
     without = {role for roles in (*TOGETHER, *((role,) for role in ALONE)) if rng.random() > PRESENT for role in roles}
     for effect in effects:
         if effect in NEEDED and without >= set(NEEDED[effect]):
@@ -159,7 +159,7 @@ def _kinds(drives: int, rng: np.random.Generator) -> list[Kind]:
 
 
 def _deck(cards: Sequence[Card], rng: np.random.Generator) -> Iterator[Card]:
-    """Cards in random order, all once before any again."""
+    """Cards in random order without end; each round holds every card once."""
     own = rng.spawn(1)[0]
     for _ in cycle([None]):
         yield from islice((cards[i] for i in own.permutation(len(cards))), len(cards))

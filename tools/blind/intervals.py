@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A statistic of ``n`` drives with its interval; NaN where there were none."""
+    """A statistic of ``n`` drives with its interval; NaN without drives."""
 
     value: float
     low: float

@@ -1,4 +1,4 @@
-"""Which effect: right names, false alarms, what is in no catalogue, two effects at once."""
+"""Measures of naming: right names, false alarms, effects outside the catalogue, two effects at once."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from blind.truth import DETECTABLE, HIDDEN
 
 
 def naming(cases: Sequence[Case]) -> list[Measure]:
-    """Which effect: right names, false alarms, unknown ones, pairs."""
+    """Measures of right names, false alarms, unknown effects and pairs."""
     kinds = {kind: [c for c in cases if c.truth.kind == kind] for kind in ("clean", "single", "pair", "outside")}
     middling = [c for c in kinds["single"] if c.plain and HIDDEN <= c.truth.log_bayes_factor <= DETECTABLE]
     hidden = [c for c in kinds["single"] if not c.plain or c.truth.log_bayes_factor < HIDDEN]

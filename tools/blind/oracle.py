@@ -1,6 +1,6 @@
-"""How well anybody could see an effect: someone who knows its true shape and the true noise, but not its size.
+"""Visibility of an effect to an oracle that knows its true shape and the true noise, but not its size.
 
-In blocks of BLOCK seconds, power that was measured is
+In blocks of BLOCK seconds, measured power is
 
     P = A v + C v^3 + m v a + sum_i d_i + noise,        noise = w (torque errors) + m v (error of the mean dv/dt)
 
@@ -13,24 +13,25 @@ expected is
 
     (s^4 / (1 + s^2) - ln(1 + s^2)) / 2,        s^2 = d' M d,   M = W - W X (X' W X)^-1 X' W,   W = K^-1
 
-(conjugate normal prior, e.g. Bishop 2006, section 3.3). Nothing of the diagnosis is used.
+(conjugate normal prior, e.g. Bishop 2006, section 3.3). No code of the diagnosis is used.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import log1p
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 BLOCK = 0.5  # s
-MARGIN = 1.5  # s kept away from brake use and shifts on either side
+MARGIN = 1.5  # s left out on either side of brake use and shifts
 SLOWEST = 1.0  # m/s
-REACH = 10.0  # correlation times of torque noise that the covariance spans
-UNUSED = 1e6  # times the largest variance: what is not driven tells nothing
+REACH = 10.0  # width of the covariance in correlation times of the torque noise
+UNUSED = 1e6  # times the largest variance, for blocks without driving
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
 
@@ -54,7 +55,7 @@ class Noise:
 
     @property
     def torque_block_variance(self) -> float:
-        """Variance [(N.m)^2] of what is independent from block to block.
+        """Variance [(N.m)^2] of the torque error that is independent between blocks.
 
         Rounding averages out where white noise covers a step; otherwise its error lasts for the block.
         """
@@ -94,7 +95,7 @@ class Driven:
         mass: float,
         noise: Noise,
     ) -> "Driven":
-        """Blocks of a drive given every ``step`` [s]; ``free``: neither brake nor clutch in the way."""
+        """Blocks of a drive given every ``step`` [s]; ``free``: brake released and clutch closed."""
         size = round(BLOCK / step)
         n = len(v) // size
 
@@ -157,7 +158,7 @@ def log_bayes_factor(s2: float) -> float:
 
 
 def left_over(drive: Driven, effect: int) -> float:
-    """Root mean square [W] of what least squares on A, C, m leaves of an effect."""
+    """Root mean square [W] of the residual of an effect after least squares on A, C, m."""
     X, d = drive.X[drive.used], drive.effects[drive.used, effect]
     if len(d) == 0:
         return 0.0
@@ -185,7 +186,7 @@ def _missed(first: Driven, second: Driven, known: Sequence[int]) -> float:
 
 
 def subsets(names: Sequence[str]) -> Mapping[tuple[str, ...], tuple[int, ...]]:
-    """Every set of one or more names, and where they stand."""
+    """Every set of one or more names, and their indices."""
     chosen = range(1, 1 << len(names))
     places = [tuple(i for i in range(len(names)) if bits >> i & 1) for bits in chosen]
     return {tuple(names[i] for i in place): place for place in places}

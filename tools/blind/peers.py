@@ -1,13 +1,13 @@
 """Published methods on the same drives, fed with the same smoothed samples and candidate columns.
 
-* STLSQ: sequentially thresholded least squares (Brunton, Proctor, Kutz 2016), as pysindy has it.
-* LassoLarsIC: the lasso with the penalty that BIC chooses (Zou, Hastie, Tibshirani 2007), as scikit-learn has it.
+* STLSQ: sequentially thresholded least squares (Brunton, Proctor, Kutz 2016), from pysindy.
+* LassoLarsIC: the lasso with the penalty with the lowest BIC (Zou, Hastie, Tibshirani 2007), from scikit-learn.
 * BIC: forward selection while the Bayesian information criterion falls, with independent errors.
 
-Samples, and for every effect of the catalogue the column with the shape and times that suit it best, are those that
-the diagnosis itself works with. The columns are projected off v, v^3, v a and the lag by least squares and scaled to
-one, as is the power that is left; so a coefficient of 1 would explain it all. Each method names what it keeps, largest
-coefficient first, or "no gap"; none of them knows "unknown effect" or "cannot tell".
+Samples and columns are those of the diagnosis: for every effect of the catalogue the column with its best shape and
+times. The columns are projected off v, v^3, v a and the lag by least squares and scaled to one, as is the residual
+power; so a coefficient of 1 would explain all of it. Each method names the effects it keeps, largest coefficient first,
+or "no gap"; no method has the verdicts "unknown effect" or "cannot tell".
 """
 
 from collections.abc import Callable, Sequence
@@ -30,11 +30,11 @@ from blind.naming import naming
 from blind.tables import as_row
 from blind.truth import Truth
 from estimator.config import Config
-from estimator.diagnosing import drives
+from estimator.diagnosis.averaged_residual import grains_of
 from estimator.diagnosis.candidates import assess
-from estimator.diagnosis.grains import grains_of
 from estimator.diagnosis.model import fit, select
-from estimator.effects import CATALOGUE
+from estimator.model.effects import CATALOGUE
+from estimator.streaming.drive_extraction import drives
 
 THRESHOLD = 0.1  # of STLSQ, as in the published study of discrepancy models
 
@@ -44,7 +44,7 @@ Choose = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """What a method is given: names of effects, their columns (n, k) and what is to be explained (n,)."""
+    """Input of a method: names of effects, their columns (n, k) and the residual to explain (n,)."""
 
     names: tuple[str, ...]
     columns: Floats
@@ -110,7 +110,7 @@ METHODS: dict[str, Choose] = {
 
 
 def answer_of(library: Library | None, choose: Choose) -> Answer:
-    """What a method says, in the words of the diagnosis."""
+    """Result of a method, as an answer of the diagnosis."""
     if library is None or not library.names:
         return Answer("cannot tell")
     coefficients = choose(library.columns, library.left)

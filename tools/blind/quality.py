@@ -1,4 +1,4 @@
-"""How good an answer is beyond the name: its probabilities, the gap closed, places, parameters, and what it costs."""
+"""Measures beyond the name: probabilities, gap closed, times, parameters and cost."""
 
 from collections.abc import Sequence
 
@@ -9,8 +9,8 @@ from blind.case import Case, Measure, seen, share_of
 from blind.intervals import Floats, bootstrap, calibration_error, share
 from blind.truth import HIDDEN, key_of
 
-LATE = 10.0  # s, the most that a log of 75 minutes may take
-NINETY = 1.645  # sd to either side of a Gaussian that hold 90 %
+LATE = 10.0  # s, limit for a log of 75 minutes
+NINETY = 1.645  # half-width of the central 90 % of a Gaussian, in sd
 CLOSE = 0.03  # of the gap closed
 
 
@@ -42,7 +42,7 @@ def honesty(cases: Sequence[Case]) -> list[Measure]:
 
 
 def _right(case: Case, finding: answer.Finding) -> bool:
-    """Whether a ranked candidate is the truth; "none" is, too, where nobody could see more."""
+    """Whether a ranked candidate is the truth; "none" counts as true where the effect is invisible to the oracle."""
     truth = case.truth
     if finding.name == answer.NONE:
         return truth.log_bayes_factor < HIDDEN or truth.kind == "clean" or not case.plain
@@ -52,9 +52,9 @@ def _right(case: Case, finding: answer.Finding) -> bool:
 
 
 def shrinkage(cases: Sequence[Case]) -> list[Measure]:
-    """How far the gap shrinks against the oracle's share, and when bounded effects act."""
+    """Gap closed against the oracle's share, and times of bounded effects."""
     promised = []  # case, error of the share
-    inside: dict[str, bool] = {}  # whether the interval of an only effect holds the oracle's share
+    inside: dict[str, bool] = {}  # whether the interval of a single effect holds the oracle's share
     located = []
     for case in cases:
         truth, run = case.truth, case.run
@@ -65,7 +65,7 @@ def shrinkage(cases: Sequence[Case]) -> list[Measure]:
         fractions = [c.fraction for c in closed if c is not None and c.fraction is not None]
         if len(fractions) == len(run.named) and truth.stratum == "oracle > 10":
             oracle = truth.gap_closed[key_of(effect.world for effect in hits)]
-            # Each effect closes its share of what those before it have left.
+            # Each effect closes a share of the gap that remains after the effects before it.
             promised.append((case, 1.0 - float(np.prod([1.0 - x for x in fractions])) - oracle))
             if len(fractions) == 1:
                 inside[truth.drive] = any(c is not None and c.holds(oracle) for c in closed)
@@ -90,7 +90,7 @@ def shrinkage(cases: Sequence[Case]) -> list[Measure]:
 
 
 def parameters(cases: Sequence[Case]) -> list[Measure]:
-    """Errors of A, C, m where the answer is right: all effects named on drives with some, nothing on clean ones."""
+    """Errors of A, C, m where the answer is right: all effects named, or none on clean drives."""
     lines = []
     good = [c for c in cases if c.truth.kind != "outside" and c.plain and c.run.answer is not None]
     good = [c for c in good if not answer.invented(c.truth, c.run) and all(answer.found(c.truth, c.run))]

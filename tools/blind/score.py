@@ -1,4 +1,4 @@
-"""Judges the answers by the table of measures: each with its goal, its interval, and the drives that fall short."""
+"""Score the answers: measures with their goals, intervals and failed drives."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -13,17 +13,17 @@ from blind.truth import Truth
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """All tables: the measures; the same by noise level and by effect; what was named for what."""
+    """All tables: measures; measures by noise level and by effect; confusion of names."""
 
     measures: tuple[Measure, ...]
     by_noise: tuple[Measure, ...]
     by_effect: tuple[Measure, ...]
-    confusion: dict[str, dict[str, int]]  # truth: what was said how often
+    confusion: dict[str, dict[str, int]]  # truth: counts of first names
     failed: tuple[str, ...]  # drives without an answer
 
 
 def pair(truths: dict[str, Truth], runs: dict[str, Run]) -> list[Case]:
-    """Truths with their answers; drives that were not diagnosed yet are left out."""
+    """Truths with their answers; drives without an answer are left out."""
     return [Case(truth, runs[drive]) for drive, truth in truths.items() if drive in runs]
 
 
@@ -58,7 +58,7 @@ def _by_effect(cases: Sequence[Case]) -> Iterable[Measure]:
 
 
 def confusion(cases: Sequence[Case]) -> dict[str, dict[str, int]]:
-    """What was said first, by what was true; effects that cannot be seen have rows of their own."""
+    """First name by true effect; invisible effects have their own rows."""
     rows: dict[str, Counter[str]] = {}
     for case in cases:
         truth = case.truth

@@ -1,10 +1,10 @@
 """The seal: a commitment, not a secret.
 
-Truths lie as plain JSON in OUT/sealed, logs in OUT/logs. The manifest beside the logs holds the SHA-256 of every log
-and of every truth, made when both were written; a truth starts with a random nonce, so that its hash tells nothing.
+Truths are plain JSON in OUT/sealed, logs are in OUT/logs. The manifest beside the logs holds the SHA-256 of every log
+and of every truth, made when both were written; a truth starts with a random nonce, so that its hash discloses nothing.
 The diagnosis is a process of its own that is given one log and works in a folder without the truths. Scoring refuses
-truths or logs that are not those of the manifest: nothing has been changed after the answers were known. Nobody is
-kept by force from opening OUT/sealed; for that, keep the folder on another machine until the score.
+truths or logs that differ from the manifest, so nothing can be changed after the answers are known. The seal does not
+prevent reading OUT/sealed; for that, keep the folder on another machine until the score.
 """
 
 import hashlib
@@ -35,17 +35,17 @@ def digest(path: Path) -> str:
 
 
 def log_of(folder: Path, drive: str) -> Path:
-    """Where the log of a drive lies."""
+    """Path of the log of a drive."""
     return folder / "logs" / f"{drive}.blf"
 
 
 def truth_of(folder: Path, drive: str) -> Path:
-    """Where the truth of a drive lies."""
+    """Path of the truth of a drive."""
     return folder / "sealed" / f"{drive}.json"
 
 
 def seal(folder: Path, truth: Truth) -> Entry:
-    """Write the truth of a drive whose log is written; returns what the manifest says of both."""
+    """Write the truth of a drive after its log; returns its entry of the manifest."""
     path = truth_of(folder, truth.drive)
     path.write_bytes(msgspec.json.encode(truth))
     return Entry(digest(log_of(folder, truth.drive)), digest(path))
@@ -58,7 +58,7 @@ def publish(folder: Path, entries: dict[str, Entry]) -> None:
 
 
 def drives(folder: Path) -> dict[str, Entry]:
-    """What the manifest lists.
+    """Entries of the manifest.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def drives(folder: Path) -> dict[str, Entry]:
 
 
 def unseal(folder: Path) -> dict[str, Truth]:
-    """All truths, by drive, if they and the logs are those of the manifest.
+    """All truths by drive, after a check of truths and logs against the manifest.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the generator knows of a drive and the diagnosis must not: sealed as JSON until the score."""
+"""The truth of a drive, sealed as JSON until the score."""
 
 from collections.abc import Iterable
 from typing import Literal
@@ -8,15 +8,15 @@ import msgspec
 Kind = Literal["clean", "single", "pair", "outside"]
 Span = tuple[float, float]  # from, to [s]
 
-# Log Bayes factors of the oracle: what is above the one anybody can see, what is below the other nobody can.
+# Log Bayes factors of the oracle: an effect above the first is visible, one below the second is not.
 DETECTABLE, HIDDEN = 10.0, 1.0
 
 
 class Active(msgspec.Struct, frozen=True):
-    """One effect of a drive, and how well an oracle sees it.
+    """One effect of a drive, and its visibility to the oracle.
 
-    ``name`` as a right diagnosis says it, ``world`` as the simulated world does, ``magnitude`` in the unit there;
-    ``rms_kW``: of its power while the truck is driven; ``left_kW``: of what A, C, m cannot take up;
+    ``name`` in the diagnosis, ``world`` in the simulation, ``magnitude`` in the simulation's unit;
+    ``rms_kW``: of its power while the truck is driven; ``left_kW``: of its residual after fitting A, C, m;
     ``log_bayes_factor``: of the oracle, given the other effects; ``spans``: when it acts, None unless it is bounded.
     """
 
@@ -30,11 +30,11 @@ class Active(msgspec.Struct, frozen=True):
 
 
 class Truth(msgspec.Struct, frozen=True):
-    """One drive: what it was drawn as, what acted, and what an oracle makes of it.
+    """One drive: its plan, the effects at work, and their visibility to the oracle.
 
-    ``shown``: effects whose cause is known physics with its signals on the bus, which the diagnosis applies unasked.
-    ``companions``: known physics that comes along, such as thinner air uphill; naming it is no error. ``driven``: when
-    the engine alone moved the truck.
+    ``shown``: effects of known physics with their signals on the bus, which the diagnosis models by default.
+    ``companions``: known physics caused by the drive, such as thinner air uphill; naming it is no error.
+    ``driven``: when the engine alone moved the truck.
     ``gap_closed``: for every set of the drive's effects, written ``a+b`` in alphabetic order, the share of the gap
     that adding them with their true parameters closes on a second drive of the same truck on another road.
     """
@@ -58,22 +58,22 @@ class Truth(msgspec.Struct, frozen=True):
 
     @property
     def log_bayes_factor(self) -> float:
-        """Of the effect that is hardest to see; infinite on a clean drive, where there is nothing to miss."""
+        """Log Bayes factor of the least visible effect; infinite on a clean drive."""
         return min((effect.log_bayes_factor for effect in self.effects), default=float("inf"))
 
     @property
     def stratum(self) -> str:
-        """How well an oracle sees the least visible effect."""
+        """Visibility of the least visible effect."""
         return stratum(self.log_bayes_factor)
 
 
 def stratum(log_bayes_factor: float) -> str:
-    """Detectability in words that sort."""
+    """Visibility as text; alphabetic order is the order of visibility."""
     if log_bayes_factor > DETECTABLE:
         return "oracle > 10"
     return "oracle 1..10" if log_bayes_factor >= HIDDEN else "oracle < 1"
 
 
 def key_of(names: Iterable[str]) -> str:
-    """How a set of effects is written in ``Truth.gap_closed``."""
+    """Key of a set of effects in ``Truth.gap_closed``."""
     return "+".join(sorted(names))

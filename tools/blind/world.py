@@ -1,4 +1,4 @@
-"""Makes the drives: simulates a plan, writes its log, and notes the truth with what an oracle makes of it."""
+"""Make the drives: simulate a plan, write its log, and store the truth with the oracle's visibility."""
 
 import secrets
 from collections.abc import Iterator
@@ -10,7 +10,8 @@ import numpy as np
 from blind import oracle, seal
 from blind.draw import Plan
 from blind.truth import Active, Truth, key_of
-from estimator.can_io.recorder import frames_of, write_log
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.log_writer import write_log
 from estimator.signals import Role
 from estimator.simulation import recording
 from estimator.simulation.effects.catalogue import KINDS
@@ -20,9 +21,9 @@ from estimator.simulation.truck import Truck
 from estimator.simulation.truth import Truth as Drive
 
 SPEED_PERIOD = 0.1  # s
-HILLS = 0.005, 0.015  # standard deviation of a grade that the configuration knows of
+HILLS = 0.005, 0.015  # standard deviation of a grade that is in the configuration
 GIVEN = 'effects = ["grade"]\n'  # the configuration of a hilly road
-LAGS = ("time_lag", "speed_filter")  # effects that a free lag would be
+LAGS = ("time_lag", "speed_filter")  # effects equivalent to a free lag
 
 
 def make(plan: Plan, seed: int, folder: Path) -> tuple[str, seal.Entry]:
@@ -63,7 +64,7 @@ def make_all(plans: list[Plan], seed: int, folder: Path, workers: int) -> Iterat
 
 
 def tell(plan: Plan, drives: list[Drive]) -> Truth:
-    """The truth of a plan that was driven, and driven again where there are effects."""
+    """The truth of a plan from its drive, and from a second drive if it has effects."""
     first, names = drives[0], tuple(plan.effects)
     known = tuple(name for name in first.effect_power if name not in names)
     views = [_view(drive, names, plan) for drive in drives]
@@ -97,7 +98,7 @@ def tell(plan: Plan, drives: list[Drive]) -> Truth:
 
 
 def noise_of(sensors: Sensors, truck: Truck) -> oracle.Noise:
-    """The generator's noise as the oracle needs it."""
+    """The generator's noise in the oracle's terms."""
     reference = truck.reference_torque
     return oracle.Noise(
         torque_sd=sensors.torque_noise * reference,
@@ -112,7 +113,7 @@ def noise_of(sensors: Sensors, truck: Truck) -> oracle.Noise:
 
 
 def _view(drive: Drive, names: tuple[str, ...], plan: Plan) -> oracle.Driven:
-    """The drive in blocks; physics that the program allows for unasked is no gap."""
+    """The drive in blocks; physics that the program models by default is no gap."""
     read = drive.reading
     return oracle.Driven.of(
         STEP,
@@ -141,7 +142,7 @@ def _active(name: str, i: int, drive: Drive, view: oracle.Driven, plan: Plan) ->
 
 
 def _shown(name: str, sensors: Sensors) -> bool:
-    """Whether the program has what it needs to allow for an effect unasked."""
+    """Whether the signals are present with which the program models an effect by default."""
     if name == "air_density":
         return not sensors.without & {Role.AMBIENT_TEMPERATURE, Role.AIR_PRESSURE}
     return name == "brake_use_shown"
