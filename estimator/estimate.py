@@ -14,7 +14,7 @@ class Status(StrEnum):
     INVALID = "invalid"  # the model cannot describe the data
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Marginal:
     """Posterior of one parameter: moments and quantiles in its own unit."""
 
@@ -25,7 +25,7 @@ class Marginal:
     q95: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
     """How far the chains can be trusted (Vehtari et al. 2021): worst value over the parameters."""
 
@@ -72,7 +72,7 @@ class Road:
     climbed: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
     """Conclusion at message time ``t`` [s]; "estimated" when the mass is.
 

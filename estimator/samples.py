@@ -15,7 +15,7 @@ STEP = 0.1  # s, the time grid: wheel speed comes at 10 Hz on nearly every bus
 HARDEST = 12.0  # m/s^2: no tyre holds more, so a speed that changes faster is not the vehicle's
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
     """Signals on the time grid, oldest first; all arrays (n,), NaN where a signal is stale or not available.
 
@@ -34,7 +34,13 @@ class Rows:
 
     def __getitem__(self, part: slice) -> "Rows":
         context = {role: values[part] for role, values in self.context.items()}
-        return Rows(self.index[part], self.speed[part], self.power[part], self.fresh[part], context)
+        return Rows(
+            index=self.index[part],
+            speed=self.speed[part],
+            power=self.power[part],
+            fresh=self.fresh[part],
+            context=context,
+        )
 
     def state(self) -> dict[str, Any]:
         """What `restore` makes the same rows from."""
@@ -54,11 +60,11 @@ class Rows:
         if not n or np.any(np.diff(index) != 1):
             raise StateError("rows: are none, or have gaps")
         return cls(
-            index,
-            array(state, "speed", (n,), finite=False),
-            array(state, "power", (n,), finite=False),
-            array(state, "fresh", (n, 2), np.bool_),
-            {role: array(context, role, (n,), finite=False) for role in names(context, Role)},
+            index=index,
+            speed=array(state, "speed", (n,), finite=False),
+            power=array(state, "power", (n,), finite=False),
+            fresh=array(state, "fresh", (n, 2), np.bool_),
+            context={role: array(context, role, (n,), finite=False) for role in names(context, Role)},
         )
 
     @property
@@ -80,15 +86,17 @@ class Rows:
         """The parts in order; a role that only some of them have is NaN in the others."""
         roles = dict.fromkeys(role for part in parts for role in part.context)
         return cls(
-            np.concatenate([part.index for part in parts]),
-            np.concatenate([part.speed for part in parts]),
-            np.concatenate([part.power for part in parts]),
-            np.concatenate([part.fresh for part in parts]),
-            {r: np.concatenate([part.context.get(r, np.full(len(part), np.nan)) for part in parts]) for r in roles},
+            index=np.concatenate([part.index for part in parts]),
+            speed=np.concatenate([part.speed for part in parts]),
+            power=np.concatenate([part.power for part in parts]),
+            fresh=np.concatenate([part.fresh for part in parts]),
+            context={
+                r: np.concatenate([part.context.get(r, np.full(len(part), np.nan)) for part in parts]) for r in roles
+            },
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Samples:
     """What the model is fitted to; all arrays (n,).
 

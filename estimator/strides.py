@@ -23,7 +23,7 @@ DURATION = ROWS * STEP  # s
 LAGS = np.round(np.arange(-6, 7, 2) * STEP, 10)  # s by which the power is taken later
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Strides:
     """Strides in order of time; all arrays (n,) but ``force``, which is (n, len(LAGS)).
 

@@ -23,7 +23,7 @@ EPOCH = 1_700_000_000.0  # s, wall time when the monotonic clock shows 0
 SAVE_INTERVAL = 10.0  # s
 
 
-@dataclass
+@dataclass(kw_only=True)
 class FakeBus:
     """Takes what is sent; keeps what a test puts on it until it is read."""
 
@@ -137,7 +137,7 @@ class Bench:
         """Have others put messages on the bus, now."""
         for message in messages:
             message.timestamp = self.now + self.ahead
-        self.bus.waiting.append(Batch(Frames.from_messages(messages)))
+        self.bus.waiting.append(Batch(frames=Frames.from_messages(messages)))
 
     def traffic(self, seconds: float, *messages: can.Message) -> None:
         """Have others send some messages every 0.1 s."""

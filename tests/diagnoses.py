@@ -54,7 +54,15 @@ def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
     driving = (base > 0) & (t % 1500 > 90)
     v, a, t = v[driving], a[driving], t[driving]
     measured, extended = (base + wind + fan + noise)[driving], (base + 0.96 * wind + 0.97 * fan)[driving]
-    traces = Traces(t, np.cumsum(v), v, measured, base[driving], extended, np.zeros(len(t)))
+    traces = Traces(
+        t=t,
+        distance=np.cumsum(v),
+        speed=v,
+        measured=measured,
+        base=base[driving],
+        extended=extended,
+        log=np.zeros(len(t)),
+    )
     speeds, accelerations = np.linspace(0, 28, 15), np.linspace(-0.6, 0.6, 13)
     count = np.histogram2d(v, a, [speeds, accelerations])[0]
 
@@ -62,7 +70,13 @@ def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
         total = np.histogram2d(v, a, [speeds, accelerations], weights=residual)[0]
         return np.where(count >= 5, total / np.maximum(count, 1), np.nan)
 
-    maps = GapMap(speeds, accelerations, mean(measured - base[driving]), mean(measured - extended), count)
+    maps = GapMap(
+        speed_edges=speeds,
+        acceleration_edges=accelerations,
+        before=mean(measured - base[driving]),
+        after=mean(measured - extended),
+        samples=count,
+    )
     return traces, maps
 
 
@@ -107,10 +121,12 @@ def rich() -> Diagnosis:
         base=Shift(27_310.0, 1_712.0, 3.93),
         final=Shift(27_225.0, 1_737.0, 3.74),
         where=(
-            Place("heading", 10.0, 75.0, "°", 14_200.0, 0.41, 1e-9),
-            Place("speed", 20.0, 26.0, "m/s", 9_100.0, 0.33, 4e-6),
-            Place("time", 420.0, 520.0, "s", 22_800.0, 0.09, 0.0007),
-            Place("coolant_temperature", 364.0, 371.0, "K", -3_100.0, 0.02, 0.031),
+            Place(axis="heading", start=10.0, end=75.0, unit="°", bias=14_200.0, share=0.41, q_value=1e-9),
+            Place(axis="speed", start=20.0, end=26.0, unit="m/s", bias=9_100.0, share=0.33, q_value=4e-6),
+            Place(axis="time", start=420.0, end=520.0, unit="s", bias=22_800.0, share=0.09, q_value=0.0007),
+            Place(
+                axis="coolant_temperature", start=364.0, end=371.0, unit="K", bias=-3_100.0, share=0.02, q_value=0.031
+            ),
         ),
         isolability=Isolability(names, correlation, np.linspace(60, -1, len(names))),
         not_testable=(NotTestable("cornering", "yaw_rate or lateral_acceleration"), NotTestable("slip", "gps_speed")),
@@ -132,10 +148,10 @@ def several() -> Diagnosis:
     first, second = d.traces, drive(40, seed=8)[0]
     assert first is not None
     second = replace(second, t=second.t + 7.0, log=second.log + 1)
-    both = [np.concatenate([getattr(part, f.name) for part in (first, second)]) for f in fields(Traces)]
+    both = {f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(Traces)}
     fan = d.effects[1]
     fan = replace(fan, span=(*fan.span[:1], Span(427.0, 527.0, 1), Span(1127.0, 1227.0, 1)))
-    return replace(d, effects=(d.effects[0], fan), traces=Traces(*both), logs=("monday.blf", "tuesday.blf"))
+    return replace(d, effects=(d.effects[0], fan), traces=Traces(**both), logs=("monday.blf", "tuesday.blf"))
 
 
 def unknown() -> Diagnosis:
@@ -152,7 +168,13 @@ def unknown() -> Diagnosis:
         rms_base=9_100.0,
         rms_final=9_100.0,
         base=Shift(27_310.0, 1_712.0, 3.93),
-        gap_map=GapMap(maps.speed_edges, maps.acceleration_edges, maps.before, maps.before, maps.samples),
+        gap_map=GapMap(
+            speed_edges=maps.speed_edges,
+            acceleration_edges=maps.acceleration_edges,
+            before=maps.before,
+            after=maps.before,
+            samples=maps.samples,
+        ),
         traces=traces,
         logs=("a.blf", "b.blf"),
     )

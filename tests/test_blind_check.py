@@ -98,7 +98,16 @@ def test_noise_of_the_oracle_is_that_of_the_generator():
     from estimator.simulation.noise import correlated
 
     rng = np.random.default_rng(1)
-    noise = Noise(10.0, 2.0, 5.0, 3.0, 0.02, 0.01, 0.0, 0.1)
+    noise = Noise(
+        torque_sd=10.0,
+        torque_time=2.0,
+        torque_white_sd=5.0,
+        torque_step=3.0,
+        torque_period=0.02,
+        speed_sd=0.01,
+        speed_step=0.0,
+        speed_period=0.1,
+    )
     n, w, momentum = 40_000, 120.0, 4e5
     readings = round(BLOCK / noise.torque_period)
     torque = correlated(n * readings, noise.torque_sd, noise.torque_time / noise.torque_period, rng)
@@ -118,7 +127,7 @@ def test_expected_log_bayes_factor_is_the_mean_of_exact_ones():
     rng = np.random.default_rng(2)
     n, sd = 400, 3.0
     X, d = rng.normal(size=(n, 3)), rng.normal(size=n)
-    blank = Driven(X, np.zeros(n), d[:, None], np.ones(n, dtype=bool), np.full((1, n), sd**2))
+    blank = Driven(X=X, rate=np.zeros(n), effects=d[:, None], used=np.ones(n, dtype=bool), band=np.full((1, n), sd**2))
     s2 = signal_to_noise(blank, 0)
     off = d - X @ np.linalg.lstsq(X, d, rcond=None)[0]
     assert s2 == pytest.approx(off @ off / sd**2)
@@ -136,7 +145,11 @@ def test_gap_closed_is_whole_with_all_effects_and_partial_with_one():
     n = 20_000
     first, second = (
         Driven(
-            rng.normal(size=(n, 3)), np.zeros(n), rng.normal(size=(n, 2)) * [3.0, 1.0], np.ones(n) > 0, np.ones((1, n))
+            X=rng.normal(size=(n, 3)),
+            rate=np.zeros(n),
+            effects=rng.normal(size=(n, 2)) * [3.0, 1.0],
+            used=np.ones(n) > 0,
+            band=np.ones((1, n)),
         )
         for _ in range(2)
     )

@@ -259,7 +259,7 @@ def play(bench: Bench, frames: Frames, ahead: float = 0.0) -> None:
         bench.now += 0.2
         stamps = t[first:last] + began + bench.ahead + ahead
         batch = frames[first:last]
-        bench.bus.waiting.append(Batch(Frames(stamps, batch.ident, batch.length, batch.data)))
+        bench.bus.waiting.append(Batch(frames=Frames(stamps, batch.ident, batch.length, batch.data)))
         bench.link.step(0)
         bench.daemon.turn()
         bench.worker.turn()

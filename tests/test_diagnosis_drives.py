@@ -77,7 +77,8 @@ def test_a_clean_drive_has_no_gap_however_noisy_its_speed(diagnose, speed_noise,
 def test_what_a_drive_cannot_show_is_listed_with_what_it_would_do(diagnose):
     """A loss by load is taken up by the mass; the shift foretold for its usual size is the one that happens."""
     clean, lossy = (
-        diagnose(drive("highway", 25, 3, *effects, speed_noise=0.003)) for effects in ((), (Effect("load_loss", 0.03),))
+        diagnose(drive("highway", 25, 3, *effects, speed_noise=0.003))
+        for effects in ((), (Effect(name="load_loss", magnitude=0.03),))
     )
     assert lossy["verdict"] == "no gap"
     unseen = {entry["name"]: entry for entry in lossy["invisible"]}
@@ -96,7 +97,7 @@ def test_what_a_drive_cannot_show_is_listed_with_what_it_would_do(diagnose):
 @pytest.fixture(scope="module")
 def fan(tmp_path_factory):
     """What is said of a fan that no signal shows, and when it ran."""
-    recording = drive("highway", 25, 3, Effect("auxiliary_cycling", 30e3), without=[Role.FAN_SPEED])
+    recording = drive("highway", 25, 3, Effect(name="auxiliary_cycling", magnitude=30e3), without=[Role.FAN_SPEED])
     log = written(recording, tmp_path_factory.mktemp("fan") / "fan.blf")
     return ask("diagnose", log), recording.truth.active["auxiliary_cycling"]
 
@@ -118,7 +119,7 @@ def test_no_line_is_offered_that_the_estimate_refuses(fan):
 
 
 def test_a_wind_has_a_direction(diagnose):
-    east = Effect("headwind", 6.0, direction=1.0)
+    east = Effect(name="headwind", magnitude=6.0, direction=1.0)
     answer = diagnose(drive("highway", 30, 5, east, shape="out-and-back"))
     effect = only(answer, "headwind")
     assert effect["magnitude"]["unit"] == "m/s"
@@ -129,7 +130,7 @@ def test_a_wind_has_a_direction(diagnose):
 
 
 def test_a_load_taken_on_at_a_stop(diagnose):
-    recording = drive("urban", 30, 5, Effect("mass_step", 0.4, start=700.0))
+    recording = drive("urban", 30, 5, Effect(name="mass_step", magnitude=0.4, start=700.0))
     effect = only(diagnose(recording), "mass_step")
     near(effect, 0.4, 0.05)
     ((begun, ended),) = effect["span_s"]
@@ -141,7 +142,7 @@ def test_a_load_taken_on_at_a_stop(diagnose):
 
 def test_a_stretch_of_wet_road(diagnose):
     effect = only(
-        diagnose(drive("mixed", 30, 1, Effect("resistance_segment", 0.4, start=500.0, end=1100.0))),
+        diagnose(drive("mixed", 30, 1, Effect(name="resistance_segment", magnitude=0.4, start=500.0, end=1100.0))),
         "resistance_segment",
     )
     near(effect, 0.4, 0.05)
@@ -149,7 +150,7 @@ def test_a_stretch_of_wet_road(diagnose):
 
 
 def test_a_lag_is_taken_out_and_reported(diagnose):
-    answer = diagnose(drive("mixed", 25, 1, Effect("time_lag", 0.4)))
+    answer = diagnose(drive("mixed", 25, 1, Effect(name="time_lag", magnitude=0.4)))
     effect = only(answer, "time_lag")
     near(effect, 0.43, 0.1)  # with that of the sensors
     assert effect["equivalent"] == ["speed_filter"]
@@ -158,14 +159,14 @@ def test_a_lag_is_taken_out_and_reported(diagnose):
 
 
 def test_bends(diagnose):
-    answer = diagnose(drive("mixed", 25, 1, Effect("cornering", 900.0)))
+    answer = diagnose(drive("mixed", 25, 1, Effect(name="cornering", magnitude=900.0)))
     near(only(answer, "cornering"), 900.0, 0.15)
     assert answer["configuration"] == 'effects = ["cornering"]'
 
 
 def test_without_its_signal_an_effect_is_not_testable(diagnose):
     deaf = [*CLIMB, Role.HEADING, Role.LATERAL_ACCELERATION, Role.YAW_RATE]
-    answer = diagnose(drive("mixed", 25, 1, Effect("cornering", 900.0), without=deaf))
+    answer = diagnose(drive("mixed", 25, 1, Effect(name="cornering", magnitude=900.0), without=deaf))
     missing = {entry["name"]: entry["needs"] for entry in answer["not_testable"]}
     assert missing["cornering"] == "lateral_acceleration or yaw_rate"
     assert missing["headwind"] == "heading"
@@ -178,7 +179,9 @@ def test_without_its_signal_an_effect_is_not_testable(diagnose):
 
 def test_hills_that_no_signal_shows(diagnose):
     """The same ground on the way back, with the other sign."""
-    answer = diagnose(drive("highway", 30, 1, Effect("grade", 0.01), shape="out-and-back", without=CLIMB))
+    answer = diagnose(
+        drive("highway", 30, 1, Effect(name="grade", magnitude=0.01), shape="out-and-back", without=CLIMB)
+    )
     assert (answer["verdict"], named(answer)) == ("effect", ["grade"])
     (effect,) = answer["effects"]
     assert effect["magnitude"]["value"] == pytest.approx(0.01, rel=0.5)  # what can be foretold of it
@@ -190,7 +193,9 @@ def test_hills_that_no_signal_shows(diagnose):
 
 @pytest.fixture(scope="module")
 def hills(tmp_path_factory) -> tuple[Path, Answer]:
-    log = written(drive("mixed", 30, 6, Effect("grade", 0.01)), tmp_path_factory.mktemp("hills") / "hills.blf")
+    log = written(
+        drive("mixed", 30, 6, Effect(name="grade", magnitude=0.01)), tmp_path_factory.mktemp("hills") / "hills.blf"
+    )
     return log, ask("diagnose", log)
 
 
@@ -218,7 +223,8 @@ def test_the_loop_closes(hills):
 
 def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
     log = written(
-        drive("mixed", 30, 6, Effect("grade", 0.01), Effect("auxiliary_cycling", 40e3)), tmp_path / "both.blf"
+        drive("mixed", 30, 6, Effect(name="grade", magnitude=0.01), Effect(name="auxiliary_cycling", magnitude=40e3)),
+        tmp_path / "both.blf",
     )
     both, left = ask("diagnose", log), ask("diagnose", log, "--effect", "grade")
     assert named(both) == ["grade", "auxiliary_cycling"]
@@ -236,9 +242,9 @@ def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
 @pytest.mark.parametrize(
     ("large", "small"),
     [
-        (Effect("auxiliary_cycling", 30e3), Effect("sensor_drift", 0.1)),
-        (Effect("mass_step", -0.3, start=700.0), Effect("grade", 0.008)),
-        (Effect("brake_use", 4000.0), Effect("torque_bias", 60.0)),
+        (Effect(name="auxiliary_cycling", magnitude=30e3), Effect(name="sensor_drift", magnitude=0.1)),
+        (Effect(name="mass_step", magnitude=-0.3, start=700.0), Effect(name="grade", magnitude=0.008)),
+        (Effect(name="brake_use", magnitude=4000.0), Effect(name="torque_bias", magnitude=60.0)),
     ],
     ids=lambda effect: effect.name,
 )
@@ -251,7 +257,7 @@ def test_one_effect_does_not_hide_another(diagnose, large, small):
 
 def test_a_filter_of_the_speed_is_all_there_is(diagnose):
     """What a low-pass leaves of its lag is neither a swing nor inertia of the engine, and the mass allows for it."""
-    answer = diagnose(drive("highway", 40, 3, Effect("speed_filter", 0.5)))
+    answer = diagnose(drive("highway", 40, 3, Effect(name="speed_filter", magnitude=0.5)))
     effect = only(answer, "speed_filter")
     assert effect["equivalent"] == ["time_lag"]
     mass, sd = (answer["parameters"][which]["mass_kg"] for which in ("final", "sd"))
@@ -262,7 +268,7 @@ def test_a_filter_of_the_speed_is_all_there_is(diagnose):
 
 
 def test_what_is_in_no_catalogue_is_unknown(diagnose):
-    answer = diagnose(drive("mixed", 25, 1, Effect("torque_ripple", 120.0)))
+    answer = diagnose(drive("mixed", 25, 1, Effect(name="torque_ripple", magnitude=120.0)))
     assert (answer["verdict"], named(answer), answer["configuration"]) == ("unknown effect", [], "")
     assert answer["candidates"][0]["name"] == "unknown effect"
     assert answer["remaining"]["verdict"] == "unknown effect"
@@ -271,5 +277,5 @@ def test_what_is_in_no_catalogue_is_unknown(diagnose):
 
 def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):
     """A force that comes and goes, but not as that of anything with a name."""
-    answer = diagnose(drive("highway", 30, 1, Effect("snow_plough", 5000.0)))
+    answer = diagnose(drive("highway", 30, 1, Effect(name="snow_plough", magnitude=5000.0)))
     assert (answer["verdict"], named(answer), answer["configuration"]) == ("unknown effect", [], "")

@@ -35,7 +35,7 @@ def samples_of(extra: Floats | float = 0.0, minutes: float = 20.0, seed: int = 1
     dP = rng.normal(0.0, 1e3, len(t))
     nothing = np.full(len(t), np.nan)
     context = {Quantity.DISTANCE: np.cumsum(v) * STEP, Quantity.STOPS: np.zeros(len(t))}
-    return Samples(t, v, a, P, dP, v, a, dP, nothing, context)
+    return Samples(t=t, v=v, a=a, P=P, dP=dP, zv=v, za=a, zdP=dP, density=nothing, context=context)
 
 
 def model_of(samples: Samples) -> Model:
@@ -148,7 +148,18 @@ def grains(residual: Floats, base: Floats) -> Grains:
     t = 8.0 * np.arange(n)
     v = 20 + 5 * np.sin(t / 90)
     starts, full = np.arange(n), np.ones(n, dtype=bool)
-    return Grains(residual, base, t, np.cumsum(8.0 * v), v, 1e4 * v, None, 10 * v, starts, full)
+    return Grains(
+        residual=residual,
+        columns=base,
+        t=t,
+        distance=np.cumsum(8.0 * v),
+        v=v,
+        power=1e4 * v,
+        gear=None,
+        engine_speed=10 * v,
+        starts=starts,
+        full=full,
+    )
 
 
 def log_marginal(y: Floats, covariance: Floats) -> float:
@@ -210,7 +221,9 @@ def test_states_are_the_most_likely_of_all() -> None:
     rng = np.random.default_rng(6)
     n, dwell, spread, level = 10, 6.0, 2.0, 1.5
     t = switching_times.BEAT * np.arange(n)
-    beats = switching_times.Beats(t, np.zeros(n), 1 + rng.random(n), np.ones(n), np.arange(n))
+    beats = switching_times.Beats(
+        t=t, residual=np.zeros(n), profile=1 + rng.random(n), weight=np.ones(n), of=np.arange(n)
+    )
     change = (1 - np.exp(-switching_times.BEAT / dwell)) / 2
     paths = np.array(list(product([False, True], repeat=n)))
     changes = (paths[:, 1:] != paths[:, :-1]).sum(axis=1)

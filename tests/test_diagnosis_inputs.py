@@ -164,7 +164,7 @@ def test_a_report_that_cannot_be_is_refused_before_the_work(urban, log, tmp_path
 def several(tmp_path_factory):
     """Bends that cost something on a road with few of them, on one with many, and a drive where they cost nothing."""
     folder = tmp_path_factory.mktemp("several")
-    bends = Effect("cornering", 600.0)
+    bends = Effect(name="cornering", magnitude=600.0)
     return [
         written(drive("mixed", 20, seed, *effects), folder / f"{seed}.blf")
         for seed, effects in ((41, [bends]), (42, [bends]), (43, []))
@@ -188,7 +188,7 @@ def test_evidence_of_an_effect_adds_up_over_logs(several):
 
 @pytest.mark.slow
 def test_an_event_may_be_in_one_log_only(several, tmp_path):
-    fan = written(drive("highway", 20, 3, Effect("auxiliary_cycling", 30e3)), tmp_path / "fan.blf")
+    fan = written(drive("highway", 20, 3, Effect(name="auxiliary_cycling", magnitude=30e3)), tmp_path / "fan.blf")
     alone, beside = ask("diagnose", fan), ask("diagnose", several[2], fan)
     assert named(alone) == named(beside) == ["auxiliary_cycling"]
     assert beside["effects"][0]["magnitude"] == alone["effects"][0]["magnitude"]

@@ -245,7 +245,7 @@ def test_power_shows_the_minutes_that_say_most() -> None:
     t = np.arange(3600.0)
     flat = np.full(3600, 50e3)
     measured = flat + 20e3 * ((t > 2400) & (t < 2640))
-    traces = Traces(t, 20 * t, flat / 2500, measured, flat, measured, 0 * t)
+    traces = Traces(t=t, distance=20 * t, speed=flat / 2500, measured=measured, base=flat, extended=measured, log=0 * t)
     d = dataclasses.replace(rich(), traces=traces, gap_map=None)
     assert 'aria-label="Power from 39 to 44 min' in page(d) or 'aria-label="Power from 40 to 45 min' in page(d)
 
@@ -253,7 +253,8 @@ def test_power_shows_the_minutes_that_say_most() -> None:
 def test_a_break_between_two_logs_is_cut_out() -> None:
     d = rich()
     t = np.concatenate([d.traces.t, d.traces.t + 3 * 86_400])
-    twice = Traces(t, *(np.tile(getattr(d.traces, f.name), 2) for f in dataclasses.fields(Traces)[1:]))
+    columns = {field.name: np.tile(getattr(d.traces, field.name), 2) for field in dataclasses.fields(Traces)}
+    twice = Traces(**columns | {"t": t})
     document = page(dataclasses.replace(d, traces=twice))
     assert "driving time [min], long breaks left out" in document
     assert "driving time" not in page(d)
@@ -276,7 +277,16 @@ def test_several_logs_are_drawn_one_after_the_other() -> None:
 @pytest.mark.parametrize("count", [0, 1, 2, 50])
 @pytest.mark.parametrize("value", [0.0, 5.0, np.nan])
 def test_traces_without_extent_leave_a_page(count: int, value: float) -> None:
-    traces = Traces(np.arange(count) * 1.0, *np.full((5, count), value), np.zeros(count))
+    level = np.full(count, value)
+    traces = Traces(
+        t=np.arange(count) * 1.0,
+        distance=level,
+        speed=level,
+        measured=level,
+        base=level,
+        extended=level,
+        log=np.zeros(count),
+    )
     document = page(dataclasses.replace(rich(), traces=traces, noise_floor=value))
     assert ("Power, measured" in document) == (count >= 2 and np.isfinite(value))
     assert "Which effect?" in document

@@ -28,7 +28,13 @@ def drive(n: int, seed: int = 1, first: int = 0) -> Rows:
     brake = (P < -15e3).astype(float)
     P = np.maximum(P, -15e3) + rng.normal(0, 3e3, n)
     fresh = np.ones((n, 2), dtype=bool)
-    return Rows(first + np.arange(n), v + rng.normal(0, 0.01, n), P, fresh, {Role.BRAKE_SWITCH: brake})
+    return Rows(
+        index=first + np.arange(n),
+        speed=v + rng.normal(0, 0.01, n),
+        power=P,
+        fresh=fresh,
+        context={Role.BRAKE_SWITCH: brake},
+    )
 
 
 def new(**tables) -> Estimator:
@@ -120,7 +126,13 @@ def test_a_new_drive_forgets():
 
 def test_updates_come_at_the_interval_and_only_with_news():
     moving = drive(6000)
-    standing = Rows(6000 + np.arange(6000), np.zeros(6000), np.zeros(6000), np.ones((6000, 2), dtype=bool), {})
+    standing = Rows(
+        index=6000 + np.arange(6000),
+        speed=np.zeros(6000),
+        power=np.zeros(6000),
+        fresh=np.ones((6000, 2), dtype=bool),
+        context={},
+    )
     estimator = new(gate={"interval_s": 30})
     updates = []
     for rows in (moving, standing):
@@ -136,7 +148,9 @@ def test_a_few_moments_do_not_settle_the_smoother():
     estimator = new(sampler={"likelihood": "instruments"})
     run(estimator, drive(300))
     late = drive(6000, first=1000)
-    late = Rows(late.index, late.speed, np.roll(late.power, 4), late.fresh, late.context)
+    late = Rows(
+        index=late.index, speed=late.speed, power=np.roll(late.power, 4), fresh=late.fresh, context=late.context
+    )
     run(estimator, late)
     assert estimator._stage.lag == pytest.approx(0.4, abs=0.03)
 
@@ -145,7 +159,13 @@ def test_hours_of_standing_are_bounded():
     estimator = new()
     for i in range(150):
         n = 1000
-        rows = Rows(i * n + np.arange(n), np.zeros(n), np.zeros(n), np.ones((n, 2), dtype=bool), {})
+        rows = Rows(
+            index=i * n + np.arange(n),
+            speed=np.zeros(n),
+            power=np.zeros(n),
+            fresh=np.ones((n, 2), dtype=bool),
+            context={},
+        )
         assert list(estimator.feed(rows)) == []
         assert len(estimator._stage._pending) <= stage.BLOCK
         assert len(estimator._stage._strider.held) <= 2 * stage.BLOCK
@@ -191,7 +211,7 @@ def test_constant_speed_is_refused():
     n = 9000
     v = 22 + rng.normal(0, 0.01, n)
     P = model(np.full(n, 22.0), np.zeros(n), THETA) + rng.normal(0, 3e3, n)
-    updates = run(new(), Rows(np.arange(n), v, P, np.ones((n, 2), dtype=bool), {}))
+    updates = run(new(), Rows(index=np.arange(n), speed=v, power=P, fresh=np.ones((n, 2), dtype=bool), context={}))
     assert {update.status for update in updates} == {Status.UNESTIMATED}
     assert updates[-1].reason
     assert updates[-1].mass is None
@@ -199,7 +219,7 @@ def test_constant_speed_is_refused():
 
 def test_the_reason_names_what_most_rows_suffer_from():
     n = 3000
-    rows = Rows(np.arange(n), np.zeros(n), np.zeros(n), np.ones((n, 2), dtype=bool), {})
+    rows = Rows(index=np.arange(n), speed=np.zeros(n), power=np.zeros(n), fresh=np.ones((n, 2), dtype=bool), context={})
     reason = run(new(), rows)[-1].reason
     assert reason.startswith("0 usable samples")
     assert reason.endswith("most others: standing")

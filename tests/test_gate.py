@@ -21,7 +21,14 @@ def gate(**settings) -> Gate:
 
 def fit(theta=THETA, relative=0.01) -> Fit:
     theta = np.asarray(theta, float)
-    return Fit(theta, np.diag((relative * np.abs(theta) + 1e-9) ** 2), 50.0, np.ones(10, dtype=bool), 5e3, 100.0)
+    return Fit(
+        theta=theta,
+        covariance=np.diag((relative * np.abs(theta) + 1e-9) ** 2),
+        dof=50.0,
+        kept=np.ones(10, dtype=bool),
+        rms=5e3,
+        effective=100.0,
+    )
 
 
 def counts(v, a) -> np.ndarray:

@@ -29,20 +29,20 @@ def diagnose(tmp_path):
 
 @pytest.mark.parametrize("seed", [1])
 def test_an_altimeter_too_noisy_to_show_hills_does_not_deny_them(diagnose, seed):
-    answer = diagnose("highway", seed, Effect("grade", 0.005), 20.0)
+    answer = diagnose("highway", seed, Effect(name="grade", magnitude=0.005), 20.0)
     assert named(answer) == ["grade"]
     assert answer["effects"][0]["detail"] == HIDDEN
 
 
 @pytest.mark.parametrize("seed", [2])
 def test_on_a_rough_road_that_a_good_altimeter_shows_flat_there_are_no_hills(diagnose, seed):
-    rough = Effect("road_surface", 0.6)
+    rough = Effect(name="road_surface", magnitude=0.6)
     assert "grade" not in named(diagnose("highway", seed, rough, 1.0))
     assert named(diagnose("highway", seed, rough, 20.0)) == ["grade"]  # as far as this one can tell
 
 
 def test_a_good_altimeter_names_the_hills_itself(diagnose):
-    answer = diagnose("highway", 2, Effect("grade", 0.005), 1.0)
+    answer = diagnose("highway", 2, Effect(name="grade", magnitude=0.005), 1.0)
     assert named(answer)[0] == "grade"
     assert answer["effects"][0]["detail"] == "climb by altitude"
 
@@ -53,7 +53,18 @@ def test_grade_in_the_model_does_no_harm_where_the_road_is_flat():
     truth = np.array([1700.0, 3.7, 27e3])
     P = design(v, a) @ truth
     slope = np.gradient(P, t)
-    flat = Samples(t, v, a, P, slope, v, a, slope, none + np.nan, {Quantity.CLIMB_BY_ALTITUDE: none})
+    flat = Samples(
+        t=t,
+        v=v,
+        a=a,
+        P=P,
+        dP=slope,
+        zv=v,
+        za=a,
+        zdP=slope,
+        density=none + np.nan,
+        context={Quantity.CLIMB_BY_ALTITUDE: none},
+    )
     term = settled(Term(BY_NAME["grade"], Quantity.CLIMB_BY_ALTITUDE), flat)
     model = fit(flat, (term,))
     assert model is not None

@@ -80,10 +80,71 @@ def test_a_name_survives_its_bytes(number):
 
 
 def test_fields_stand_where_they_belong():
-    assert int(Name(0x1FFFFF, 0, 0, 0, 0, 0, 0, 0, 0, 0)) == 0x1FFFFF
-    assert int(Name(0, 1, 0, 0, 0, 0, 0, 0, 0, 0)) == 1 << 21
-    assert int(Name(0, 0, 0, 0, 1, 0, 0, 0, 0, 0)) == 1 << 40
-    assert int(Name(0, 0, 0, 0, 0, 0, 0, 0, 1, 1)) == (1 << 60) | (1 << 63)
+    assert (
+        int(
+            Name(
+                identity=0x1FFFFF,
+                manufacturer=0,
+                ecu_instance=0,
+                function_instance=0,
+                function=0,
+                reserved=0,
+                vehicle_system=0,
+                vehicle_system_instance=0,
+                industry_group=0,
+                arbitrary_address_capable=0,
+            )
+        )
+        == 0x1FFFFF
+    )
+    assert (
+        int(
+            Name(
+                identity=0,
+                manufacturer=1,
+                ecu_instance=0,
+                function_instance=0,
+                function=0,
+                reserved=0,
+                vehicle_system=0,
+                vehicle_system_instance=0,
+                industry_group=0,
+                arbitrary_address_capable=0,
+            )
+        )
+        == 1 << 21
+    )
+    assert (
+        int(
+            Name(
+                identity=0,
+                manufacturer=0,
+                ecu_instance=0,
+                function_instance=0,
+                function=1,
+                reserved=0,
+                vehicle_system=0,
+                vehicle_system_instance=0,
+                industry_group=0,
+                arbitrary_address_capable=0,
+            )
+        )
+        == 1 << 40
+    )
+    assert int(
+        Name(
+            identity=0,
+            manufacturer=0,
+            ecu_instance=0,
+            function_instance=0,
+            function=0,
+            reserved=0,
+            vehicle_system=0,
+            vehicle_system_instance=0,
+            industry_group=1,
+            arbitrary_address_capable=1,
+        )
+    ) == (1 << 60) | (1 << 63)
 
 
 def test_a_field_that_does_not_fit_is_named():
@@ -405,7 +466,10 @@ class Network:
 def test_nodes_on_one_bus_end_with_different_addresses(wishes, seed):
     rng = np.random.default_rng(seed)
     identities = rng.permutation(len(wishes)).tolist()
-    names = [Name(i, 500, arbitrary_address_capable=int(c)) for i, (_, c) in zip(identities, wishes, strict=True)]
+    names = [
+        Name(identity=i, manufacturer=500, arbitrary_address_capable=int(c))
+        for i, (_, c) in zip(identities, wishes, strict=True)
+    ]
     nodes = [Node(name, want, rng) for name, (want, _) in zip(names, wishes, strict=True)]
     Network(nodes, rng.uniform(0, 1, len(nodes)).tolist(), rng).run(4.0)
     addresses = [node.address for node in nodes if not node.lost]

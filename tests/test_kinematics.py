@@ -193,7 +193,7 @@ def test_lag_stays_within_what_is_searched():
 def rows(v, P, **context) -> Rows:
     n = len(v)
     roles = {Role(name): value for name, value in context.items()}
-    return Rows(np.arange(n, dtype=np.int64), v, P, np.ones((n, 2), dtype=bool), roles)
+    return Rows(index=np.arange(n, dtype=np.int64), speed=v, power=P, fresh=np.ones((n, 2), dtype=bool), context=roles)
 
 
 def test_samples_obey_the_model_on_both_sides():

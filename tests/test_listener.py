@@ -159,7 +159,7 @@ def test_daemon_and_replay_broadcast_the_same_bytes(
     ticks = [frames[:1], recorder.ticks[0][1:], *recorder.ticks[1:]]
     for t, tick in zip([IRRELEVANT.timestamp, *times], ticks, strict=True):
         bench.now = t
-        bench.bus.waiting.append(Batch(tick))
+        bench.bus.waiting.append(Batch(frames=tick))
         bench.link.step(0)
         bench.daemon.turn()
     sent = [message for message in bench.bus.sent if message.arbitration_id >> 8 & 0x3FFFF in output_groups()]

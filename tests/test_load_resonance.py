@@ -58,7 +58,9 @@ def evidence(rng: np.random.Generator, load: float, period: float = 2.6, lowpass
     speed = read[::FINE] + rng.normal(0, 0.005, len(v) // FINE)
     measured = power[::FINE] + rng.normal(0, 3e3, len(speed))
     n = len(speed)
-    drove = record([Rows(np.arange(n), speed, measured, np.ones((n, 2), dtype=bool), {})], Config())
+    drove = record(
+        [Rows(index=np.arange(n), speed=speed, power=measured, fresh=np.ones((n, 2), dtype=bool), context={})], Config()
+    )
     kept = select(drove.samples)
     assert kept is not None
     model = fit(drove.samples[kept])
@@ -84,7 +86,7 @@ def test_a_filtered_speed_does_not_swing(lowpass):
 
 
 def test_a_sloshing_tank_is_an_unknown_effect(tmp_path):
-    recording = drive("mixed", 25, 2, Effect("liquid_surge", 0.3), speed_noise=0.008)
+    recording = drive("mixed", 25, 2, Effect(name="liquid_surge", magnitude=0.3), speed_noise=0.008)
     answer = ask("diagnose", written(recording, tmp_path / "tank.blf"))
     assert (answer["verdict"], answer["effects"]) == ("unknown effect", [])
     assert "rings on after accelerations" in answer["reason"]

@@ -27,7 +27,7 @@ def samples_of(power, n: int = 6000) -> Samples:
     a = np.gradient(v, STEP)
     P = power(v, a) + 3e3 * rng.standard_normal(n)
     zero = np.gradient(P, STEP)
-    return Samples(t, v, a, P, zero, v, a, zero, np.full(n, np.nan))
+    return Samples(t=t, v=v, a=a, P=P, dP=zero, zv=v, za=a, zdP=zero, density=np.full(n, np.nan))
 
 
 def verdict(power, power_sigmas: float = 3.0) -> str:

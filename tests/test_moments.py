@@ -28,7 +28,17 @@ def speeds(n: int, rng) -> tuple[np.ndarray, np.ndarray]:
 
 def samples_of(v, a, P, za=None) -> Samples:
     dP = np.gradient(P, STEP)
-    return Samples(np.arange(len(v)) * STEP, v, a, P, dP, v, a if za is None else za, dP, np.full(len(v), np.nan))
+    return Samples(
+        t=np.arange(len(v)) * STEP,
+        v=v,
+        a=a,
+        P=P,
+        dP=dP,
+        zv=v,
+        za=a if za is None else za,
+        zdP=dP,
+        density=np.full(len(v), np.nan),
+    )
 
 
 def simulated(n: int, rng, sd: float, rho: float, speed_noise: float = 0.0) -> Samples:
@@ -38,7 +48,9 @@ def simulated(n: int, rng, sd: float, rho: float, speed_noise: float = 0.0) -> S
     dP = np.gradient(P, STEP)
     e = lfilter([1.0], [1.0, -rho], rng.standard_normal(n)) * sd * np.sqrt(1 - rho**2)
     noise, other = (speed_noise * rng.standard_normal(n) for _ in range(2))
-    return Samples(np.arange(n) * STEP, v, a + noise, P + e, dP, v, a + other, dP, np.full(n, np.nan))
+    return Samples(
+        t=np.arange(n) * STEP, v=v, a=a + noise, P=P + e, dP=dP, zv=v, za=a + other, zdP=dP, density=np.full(n, np.nan)
+    )
 
 
 def test_truth_comes_back_without_noise():
@@ -70,7 +82,9 @@ def test_wheel_speed_noise_does_not_bias(noise):
     braking = np.convolve(P < -10e3, np.ones(31), mode="same") > 0.5
     P = np.maximum(P, -10e3) + lfilter([1.0], [1.0, -0.8], rng.normal(0, 1e3, 18_000))
     n = np.arange(18_000)
-    rows = Rows(n, v + rng.normal(0, noise, 18_000), P, np.ones((18_000, 2), dtype=bool), {})
+    rows = Rows(
+        index=n, speed=v + rng.normal(0, noise, 18_000), power=P, fresh=np.ones((18_000, 2), dtype=bool), context={}
+    )
     samples = to_samples(rows, smoother_kernels(100.0, STEP), 0.0, inertial=False)
     fit = moments.fit(samples[~braking[margin(STEP) : -margin(STEP)]], SIGMAS)
     assert fit is not None
@@ -86,7 +100,17 @@ def test_a_small_lag_is_absorbed_by_the_nuisance(lag):
     t = np.arange(12_000) * STEP
     late = np.interp(t - lag, t, P) + rng.normal(0, 1e3, 12_000)
     s = samples_of(v, a, late)
-    s = Samples(s.t, s.v, s.a, s.P, np.gradient(P, STEP), s.zv, s.za, np.gradient(P, STEP), s.density)
+    s = Samples(
+        t=s.t,
+        v=s.v,
+        a=s.a,
+        P=s.P,
+        dP=np.gradient(P, STEP),
+        zv=s.zv,
+        za=s.za,
+        zdP=np.gradient(P, STEP),
+        density=s.density,
+    )
     fit = moments.fit(s[10:-10], SIGMAS)
     assert fit is not None
     assert fit.theta[3] == pytest.approx(lag, abs=0.02)
@@ -144,7 +168,10 @@ def test_cruise_with_noise_alone_is_never_sure(seed):
     v, a, zv, za = (m + s * rng.standard_normal(6000) for m, s in ((22, 0.003), (0, 0.02), (22, 0.003), (0, 0.02)))
     P = design(np.full(6000, 22.0), np.zeros(6000)) @ THETA + rng.normal(0, 3e3, 6000)
     dP = rng.normal(0, 1e3, 6000)
-    fit = moments.fit(Samples(np.arange(6000) * STEP, v, a, P, dP, zv, za, dP, np.full(6000, np.nan)), SIGMAS)
+    fit = moments.fit(
+        Samples(t=np.arange(6000) * STEP, v=v, a=a, P=P, dP=dP, zv=zv, za=za, zdP=dP, density=np.full(6000, np.nan)),
+        SIGMAS,
+    )
     assert fit is None or fit.sd[2] > 0.1 * THETA[2] or fit.sd[0] > 0.5 * THETA[0]
 
 

@@ -17,7 +17,9 @@ WIDE, NARROW, UNKNOWN = Coverage(40, 100), Coverage(9, 100), Coverage(0, 0)
 def run(status: Status, admitted: int, coverage: Coverage, *seen: Role, effects: tuple[str, ...] = ()) -> Run:
     pipeline = Pipeline(from_dict({"effects": list(effects)}))
     pipeline.traffic.seen.update(dict.fromkeys(seen, 1000))
-    return Run(pipeline, [Estimate(0.0, status, "a reason", coverage, admitted)], Counter())
+    return Run(
+        pipeline, [Estimate(t=0.0, status=status, reason="a reason", coverage=coverage, admitted=admitted)], Counter()
+    )
 
 
 @pytest.mark.parametrize(

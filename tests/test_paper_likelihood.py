@@ -31,7 +31,7 @@ def block(n, t, noise, air, theta, rng):
     }[air]
     P = power(v, a, theta) + noise * rng.standard_normal(n)
     one = np.ones(n)
-    return Samples(t + 0.1 * np.arange(n), v, a, P, one, v, a, one, density)
+    return Samples(t=t + 0.1 * np.arange(n), v=v, a=a, P=P, dP=one, zv=v, za=a, zdP=one, density=density)
 
 
 def brute_force(window, theta):

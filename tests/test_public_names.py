@@ -1,7 +1,10 @@
-"""What `import estimator` offers, and what it costs."""
+"""What `import estimator` offers, what it costs, and how dataclasses are called."""
 
+import ast
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +26,28 @@ def test_the_import_loads_no_numbers_and_no_bus() -> None:
     command = "import sys, estimator; print([name for name in ('numpy', 'can', 'scipy') if name in sys.modules])"
     run = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
+
+
+MAX_POSITIONAL_FIELDS = 4
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def long_dataclasses(source: str) -> Iterator[tuple[str, bool]]:
+    """Name of each dataclass with more than MAX_POSITIONAL_FIELDS of its own, and whether it is keyword-only."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ClassDef):
+            decorators = [text for each in node.decorator_list if (text := ast.unparse(each)).startswith("dataclass")]
+            fields = [each for each in node.body if isinstance(each, ast.AnnAssign)]
+            if decorators and len(fields) > MAX_POSITIONAL_FIELDS:
+                yield node.name, "kw_only=True" in decorators[0]
+
+
+def test_long_dataclasses_are_keyword_only() -> None:
+    found = {
+        f"{path.relative_to(ROOT)}: {name}": keyword_only
+        for folder in ("estimator", "tools", "examples", "tests")
+        for path in sorted(Path(ROOT, folder).rglob("*.py"))
+        for name, keyword_only in long_dataclasses(path.read_text(encoding="utf-8"))
+    }
+    assert len(found) > 40
+    assert [name for name, keyword_only in found.items() if not keyword_only] == []

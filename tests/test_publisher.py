@@ -19,7 +19,7 @@ from estimator.settings import Publish
 MARGINAL = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 PUBLISHED = {"mean": "Mean", "q05": "Q05", "q95": "Q95", "sd": "Deviation"}
 
-marginals = st.builds(Marginal, *[st.floats()] * 5)
+marginals = st.builds(Marginal, mean=st.floats(), sd=st.floats(), q05=st.floats(), q50=st.floats(), q95=st.floats())
 estimates = st.builds(
     Estimate,
     t=st.floats(-1e9, 2e9),
@@ -30,12 +30,30 @@ estimates = st.builds(
     mass=st.none() | marginals,
     A=st.none() | marginals,
     C=st.none() | marginals,
-    convergence=st.none() | st.builds(Convergence, st.floats(), st.floats(), st.floats(), st.just(9), st.just(3)),
+    convergence=st.none()
+    | st.builds(
+        Convergence,
+        r_hat=st.floats(),
+        ess_bulk=st.floats(),
+        acceptance=st.floats(),
+        draws=st.just(9),
+        chains=st.just(3),
+    ),
 )
 
 
 def estimate(t: float = 0.0, status: Status = Status.ESTIMATED) -> Estimate:
-    return Estimate(t, status, "", Coverage(30, 40), 12345, MARGINAL, MARGINAL, MARGINAL, Convergence(1, 1, 1, 1, 3))
+    return Estimate(
+        t=t,
+        status=status,
+        reason="",
+        coverage=Coverage(30, 40),
+        admitted=12345,
+        mass=MARGINAL,
+        A=MARGINAL,
+        C=MARGINAL,
+        convergence=Convergence(r_hat=1, ess_bulk=1, acceptance=1, draws=1, chains=3),
+    )
 
 
 def decoded(frames: list[can.Message]) -> dict[str, float | str]:

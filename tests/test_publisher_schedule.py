@@ -20,7 +20,9 @@ steps = st.lists(st.floats(0.0, 0.9), min_size=1, max_size=200)
 
 
 def estimate(t: float, status: Status = Status.ESTIMATED) -> Estimate:
-    return Estimate(t, status, "", Coverage(30, 40), 12345, MARGINAL, MARGINAL, MARGINAL)
+    return Estimate(
+        t=t, status=status, reason="", coverage=Coverage(30, 40), admitted=12345, mass=MARGINAL, A=MARGINAL, C=MARGINAL
+    )
 
 
 def read(frames: list[can.Message], name: str) -> str | float:

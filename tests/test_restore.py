@@ -105,7 +105,9 @@ def rows_of(n: int, first: int = 0) -> Rows:
     P = np.maximum(P, -15e3) + rng.normal(0, 3e3, n + 2)
     fresh = np.ones((n + 2, 2), dtype=bool)
     index = first + np.arange(n + 2)
-    return Rows(index, v + rng.normal(0, 0.01, n + 2), P, fresh, {Role.BRAKE_SWITCH: brake})[:n]
+    return Rows(
+        index=index, speed=v + rng.normal(0, 0.01, n + 2), power=P, fresh=fresh, context={Role.BRAKE_SWITCH: brake}
+    )[:n]
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,9 @@ def target(share=0.03, belief=NOTHING, lower=LOWER, upper=UPPER, at=(A, C, M)):
     correlation = np.eye(len(mean))
     correlation[0, 1] = correlation[1, 0] = 0.5
     correlation[1, 2] = correlation[2, 1] = -0.7
-    return RoadTarget(mean, np.linalg.inv(correlation * np.outer(sd, sd)), belief, lower, upper)
+    return RoadTarget(
+        mean=mean, precision=np.linalg.inv(correlation * np.outer(sd, sd)), belief=belief, lower=lower, upper=upper
+    )
 
 
 def by_hand(t, theta):

@@ -20,7 +20,7 @@ UNBOUNDED = np.full(3, -np.inf), np.full(3, np.inf)
 
 
 def student(lower=UNBOUNDED[0], upper=UNBOUNDED[1], dof=30.0):
-    return StudentTarget(CENTRE, COVARIANCE, dof, lower, upper)
+    return StudentTarget(fitted=CENTRE, covariance=COVARIANCE, dof=dof, lower=lower, upper=upper)
 
 
 class TwoModes:
@@ -66,7 +66,9 @@ def test_kernel_draws_from_the_target(kernel):
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_kernel_respects_the_box_exactly(kernel):
     """One standard normal cut at its mean: the half-normal has mean sqrt(2 / pi)."""
-    target = StudentTarget(np.zeros(1), np.eye(1), 1e9, np.zeros(1), np.full(1, np.inf))
+    target = StudentTarget(
+        fitted=np.zeros(1), covariance=np.eye(1), dof=1e9, lower=np.zeros(1), upper=np.full(1, np.inf)
+    )
     rng = np.random.default_rng(3)
     chains, burn_in, draws = settings(kernel)
     x = KERNELS[kernel](target, np.full((chains, 1), 0.5), burn_in, draws, rng).draws
@@ -119,7 +121,9 @@ def test_box_far_from_the_fitted_point(kernel, beyond):
 
 def test_corner_of_the_box():
     """All three parameters held back by their bounds: independent proposals fit badly, the answer is right anyway."""
-    target = StudentTarget(np.full(3, -2.0), np.eye(3), 1e9, np.zeros(3), np.full(3, 50.0))
+    target = StudentTarget(
+        fitted=np.full(3, -2.0), covariance=np.eye(3), dof=1e9, lower=np.zeros(3), upper=np.full(3, 50.0)
+    )
     result = run(target, "independence", 64, 20, 200, np.random.default_rng(2))
     assert max(diagnosis.r_hat for diagnosis in result.diagnoses) < 1.02
     tail = stats.truncnorm(2.0, np.inf)

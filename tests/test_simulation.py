@@ -102,7 +102,13 @@ def test_driver_keeps_to_the_speed_of_the_road(kind):
 
 
 def test_truck_stops_short_of_stop_lines_dwells_and_stays_at_the_end():
-    route = Route(np.array([0.0]), np.array([14.0]), np.array([400.0, 900.0]), np.array([20.0, np.inf]), np.zeros(60))
+    route = Route(
+        section_start=np.array([0.0]),
+        section_speed=np.array([14.0]),
+        stop_position=np.array([400.0, 900.0]),
+        stop_dwell=np.array([20.0, np.inf]),
+        grade=np.zeros(60),
+    )
     truth = drive(TRUCK, route, 240.0, np.random.default_rng(3))
     standing = truth.v == 0.0
     begins = np.flatnonzero(~standing[:-1] & standing[1:]) + 1
@@ -114,7 +120,13 @@ def test_truck_stops_short_of_stop_lines_dwells_and_stays_at_the_end():
 
 
 def test_speeds_ahead_fall_to_zero_at_a_stop_and_obey_the_deceleration():
-    route = Route(np.array([0.0]), np.array([20.0]), np.array([500.0]), np.array([np.inf]), np.zeros(30))
+    route = Route(
+        section_start=np.array([0.0]),
+        section_speed=np.array([20.0]),
+        stop_position=np.array([500.0]),
+        stop_dwell=np.array([np.inf]),
+        grade=np.zeros(30),
+    )
     seen = speeds_ahead(route, easing=0.2, stopping=0.5)
 
     assert seen[250] == 0.0

@@ -26,19 +26,22 @@ def drive_with(
 ) -> Truth:
     rng = np.random.default_rng(seed)
     route = plan_route(kind, duration, rng, shape)
-    asked = [effect if isinstance(effect, Effect) else Effect(effect, KINDS[effect].usual) for effect in effects]
+    asked = [
+        effect if isinstance(effect, Effect) else Effect(name=effect, magnitude=KINDS[effect].usual)
+        for effect in effects
+    ]
     return drive(TRUCK, route, duration, rng, asked)
 
 
 def straight_road(length: float = 60e3, speed: float = 22.0, heading: float = 0.0) -> Route:
     return Route(
-        np.array([0.0]),
-        np.array([speed]),
-        np.array([length]),
-        np.array([np.inf]),
-        np.zeros(int(length / 20.0) + 2),
-        np.zeros(int(length / 5.0) + 2),
-        heading,
+        section_start=np.array([0.0]),
+        section_speed=np.array([speed]),
+        stop_position=np.array([length]),
+        stop_dwell=np.array([np.inf]),
+        grade=np.zeros(int(length / 20.0) + 2),
+        curvature=np.zeros(int(length / 5.0) + 2),
+        start_heading=heading,
     )
 
 
@@ -60,7 +63,9 @@ def accounted(truth: Truth) -> np.ndarray:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_power_read_is_road_load_plus_what_the_effect_adds(name):
-    truth = drive_with(Effect(name, KINDS[name].usual, start=100.0, end=350.0), duration=400.0, kind="highway")
+    truth = drive_with(
+        Effect(name=name, magnitude=KINDS[name].usual, start=100.0, end=350.0), duration=400.0, kind="highway"
+    )
     free = truth.engaged & ~truth.shifting
 
     assert free.sum() > 10_000
@@ -86,7 +91,9 @@ def test_without_effects_nothing_is_added(plain):
 def test_driveline_losses_are_accounted_for():
     truck = Truck(mass=20e3, A=1200.0, C=3.5, efficiency=0.95)
     rng = np.random.default_rng(4)
-    truth = drive(truck, generate_route("highway", 10e3, rng), 300.0, rng, [Effect("auxiliary_load", 5e3)])
+    truth = drive(
+        truck, generate_route("highway", 10e3, rng), 300.0, rng, [Effect(name="auxiliary_load", magnitude=5e3)]
+    )
     pulling = truth.driven & (truth.torque > 150.0)
 
     np.testing.assert_allclose(
@@ -106,7 +113,7 @@ def test_one_more_effect_does_not_change_how_another_is_drawn():
     [("torque_gain", lambda truth: truth.power), ("torque_bias", lambda truth: truth.engine_speed)],
 )
 def test_errors_of_the_torque_leave_the_drive_alone(plain, name, ratio):
-    truth = drive_with(Effect(name, 0.05))
+    truth = drive_with(Effect(name=name, magnitude=0.05))
 
     np.testing.assert_array_equal(truth.v, plain.v)
     np.testing.assert_array_equal(truth.torque, plain.torque)
@@ -114,33 +121,33 @@ def test_errors_of_the_torque_leave_the_drive_alone(plain, name, ratio):
 
 
 def test_drift_grows_steadily_to_its_size(plain):
-    truth = drive_with(Effect("sensor_drift", 0.1))
+    truth = drive_with(Effect(name="sensor_drift", magnitude=0.1))
 
     np.testing.assert_allclose(truth.effect_power["sensor_drift"], 0.1 * plain.t / 600.0 * plain.power, atol=1e-6)
 
 
 def test_late_torque_is_the_torque_of_before(plain):
-    late = drive_with(Effect("time_lag", 0.5)).reading
+    late = drive_with(Effect(name="time_lag", magnitude=0.5)).reading
 
     np.testing.assert_allclose(late.power[50:], plain.power[:-50], rtol=1e-9, atol=1e-6)
 
 
 def test_speed_filter_has_its_time_constant(plain):
-    read = drive_with(Effect("speed_filter", 0.4)).reading
+    read = drive_with(Effect(name="speed_filter", magnitude=0.4)).reading
     rising = np.diff(read.v) / 0.01
 
     np.testing.assert_allclose(rising, (plain.v - read.v)[1:] / 0.4, atol=0.02)
 
 
 def test_wheel_speed_scale_touches_the_reading_only(plain):
-    truth = drive_with(Effect("speed_scale", 0.02))
+    truth = drive_with(Effect(name="speed_scale", magnitude=0.02))
 
     np.testing.assert_allclose(truth.reading.v, 1.02 * plain.v)
     np.testing.assert_array_equal(truth.v, plain.v)
 
 
 def test_quantised_torque_comes_in_steps():
-    truth = drive_with(Effect("quantisation", 0.01))
+    truth = drive_with(Effect(name="quantisation", magnitude=0.01))
     steps = truth.reading.power / truth.engine_speed / 25.0
 
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
@@ -149,7 +156,7 @@ def test_quantised_torque_comes_in_steps():
 @pytest.mark.parametrize(("from_where", "sign"), [(0.0, 1.0), (pi, -1.0)])
 def test_wind_from_ahead_costs_and_from_behind_helps(from_where, sign):
     rng = np.random.default_rng(2)
-    truth = drive(TRUCK, straight_road(), 400.0, rng, [Effect("headwind", 5.0, direction=from_where)])
+    truth = drive(TRUCK, straight_road(), 400.0, rng, [Effect(name="headwind", magnitude=5.0, direction=from_where)])
     v = truth.v
     expected = TRUCK.C * ((v + sign * 5.0) * np.abs(v + sign * 5.0) - v * v) * v
 
@@ -159,7 +166,9 @@ def test_wind_from_ahead_costs_and_from_behind_helps(from_where, sign):
 def test_a_steady_wind_helps_on_the_way_back():
     rng = np.random.default_rng(2)
     route = plan_route("highway", 1800.0, rng, "out-and-back")
-    truth = drive(TRUCK, route, 1800.0, rng, [Effect("headwind", 6.0, direction=float(route.heading[100]))])
+    truth = drive(
+        TRUCK, route, 1800.0, rng, [Effect(name="headwind", magnitude=6.0, direction=float(route.heading[100]))]
+    )
     quick = truth.v > 15.0
     turned = truth.s > route.length / 2
     per_meter = truth.effect_power["headwind"] / np.maximum(truth.v, 1.0)
@@ -169,7 +178,7 @@ def test_a_steady_wind_helps_on_the_way_back():
 
 
 def test_cold_tyres_roll_harder_until_rolling_has_warmed_them():
-    truth = drive_with(Effect("warm_up", 0.3), duration=3600.0)
+    truth = drive_with(Effect(name="warm_up", magnitude=0.3), duration=3600.0)
     rolling = truth.v > 2.0
     share = (truth.effect_power["warm_up"] / TRUCK.A)[rolling] / truth.v[rolling]
 
@@ -180,7 +189,7 @@ def test_cold_tyres_roll_harder_until_rolling_has_warmed_them():
 
 
 def test_mass_and_rolling_change_while_standing_at_a_stop():
-    truth = drive_with(Effect("mass_step", 0.4, start=250.0))
+    truth = drive_with(Effect(name="mass_step", magnitude=0.4, start=250.0))
     ((start, end),) = truth.active["mass_step"]
     k = round(start / 0.01)
     after = truth.driven & (truth.t > start)
@@ -194,7 +203,7 @@ def test_mass_and_rolling_change_while_standing_at_a_stop():
 
 
 def test_grade_is_weight_on_a_slope_and_uphill_air_is_thin():
-    truth = drive_with(Effect("grade", 0.012))
+    truth = drive_with(Effect(name="grade", magnitude=0.012))
     sine = truth.grade / np.hypot(1.0, truth.grade)
 
     np.testing.assert_allclose(truth.effect_power["grade"], TRUCK.mass * GRAVITY * sine * truth.v, rtol=1e-6, atol=0.1)
@@ -204,7 +213,7 @@ def test_grade_is_weight_on_a_slope_and_uphill_air_is_thin():
 
 
 def test_warmer_air_resists_less():
-    truth = drive_with(Effect("air_density", 20.0))
+    truth = drive_with(Effect(name="air_density", magnitude=20.0))
     density = 288.15 / truth.ambient_temperature
     air = TRUCK.C * truth.v**3 * (density - 1.0)
 
@@ -214,7 +223,7 @@ def test_warmer_air_resists_less():
 
 @pytest.mark.parametrize("seed", range(4))  # both ways to switch the fan come up
 def test_fan_is_all_or_nothing_and_its_speed_tells(seed):
-    truth = drive_with(Effect("auxiliary_cycling", 30e3), seed=seed, duration=1800.0)
+    truth = drive_with(Effect(name="auxiliary_cycling", magnitude=30e3), seed=seed, duration=1800.0)
     power = truth.effect_power["auxiliary_cycling"]
     on = np.zeros(len(truth.t), bool)
     for start, end in truth.active["auxiliary_cycling"]:
@@ -227,7 +236,7 @@ def test_fan_is_all_or_nothing_and_its_speed_tells(seed):
 
 
 def test_engine_inertia_weighs_by_the_square_of_the_gearing():
-    truth = drive_with(Effect("rotating_inertia", 5.0))
+    truth = drive_with(Effect(name="rotating_inertia", magnitude=5.0))
     gearing = np.array([0.0, *(TRUCK.gearing(gear) for gear in range(1, 13))])[truth.gear]
     closed = truth.engaged & ~truth.shifting
 
@@ -236,7 +245,7 @@ def test_engine_inertia_weighs_by_the_square_of_the_gearing():
 
 
 def test_bends_cost_with_the_square_of_lateral_acceleration():
-    truth = drive_with(Effect("cornering", 600.0))
+    truth = drive_with(Effect(name="cornering", magnitude=600.0))
 
     expected = 600.0 * truth.lateral_acceleration**2 * truth.v
     np.testing.assert_allclose(truth.effect_power["cornering"], expected, atol=1.0)
@@ -244,7 +253,7 @@ def test_bends_cost_with_the_square_of_lateral_acceleration():
 
 
 def test_slip_costs_with_the_square_of_tractive_force():
-    truth = drive_with(Effect("load_loss", 0.02))
+    truth = drive_with(Effect(name="load_loss", magnitude=0.02))
     free = truth.engaged & ~truth.shifting & (truth.v > 0.0)
     force = truth.power[free] / truth.v[free]
 
@@ -255,7 +264,7 @@ def test_slip_costs_with_the_square_of_tractive_force():
 
 @pytest.mark.parametrize(("name", "shown"), [("brake_use", False), ("brake_use_shown", True)])
 def test_brake_drags_while_the_engine_pulls(name, shown):
-    truth = drive_with(Effect(name, 3000.0))
+    truth = drive_with(Effect(name=name, magnitude=3000.0))
     drags = truth.driven & (truth.effect_power[name] > 2900.0 * truth.v) & (truth.v > 4.0)
 
     assert drags.sum() > 1000
@@ -264,7 +273,7 @@ def test_brake_drags_while_the_engine_pulls(name, shown):
 
 
 def test_retarder_works_before_the_service_brake(plain):
-    truth = drive_with(Effect("retarder_use", 8000.0))
+    truth = drive_with(Effect(name="retarder_use", magnitude=8000.0))
 
     np.testing.assert_array_equal(truth.v, plain.v)
     np.testing.assert_allclose(truth.brake + truth.retarder, plain.brake)
@@ -282,7 +291,7 @@ def test_wet_road_is_where_it_is_asked_for():
 
 
 def test_surging_liquid_swings_and_takes_no_power_in_the_long_run():
-    truth = drive_with(Effect("liquid_surge", 0.3), duration=1200.0)
+    truth = drive_with(Effect(name="liquid_surge", magnitude=0.3), duration=1200.0)
     power = truth.effect_power["liquid_surge"]
     rms = truth.rms_power("liquid_surge")
 

@@ -56,7 +56,7 @@ def test_the_truck_is_back_in_time(kind):
 def test_a_loop_closes_and_repeats():
     rng = np.random.default_rng(8)
     route = plan_route("mixed", 3600.0, rng, "loop")
-    truth = drive(TRUCK, route, 3600.0, rng, [Effect("grade", 0.01)])
+    truth = drive(TRUCK, route, 3600.0, rng, [Effect(name="grade", magnitude=0.01)])
     lap = route.lap
     points = round(lap / 20.0)
     first, second = truth.s < lap, (truth.s > lap) & (truth.s < 2 * lap)
@@ -134,7 +134,7 @@ def test_a_missing_cycle_is_named(tmp_path):
 def test_a_cycle_can_be_driven_there_and_back():
     rng = np.random.default_rng(2)
     route = shaped(cycle_route(HWFET, 40e3, rng), 1200.0, "out-and-back")
-    truth = drive(TRUCK, route, 1200.0, rng, [Effect("grade", 0.008)])
+    truth = drive(TRUCK, route, 1200.0, rng, [Effect(name="grade", magnitude=0.008)])
 
     assert truth.s[-1] > 0.85 * route.length
     assert truth.v.max() > 20.0

@@ -162,7 +162,7 @@ def test_messages_drop_out_together_for_seconds(truth):
 def test_retarder_torque_is_sent_where_there_is_a_retarder():
     rng = np.random.default_rng(11)
     route = generate_route("mixed", 20e3, rng)
-    truth = drive(TRUCK, route, 600.0, rng, [Effect("retarder_use", 8000.0)])
+    truth = drive(TRUCK, route, 600.0, rng, [Effect(name="retarder_use", magnitude=8000.0)])
     share = measure(truth, Sensors(), np.random.default_rng(0))[Role.RETARDER_FRACTION]
     working = np.interp(share.t, truth.t, truth.retarder) > 500.0
 

@@ -16,12 +16,14 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def hills(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("hills") / "hills.blf"
-    return written(drive("mixed", 30, 6, Effect("grade", 0.01)), path)
+    return written(drive("mixed", 30, 6, Effect(name="grade", magnitude=0.01)), path)
 
 
 @pytest.fixture(scope="module")
 def bends(tmp_path_factory) -> Path:
-    recording = drive("mixed", 25, 1, Effect("cornering", 900.0), without=[*CLIMB, Role.FAN_SPEED, Role.HEADING])
+    recording = drive(
+        "mixed", 25, 1, Effect(name="cornering", magnitude=900.0), without=[*CLIMB, Role.FAN_SPEED, Role.HEADING]
+    )
     return written(recording, tmp_path_factory.mktemp("bends") / "bends.blf")
 
 

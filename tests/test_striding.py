@@ -31,7 +31,9 @@ def rows_of(speed, power, first=0, **context) -> Rows:
     power = np.broadcast_to(np.asarray(power, float), n).copy()
     told = {role: np.broadcast_to(np.asarray(values, float), n).copy() for role, values in context.items()}
     fresh = np.isfinite(np.column_stack([speed, power]))
-    return Rows(np.arange(first, first + n), np.asarray(speed, float), power, fresh, told)
+    return Rows(
+        index=np.arange(first, first + n), speed=np.asarray(speed, float), power=power, fresh=fresh, context=told
+    )
 
 
 def strided(rows: Rows, cuts=(), wanted=WANTED) -> tuple[Strides, Counter[str]]:
@@ -328,7 +330,9 @@ def test_after_a_silence_the_road_is_another_one():
     parts = [strider.feed(pull(30), rejected), strider.finish(rejected)]
     strider.pause()
     later = pull(30)
-    later = Rows(later.index + 1000, later.speed, later.power, later.fresh, later.context)
+    later = Rows(
+        index=later.index + 1000, speed=later.speed, power=later.power, fresh=later.fresh, context=later.context
+    )
     parts += [strider.feed(later, rejected), strider.finish(rejected)]
     strides = Strides.concatenate(parts)
     step = np.diff(strides.s0)

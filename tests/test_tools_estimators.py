@@ -31,7 +31,13 @@ def rows():
     power = design(v, a) @ TRUTH
     brake = np.zeros(len(t))
     power[BRAKING], brake[BRAKING] = 0.0, 1.0
-    return Rows(np.arange(len(t)), v, power, np.ones((len(t), 2), dtype=bool), {Role.BRAKE_SWITCH: brake})
+    return Rows(
+        index=np.arange(len(t)),
+        speed=v,
+        power=power,
+        fresh=np.ones((len(t), 2), dtype=bool),
+        context={Role.BRAKE_SWITCH: brake},
+    )
 
 
 def test_stretches_leave_out_what_admission_does(peers, rows):
@@ -56,7 +62,13 @@ def test_extended_kalman_filter_finds_the_truth(peers, rows):
 
 def test_recursion_equals_least_squares_without_forgetting(peers, rows):
     rng = np.random.default_rng(1)
-    noisy = Rows(rows.index, rows.speed, rows.power + rng.normal(0, 5e3, len(rows)), rows.fresh, rows.context)
+    noisy = Rows(
+        index=rows.index,
+        speed=rows.speed,
+        power=rows.power + rng.normal(0, 5e3, len(rows)),
+        fresh=rows.fresh,
+        context=rows.context,
+    )
     data = peers.stretches(noisy, Config().admission, 0.0)
     found = peers.recursive_least_squares(data, peers.Forgetting(mass=1.0, resistance=1.0, cutoff=0.4))
     parts = [peers.regression(stretch, 0.4) for stretch in data]

@@ -312,7 +312,16 @@ def drive_by_hand(tools, vehicle, road):
     power = np.maximum(wheels, 0.0) / vehicle.driveline_efficiency + vehicle.auxiliary_power
     altitude = np.concatenate([[0.0], np.cumsum(v * driven.grade[1:] * step)])
     braking = np.append(wheels < -500, False)
-    return tools.truck.Drive(t, driven.v, driven.grade, altitude, t[1:] - step / 2, power, braking, C)
+    return tools.truck.Drive(
+        t=t,
+        v=driven.v,
+        grade=driven.grade,
+        altitude=altitude,
+        t_power=t[1:] - step / 2,
+        power=power,
+        braking=braking,
+        C=C,
+    )
 
 
 @pytest.mark.slow
@@ -503,7 +512,9 @@ def original(tools):
     frequency = np.linspace(0.0, 5.0, 2049)
     spectrum = 4e6 / (1 + (frequency / 0.05) ** 2)
     truth = np.array([200.0, 0.4, 1600.0])
-    return tools.surrogates.Original(v, 27.65 * v, design(v, a) @ truth, frequency, spectrum)
+    return tools.surrogates.Original(
+        speed=v, motor=27.65 * v, power=design(v, a) @ truth, frequency=frequency, spectrum=spectrum
+    )
 
 
 def test_a_surrogate_has_the_spectrum_of_the_residual(tools, original):

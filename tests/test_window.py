@@ -20,7 +20,7 @@ def block(n: int, start: float = 0.0, v=20.0, a=0.0) -> Samples:
     t = start + STEP * np.arange(n)
     one = np.ones(n)
     v, a = v * one, a * one
-    return Samples(t, v, a, 0 * one, one, v, a, one, one)
+    return Samples(t=t, v=v, a=a, P=0 * one, dP=one, zv=v, za=a, zdP=one, density=one)
 
 
 def window(samples: int = 600, hours: float = 24.0) -> Window:
@@ -112,7 +112,13 @@ def test_cells_and_centres_agree():
 
 def rows(n: int = 200, **context) -> Rows:
     roles = {Role(name): np.broadcast_to(np.asarray(value, float), n).copy() for name, value in context.items()}
-    return Rows(np.arange(n), np.full(n, 20.0), np.full(n, 1e5), np.ones((n, 2), dtype=bool), roles)
+    return Rows(
+        index=np.arange(n),
+        speed=np.full(n, 20.0),
+        power=np.full(n, 1e5),
+        fresh=np.ones((n, 2), dtype=bool),
+        context=roles,
+    )
 
 
 def reasons(r: Rows, **admission) -> list[str]:

@@ -75,7 +75,7 @@ def compare(n: int, table: Table) -> None:
     target = ClippedGaussianTarget.of(X, P, *BOX)
     rates, moments = {}, {}
     for name, work in ROWS.items():
-        problem = Problem(X, P, target, np.random.default_rng(1))
+        problem = Problem(X=X, P=P, target=target, rng=np.random.default_rng(1))
         try:
             draws = work(problem)
         except ModuleNotFoundError as error:
@@ -114,7 +114,7 @@ def updates(n: int) -> str:
     rebuilt: list[float] = []
     v, a, P = drive(2 * n, np.random.default_rng(0))
     unknown = np.full(len(v), np.nan)
-    whole = Samples(STEP * np.arange(len(v)), v, a, P, unknown, v, a, unknown, unknown)
+    whole = Samples(t=STEP * np.arange(len(v)), v=v, a=a, P=P, dP=unknown, zv=v, za=a, zdP=unknown, density=unknown)
     for i in range(0, len(v), BLOCK):
         window.add(whole[i : i + BLOCK])
         for likelihood, durations in ((follower, kept), (PaperLikelihood(), rebuilt)):

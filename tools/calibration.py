@@ -58,7 +58,7 @@ THINNING = 50  # draws of a chain per draw used for the rank
 BINS = 10  # of the chi2 test of uniform ranks
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Drive:
     """Motion of the truck as means over rows of STEP: all arrays (n,).
 
@@ -88,12 +88,12 @@ class Drive:
             Role.DRIVELINE_ENGAGED: rows(truth.engaged).all(axis=1),
         }
         return cls(
-            rows(design(truth.v, truth.a)).mean(axis=1),
-            rows(truth.v).mean(axis=1),
-            rows(truth.engine_speed).mean(axis=1),
-            states[Role.DRIVELINE_ENGAGED] & ~states[Role.BRAKE_SWITCH],
-            {role: state.astype(float) for role, state in states.items()},
-            truck.reference_torque,
+            columns=rows(design(truth.v, truth.a)).mean(axis=1),
+            v=rows(truth.v).mean(axis=1),
+            engine_speed=rows(truth.engine_speed).mean(axis=1),
+            driving=states[Role.DRIVELINE_ENGAGED] & ~states[Role.BRAKE_SWITCH],
+            context={role: state.astype(float) for role, state in states.items()},
+            reference_torque=truck.reference_torque,
         )
 
     def power(self, theta: Floats) -> Floats:
@@ -105,7 +105,9 @@ class Drive:
         n = len(self.v)
         speed = np.maximum(self.v + rng.normal(0.0, SPEED_NOISE, n), 0.0)
         speed = np.round(speed / SPEED_RESOLUTION) * SPEED_RESOLUTION
-        return Rows(np.arange(n), speed, power, np.ones((n, 2), dtype=bool), self.context)
+        return Rows(
+            index=np.arange(n), speed=speed, power=power, fresh=np.ones((n, 2), dtype=bool), context=self.context
+        )
 
 
 Measure = Callable[[Drive, Floats, np.random.Generator], Floats]

@@ -39,7 +39,7 @@ SEED = 1  # of the surrogates
 WIDE = 180  # columns, where the output is no terminal
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Values of `roadload diagnose --json` for one row of a table; rms and floor [kW]."""
 

@@ -38,7 +38,7 @@ def samples(n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     return design(v, a), P
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Problem:
     """The problem: ``X`` (n, 3), ``P`` (n,) [W], and functions shared by the samplers."""
 

@@ -30,7 +30,7 @@ TURNING = 10.0  # rad/s, of the motor, below which its torque is taken as zero
 MAP = ["MOTION.VehicleSpeed=m/s*3.6", "MOTOR.MotorTorque=Nm", f"MOTOR.MotorSpeed=rad/s*{30 / np.pi:.6f}"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Original:
     """A real drive on the time grid, arrays (n,): ``speed`` as measured [m/s], model ``power`` [W], ``motor`` [rad/s].
 
@@ -62,7 +62,13 @@ def original(log: Path, config: Config) -> Original | None:
     v, a = smoothing.convolve(speed, smoother.value), smoothing.convolve(speed, smoother.slope)
     residual = model.base.residual
     frequency, spectrum = welch(residual, 1 / STEP, nperseg=min(SEGMENT, len(residual)), detrend="constant")
-    return Original(rows.speed, rows.context[Role.ENGINE_SPEED], design(v, a) @ model.road_load, frequency, spectrum)
+    return Original(
+        speed=rows.speed,
+        motor=rows.context[Role.ENGINE_SPEED],
+        power=design(v, a) @ model.road_load,
+        frequency=frequency,
+        spectrum=spectrum,
+    )
 
 
 def surrogate(like: Original, rng: np.random.Generator) -> Floats:

@@ -29,7 +29,7 @@ LARGEST_LAYOUT = 1 << 19  # bits; cantools lays out every bit of a message, so a
 _LAYOUT = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")  # start bit and length of a signal
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BoundSignal:
     """One signal with its role: bit layout as cantools gives it, and the way to SI."""
 
@@ -41,7 +41,7 @@ class BoundSignal:
     place: int = 0  # among the signals of a role that takes several
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BoundMessage:
     """One message and the signals wanted from it.
 
@@ -160,7 +160,7 @@ def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSi
     multiplexers = _multiplexers(signal, message, path)
     dimension = DIMENSION[role]
     if dimension == STATE:
-        return BoundSignal(role, signal, Conversion(STATE, 1.0), multiplexers)
+        return BoundSignal(role=role, signal=signal, conversion=Conversion(STATE, 1.0), multiplexers=multiplexers)
     conversion = conversion_of(signal.unit)
     known = " ".join(u for u, c in KNOWN_UNITS.items() if c.dimension == dimension)
     if conversion is None:
@@ -168,7 +168,7 @@ def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSi
     tangent = role == Role.GRADE and conversion.dimension == "rad"
     if conversion.dimension != dimension and not tangent:
         raise DatabaseError(f"{path}: unit {signal.unit!r} does not fit {role}, which takes one of: {known}")
-    return BoundSignal(role, signal, conversion, multiplexers, tangent)
+    return BoundSignal(role=role, signal=signal, conversion=conversion, multiplexers=multiplexers, tangent=tangent)
 
 
 def _multiplexers(signal: Signal, message: Message, path: str) -> tuple[Signal, ...]:
@@ -193,7 +193,7 @@ def _bound(message: Message, signals: tuple[BoundSignal, ...], config: Config) -
         raise ConfigError(f"bus.source_addresses.{name}: matched by its whole id, not by PGN; leave it out")
     key = _pgn(message.frame_id) if by_pgn else message.frame_id | (EXTENDED if extended else 0)
     cycle = message.cycle_time / 1000 if message.cycle_time else None
-    return BoundMessage(name, key, by_pgn, j1939, source, cycle, signals)
+    return BoundMessage(name=name, key=key, by_pgn=by_pgn, j1939=j1939, source=source, cycle=cycle, signals=signals)
 
 
 def _pgn(ident: int) -> int:

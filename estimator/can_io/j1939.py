@@ -55,7 +55,7 @@ def classify(raw: NDArray[np.uint64], length: int) -> tuple[Mask, Mask, Mask]:
     return no, no, no
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Session:
     pgn: int
     size: int
@@ -115,7 +115,7 @@ class Transport:
         if not 8 < size <= MAXIMUM_BYTES or packets != -(-size // PACKET_BYTES):
             self.rejected["transport: impossible announcement"] += 1
             return
-        self._sessions[source] = _Session(int.from_bytes(data[5:8], "little"), size, packets, t)
+        self._sessions[source] = _Session(pgn=int.from_bytes(data[5:8], "little"), size=size, packets=packets, t=t)
 
     def _extend(self, t: float, source: int, data: bytes) -> MultiPacket | None:
         session = self._sessions.get(source)

@@ -8,7 +8,7 @@ _WIDTHS = (21, 11, 3, 5, 8, 1, 7, 4, 3, 1)  # bits of the fields of `Name`, leas
 BYTES = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Name:
     """Fields from the least significant on; of two nodes that want one address the lower NAME gets it.
 
@@ -50,8 +50,8 @@ class Name:
     def from_bytes(cls, data: bytes) -> "Name":
         """Read the payload of an address claim (8 bytes)."""
         number = int.from_bytes(data, "little")
-        values = []
-        for width in _WIDTHS:
-            values.append(number & (1 << width) - 1)
+        values = {}
+        for field, width in zip(fields(cls), _WIDTHS, strict=True):
+            values[field.name] = number & (1 << width) - 1
             number >>= width
-        return cls(*values)
+        return cls(**values)

@@ -50,7 +50,16 @@ class Frame:
         density = s.relative_density
         felt = (self.force - A - C * density * s.speed_squared) / m
         level = np.zeros(len(s))
-        return View(s.t, s.speed, felt, self.force * s.speed, density, s.context, self.road_load, level)
+        return View(
+            t=s.t,
+            v=s.speed,
+            a=felt,
+            P=self.force * s.speed,
+            density=density,
+            context=s.context,
+            road_load=self.road_load,
+            climb=level,
+        )
 
     def column(self, term: Term) -> Floats:
         """Acceleration [m/s^2] (n,) per unit of a term's magnitude."""

@@ -32,7 +32,7 @@ class AtRest:
     engine_speed: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Form:
     """The best form of an effect on one drive: gain in log evidence, costs and all forms counted; value and sd."""
 
@@ -110,7 +110,13 @@ class DriveState:
         products, score = joint.projected(ours, column)
         precision = float(products[0, 0]) + component.sd**-2.0
         gain = 0.5 * float(score[0]) ** 2 / precision - 0.5 * np.log(precision * component.sd**2)
-        return Form(component, float(gain) - component.cost, float(score[0]) / precision, precision**-0.5, column[:, 0])
+        return Form(
+            component=component,
+            gain=float(gain) - component.cost,
+            value=float(score[0]) / precision,
+            sd=precision**-0.5,
+            trace=column[:, 0],
+        )
 
     def unnamed(self) -> tuple[Component, float] | None:
         """The nameless process with most evidence beside those chosen, and its gain over all its forms."""
@@ -139,7 +145,9 @@ def _best(frame: Frame, given: Sequence[Component], judged: Judged, places: Sequ
     best = places[int(np.argmax(gains))]
     gain = float(logsumexp(gains)) - np.log(len(places))
     column = given[best].columns(frame)[:, 0]
-    return Form(given[best], gain, float(judged.value[best]), float(judged.sd[best]), column)
+    return Form(
+        component=given[best], gain=gain, value=float(judged.value[best]), sd=float(judged.sd[best]), trace=column
+    )
 
 
 @dataclass(frozen=True)

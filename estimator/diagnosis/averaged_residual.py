@@ -24,7 +24,7 @@ CORRELATIONS = (0.0, 0.25, 0.5, 0.7)  # of the noise, from one grain to the next
 DIFFUSE = 1e4  # variance of the refitted base, over that of the residual
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Grains:
     """The residual and the columns of the model, averaged; all with n rows."""
 
@@ -96,16 +96,16 @@ def grains_of(model: Model) -> Grains:
     gear = s.context.get(Quantity.GEAR)
     power = model.base.Z[:, :ROAD_LOAD] @ model.base.theta[:ROAD_LOAD]
     return Grains(
-        mean(model.base.residual),
-        mean(X),
-        mean(s.t),
-        mean(s.context[Quantity.DISTANCE]),
-        mean(s.v),
-        mean(power),
-        None if gear is None else np.round(mean(gear)),
-        mean(s.context.get(Quantity.ENGINE_SPEED, s.v)),
-        starts,
-        full,
+        residual=mean(model.base.residual),
+        columns=mean(X),
+        t=mean(s.t),
+        distance=mean(s.context[Quantity.DISTANCE]),
+        v=mean(s.v),
+        power=mean(power),
+        gear=None if gear is None else np.round(mean(gear)),
+        engine_speed=mean(s.context.get(Quantity.ENGINE_SPEED, s.v)),
+        starts=starts,
+        full=full,
     )
 
 

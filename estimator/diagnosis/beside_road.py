@@ -86,15 +86,15 @@ class BesideRoad:
         part = self.budget.part(ROAD)
         left = self.budget.total if part is None else part.expected
         return Finding(
-            "grade",
-            probabilities([log_bayes_factor])[0],
-            log_bayes_factor,
-            (),
-            Magnitude(HIDDEN_GRADE, self.slope_sd, self.slope_sd * spread, "1"),
-            self._closed(part, left),
-            self.budget.total,
-            left,
-            self._shift,
+            name="grade",
+            probability=probabilities([log_bayes_factor])[0],
+            log_bayes_factor=log_bayes_factor,
+            equivalent=(),
+            magnitude=Magnitude(HIDDEN_GRADE, self.slope_sd, self.slope_sd * spread, "1"),
+            gap_closed=self._closed(part, left),
+            rms_before=self.budget.total,
+            rms_after=left,
+            shift=self._shift,
             detail="goes with the place; no signal on the bus shows it",
         )
 
@@ -129,16 +129,18 @@ class BesideRoad:
         ]
         record = self.plain[which].record
         return Finding(
-            best.name,
-            probabilities([best.gain, *(other.gain for other in ranking if other is not best)])[0],
-            best.gain,
-            tuple(sorted({other.name for other in (*close, *alike)} | set(effect.equivalent))),
-            Magnitude(effect.symbol, posterior.mean[at], float(np.sqrt(posterior.covariance[at, at])), effect.unit),
-            self._closed(part, left),
-            self.rms_base,
-            left,
-            None,
-            tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in term.spans or ()),
+            name=best.name,
+            probability=probabilities([best.gain, *(other.gain for other in ranking if other is not best)])[0],
+            log_bayes_factor=best.gain,
+            equivalent=tuple(sorted({other.name for other in (*close, *alike)} | set(effect.equivalent))),
+            magnitude=Magnitude(
+                effect.symbol, posterior.mean[at], float(np.sqrt(posterior.covariance[at, at])), effect.unit
+            ),
+            gap_closed=self._closed(part, left),
+            rms_before=self.rms_base,
+            rms_after=left,
+            shift=None,
+            span=tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in term.spans or ()),
             detail=_detail(term.shape, effect),
         )
 

@@ -20,7 +20,7 @@ IDLE_SD, IDLE_SHARE = 800.0, 0.15  # W, and of the power at rest: what the torqu
 NEVER = -50.0  # log Bayes factor of what cannot be: a magnitude of the wrong sign in every shape
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Candidate:
     """An effect with the shape and timing that suit it best."""
 
@@ -139,7 +139,12 @@ def _judge_terms(model: Model, grains: Grains, terms: list[Term]) -> Candidate |
     doubt = np.nan_to_num(share * ((value - value[best]) ** 2 + sd**2), nan=0.0)
     sd = np.where(np.arange(len(sd)) == best, np.sqrt(doubt.sum()), sd)
     return Candidate(
-        terms[best], max(total, NEVER), float(value[best]), float(sd[best]), cost, trace(model, z[:, best])
+        term=terms[best],
+        log_bayes_factor=max(total, NEVER),
+        value=float(value[best]),
+        sd=float(sd[best]),
+        cost=cost,
+        trace=trace(model, z[:, best]),
     )
 
 
@@ -179,7 +184,14 @@ def _judge_times(
     shape = trace(model, effect.power(ring, None) * on[:, best])
     value, sd = float(weight.value[best]), float(weight.sd[best])
     term = Term(effect, None, times[best])
-    return Candidate(term, max(float(evidence[best]), NEVER), value, sd, float(cost[best]), shape)
+    return Candidate(
+        term=term,
+        log_bayes_factor=max(float(evidence[best]), NEVER),
+        value=value,
+        sd=sd,
+        cost=float(cost[best]),
+        trace=shape,
+    )
 
 
 def trace(model: Model, instrument: Floats) -> Floats:

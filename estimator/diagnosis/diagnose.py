@@ -165,13 +165,19 @@ def _deviation(model: Model) -> Shift:
 
 def _traces(outcome: Outcome) -> Traces:
     """Means over a second."""
-    parts: list[list[Floats]] = [[] for _ in fields(Traces)]
+    parts: dict[str, list[Floats]] = {field.name: [] for field in fields(Traces)}
     for before, after in zip(outcome.plain, outcome.final, strict=True):
         samples = after.model.samples
         X, _ = columns(samples, before.model.terms, before.model.road_load)
-        base, extended = X @ before.model.base.theta, samples.P - after.model.base.residual
-        t, distance = samples.t - before.record.log_start, samples.context[Quantity.DISTANCE]
-        log = np.full(len(samples), float(before.record.log))
-        for part, array in zip(parts, (t, distance, samples.v, samples.P, base, extended, log), strict=True):
-            part.append(block_means(array, SECOND))
-    return Traces(*(np.concatenate(part) for part in parts))
+        drive = Traces(
+            t=samples.t - before.record.log_start,
+            distance=samples.context[Quantity.DISTANCE],
+            speed=samples.v,
+            measured=samples.P,
+            base=X @ before.model.base.theta,
+            extended=samples.P - after.model.base.residual,
+            log=np.full(len(samples), float(before.record.log)),
+        )
+        for name, part in parts.items():
+            part.append(block_means(getattr(drive, name), SECOND))
+    return Traces(**{name: np.concatenate(part) for name, part in parts.items()})

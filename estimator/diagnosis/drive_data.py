@@ -22,7 +22,7 @@ BREAK = 10.0  # s of NaN put between pieces of a drive where only their own orde
 HEARD = 0.5  # share of the drive for which a quantity must be known to be used
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Record:
     """Admitted samples of one drive, the lag [s] that was taken out, and rows not used by reason.
 
@@ -68,7 +68,16 @@ def record(pieces: list[Rows], config: Config) -> Record:
     if not pieces:
         nothing = np.empty(0)
         smoother = smoothing.smoother_kernels(smoothing.fit_ratio(nothing, STEP), STEP)
-        return Record(Samples.concatenate([]), 0.0, 0.0, rejected, nothing, nothing, nothing, smoother)
+        return Record(
+            samples=Samples.concatenate([]),
+            start=0.0,
+            lag=0.0,
+            rejected=rejected,
+            idle=nothing,
+            idle_speed=nothing,
+            speed=nothing,
+            smoother=smoother,
+        )
     gap = np.full(round(BREAK / STEP), np.nan)
     speed = np.concatenate([part for piece in pieces for part in (piece.plausible_speed, gap)])
     power = np.concatenate([part for piece in pieces for part in (piece.power, gap)])
@@ -96,7 +105,18 @@ def record(pieces: list[Rows], config: Config) -> Record:
     idle, idle_speed = _idle(pieces)
     driven, every = Samples.concatenate(found), _whole_speed(pieces)
     strides = _strides(pieces, config, heard, start)
-    return Record(driven, start, lag, rejected, idle, idle_speed, every, smoother, strides, log_start=start)
+    return Record(
+        samples=driven,
+        start=start,
+        lag=lag,
+        rejected=rejected,
+        idle=idle,
+        idle_speed=idle_speed,
+        speed=every,
+        smoother=smoother,
+        strides=strides,
+        log_start=start,
+    )
 
 
 def _strides(pieces: list[Rows], config: Config, heard: frozenset[Quantity], start: float) -> Strides:

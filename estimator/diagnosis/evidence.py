@@ -32,7 +32,7 @@ SINGULAR = 1e7  # condition number of the base's equations, columns scaled to on
 WEAK = 1e-4  # instruments that explain less of a column than this say nothing about it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Base:
     """The model so far, fitted: columns ``X``, instruments ``Z`` (n, p), power ``P`` (n,), block of each sample."""
 
@@ -58,7 +58,7 @@ def fit_base(X: Floats, Z: Floats, P: Floats, block: Blocks) -> Base | None:
     if np.linalg.cond(scaled) > SINGULAR:
         return None
     inverse = np.linalg.inv(scaled) / np.outer(scale, scale) / len(X)
-    return Base(X, Z, P, block, inverse @ (Z.T @ P), inverse)
+    return Base(X=X, Z=Z, P=P, block=block, theta=inverse @ (Z.T @ P), inverse=inverse)
 
 
 @dataclass(frozen=True)

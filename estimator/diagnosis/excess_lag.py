@@ -16,7 +16,7 @@ SURE = 4.0  # sd beyond it
 CORRELATED = 4.0  # residuals of 2 s that count as one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Lateness:
     """Lag [s] of power behind speed with its sd, samples as if nobody had aligned, residuals so and aligned."""
 
@@ -48,5 +48,5 @@ def lateness(drive: Drive) -> Lateness | None:
     # The power of lag seconds ago, to first order, and no column for its rate.
     unaligned = replace(s, P=s.P - lag * s.dP)
     before = held_out(unaligned, model.terms, model.road_load, lagged=False)
-    late = Lateness(lag, sd, unaligned, before, held_out(s, model.terms, model.road_load))
+    late = Lateness(lag=lag, sd=sd, unaligned=unaligned, before=before, after=held_out(s, model.terms, model.road_load))
     return late if late.log_bayes_factor >= NAMED else None

@@ -35,17 +35,17 @@ def _chosen(outcome: Outcome, i: int, found: Found) -> Finding:
     term = next((t for t in final.terms if t.effect.name == joint.name), candidate.term)
     earlier = outcome.final[which].without(joint.name).model
     return Finding(
-        joint.name,
-        outcome.probability(found),
-        joint.log_bayes_factor,
-        (*alike(found), *ties(found)),
-        _magnitude(final, candidate),
-        gap_closed(before, after, outcome.floor, outcome.doubt, outcome.rng),
-        before.rms,
-        after.rms,
-        difference(earlier, final),
-        _acting(outcome, joint.name),
-        _detail(term),
+        name=joint.name,
+        probability=outcome.probability(found),
+        log_bayes_factor=joint.log_bayes_factor,
+        equivalent=(*alike(found), *ties(found)),
+        magnitude=_magnitude(final, candidate),
+        gap_closed=gap_closed(before, after, outcome.floor, outcome.doubt, outcome.rng),
+        rms_before=before.rms,
+        rms_after=after.rms,
+        shift=difference(earlier, final),
+        span=_acting(outcome, joint.name),
+        detail=_detail(term),
     )
 
 
@@ -93,15 +93,17 @@ def lag(outcome: Outcome) -> Finding | None:
     plain = fit(late.unaligned, drive.model.terms)
     effect = BY_NAME["time_lag" if late.lag > 0 else "speed_filter"]
     return Finding(
-        effect.name,
-        probabilities([late.log_bayes_factor])[0],
-        late.log_bayes_factor,
-        effect.equivalent,
-        Magnitude(effect.symbol, late.lag, late.sd, effect.unit),
-        gap_closed(late.before, late.after, min(outcome.floor, late.after.mean_square), outcome.doubt, outcome.rng),
-        late.before.rms,
-        late.after.rms,
-        None if plain is None else difference(plain, drive.model),
+        name=effect.name,
+        probability=probabilities([late.log_bayes_factor])[0],
+        log_bayes_factor=late.log_bayes_factor,
+        equivalent=effect.equivalent,
+        magnitude=Magnitude(effect.symbol, late.lag, late.sd, effect.unit),
+        gap_closed=gap_closed(
+            late.before, late.after, min(outcome.floor, late.after.mean_square), outcome.doubt, outcome.rng
+        ),
+        rms_before=late.before.rms,
+        rms_after=late.after.rms,
+        shift=None if plain is None else difference(plain, drive.model),
         detail="taken out by the alignment",
     )
 
@@ -115,15 +117,17 @@ def hidden_grade(outcome: Outcome) -> Finding | None:
     sd = grade_sd(force, outcome.plain)
     spread = float(np.sqrt(2 / max(len(outcome.final[outcome.longest].model.samples) / HILL, 1.0)))  # of a variance
     return Finding(
-        "grade",
-        probabilities([force.log_bayes_factor, *(joint.log_bayes_factor for joint in outcome.result.ranking)])[0],
-        force.log_bayes_factor,
-        (),
-        Magnitude(HIDDEN_GRADE, sd, sd * spread / 2, "1"),
-        _promised(outcome, force, spread),
-        before.rms,
-        float(np.sqrt(outcome.floor)),
-        None,
+        name="grade",
+        probability=probabilities(
+            [force.log_bayes_factor, *(joint.log_bayes_factor for joint in outcome.result.ranking)]
+        )[0],
+        log_bayes_factor=force.log_bayes_factor,
+        equivalent=(),
+        magnitude=Magnitude(HIDDEN_GRADE, sd, sd * spread / 2, "1"),
+        gap_closed=_promised(outcome, force, spread),
+        rms_before=before.rms,
+        rms_after=float(np.sqrt(outcome.floor)),
+        shift=None,
         detail="goes with the place; no signal on the bus shows it",
     )
 
@@ -150,11 +154,39 @@ def ranking(outcome: Outcome, late: Finding | None) -> tuple[Finding, ...]:
         size = Magnitude(term.effect.symbol, candidate.value, candidate.sd, term.effect.unit)
         spans = _clock(outcome.plain[which], term.spans or ())
         value = joint.log_bayes_factor
-        listed.append(Finding(joint.name, share, value, same, size, None, rms, rms, None, spans, _detail(term)))
+        listed.append(
+            Finding(
+                name=joint.name,
+                probability=share,
+                log_bayes_factor=value,
+                equivalent=same,
+                magnitude=size,
+                gap_closed=None,
+                rms_before=rms,
+                rms_after=rms,
+                shift=None,
+                span=spans,
+                detail=_detail(term),
+            )
+        )
     size = Magnitude("rms", float(np.sqrt(process.variance)), float("nan"), "W")
     name = Verdict.UNKNOWN.value if outcome.grade is None else "grade"
     value = process.log_bayes_factor
-    listed.append(Finding(name, shares[len(joints)], value, (), size, None, rms, rms, None, (), process.name))
+    listed.append(
+        Finding(
+            name=name,
+            probability=shares[len(joints)],
+            log_bayes_factor=value,
+            equivalent=(),
+            magnitude=size,
+            gap_closed=None,
+            rms_before=rms,
+            rms_after=rms,
+            shift=None,
+            span=(),
+            detail=process.name,
+        )
+    )
     if late is not None:
         listed.append(replace(late, probability=shares[len(joints) + 1]))
     return tuple(sorted(listed, key=lambda finding: -finding.log_bayes_factor))

@@ -60,7 +60,13 @@ def swing(record: Record, model: Model, grains: Grains) -> Leftover:
     variance = float(np.mean(block_means(power, SLOW) ** 2))
     smooth = grains.mean(power)
     shape = smooth / grains.residual.std()
-    return Leftover(f"{SWING} every {best.period:.1f} s", evidence, variance, smooth, (np.outer(shape, shape),))
+    return Leftover(
+        name=f"{SWING} every {best.period:.1f} s",
+        log_bayes_factor=evidence,
+        variance=variance,
+        smooth=smooth,
+        covariances=(np.outer(shape, shape),),
+    )
 
 
 def with_swing(record: Record, model: Model) -> Model:

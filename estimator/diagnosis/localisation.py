@@ -47,7 +47,7 @@ def places(model: Model) -> list[Place]:
         return []
     q = false_discovery_control([row[-1] for row in found])
     chosen = [
-        Place(name, start, end, unit, bias, share, float(value))
+        Place(axis=name, start=start, end=end, unit=unit, bias=bias, share=share, q_value=float(value))
         for (name, unit, start, end, bias, share, _), value in zip(found, q, strict=True)
         if value < LEVEL
     ]
@@ -110,4 +110,4 @@ def gap_map(before: Model, after: Model) -> GapMap:
         return np.where(count >= CELL_SAMPLES, total / np.maximum(count, 1), np.nan), count
 
     (first, count), (second, _) = mean(before), mean(after)
-    return GapMap(speed, acceleration, first, second, count)
+    return GapMap(speed_edges=speed, acceleration_edges=acceleration, before=first, after=second, samples=count)

@@ -29,7 +29,7 @@ class Process:
     kernels: Callable[[Grains], list[Floats]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Leftover:
     """Evidence of a process on a residual: log Bayes factor, variance it explains [W^2], smoothed estimate [W] (n,).
 
@@ -89,7 +89,9 @@ def ripple(grains: Grains) -> Leftover:
     frequency = np.arange(1 / LONGEST_PERIOD, 1 / SHORTEST_PERIOD, FINENESS / span)
     angle = 2 * np.pi * np.outer(grains.t - grains.t[0], frequency)
     nothing = np.zeros(len(grains))
-    best = Leftover("swings", -np.inf, 0.0, nothing, (np.outer(nothing, nothing),))
+    best = Leftover(
+        name="swings", log_bayes_factor=-np.inf, variance=0.0, smooth=nothing, covariances=(np.outer(nothing, nothing),)
+    )
     for gain in (np.ones(len(grains)), grains.engine_speed):
         gain = gain / np.sqrt(np.mean(gain**2))
         waves = np.stack([np.cos(angle), np.sin(angle)]) * gain[:, None]
@@ -101,7 +103,13 @@ def ripple(grains: Grains) -> Leftover:
             smooth = grains.off_base(waves[0][:, peak] * cosine.value[peak] + waves[1][:, peak] * sine.value[peak])
             variance = float(np.mean(smooth**2))
             pair = waves[:, :, peak].T * np.sqrt(variance / grains.residual.var())
-            best = Leftover(f"swings every {1 / frequency[peak]:.0f} s", total, variance, smooth, (pair @ pair.T,))
+            best = Leftover(
+                name=f"swings every {1 / frequency[peak]:.0f} s",
+                log_bayes_factor=total,
+                variance=variance,
+                smooth=smooth,
+                covariances=(pair @ pair.T,),
+            )
     return best
 
 
@@ -132,7 +140,15 @@ def leftovers(grains: Grains) -> list[Leftover]:
                         smooth = grains.off_base(strength * shape @ weights)
                         best = (value, float(np.mean(smooth**2)), smooth, strength * shape)
         lbf = float(logsumexp(total)) - np.log(len(total)) - none
-        found.append(Leftover(process.name, lbf, best[1] * scale, best[2] * np.sqrt(scale), (best[3],)))
+        found.append(
+            Leftover(
+                name=process.name,
+                log_bayes_factor=lbf,
+                variance=best[1] * scale,
+                smooth=best[2] * np.sqrt(scale),
+                covariances=(best[3],),
+            )
+        )
     return sorted(found, key=lambda leftover: -leftover.log_bayes_factor)
 
 

@@ -55,7 +55,7 @@ class Span(NamedTuple):
     log: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """One candidate effect, judged on the log."""
 
@@ -72,7 +72,7 @@ class Finding:
     detail: str = ""  # shape found, e.g. "from 31 deg", "two levels, 14 % of the time"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
     """A part of an axis where the residual is not zero."""
 
@@ -137,7 +137,7 @@ class Isolability:
     expected_log_bayes_factor: Floats  # (k,), at the usual magnitude
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GapMap:
     """Mean residual [W] in cells of speed x acceleration (rows, columns), NaN where there is little data."""
 
@@ -148,7 +148,7 @@ class GapMap:
     samples: Floats
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Traces:
     """Seconds of admitted driving, log by log; all arrays (n,)."""
 

@@ -17,7 +17,7 @@ MOST = 4  # effects that are looked for
 STEPS = 8  # of the search; some only lengthen an effect that is there
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Found:
     """An effect as it was chosen: among which others, on top of what, and what was left before and after."""
 
@@ -46,7 +46,7 @@ class Step:
     left: tuple[Leftover, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Search:
     """Where the search ended: what was chosen, the first ranking, processes before and after, the final models."""
 
@@ -84,7 +84,7 @@ def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
             chosen, exchanged = _exchange(plain, chosen, drives, effects)
             if exchanged is not drives:
                 drives, left = exchanged, remainders(exchanged)
-    return Search(tuple(chosen), first, at_first, left, drives)
+    return Search(chosen=tuple(chosen), ranking=first, at_first=at_first, at_last=left, drives=drives)
 
 
 def _step(
@@ -101,7 +101,14 @@ def _step(
     if taken <= 0 or taken < (LEAST_TIMED if ranking[0].is_timed else LEAST) * most:
         return None
     left = remainders(bigger)
-    found = Found(ranking[0], ranking, drives, process.log_bayes_factor, left[0].log_bayes_factor, beside)
+    found = Found(
+        joint=ranking[0],
+        ranking=ranking,
+        before=drives,
+        unnamed=process.log_bayes_factor,
+        unnamed_after=left[0].log_bayes_factor,
+        is_beside=beside,
+    )
     least = NEXT if found.unnamed_after > UNEXPLAINED or (others and ranking[0].is_timed) else 0.0
     return Step(found, taken, bigger, left) if found.margin >= least else None
 

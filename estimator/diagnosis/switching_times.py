@@ -23,7 +23,7 @@ CHANGE_COST = 5.5  # log: one time among those at which a change could as well h
 GRAIN = 10.0  # s, of the windows that are tried
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Beats:
     """The residual and a profile, averaged; all arrays (n,). ``of`` is the beat of each sample."""
 
@@ -45,7 +45,13 @@ def beats(model: Model, profile: Floats) -> Beats:
         averaged: Floats = np.add.reduceat(x, starts) / count
         return averaged
 
-    return Beats(mean(model.samples.t), mean(model.base.residual), mean(profile), count.astype(float), of)
+    return Beats(
+        t=mean(model.samples.t),
+        residual=mean(model.base.residual),
+        profile=mean(profile),
+        weight=count.astype(float),
+        of=of,
+    )
 
 
 def switching(model: Model, profile: Floats, dwell: float) -> list[Spans]:

@@ -98,19 +98,21 @@ class Inference:
         window = self._window
         samples = window.samples
         if reason := self._contradicted(samples):
-            return Estimate(t, Status.INVALID, reason, NOTHING_COVERED, len(samples))
+            return Estimate(t=t, status=Status.INVALID, reason=reason, coverage=NOTHING_COVERED, admitted=len(samples))
         belief = self._given + self._loads.carried_over(t, self._config.load)
         for effect in self._effects:
             if not effect.streaming_shapes(context):
                 needs = " or ".join(role.value for role in effect.wanted)
                 reason = f"the effect {effect.name} needs {needs}, which the bus does not carry"
-                return Estimate(t, Status.UNESTIMATED, reason, NOTHING_COVERED, len(samples))
+                return Estimate(
+                    t=t, status=Status.UNESTIMATED, reason=reason, coverage=NOTHING_COVERED, admitted=len(samples)
+                )
         fit = moments.fit(samples, self._config.admission.power_sigmas, belief, self._effects)
         held = int(fit.kept.sum()) if fit else len(samples)
         self.below = len(samples) - held
 
         def unestimated(reason: str, coverage: Coverage = NOTHING_COVERED) -> Estimate:
-            return Estimate(t, Status.UNESTIMATED, reason, coverage, held)
+            return Estimate(t=t, status=Status.UNESTIMATED, reason=reason, coverage=coverage, admitted=held)
 
         reason = self._gate.is_calculable(fit, held, posterior.box(self._config.prior))
         pulling = samples.P[samples.za > PULLING]
@@ -124,7 +126,7 @@ class Inference:
         if reason := self._gate.is_covered(fit, coverage):
             return unestimated(reason, coverage)
         if reason := doubt or misfit(samples, fit):
-            return Estimate(t, Status.INVALID, reason, coverage, held, rms=fit.rms)
+            return Estimate(t=t, status=Status.INVALID, reason=reason, coverage=coverage, admitted=held, rms=fit.rms)
         draws = posterior.sample(self._target(window, fit), self._config, self._rng)
         if not draws.has_converged:
             c = draws.convergence
@@ -152,7 +154,20 @@ class Inference:
         own = enumerate(fit.own_terms, start=moments.PARAMETERS)
         effects = {term.effect.name: draws.marginal(i) for i, term in own}
         change = self._loads.show(Segment(road_load.mean(axis=0), np.cov(road_load.T), t))
-        return Estimate(t, Status.ESTIMATED, "", coverage, held, m, A, C, draws.convergence, fit.rms, effects, change)
+        return Estimate(
+            t=t,
+            status=Status.ESTIMATED,
+            reason="",
+            coverage=coverage,
+            admitted=held,
+            mass=m,
+            A=A,
+            C=C,
+            convergence=draws.convergence,
+            rms=fit.rms,
+            effects=effects,
+            load=change,
+        )
 
     def _contradicted(self, samples: Samples) -> str:
         """Which belief of the configuration the drive contradicts, if any."""

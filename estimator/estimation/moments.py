@@ -73,7 +73,7 @@ class Belief:
 SMALL_LAG = Belief.about(3, 0.0, LAG_SD)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fit:
     """Result of the moment fit; parameters in the order A [N], C [N s^2/m^2], m [kg], tau [s]."""
 
@@ -201,7 +201,16 @@ def _fit(
     theta, covariance = final
     rms = float(np.sqrt(np.mean((Pk - Xk @ theta) ** 2)))
     covariance = covariance / np.outer(scale, scale)
-    return Fit(theta / scale, covariance, float(cosines), previous, rms, len(Pk) / time, terms, road_load)
+    return Fit(
+        theta=theta / scale,
+        covariance=covariance,
+        dof=float(cosines),
+        kept=previous,
+        rms=rms,
+        effective=len(Pk) / time,
+        terms=terms,
+        road_load=road_load,
+    )
 
 
 def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Belief) -> tuple[Floats, Floats] | None:

@@ -35,7 +35,7 @@ class Posterior:
         """Summary of parameter ``i``."""
         x = self.draws[:, :, i]
         q05, q50, q95 = np.quantile(x, [0.05, 0.5, 0.95]).tolist()
-        return Marginal(float(x.mean()), float(x.std(ddof=1)), q05, q50, q95)
+        return Marginal(mean=float(x.mean()), sd=float(x.std(ddof=1)), q05=q05, q50=q50, q95=q95)
 
 
 def box(prior: Prior) -> tuple[Floats, Floats]:
@@ -59,7 +59,7 @@ def target_of(fit: Fit, config: Config) -> Target:
     widest = [WIDEST * term.effect.usual(fit.theta) for term in fit.own_terms]
     lowest = [0.0 if term.effect.positive else -size for term, size in zip(fit.own_terms, widest, strict=True)]
     lower, upper = np.append(lower, lowest), np.append(upper, widest)
-    return StudentTarget(fit.theta, fit.covariance, fit.dof, lower, upper)
+    return StudentTarget(fitted=fit.theta, covariance=fit.covariance, dof=fit.dof, lower=lower, upper=upper)
 
 
 def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterior:
@@ -71,10 +71,10 @@ def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterio
         result.draws,
         Convergence(
             # A parameter that cannot be judged makes the whole NaN, which never counts as converged.
-            float(np.max([diagnosis.r_hat for diagnosis in road_load])),
-            float(np.min([diagnosis.ess_bulk for diagnosis in road_load])),
-            result.acceptance,
-            result.draws.shape[1],
-            settings.chains,
+            r_hat=float(np.max([diagnosis.r_hat for diagnosis in road_load])),
+            ess_bulk=float(np.min([diagnosis.ess_bulk for diagnosis in road_load])),
+            acceptance=result.acceptance,
+            draws=result.draws.shape[1],
+            chains=settings.chains,
         ),
     )

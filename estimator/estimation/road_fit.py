@@ -144,14 +144,14 @@ def columns(strides: Strides, lag: int, terms: Sequence[Term], road_load: Floats
     A, C, m = road_load.tolist()
     level = (force - A - C * density * strides.speed_squared) / m  # the measured acceleration has the road in it
     view = View(
-        strides.t,
-        strides.speed,
-        level,
-        force * strides.speed,
-        density,
-        strides.context,
-        road_load,
-        np.zeros(len(strides)),
+        t=strides.t,
+        v=strides.speed,
+        a=level,
+        P=force * strides.speed,
+        density=density,
+        context=strides.context,
+        road_load=road_load,
+        climb=np.zeros(len(strides)),
     )
     return np.column_stack([*plain, *(term.column(view) / strides.speed for term in terms)])
 

@@ -188,7 +188,7 @@ class RoadInference:
         def withheld(
             reason: str, coverage: Coverage = NOTHING_COVERED, status: Status = Status.UNESTIMATED
         ) -> Estimate:
-            return Estimate(t, status, reason, coverage, held)
+            return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held)
 
         for effect in self._effects:
             if not effect.streaming_shapes(context):
@@ -342,20 +342,20 @@ class RoadInference:
         marginals = {name: draws.marginal(i) for i, name in enumerate(PARAMETERS) if name not in reasons}
         road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, :ROAD_LOAD]
         return Estimate(
-            t,
-            Status.ESTIMATED,
-            "",
-            coverage,
-            len(window),
-            marginals["m"],
-            marginals.get("A"),
-            marginals.get("C"),
-            draws.convergence,
-            rms,
-            {term.effect.name: draws.marginal(ROAD_LOAD + i) for i, term in enumerate(found.terms)},
-            self._loads.show(Segment(road_load.mean(axis=0), np.cov(road_load.T), t)),
-            reasons,
-            _road(found),
+            t=t,
+            status=Status.ESTIMATED,
+            reason="",
+            coverage=coverage,
+            admitted=len(window),
+            mass=marginals["m"],
+            A=marginals.get("A"),
+            C=marginals.get("C"),
+            convergence=draws.convergence,
+            rms=rms,
+            effects={term.effect.name: draws.marginal(ROAD_LOAD + i) for i, term in enumerate(found.terms)},
+            load=self._loads.show(Segment(road_load.mean(axis=0), np.cov(road_load.T), t)),
+            withheld=reasons,
+            road=_road(found),
         )
 
 

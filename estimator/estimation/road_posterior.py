@@ -17,7 +17,7 @@ from estimator.signals import Floats
 PASSES = 6  # Newton steps to the mode
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RoadTarget:
     """Log density over theta = [A, C, m, b ...] (p,), all lags and offsets integrated out.
 
@@ -50,7 +50,7 @@ class RoadTarget:
         moment[:ROAD_LOAD] = belief.moment[:ROAD_LOAD]
         unit = np.sqrt(np.diag(covariance))
         inverse = np.linalg.inv(covariance / np.outer(unit, unit)) / np.outer(unit, unit)
-        return cls(fit.beta[places], inverse, Belief(precision, moment), lower, upper)
+        return cls(mean=fit.beta[places], precision=inverse, belief=Belief(precision, moment), lower=lower, upper=upper)
 
     def _coefficients(self, theta: Floats) -> Floats:
         m = theta[:, 2]

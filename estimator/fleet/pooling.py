@@ -46,7 +46,7 @@ class Mixture:
         mean = float(self.weights @ self.means)
         variance = float(self.weights @ (self.sds**2 + (self.means - mean) ** 2))
         q05, q50, q95 = (self.quantile(p) for p in (0.05, 0.5, 0.95))
-        return Marginal(mean, variance**0.5, q05, q50, q95)
+        return Marginal(mean=mean, sd=variance**0.5, q05=q05, q50=q50, q95=q95)
 
 
 @dataclass(frozen=True, kw_only=True)

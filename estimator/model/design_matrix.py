@@ -67,10 +67,19 @@ def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> 
     road_load = np.maximum(road_load, np.array([LEAST_ROLLING * STANDARD_GRAVITY, LEAST_DRAG, 1.0]) * m)
     gravity = [context[term.shape] for term in terms if term.effect.is_gravity]
     climb = gravity[0] if gravity else np.zeros(len(samples))
-    own = View(samples.t, samples.v, samples.a, samples.P, density, context, road_load, climb)
+    own = View(
+        t=samples.t,
+        v=samples.v,
+        a=samples.a,
+        P=samples.P,
+        density=density,
+        context=context,
+        road_load=road_load,
+        climb=climb,
+    )
     # The model's power, not the power measured around: what the model lacks outlasts the ring, and would be in both.
     around = design(samples.zv, samples.za, density) @ road_load
-    return own, View(samples.t, samples.zv, samples.za, around, density, context, road_load, climb)
+    return own, replace(own, v=samples.zv, a=samples.za, P=around)
 
 
 def columns(samples: Samples, terms: tuple[Term, ...] = (), road_load: Floats | None = None) -> tuple[Floats, Floats]:

@@ -49,7 +49,7 @@ _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the strid
 SIGNALS = ("altitude", "grade", "gravity")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scale:
     """A scale of the noise or of the road: lognormal prior ``centre`` and ``spread`` of the logarithm, and bounds."""
 
@@ -62,28 +62,28 @@ class Scale:
 
 # Centres and spreads are those of ordinary roads and sensors; drives of an hour override them.
 SCALES = (
-    Scale("torque noise", 5e-3, 1.0, 1e-4, 1.0),  # m/s^2, at the median gearing
-    Scale("torque noise time", 0.5, 0.5, 0.05, 5.0),  # s
-    Scale("speed noise", 4e-3, 1.0, 2e-4, 0.2),  # m/s, of the mean over EDGE rows
-    Scale("disturbance", 5e-4, 0.5, 1e-4, 0.2),  # m/s^2, of what no signal shows
-    Scale("slope", 8e-3, 1.2, 1e-4, 0.08),  # sine
-    Scale("slope length", 400.0, 0.6, 60.0, 3000.0),  # m
+    Scale(name="torque noise", centre=5e-3, spread=1.0, low=1e-4, high=1.0),  # m/s^2, at the median gearing
+    Scale(name="torque noise time", centre=0.5, spread=0.5, low=0.05, high=5.0),  # s
+    Scale(name="speed noise", centre=4e-3, spread=1.0, low=2e-4, high=0.2),  # m/s, of the mean over EDGE rows
+    Scale(name="disturbance", centre=5e-4, spread=0.5, low=1e-4, high=0.2),  # m/s^2, of what no signal shows
+    Scale(name="slope", centre=8e-3, spread=1.2, low=1e-4, high=0.08),  # sine
+    Scale(name="slope length", centre=400.0, spread=0.6, low=60.0, high=3000.0),  # m
 )
 SIGNAL_SCALES = {
     "altitude": (
-        Scale("altitude noise", 0.3, 1.0, 0.02, 50.0),  # m
-        Scale("altitude wander", 2.0, 1.2, 0.05, 300.0),  # m
-        Scale("altitude wander time", 60.0, 1.0, 5.0, 3000.0),  # s
+        Scale(name="altitude noise", centre=0.3, spread=1.0, low=0.02, high=50.0),  # m
+        Scale(name="altitude wander", centre=2.0, spread=1.2, low=0.05, high=300.0),  # m
+        Scale(name="altitude wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
     ),
     "grade": (
-        Scale("grade noise", 5e-3, 1.2, 1e-4, 0.3),  # sine
-        Scale("grade wander", 5e-3, 1.2, 1e-4, 0.3),  # sine
-        Scale("grade wander time", 60.0, 1.0, 5.0, 3000.0),  # s
+        Scale(name="grade noise", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="grade wander", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="grade wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
     ),
     "gravity": (
-        Scale("gravity noise", 5e-3, 1.2, 1e-4, 0.3),  # sine
-        Scale("gravity wander", 5e-3, 1.2, 1e-4, 0.3),  # sine
-        Scale("gravity wander time", 60.0, 1.0, 5.0, 3000.0),  # s
+        Scale(name="gravity noise", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="gravity wander", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="gravity wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
     ),
 }
 

@@ -40,16 +40,16 @@ def to_samples(
     context = {quantity: values for quantity, values in quantities(rows, start).items() if quantity in wanted}
     blank = np.full(len(rows), np.nan)
     samples = Samples(
-        rows.t,
-        convolve(speed, kernels.value),
-        a,
-        convolve(power, kernels.value),
-        convolve(power, kernels.slope),
-        convolve(speed, ring.value),
-        za,
-        convolve(power, ring.slope),
-        air_density(rows),
-        {quantity: context.get(quantity, blank) for quantity in sorted(wanted)},
+        t=rows.t,
+        v=convolve(speed, kernels.value),
+        a=a,
+        P=convolve(power, kernels.value),
+        dP=convolve(power, kernels.slope),
+        zv=convolve(speed, ring.value),
+        za=za,
+        zdP=convolve(power, ring.slope),
+        density=air_density(rows),
+        context={quantity: context.get(quantity, blank) for quantity in sorted(wanted)},
     )
     return samples[margin(STEP) : len(rows) - margin(STEP)]
 

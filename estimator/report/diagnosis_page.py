@@ -143,7 +143,9 @@ def _complete(traces: Traces | None) -> Traces | None:
         return None
     columns = np.array([getattr(traces, column.name) for column in fields(Traces)])
     columns = columns[:, np.isfinite(columns).all(axis=0)]
-    return Traces(*columns) if columns.shape[1] >= 2 else None
+    if columns.shape[1] < 2:
+        return None
+    return Traces(**{field.name: column for field, column in zip(fields(Traces), columns, strict=True)})
 
 
 def _unseen(d: Diagnosis) -> str:

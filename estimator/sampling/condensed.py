@@ -96,7 +96,15 @@ class Region:
         active, clipped = u > turn, u < -turn
         undecided = ~(active | clipped)
         sums, cut = Sums.of(X[active], (P - u)[active]), P[clipped]
-        return Condensed(self, sums, float(cut @ cut), X[undecided], P[undecided], len(P), float(P @ P))
+        return Condensed(
+            region=self,
+            active=sums,
+            clipped=float(cut @ cut),
+            X=X[undecided],
+            P=P[undecided],
+            n=len(P),
+            squares=float(P @ P),
+        )
 
     def reach(self, centre: Floats, root: Floats) -> float:
         """Radius up to which every centre + root z (q,), z (p,), lies in here; negative where the centre does not."""
@@ -105,7 +113,7 @@ class Region:
         return (1.0 - outside) / width if width else np.inf
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Condensed:
     """Samples, for coefficients in a region."""
 
@@ -121,17 +129,19 @@ class Condensed:
     def of(cls, X: Floats, P: Floats) -> "Condensed":
         """Samples about which nothing is decided, anywhere."""
         q = X.shape[1]
-        return cls(Region.everywhere(q), Sums.empty(q), 0.0, X, P, len(P), float(P @ P))
+        return cls(
+            region=Region.everywhere(q), active=Sums.empty(q), clipped=0.0, X=X, P=P, n=len(P), squares=float(P @ P)
+        )
 
     @classmethod
     def total(cls, parts: "Sequence[Condensed]") -> "Condensed":
         """All the samples of blocks condensed for the same region; at least one."""
         return cls(
-            parts[0].region,
-            Sums.total([part.active for part in parts]),
-            sum(part.clipped for part in parts),
-            np.concatenate([part.X for part in parts]),
-            np.concatenate([part.P for part in parts]),
-            sum(part.n for part in parts),
-            sum(part.squares for part in parts),
+            region=parts[0].region,
+            active=Sums.total([part.active for part in parts]),
+            clipped=sum(part.clipped for part in parts),
+            X=np.concatenate([part.X for part in parts]),
+            P=np.concatenate([part.P for part in parts]),
+            n=sum(part.n for part in parts),
+            squares=sum(part.squares for part in parts),
         )

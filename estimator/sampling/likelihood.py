@@ -76,7 +76,7 @@ def bound_precision(centre: Floats, slope: Floats, lower: Floats, upper: Floats)
     return np.diag(np.where(at_bound, (slope / 2) ** 2, 0.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StudentTarget:
     """Multivariate t around a fitted point: a moment objective whose covariance had to be estimated.
 

@@ -27,7 +27,7 @@ RETARDER_SPEED = 4.0  # m/s, below which the service brake does all
 Ledgers = Mapping[tuple[str, str], Floats]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
     """The truck's course as integrated, every ``STEP``; arrays (n,) as in `Truth`; ``phase`` of the gearbox."""
 
@@ -76,7 +76,7 @@ def settle(
     power = _wheel_powers(truck, route, course, ledgers)
     if limit:
         power["retarder_use"] = retarder * v
-    reading = Reading(course.t, v, course.a, course.torque, engine_speed)
+    reading = Reading(t=course.t, v=v, a=course.a, torque=course.torque, engine_speed=engine_speed)
     for name, action in actions.items():
         if action.reading is not None:
             read = action.reading(reading)

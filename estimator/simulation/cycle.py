@@ -54,13 +54,13 @@ def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
     place = GRADE_SPACING * np.arange(int(road / GRADE_SPACING) + 2)
     grade = np.interp(place % around, s, table["grade"]) if "grade" in table else np.zeros(len(place))
     return Route(
-        starts,
-        speeds,
-        np.append(stops[inside], road),
-        np.append(dwells[inside], np.inf),
-        grade,
-        curvature_of(starts, speeds, [], road, rng),
-        rng.uniform(0.0, 2 * np.pi),
+        section_start=starts,
+        section_speed=speeds,
+        stop_position=np.append(stops[inside], road),
+        stop_dwell=np.append(dwells[inside], np.inf),
+        grade=grade,
+        curvature=curvature_of(starts, speeds, [], road, rng),
+        start_heading=rng.uniform(0.0, 2 * np.pi),
     )
 
 

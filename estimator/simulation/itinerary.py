@@ -59,14 +59,14 @@ def out_and_back(route: Route, turn: float) -> Route:
     yard, curved_yard = round(TURN_LENGTH / GRADE_SPACING) - 1, round(TURN_LENGTH / CURVE_SPACING) - 1
     u_turn = np.full(curved_yard, np.pi / (curved_yard * CURVE_SPACING))
     return Route(
-        np.concatenate([start, [turn], (home - section_end)[::-1]]),
-        np.concatenate([speed, [TURN_SPEED], speed[::-1]]),
-        np.concatenate([stop, [turn], (home - stop)[::-1], [home]]),
-        np.concatenate([dwell, [TURN_DWELL], dwell[::-1], [np.inf]]),
-        np.concatenate([grade, np.zeros(yard), -grade[::-1], [0.0]]),
-        np.concatenate([curvature, u_turn, -curvature[::-1], [0.0]]),
-        route.start_heading,
-        np.concatenate([place, np.full(yard, turn), place[::-1], [0.0]]),
+        section_start=np.concatenate([start, [turn], (home - section_end)[::-1]]),
+        section_speed=np.concatenate([speed, [TURN_SPEED], speed[::-1]]),
+        stop_position=np.concatenate([stop, [turn], (home - stop)[::-1], [home]]),
+        stop_dwell=np.concatenate([dwell, [TURN_DWELL], dwell[::-1], [np.inf]]),
+        grade=np.concatenate([grade, np.zeros(yard), -grade[::-1], [0.0]]),
+        curvature=np.concatenate([curvature, u_turn, -curvature[::-1], [0.0]]),
+        start_heading=route.start_heading,
+        place=np.concatenate([place, np.full(yard, turn), place[::-1], [0.0]]),
     )
 
 
@@ -85,15 +85,15 @@ def laps(route: Route, lap: float, length: float) -> Route:
     start = np.tile(route.section_start[sections], rounds) + lap * np.repeat(np.arange(rounds), sections.sum())
     stop = np.tile(route.stop_position[stops], rounds) + lap * np.repeat(np.arange(rounds), stops.sum())
     return Route(
-        start,
-        np.tile(route.section_speed[sections], rounds),
-        np.append(stop, rounds * lap),
-        np.append(np.tile(route.stop_dwell[stops], rounds), np.inf),
-        np.concatenate([np.tile(grade - grade.mean(), rounds), [0.0, 0.0]]),
-        np.concatenate([np.tile(curvature, rounds), [0.0, 0.0]]),
-        route.start_heading,
-        np.concatenate([np.tile(GRADE_SPACING * np.arange(len(grade)), rounds), [0.0, 0.0]]),
-        lap,
+        section_start=start,
+        section_speed=np.tile(route.section_speed[sections], rounds),
+        stop_position=np.append(stop, rounds * lap),
+        stop_dwell=np.append(np.tile(route.stop_dwell[stops], rounds), np.inf),
+        grade=np.concatenate([np.tile(grade - grade.mean(), rounds), [0.0, 0.0]]),
+        curvature=np.concatenate([np.tile(curvature, rounds), [0.0, 0.0]]),
+        start_heading=route.start_heading,
+        place=np.concatenate([np.tile(GRADE_SPACING * np.arange(len(grade)), rounds), [0.0, 0.0]]),
+        lap=lap,
     )
 
 

@@ -12,7 +12,7 @@ from estimator.simulation.truck import Truck
 STEP = 0.01  # s, of the simulation
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Moment:
     """One step of the drive, as the physics of an effect sees it.
 
@@ -43,7 +43,7 @@ class Scene:
     rng: np.random.Generator
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
     """What the control units would send without noise; arrays (n,).
 
@@ -67,7 +67,7 @@ class Reading:
         return torque * self.engine_speed
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Action:
     """One effect at work in one drive; what is None does nothing. Functions are called once a step, in order of time.
 

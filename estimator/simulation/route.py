@@ -18,7 +18,7 @@ HILL_LENGTH = 500.0  # m over which the grade changes
 RoadKind = Literal["urban", "mixed", "highway"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Route:
     """A road to follow.
 
@@ -57,7 +57,7 @@ class Route:
         return self.start_heading - np.concatenate([[0.0], turned])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Road:
     speeds: tuple[float, ...]  # km/h
     section: tuple[float, float]  # m, shortest and longest
@@ -69,11 +69,25 @@ class _Road:
 
 
 _URBAN = _Road(
-    (30, 40, 50, 50, 60), (150, 700), stop=0.5, bend=0.15, bend_speed=18, bend_length=25, bend_angle=(1.2, 1.8)
+    speeds=(30, 40, 50, 50, 60),
+    section=(150, 700),
+    stop=0.5,
+    bend=0.15,
+    bend_speed=18,
+    bend_length=25,
+    bend_angle=(1.2, 1.8),
 )
-_RURAL = _Road((60, 70, 80), (600, 2500), stop=0.2, bend=0.25, bend_speed=35, bend_length=80, bend_angle=(0.5, 1.5))
+_RURAL = _Road(
+    speeds=(60, 70, 80), section=(600, 2500), stop=0.2, bend=0.25, bend_speed=35, bend_length=80, bend_angle=(0.5, 1.5)
+)
 _HIGHWAY = _Road(
-    (80, 85, 85, 90), (2000, 7000), stop=0.0, bend=0.2, bend_speed=60, bend_length=800, bend_angle=(0.6, 2.4)
+    speeds=(80, 85, 85, 90),
+    section=(2000, 7000),
+    stop=0.0,
+    bend=0.2,
+    bend_speed=60,
+    bend_length=800,
+    bend_angle=(0.6, 2.4),
 )
 _BLOCKS: dict[RoadKind, tuple[tuple[_Road, float], ...]] = {  # kind of road, length of a block [m]
     "urban": ((_URBAN, 10e3),),
@@ -119,13 +133,13 @@ def generate_route(kind: RoadKind, length: float, rng: np.random.Generator, grad
     points = int(length / GRADE_SPACING) + 2
     grade = smooth(points, grade_sd, HILL_LENGTH / GRADE_SPACING / 2, rng)
     return Route(
-        np.array(starts),
-        np.array(speeds),
-        np.array([*stops, length]),
-        np.array([*dwells, np.inf]),
-        grade,
-        curvature_of(np.array(starts), np.array(speeds), bends, length, rng),
-        rng.uniform(0.0, 2 * np.pi),
+        section_start=np.array(starts),
+        section_speed=np.array(speeds),
+        stop_position=np.array([*stops, length]),
+        stop_dwell=np.array([*dwells, np.inf]),
+        grade=grade,
+        curvature=curvature_of(np.array(starts), np.array(speeds), bends, length, rng),
+        start_heading=rng.uniform(0.0, 2 * np.pi),
     )
 
 

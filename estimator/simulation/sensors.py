@@ -45,7 +45,7 @@ OPTIONAL = (
 )  # what a bus may lack and still tell speed and power
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sensors:
     """How well the truck measures.
 

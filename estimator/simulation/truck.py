@@ -16,7 +16,7 @@ RATIO_STEP = 1.277  # ratio of neighbouring gears; the top gear is direct
 Speed = TypeVar("Speed", float, Floats)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Truck:
     """A vehicle to be driven.
 

@@ -12,7 +12,7 @@ from estimator.simulation.moment import Reading
 from estimator.simulation.truck import Truck
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
     """The drive as it was, every ``STEP``; all arrays (n,).
 

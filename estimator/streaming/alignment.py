@@ -99,7 +99,9 @@ class Aligner:
             for (role, i), track in self._tracks.items()
             if i == 0 and role not in NO_CONTEXT
         }
-        return Rows(index, speed, power, np.column_stack([speed_there, power_there]), context)
+        return Rows(
+            index=index, speed=speed, power=power, fresh=np.column_stack([speed_there, power_there]), context=context
+        )
 
     def _speed(self, edges: Floats) -> tuple[Floats, Mask]:
         """The speed signal, or the mean of the wheel speeds where there is none."""

@@ -13,7 +13,17 @@ from estimator.settings import Publish
 pytestmark = pytest.mark.slow
 
 MASS = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
-ESTIMATE = Estimate(0.0, Status.ESTIMATED, "", Coverage(30, 40), 12345, MASS, MASS, MASS, Convergence(1, 1, 1, 1, 3))
+ESTIMATE = Estimate(
+    t=0.0,
+    status=Status.ESTIMATED,
+    reason="",
+    coverage=Coverage(30, 40),
+    admitted=12345,
+    mass=MASS,
+    A=MASS,
+    C=MASS,
+    convergence=Convergence(r_hat=1, ess_bulk=1, acceptance=1, draws=1, chains=3),
+)
 PGN_MASS = 0xFF61
 
 

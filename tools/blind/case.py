@@ -27,7 +27,7 @@ class Case:
         return self.run.named[0].name if self.run.named else self.run.verdict
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
     """One line of the table; ``failures`` are drives for a closer look."""
 
@@ -44,7 +44,9 @@ def share_of(
     """Share of cases for which ``right`` holds; ``lower``: the goal is a small share."""
     judged = [(case.truth.drive, right(case)) for case in cases]
     failures = tuple(drive for drive, holds in judged if holds is lower)
-    return Measure(name, goal, share(sum(holds for _, holds in judged), len(judged)), failures=failures)
+    return Measure(
+        name=name, goal=goal, estimate=share(sum(holds for _, holds in judged), len(judged)), failures=failures
+    )
 
 
 def seen(case: Case) -> bool:

@@ -64,7 +64,7 @@ ALONE = (
 Card = TypeVar("Card")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
     """One drive to be made; ``given``: the road is hilly, and the configuration says so."""
 
@@ -108,7 +108,20 @@ def draw(drives: int, seed: int, minutes: float, hilly: float = 0.0) -> list[Pla
         speed_noise, resolution = next(clean_noise if kind == "clean" else noise)
         sensors = draw_sensors(speed_noise, resolution, truck, names, given, own)
         length = float(minutes * own.uniform(0.9, 1.1))
-        plans.append(Plan(f"drive-{i:04d}", i, kind, length, road, shape, truck, effects, sensors, given))
+        plans.append(
+            Plan(
+                drive=f"drive-{i:04d}",
+                seed=i,
+                kind=kind,
+                minutes=length,
+                road=road,
+                shape=shape,
+                truck=truck,
+                effects=effects,
+                sensors=sensors,
+                given=given,
+            )
+        )
     return plans
 
 

@@ -35,7 +35,7 @@ Floats = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
     """Errors of the sensors, as the generator makes them.
 
@@ -69,7 +69,7 @@ class Noise:
         return (self.speed_sd**2 + self.speed_step**2 / 12) * self.speed_period / BLOCK
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Driven:
     """A drive in blocks: columns ``X`` (n, 3) of A, C, m, ``effects`` (n, k) [W], blocks ``used`` (n,).
 
@@ -114,7 +114,7 @@ class Driven:
         rate = mean(np.gradient(power, step))
         d = np.column_stack([mean(effect) for effect in effects]) if effects else np.empty((n, 0))
         band = covariance(mean(engine_speed), mass * X[:, 0], used, noise)
-        return cls(X, rate, d, used, band)
+        return cls(X=X, rate=rate, effects=d, used=used, band=band)
 
     def weigh(self, columns: Floats) -> Floats:
         """Columns (n, k) times the inverse covariance."""

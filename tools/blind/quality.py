@@ -31,12 +31,17 @@ def honesty(cases: Sequence[Case]) -> list[Measure]:
         right.append(float(_right(case, chosen[0])))
     return [
         share_of("90 % credible set covers", "88..95 %", judged, lambda c: covered[c.truth.drive]),
-        Measure("median size of the credible set, oracle > 10", "<= 2", bootstrap(_median, _array(sizes)), ""),
         Measure(
-            "expected calibration error",
-            "<= 0.05",
-            bootstrap(calibration_error, _array(confidence), _array(right)),
-            "",
+            name="median size of the credible set, oracle > 10",
+            goal="<= 2",
+            estimate=bootstrap(_median, _array(sizes)),
+            unit="",
+        ),
+        Measure(
+            name="expected calibration error",
+            goal="<= 0.05",
+            estimate=bootstrap(calibration_error, _array(confidence), _array(right)),
+            unit="",
         ),
     ]
 
@@ -80,12 +85,17 @@ def shrinkage(cases: Sequence[Case]) -> list[Measure]:
         share_of("gap closed within 3 points of the oracle", ">= 95 %", judged, lambda c: errors[c.truth.drive]),
         share_of("its 90 % interval covers the oracle", "85..95 %", single, lambda c: inside[c.truth.drive]),
         Measure(
-            "median error of the gap closed",
-            "small",
-            bootstrap(_median, 100 * _array([error for _, error in promised])),
-            "points",
+            name="median error of the gap closed",
+            goal="small",
+            estimate=bootstrap(_median, 100 * _array([error for _, error in promised])),
+            unit="points",
         ),
-        Measure("localisation of bounded effects: median IoU", ">= 0.9", bootstrap(_median, _array(located)), ""),
+        Measure(
+            name="localisation of bounded effects: median IoU",
+            goal=">= 0.9",
+            estimate=bootstrap(_median, _array(located)),
+            unit="",
+        ),
     ]
 
 
@@ -105,12 +115,28 @@ def parameters(cases: Sequence[Case]) -> list[Measure]:
             if value is not None and sd is not None:
                 held[case.truth.drive] = abs(value - case.truth.parameters[key]) < NINETY * sd
         x = 100 * _array(errors)
-        lines.append(Measure(f"{label} with the right effects: median error", "0 %", bootstrap(_median, x), "per cent"))
-        lines.append(Measure(f"{label} with the right effects: rms error", "small", bootstrap(_rms, x), "per cent"))
+        lines.append(
+            Measure(
+                name=f"{label} with the right effects: median error",
+                goal="0 %",
+                estimate=bootstrap(_median, x),
+                unit="per cent",
+            )
+        )
+        lines.append(
+            Measure(
+                name=f"{label} with the right effects: rms error",
+                goal="small",
+                estimate=bootstrap(_rms, x),
+                unit="per cent",
+            )
+        )
         with_sd = [case.truth.drive for case in good if case.truth.drive in held]
         failures = tuple(drive for drive in with_sd if not held[drive])
         line = share(len(with_sd) - len(failures), len(with_sd))
-        lines.append(Measure(f"its 90 % interval holds {label}", "85..95 %", line, failures=failures))
+        lines.append(
+            Measure(name=f"its 90 % interval holds {label}", goal="85..95 %", estimate=line, failures=failures)
+        )
     return lines
 
 
@@ -120,9 +146,19 @@ def cost(cases: Sequence[Case]) -> list[Measure]:
     peak = _array([case.run.peak_MB for case in cases])
     slow = tuple(case.truth.drive for case in cases if case.run.processor_seconds > LATE)
     return [
-        Measure("processor time for a log, median", "<= 10 s", bootstrap(_median, seconds), "s", slow),
-        Measure("processor time for a log, 95 % quantile", "<= 10 s", bootstrap(_high, seconds), "s"),
-        Measure("peak memory, largest", "-", bootstrap(_largest, peak[np.isfinite(peak)]), "MB"),
+        Measure(
+            name="processor time for a log, median",
+            goal="<= 10 s",
+            estimate=bootstrap(_median, seconds),
+            unit="s",
+            failures=slow,
+        ),
+        Measure(
+            name="processor time for a log, 95 % quantile", goal="<= 10 s", estimate=bootstrap(_high, seconds), unit="s"
+        ),
+        Measure(
+            name="peak memory, largest", goal="-", estimate=bootstrap(_largest, peak[np.isfinite(peak)]), unit="MB"
+        ),
     ]
 
 

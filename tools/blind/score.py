@@ -11,7 +11,7 @@ from blind.quality import cost, honesty, parameters, shrinkage
 from blind.truth import Truth
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
     """All tables: measures; measures by noise level and by effect; confusion of names."""
 

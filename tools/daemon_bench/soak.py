@@ -62,7 +62,7 @@ class Day:
     def read(self, timeout: float) -> Batch:
         """The next piece, or nothing when the day is over."""
         self.now += PIECE
-        return Batch(next(self._pieces, NOTHING))
+        return Batch(frames=next(self._pieces, NOTHING))
 
     def kernel_drops(self) -> int:
         """No frames are lost."""

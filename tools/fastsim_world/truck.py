@@ -15,7 +15,7 @@ CRAWL = 0.5  # m/s, below which the schedule advances by its own time and not by
 BRAKE_POWER = 500.0  # W, negative power at the wheels beyond which the brakes are taken as applied
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Vehicle:
     """A class-8 truck in fastsim's terms; masses [kg], areas [m^2], powers [W], inertia of one wheel [kg m^2]."""
 
@@ -31,7 +31,7 @@ class Vehicle:
     wheel_radius: float = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Drive:
     """Drive of a road by fastsim, arrays (n,).
 

@@ -54,7 +54,7 @@ class Prior:
     beta: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Conditional:
     """Gaussians given k hyperparameters: ``log_marginal`` (k,) of the estimates, and the means.
 
@@ -93,7 +93,13 @@ def conditional(cycles: Sequence[CycleRuns], kappa: Floats, tau: Floats, beta: F
     mu = np.einsum("kij,kcjl,kcl->ki", np.linalg.inv(precision), W, y)
     away = y - mu[:, None]
     log_marginal -= 0.5 * (np.einsum("kci,kcij,kcj->k", away, W, away) + _log_det(precision))
-    return Conditional(log_marginal, mu, precision, y, np.stack(covariances, axis=1))
+    return Conditional(
+        log_marginal=log_marginal,
+        mean=mu,
+        precision=precision,
+        cycle_mean=y,
+        cycle_covariance=np.stack(covariances, axis=1),
+    )
 
 
 def _log_det(matrix: Floats) -> Floats:

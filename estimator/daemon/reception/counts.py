@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from estimator.daemon.reception.reader import Batch
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Counts:
     """Frames by what they were or what became of them, and how often the bus was opened."""
 

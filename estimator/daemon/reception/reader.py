@@ -34,7 +34,7 @@ ANCILLARY = socket.CMSG_SPACE(2 * LONG.itemsize)  # bytes: one struct timespec, 
 NO_STAMP = bytes(2 * LONG.itemsize)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
     """What was drained at once: data frames, and how many others there were."""
 
@@ -151,8 +151,8 @@ def unpack(raw: list[bytes], t: Floats, own: Mask) -> Batch:
     data = np.where(np.arange(width) < length[:, None], frames["data"], 0).astype(np.uint8)
     found = Frames(t, ident, length, data)
     return Batch(
-        found[good & ~own],
-        found[good & own],
+        frames=found[good & ~own],
+        own=found[good & own],
         errors=int(error.sum()),
         bus_off=int((error & (ident & BUS_OFF != 0)).sum()),
         remote=int(remote.sum()),
@@ -224,4 +224,4 @@ def pack(messages: list[can.Message]) -> Batch:
                 malformed += 1
                 continue
             data.append(message)
-    return Batch(Frames.from_messages(data), errors=errors, bus_off=bus_off, remote=remote, malformed=malformed)
+    return Batch(frames=Frames.from_messages(data), errors=errors, bus_off=bus_off, remote=remote, malformed=malformed)

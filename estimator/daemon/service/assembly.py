@@ -28,7 +28,7 @@ from estimator.streaming.pipeline import Pipeline
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """Everything that a daemon needs, checked: settings, bound messages, buses, and whose state may be restored."""
 
@@ -78,7 +78,7 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
             target = named
     elif any(name.startswith("output_") for name in vars(options)):
         raise ConfigError("an output bus is named, but transmission is off; give --transmit or leave the bus out")
-    return Plan(settings, messages, source, target, estimation_key(settings))
+    return Plan(config=settings, messages=messages, source=source, target=target, key=estimation_key(settings))
 
 
 def _check_groups(messages: list[BoundMessage], settings: Config) -> None:

@@ -33,7 +33,7 @@ class Store(Protocol):
         """Keep a state."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Knowledge:
     """What the pipeline knew at message time ``t`` [s]; counts are since the start."""
 

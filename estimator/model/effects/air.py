@@ -29,12 +29,12 @@ def _winds_near(wind: Shape) -> tuple[Shape, ...]:
 
 
 HEADWIND = Effect(
-    "headwind",
-    "C (2 v w cos d + w^2 (cos^2 d + k sin^2 d)) v",
-    "drag goes with the square of the air's relative speed (SAE J1263)",
-    "wind",
-    "m/s",
-    _wind,
+    name="headwind",
+    equation="C (2 v w cos d + w^2 (cos^2 d + k sin^2 d)) v",
+    source="drag goes with the square of the air's relative speed (SAE J1263)",
+    symbol="wind",
+    unit="m/s",
+    power=_wind,
     usual=always(USUAL_WIND),
     needs=(Quantity.HEADING,),
     shapes=WINDS,
@@ -44,12 +44,12 @@ HEADWIND = Effect(
 )
 
 AIR_DENSITY = Effect(
-    "air_density",
-    "C (rho / rho0 - 1) v^3",
-    "ideal gas; applied, not fitted, where temperature and pressure are known",
-    "relative density",
-    "1",
-    lambda view, shape: view.C * view.v**3,
+    name="air_density",
+    equation="C (rho / rho0 - 1) v^3",
+    source="ideal gas; applied, not fitted, where temperature and pressure are known",
+    symbol="relative density",
+    unit="1",
+    power=lambda view, shape: view.C * view.v**3,
     usual=always(0.05),
     positive=False,
     absorbed=True,
@@ -57,12 +57,12 @@ AIR_DENSITY = Effect(
 )
 
 DRAFTING = Effect(
-    "drafting",
-    "-dC v^3 u(t)",
-    "drag in the wake of a vehicle ahead (platooning studies, NREL)",
-    "share of C",
-    "1",
-    lambda view, shape: -view.C * view.density * view.v**3,
+    name="drafting",
+    equation="-dC v^3 u(t)",
+    source="drag in the wake of a vehicle ahead (platooning studies, NREL)",
+    symbol="share of C",
+    unit="1",
+    power=lambda view, shape: -view.C * view.density * view.v**3,
     usual=always(0.25),
     timing=Timing.SWITCHING,
     breaks="a change of speed behind the vehicle ahead, or the distance to it on the bus",

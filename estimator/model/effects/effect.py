@@ -29,7 +29,7 @@ SOURCES: dict[Quantity, tuple[Role, ...]] = {  # any one of the roles will do
 Context = Mapping[Quantity, Floats]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class View:
     """One side of the samples, as measured or as instruments see them; all arrays (n,).
 
@@ -81,7 +81,7 @@ def always(value: float) -> Usual:
     return lambda road_load: value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Effect:
     """An effect that the plain road load leaves out.
 

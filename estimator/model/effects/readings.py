@@ -8,12 +8,12 @@ from estimator.signals import Quantity
 HOUR = 3600.0  # s
 
 TORQUE_GAIN = Effect(
-    "torque_gain",
-    "e P",
-    "the torque signal is some per cent off, or the driveline takes them",
-    "gain error",
-    "1",
-    lambda view, shape: view.P,
+    name="torque_gain",
+    equation="e P",
+    source="the torque signal is some per cent off, or the driveline takes them",
+    symbol="gain error",
+    unit="1",
+    power=lambda view, shape: view.P,
     usual=always(0.05),
     positive=False,
     absorbed=True,
@@ -22,12 +22,12 @@ TORQUE_GAIN = Effect(
 )
 
 TORQUE_BIAS = Effect(
-    "torque_bias",
-    "T0 w",
-    "an offset of the torque signal, or engine drag that the friction torque leaves out",
-    "T0",
-    "N m",
-    lambda view, shape: view.context[Quantity.ENGINE_SPEED],
+    name="torque_bias",
+    equation="T0 w",
+    source="an offset of the torque signal, or engine drag that the friction torque leaves out",
+    symbol="T0",
+    unit="N m",
+    power=lambda view, shape: view.context[Quantity.ENGINE_SPEED],
     usual=by_mass(50.0),
     positive=False,
     needs=(Quantity.ENGINE_SPEED,),
@@ -36,12 +36,12 @@ TORQUE_BIAS = Effect(
 )
 
 SENSOR_DRIFT = Effect(
-    "sensor_drift",
-    "g t P",
-    "a torque signal that drifts as it warms",
-    "drift per hour",
-    "1/h",
-    lambda view, shape: view.P * view.context[Quantity.ELAPSED] / HOUR,
+    name="sensor_drift",
+    equation="g t P",
+    source="a torque signal that drifts as it warms",
+    symbol="drift per hour",
+    unit="1/h",
+    power=lambda view, shape: view.P * view.context[Quantity.ELAPSED] / HOUR,
     usual=always(0.08),
     positive=False,
     needs=(Quantity.ELAPSED,),
@@ -50,12 +50,12 @@ SENSOR_DRIFT = Effect(
 )
 
 SPEED_SCALE = Effect(
-    "speed_scale",
-    "v -> (1 + e) v",
-    "tyre wear or a wrong rolling radius",
-    "scale error",
-    "1",
-    lambda view, shape: view.P,
+    name="speed_scale",
+    equation="v -> (1 + e) v",
+    source="tyre wear or a wrong rolling radius",
+    symbol="scale error",
+    unit="1",
+    power=lambda view, shape: view.P,
     usual=always(0.02),
     positive=False,
     absorbed=True,
@@ -64,12 +64,12 @@ SPEED_SCALE = Effect(
 )
 
 TIME_LAG = Effect(
-    "time_lag",
-    "P(t - tau) - P(t)",
-    "power and speed reach the bus with different delays, or the speed is filtered; taken out by the alignment",
-    "lag of power",
-    "s",
-    lambda view, shape: np.zeros_like(view.v),
+    name="time_lag",
+    equation="P(t - tau) - P(t)",
+    source="power and speed reach the bus with different delays, or the speed is filtered; taken out by the alignment",
+    symbol="lag of power",
+    unit="s",
+    power=lambda view, shape: np.zeros_like(view.v),
     usual=always(0.2),
     positive=False,
     absorbed=True,
@@ -78,12 +78,12 @@ TIME_LAG = Effect(
 )
 
 SPEED_FILTER = Effect(
-    "speed_filter",
-    "P(t + tau) - P(t)",
-    "a control unit that filters the wheel speed makes it late; to first order a lag of power the other way",
-    "lag of power",
-    "s",
-    lambda view, shape: np.zeros_like(view.v),
+    name="speed_filter",
+    equation="P(t + tau) - P(t)",
+    source="a control unit that filters the wheel speed makes it late; to first order a lag of power the other way",
+    symbol="lag of power",
+    unit="s",
+    power=lambda view, shape: np.zeros_like(view.v),
     usual=always(0.2),
     positive=False,
     absorbed=True,

@@ -20,12 +20,12 @@ def _warming(view: View, time: Shape) -> Floats:
 
 
 GRADE = Effect(
-    "grade",
-    "m g v sin(th)",
-    "component of gravity along the road",
-    "mass on slopes",
-    "kg",
-    _climbing,
+    name="grade",
+    equation="m g v sin(th)",
+    source="component of gravity along the road",
+    symbol="mass on slopes",
+    unit="kg",
+    power=_climbing,
     usual=lambda road_load: 2.0 * float(road_load[2]),
     shapes=(Quantity.CLIMB_BY_GRADE, Quantity.CLIMB_BY_ALTITUDE, Quantity.CLIMB_BY_ACCELEROMETER),
     is_gravity=True,
@@ -34,12 +34,12 @@ GRADE = Effect(
 )
 
 MASS_STEP = Effect(
-    "mass_step",
-    "dm (A + m dv/dt + m g sin(th)) v after a standstill",
-    "load taken on or off",
-    "share of the mass",
-    "1",
-    lambda view, shape: (view.A + view.m * view.a) * view.v + view.m * STANDARD_GRAVITY * view.climb,
+    name="mass_step",
+    equation="dm (A + m dv/dt + m g sin(th)) v after a standstill",
+    source="load taken on or off",
+    symbol="share of the mass",
+    unit="1",
+    power=lambda view, shape: (view.A + view.m * view.a) * view.v + view.m * STANDARD_GRAVITY * view.climb,
     usual=always(0.3),
     positive=False,
     timing=Timing.STEP,
@@ -48,12 +48,12 @@ MASS_STEP = Effect(
 )
 
 WARM_UP = Effect(
-    "warm_up",
-    "A al exp(-t / tau) v",
-    "rolling resistance of tyres falls as they warm (ISO 28580; SAE J2452)",
-    "cold excess of A",
-    "1",
-    _warming,
+    name="warm_up",
+    equation="A al exp(-t / tau) v",
+    source="rolling resistance of tyres falls as they warm (ISO 28580; SAE J2452)",
+    symbol="cold excess of A",
+    unit="1",
+    power=_warming,
     usual=always(0.25),
     needs=(Quantity.ELAPSED,),
     shapes=WARM_UP_TIMES,
@@ -63,36 +63,36 @@ WARM_UP = Effect(
 )
 
 RESISTANCE_SEGMENT = Effect(
-    "resistance_segment",
-    "dA v on [t1, t2]",
-    "wet road, dragging brake, soft tyre",
-    "share of A",
-    "1",
-    lambda view, shape: view.A * view.v,
+    name="resistance_segment",
+    equation="dA v on [t1, t2]",
+    source="wet road, dragging brake, soft tyre",
+    symbol="share of A",
+    unit="1",
+    power=lambda view, shape: view.A * view.v,
     usual=always(0.25),
     timing=Timing.WINDOW,
     breaks="a change of speed inside the window",
 )
 
 CORNERING = Effect(
-    "cornering",
-    "k v ay^2",
-    "induced drag of tyres under side force",
-    "k",
-    "N s^4/m^2",
-    lambda view, shape: view.v * view.context[Quantity.LATERAL_ACCELERATION] ** 2,
+    name="cornering",
+    equation="k v ay^2",
+    source="induced drag of tyres under side force",
+    symbol="k",
+    unit="N s^4/m^2",
+    power=lambda view, shape: view.v * view.context[Quantity.LATERAL_ACCELERATION] ** 2,
     usual=by_mass(600.0),
     needs=(Quantity.LATERAL_ACCELERATION,),
     breaks="yaw rate or lateral acceleration on the bus, and bends taken without braking",
 )
 
 BRAKE_USE = Effect(
-    "brake_use",
-    "F v u(t) while the engine pulls",
-    "a service brake that drags, or is held against the engine, and no switch tells",
-    "brake force",
-    "N",
-    lambda view, shape: view.v,
+    name="brake_use",
+    equation="F v u(t) while the engine pulls",
+    source="a service brake that drags, or is held against the engine, and no switch tells",
+    symbol="brake force",
+    unit="N",
+    power=lambda view, shape: view.v,
     usual=by_mass(4e3),
     timing=Timing.SWITCHING,
     dwells=(12.0,),

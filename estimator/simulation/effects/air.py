@@ -32,7 +32,7 @@ def headwind(scene: Scene, effect: Effect) -> Action:
         drag = C * (1.0 + oblique * yaw * yaw) * hypot(against, across) * against
         return drag - C * now.v * now.v
 
-    return Action(force)
+    return Action(force=force)
 
 
 def wind_gusts(scene: Scene, effect: Effect) -> Action:
@@ -44,7 +44,7 @@ def wind_gusts(scene: Scene, effect: Effect) -> Action:
         against = now.v + gust(now.t)
         return C * (against * abs(against) - now.v * now.v)
 
-    return Action(force)
+    return Action(force=force)
 
 
 def air_density(scene: Scene, effect: Effect) -> Action:
@@ -64,7 +64,7 @@ def air_density(scene: Scene, effect: Effect) -> Action:
     def force(now: Moment) -> float:
         return C * now.v * now.v * (thinness(now.s) * warmth(now.t) - 1.0)
 
-    return Action(force, temperature=temperature)
+    return Action(force=force, temperature=temperature)
 
 
 def drafting(scene: Scene, effect: Effect) -> Action:
@@ -79,4 +79,4 @@ def drafting(scene: Scene, effect: Effect) -> Action:
             return 0.0
         return -effect.magnitude * closeness(now.t) * C * now.v * now.v
 
-    return Action(force, active=spans)
+    return Action(force=force, active=spans)

@@ -21,7 +21,7 @@ BEYOND = 2.0  # times the highest plausible magnitude, where the simulated truck
 Start = Callable[[Scene, Effect], Action]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Kind:
     """A kind of effect.
 
@@ -57,39 +57,59 @@ class Kind:
 KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
-        Kind(roads.grade, "1", 0.010, 0.005, 0.015, "grade"),
-        Kind(roads.mass_step, "1", 0.30, 0.12, 0.60, "mass_step", signed=True),
-        Kind(air.headwind, "m/s", 5.0, 2.0, 8.0, "headwind"),
-        Kind(air.air_density, "K", 12.0, 5.0, 25.0, "air_density", signed=True),
-        Kind(air.drafting, "1", 0.25, 0.20, 0.30, "drafting"),
-        Kind(rolling.warm_up, "1", 0.25, 0.10, 0.40, "warm_up"),
-        Kind(rolling.viscous_drag, "1", 0.40, 0.20, 0.80, "viscous_drag"),
-        Kind(rolling.resistance_segment, "1", 0.25, 0.12, 0.40, "resistance_segment"),
-        Kind(rolling.cornering, "N/(m/s^2)^2", 600.0, 300.0, 900.0, "cornering"),
-        Kind(rolling.load_loss, "1", 0.02, 0.01, 0.03, "load_loss"),
-        Kind(rolling.brake_use, "N", 2500.0, 700.0, 12_000.0, "brake_use"),
-        Kind(rolling.brake_use_shown, "N", 2500.0, 700.0, 12_000.0, "brake_use"),
-        Kind(rolling.retarder_use, "N", 8000.0, 3000.0, 15_000.0, "brake_use"),
-        Kind(powertrain.auxiliary_load, "W", 8e3, 3e3, 14e3, "auxiliary_load"),
-        Kind(powertrain.auxiliary_cycling, "W", 30e3, 14e3, 60e3, "auxiliary_cycling"),
-        Kind(powertrain.air_compressor, "W", 5e3, 3e3, 8e3, "auxiliary_cycling"),
-        Kind(powertrain.rotating_inertia, "kg.m^2", 4.0, 2.0, 6.0, "rotating_inertia"),
-        Kind(readings.torque_gain, "1", 0.05, 0.03, 0.08, "torque_gain", signed=True),
-        Kind(readings.torque_bias, "N.m", 50.0, 20.0, 110.0, "torque_bias", signed=True),
-        Kind(readings.sensor_drift, "1", 0.08, 0.04, 0.12, "sensor_drift", signed=True),
-        Kind(readings.time_lag, "s", 0.3, 0.05, 0.6, "time_lag"),
-        Kind(readings.speed_filter, "s", 0.3, 0.05, 0.6, "speed_filter"),
-        Kind(readings.speed_scale, "1", 0.02, 0.01, 0.03, "speed_scale", signed=True),
-        Kind(readings.quantisation, "1", 0.01, 0.00125, 0.01, "quantisation"),
-        Kind(rolling.snow_plough, "N", 3000.0, 1500.0, 6000.0, None),
-        Kind(rolling.gear_loss, "N.m", 120.0, 60.0, 250.0, None),
-        Kind(rolling.oil_drag, "1", 0.40, 0.20, 0.60, None),
-        Kind(rolling.liquid_surge, "1", 0.30, 0.15, 0.40, None),
-        Kind(roads.road_surface, "1", 0.20, 0.10, 0.30, None),
-        Kind(air.wind_gusts, "m/s", 2.0, 1.0, 3.0, None),
-        Kind(readings.torque_ripple, "N.m", 80.0, 40.0, 150.0, None),
-        Kind(readings.gain_walk, "1", 0.05, 0.03, 0.08, None),
-        Kind(readings.torque_saturation, "1", 0.06, 0.03, 0.10, None, signed=True),
+        Kind(start=roads.grade, unit="1", usual=0.010, low=0.005, high=0.015, known_as="grade"),
+        Kind(start=roads.mass_step, unit="1", usual=0.30, low=0.12, high=0.60, known_as="mass_step", signed=True),
+        Kind(start=air.headwind, unit="m/s", usual=5.0, low=2.0, high=8.0, known_as="headwind"),
+        Kind(start=air.air_density, unit="K", usual=12.0, low=5.0, high=25.0, known_as="air_density", signed=True),
+        Kind(start=air.drafting, unit="1", usual=0.25, low=0.20, high=0.30, known_as="drafting"),
+        Kind(start=rolling.warm_up, unit="1", usual=0.25, low=0.10, high=0.40, known_as="warm_up"),
+        Kind(start=rolling.viscous_drag, unit="1", usual=0.40, low=0.20, high=0.80, known_as="viscous_drag"),
+        Kind(
+            start=rolling.resistance_segment, unit="1", usual=0.25, low=0.12, high=0.40, known_as="resistance_segment"
+        ),
+        Kind(start=rolling.cornering, unit="N/(m/s^2)^2", usual=600.0, low=300.0, high=900.0, known_as="cornering"),
+        Kind(start=rolling.load_loss, unit="1", usual=0.02, low=0.01, high=0.03, known_as="load_loss"),
+        Kind(start=rolling.brake_use, unit="N", usual=2500.0, low=700.0, high=12_000.0, known_as="brake_use"),
+        Kind(start=rolling.brake_use_shown, unit="N", usual=2500.0, low=700.0, high=12_000.0, known_as="brake_use"),
+        Kind(start=rolling.retarder_use, unit="N", usual=8000.0, low=3000.0, high=15_000.0, known_as="brake_use"),
+        Kind(start=powertrain.auxiliary_load, unit="W", usual=8e3, low=3e3, high=14e3, known_as="auxiliary_load"),
+        Kind(
+            start=powertrain.auxiliary_cycling, unit="W", usual=30e3, low=14e3, high=60e3, known_as="auxiliary_cycling"
+        ),
+        Kind(start=powertrain.air_compressor, unit="W", usual=5e3, low=3e3, high=8e3, known_as="auxiliary_cycling"),
+        Kind(
+            start=powertrain.rotating_inertia, unit="kg.m^2", usual=4.0, low=2.0, high=6.0, known_as="rotating_inertia"
+        ),
+        Kind(
+            start=readings.torque_gain, unit="1", usual=0.05, low=0.03, high=0.08, known_as="torque_gain", signed=True
+        ),
+        Kind(
+            start=readings.torque_bias,
+            unit="N.m",
+            usual=50.0,
+            low=20.0,
+            high=110.0,
+            known_as="torque_bias",
+            signed=True,
+        ),
+        Kind(
+            start=readings.sensor_drift, unit="1", usual=0.08, low=0.04, high=0.12, known_as="sensor_drift", signed=True
+        ),
+        Kind(start=readings.time_lag, unit="s", usual=0.3, low=0.05, high=0.6, known_as="time_lag"),
+        Kind(start=readings.speed_filter, unit="s", usual=0.3, low=0.05, high=0.6, known_as="speed_filter"),
+        Kind(
+            start=readings.speed_scale, unit="1", usual=0.02, low=0.01, high=0.03, known_as="speed_scale", signed=True
+        ),
+        Kind(start=readings.quantisation, unit="1", usual=0.01, low=0.00125, high=0.01, known_as="quantisation"),
+        Kind(start=rolling.snow_plough, unit="N", usual=3000.0, low=1500.0, high=6000.0, known_as=None),
+        Kind(start=rolling.gear_loss, unit="N.m", usual=120.0, low=60.0, high=250.0, known_as=None),
+        Kind(start=rolling.oil_drag, unit="1", usual=0.40, low=0.20, high=0.60, known_as=None),
+        Kind(start=rolling.liquid_surge, unit="1", usual=0.30, low=0.15, high=0.40, known_as=None),
+        Kind(start=roads.road_surface, unit="1", usual=0.20, low=0.10, high=0.30, known_as=None),
+        Kind(start=air.wind_gusts, unit="m/s", usual=2.0, low=1.0, high=3.0, known_as=None),
+        Kind(start=readings.torque_ripple, unit="N.m", usual=80.0, low=40.0, high=150.0, known_as=None),
+        Kind(start=readings.gain_walk, unit="1", usual=0.05, low=0.03, high=0.08, known_as=None),
+        Kind(start=readings.torque_saturation, unit="1", usual=0.06, low=0.03, high=0.10, known_as=None, signed=True),
     )
 }
 
@@ -116,7 +136,9 @@ def effects_from(magnitudes: Mapping[str, float | None]) -> list[Effect]:
     InputError
         Unknown name, or a magnitude that no truck can drive with.
     """
-    return [Effect(name, kind_of(name).usual if size is None else size) for name, size in magnitudes.items()]
+    return [
+        Effect(name=name, magnitude=kind_of(name).usual if size is None else size) for name, size in magnitudes.items()
+    ]
 
 
 def parse_effect(text: str) -> Effect:
@@ -133,10 +155,10 @@ def parse_effect(text: str) -> Effect:
     try:
         start, _, end = when.partition("-")
         effect = Effect(
-            name,
-            float(size) if size else kind.usual,
-            float(start) if start else None,
-            float(end) if end else None,
+            name=name,
+            magnitude=float(size) if size else kind.usual,
+            start=float(start) if start else None,
+            end=float(end) if end else None,
         )
     except ValueError:
         raise InputError(f"effect {text!r}: write NAME, NAME=NUMBER or NAME=NUMBER@SECONDS-SECONDS") from None
@@ -173,5 +195,7 @@ def start_all(
             actions[name] = kind.start(Scene(truck, route, duration, own), asked[name])
             route = actions[name].route or route
     if route.grade.any() and "air_density" not in actions:
-        actions["air_density"] = air.air_density(Scene(truck, route, duration, rng), Effect("air_density", 0.0))
+        actions["air_density"] = air.air_density(
+            Scene(truck, route, duration, rng), Effect(name="air_density", magnitude=0.0)
+        )
     return actions, route

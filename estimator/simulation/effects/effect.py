@@ -9,7 +9,7 @@ from estimator.simulation.moment import Scene
 Span = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
     """One thing to go differently in the simulated world.
 

@@ -30,7 +30,7 @@ def road_surface(scene: Scene, effect: Effect) -> Action:
     """Asphalt rough here and smooth there: a share of A more or less, by place, whichever way it is driven."""
     surface, _ = on_the_ground(scene.route, _ground(scene.route, effect.magnitude, PATCHES, scene.rng))
     share, A = along(surface, GRADE_SPACING), scene.truck.A
-    return Action(lambda now: A * share(now.s))
+    return Action(force=lambda now: A * share(now.s))
 
 
 def mass_step(scene: Scene, effect: Effect) -> Action:
@@ -53,7 +53,7 @@ def mass_step(scene: Scene, effect: Effect) -> Action:
         rise = slope(now.s)
         return more_rolling + more_mass * STANDARD_GRAVITY * rise / hypot(1.0, rise)
 
-    return Action(force, inertia=inertia, route=route, active=active)
+    return Action(force=force, inertia=inertia, route=route, active=active)
 
 
 def _ground(route: Route, sd: float, length: float, rng: np.random.Generator) -> Floats:

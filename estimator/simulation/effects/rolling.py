@@ -26,20 +26,20 @@ def warm_up(scene: Scene, effect: Effect) -> Action:
         rise += STEP / time_constant * (heating - rise * (0.35 + 0.65 * now.v / CRUISE))
         return A * excess
 
-    return Action(force)
+    return Action(force=force)
 
 
 def viscous_drag(scene: Scene, effect: Effect) -> Action:
     """Lubricants resist in proportion to speed: a share of A at 20 m/s."""
     slope = effect.magnitude * scene.truck.A / 20.0
-    return Action(lambda now: slope * now.v)
+    return Action(force=lambda now: slope * now.v)
 
 
 def resistance_segment(scene: Scene, effect: Effect) -> Action:
     """A wet road or a soft tyre for a while: a share of A more."""
     start, end = window(scene, effect)
     more = effect.magnitude * scene.truck.A
-    return Action(lambda now: more if start <= now.t < end else 0.0, active=[(start, end)])
+    return Action(force=lambda now: more if start <= now.t < end else 0.0, active=[(start, end)])
 
 
 def cornering(scene: Scene, effect: Effect) -> Action:
@@ -50,13 +50,13 @@ def cornering(scene: Scene, effect: Effect) -> Action:
         lateral = now.v * now.v * curvature(now.s)
         return effect.magnitude * lateral * lateral
 
-    return Action(force)
+    return Action(force=force)
 
 
 def load_loss(scene: Scene, effect: Effect) -> Action:
     """Slip and gear teeth cost a share of the tractive force that grows with it, ``magnitude`` at 20 kN."""
     share = effect.magnitude / REFERENCE_FORCE
-    return Action(lambda now: share * now.force * now.force)
+    return Action(force=lambda now: share * now.force * now.force)
 
 
 def brake_use(scene: Scene, effect: Effect, shown: bool = False) -> Action:
@@ -72,7 +72,7 @@ def brake_use(scene: Scene, effect: Effect, shown: bool = False) -> Action:
         now.brake_light |= shown and drags
         return applied
 
-    return Action(force, active=spans)
+    return Action(force=force, active=spans)
 
 
 def brake_use_shown(scene: Scene, effect: Effect) -> Action:
@@ -91,13 +91,13 @@ def snow_plough(scene: Scene, effect: Effect) -> Action:
     def force(now: Moment) -> float:
         return effect.magnitude * max(0.0, min(1.0, now.v - 1.0, (12.0 - now.v) / 2.0))
 
-    return Action(force)
+    return Action(force=force)
 
 
 def gear_loss(scene: Scene, effect: Effect) -> Action:
     """A bad bearing in one gear: torque lost at the crank."""
     gear = int(scene.rng.integers(9, 12))
-    return Action(lambda now: effect.magnitude * now.gearing if now.closed and now.gear == gear else 0.0)
+    return Action(force=lambda now: effect.magnitude * now.gearing if now.closed and now.gear == gear else 0.0)
 
 
 def oil_drag(scene: Scene, effect: Effect) -> Action:
@@ -112,7 +112,7 @@ def oil_drag(scene: Scene, effect: Effect) -> Action:
         rise += STEP / time_constant * (55.0 * abs(now.force) * now.v / usual - rise)
         return effect.magnitude * truck.A * exp(-rise / 22.0) * (0.4 + 0.6 * now.v / CRUISE)
 
-    return Action(force)
+    return Action(force=force)
 
 
 def liquid_surge(scene: Scene, effect: Effect) -> Action:
@@ -128,4 +128,4 @@ def liquid_surge(scene: Scene, effect: Effect) -> Action:
         x += STEP * u
         return -liquid * (damping * u + omega * omega * x)
 
-    return Action(force, inertia=lambda now: -liquid)
+    return Action(force=force, inertia=lambda now: -liquid)
