@@ -13,7 +13,7 @@ from estimator.components.budget import NOISE, ROAD, budget
 from estimator.components.component import Component, Frame, hats, of_effect, processes
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.search import AtRest, DriveState, search
-from estimator.diagnosis.beside_road import NEEDED
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_fit import best_shapes, fit
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME, CATALOGUE
@@ -204,7 +204,7 @@ def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     effects = [effect for effect in CATALOGUE if not effect.absorbed and not effect.is_gravity]
     for power, named in ((np.zeros(n), []), (np.full(n, 15e3), ["auxiliary_load"])):
         state = DriveState.of(driven(n, power=power), AtRest(float(power[0]), 800.0, 60.0))
-        found = search([state], effects, NEEDED)
+        found = search([state], effects, Thresholds().min_log_bf_beside_road)
         assert [choice.ranked.name for choice in found.choices] == named
     assert found.choices[0].ranked.best[1].value == pytest.approx(15e3, rel=0.1)
 
@@ -214,7 +214,7 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     on = (np.arange(n) % 800) > 500
     state = DriveState.of(driven(n, power=60e3 * on), None)
     effects = [BY_NAME["auxiliary_cycling"]]
-    found = search([state], effects, NEEDED)
+    found = search([state], effects, Thresholds().min_log_bf_beside_road)
     (choice,) = found.choices
     term = choice.ranked.best[1].component.term
     assert len(term.spans) == 3
@@ -228,7 +228,7 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     on = (np.arange(n) % 800) > 500
     power = 60e3 * on
     strides = driven(n, power=power)
-    found = search([DriveState.of(strides, None)], [BY_NAME["auxiliary_cycling"]], NEEDED)
+    found = search([DriveState.of(strides, None)], [BY_NAME["auxiliary_cycling"]], Thresholds().min_log_bf_beside_road)
     whole = budget(found.drives, [[]], [None], np.random.default_rng(1))
     assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
     # The true parts, off the plain columns as the residual is.

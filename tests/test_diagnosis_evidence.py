@@ -15,7 +15,7 @@ from estimator.diagnosis.evidence import log_bayes_factor as log_bayes_factor_of
 from estimator.diagnosis.held_out import HeldOut, gap_closed
 from estimator.diagnosis.model import Model, fit
 from estimator.diagnosis.processes import PROCESSES, UNMEASURED_GRADE, leftovers
-from estimator.diagnosis.thresholds import LAPSE, RARE, TEMPER, probabilities
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
 from estimator.model.design_matrix import columns, inside
 from estimator.samples import STEP, Samples
@@ -79,9 +79,10 @@ def test_bayes_factor_of_few_degrees_of_freedom_is_the_integral(dof: float, t: f
 
 
 def test_probabilities_of_one_effect_and_none() -> None:
-    odds = np.exp(9.0 / TEMPER - RARE)
-    assert probabilities([9.0]) == pytest.approx([(1 - LAPSE) * odds / (1 + odds), (1 - LAPSE) / (1 + odds)])
-    assert sum(probabilities([3.0, -2.0, 700.0])) == pytest.approx(1 - LAPSE)
+    thresholds = Thresholds(log_bf_temper=1.5, log_prior_odds_none=1.0, unmodelled_probability=0.03)
+    odds = np.exp(9.0 / 1.5 - 1.0)
+    assert thresholds.probabilities([9.0]) == pytest.approx([0.97 * odds / (1 + odds), 0.97 / (1 + odds)])
+    assert sum(thresholds.probabilities([3.0, -2.0, 700.0])) == pytest.approx(0.97)
 
 
 # Scores

@@ -9,7 +9,7 @@ from estimator.diagnosis.averaged_residual import grains_of
 from estimator.diagnosis.candidates import refined
 from estimator.diagnosis.held_out import held_out
 from estimator.diagnosis.multi_drive import Drive, Joint
-from estimator.diagnosis.thresholds import NAMED
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.design_matrix import Term, settled, union
 from estimator.model.effects import Timing
 
@@ -17,11 +17,11 @@ RETIMINGS = 4
 AS_GOOD = 1.05  # times the mean square of the other
 
 
-def grown(drives: tuple[Drive, ...], joint: Joint) -> tuple[Drive, ...]:
+def grown(drives: tuple[Drive, ...], joint: Joint, thresholds: Thresholds) -> tuple[Drive, ...]:
     """The drives with an effect more; an event is added only where it is evident."""
     found = []
     for drive, candidate in zip(drives, joint.each, strict=True):
-        if candidate is None or (joint.is_event and candidate.log_bayes_factor < NAMED):
+        if candidate is None or (joint.is_event and candidate.log_bayes_factor < thresholds.min_log_bf_effect):
             found.append(drive)
         else:
             term = settled(refined(drive.model, grains_of(drive.model), candidate.term), drive.model.samples)

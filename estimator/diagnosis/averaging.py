@@ -19,7 +19,7 @@ from estimator.diagnosis.excess_lag import lateness
 from estimator.diagnosis.lowpass import as_filtered
 from estimator.diagnosis.model import Model, refit
 from estimator.diagnosis.multi_drive import Drive
-from estimator.diagnosis.thresholds import TEMPER
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.design_matrix import Term
 from estimator.signals import Floats, Quantity
 
@@ -27,7 +27,7 @@ LEAST = 0.01  # weight of a shape that is worth a fit
 ROAD_LOAD = slice(0, 3)
 
 
-def averaged(drive: Drive) -> tuple[Floats, Floats]:
+def averaged(drive: Drive, thresholds: Thresholds) -> tuple[Floats, Floats]:
     """Mean and standard deviation of A [N], C [N s^2/m^2], m [kg] (3,)."""
     model = drive.model
     mean = model.road_load.copy()
@@ -35,10 +35,12 @@ def averaged(drive: Drive) -> tuple[Floats, Floats]:
     for i, term in enumerate(model.terms):
         shapes = [shape for shape in term.effect.usable_shapes(drive.record.known) if not isinstance(shape, Quantity)]
         if term.spans is None and len(shapes) > 1:
-            shift, spread = _over_shapes(model, i, [replace(term, shape=shape) for shape in shapes])
+            shift, spread = _over_shapes(
+                model, i, [replace(term, shape=shape) for shape in shapes], thresholds.log_bf_temper
+            )
             mean += shift
             variance += spread
-    filtered = as_filtered(drive.record, model) if lateness(drive) is not None else None
+    filtered = as_filtered(drive.record, model) if lateness(drive, thresholds) is not None else None
     if filtered is not None:
         half = (filtered.theta[ROAD_LOAD] - model.base.theta[ROAD_LOAD]) / 2
         mean += half
@@ -46,7 +48,7 @@ def averaged(drive: Drive) -> tuple[Floats, Floats]:
     return mean, np.sqrt(variance)
 
 
-def _over_shapes(model: Model, i: int, variants: list[Term]) -> tuple[Floats, Floats]:
+def _over_shapes(model: Model, i: int, variants: list[Term], temper: float) -> tuple[Floats, Floats]:
     """What allowing the other shapes of term ``i`` does to the road load: shift (3,), and variance it adds (3,)."""
     others = (*model.terms[:i], *model.terms[i + 1 :])
     rest = refit(model, others)
@@ -55,7 +57,7 @@ def _over_shapes(model: Model, i: int, variants: list[Term]) -> tuple[Floats, Fl
     _, ring = rest.views()
     grains, effect = grains_of(rest), model.terms[i].effect
     columns = grains.mean(np.column_stack([term.column(ring) for term in variants]))
-    evidence = weigh(grains, columns, effect.usual(model.road_load), effect.positive).log_bayes_factor / TEMPER
+    evidence = weigh(grains, columns, effect.usual(model.road_load), effect.positive).log_bayes_factor / temper
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
     likely = np.flatnonzero(weights > LEAST)

@@ -13,21 +13,20 @@ import numpy as np
 from estimator.components.budget import ROAD, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_term
 from estimator.components.search import AtRest, Choice, DriveState, Explained, ranked, search
-from estimator.diagnosis.candidates import ALIKE, IDLE_SD, IDLE_SHARE
+from estimator.diagnosis.candidates import IDLE_SD, IDLE_SHARE
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span, Verdict
-from estimator.diagnosis.thresholds import AHEAD, NAMED, NEXT_TIMED, UNEXPLAINED, probabilities
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_fit import ROAD_LOAD
 from estimator.model.effects import Effect
 from estimator.signals import Quantity
 
 POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen may be there all the same
-NEEDED = {False: NAMED, True: NEXT_TIMED}  # log Bayes factor that names an effect, by whether its times are free
 HILL = 300.0  # m, after which a road has another slope
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BesideRoad:
     """The drives explained with the road as a state, what is left of them, and the budget."""
 
@@ -35,6 +34,7 @@ class BesideRoad:
     left_over: float  # log Bayes factor of the best nameless process beside what was chosen
     budget: Budget
     plain: tuple[Drive, ...]
+    thresholds: Thresholds
 
     @property
     def longest(self) -> DriveState:
@@ -77,7 +77,7 @@ class BesideRoad:
         """A road that no model had, and effects beside it, are named; what has no name is not."""
         if self.explained.choices or not self.is_given:
             return Verdict.EFFECT
-        return Verdict.UNKNOWN if self.left_over > UNEXPLAINED else Verdict.NO_GAP
+        return Verdict.UNKNOWN if self.left_over > self.thresholds.min_log_bf_left_process else Verdict.NO_GAP
 
     def hills(self, log_bayes_factor: float) -> Finding:
         """The road itself, which no signal shows: what a signal of it could close."""
@@ -87,7 +87,7 @@ class BesideRoad:
         left = self.budget.total if part is None else part.expected
         return Finding(
             name="grade",
-            probability=probabilities([log_bayes_factor])[0],
+            probability=self.thresholds.probabilities([log_bayes_factor])[0],
             log_bayes_factor=log_bayes_factor,
             equivalent=(),
             magnitude=Magnitude(HIDDEN_GRADE, self.slope_sd, self.slope_sd * spread, "1"),
@@ -123,14 +123,18 @@ class BesideRoad:
         part, effect = self.budget.part(best.name), term.effect
         alone = self.budget.total if part is None or part.reached is None else part.reached
         left = self.budget.reached if self.is_given else alone
-        close = [other for other in ranking if other is not best and other.gain > best.gain - AHEAD]
+        limits, others = self.thresholds, [other for other in ranking if other is not best]
+        close = [other for other in others if other.gain > best.gain - limits.min_log_bf_lead]
         alike = [
-            o for o in ranking if o is not best and o.gain > NAMED and _correlation(o.best[1].trace, form.trace) > ALIKE
+            other
+            for other in others
+            if other.gain > limits.min_log_bf_effect
+            and _correlation(other.best[1].trace, form.trace) > limits.min_class_correlation
         ]
         record = self.plain[which].record
         return Finding(
             name=best.name,
-            probability=probabilities([best.gain, *(other.gain for other in ranking if other is not best)])[0],
+            probability=limits.probabilities([best.gain, *(other.gain for other in others)])[0],
             log_bayes_factor=best.gain,
             equivalent=tuple(sorted({other.name for other in (*close, *alike)} | set(effect.equivalent))),
             magnitude=Magnitude(
@@ -175,16 +179,19 @@ def beside_road(outcome: Outcome) -> BesideRoad | None:
         return None
     effects = [effect for effect in outcome.effects if not effect.absorbed and not effect.is_gravity]
     if outcome.on_hills:
-        explained = search(states, effects, NEEDED)
+        explained = search(states, effects, outcome.thresholds.min_log_bf_beside_road)
     else:
         known = tuple(map(_with_terms, states, outcome.final))
         explained = Explained(known, (), ranked(known, effects))
     unnamed = [drive.unnamed() for drive in explained.drives]
     left = max(found[1] for found in unnamed if found is not None)
-    counted = [found[0] if found is not None and found[1] > UNEXPLAINED else None for found in unnamed]
+    least = outcome.thresholds.min_log_bf_left_process
+    counted = [found[0] if found is not None and found[1] > least else None for found in unnamed]
     possible = [_possible(explained, i) for i in range(len(states))]
     split = budget(explained.drives, possible, counted, outcome.rng)
-    return BesideRoad(explained, left, split, outcome.plain)
+    return BesideRoad(
+        explained=explained, left_over=left, budget=split, plain=outcome.plain, thresholds=outcome.thresholds
+    )
 
 
 def _state(drive: Drive) -> DriveState | None:

@@ -14,7 +14,6 @@ from estimator.model.design_matrix import Spans, Term, inside
 from estimator.model.effects import Effect, Timing
 from estimator.signals import Floats, Quantity
 
-ALIKE = 0.95  # |correlation| of traces beyond which two effects are one class
 CERTAIN = 5.0  # log Bayes factor at which instruments are taken to have found an effect
 IDLE_SD, IDLE_SHARE = 800.0, 0.15  # W, and of the power at rest: what the torque signal is worth there
 NEVER = -50.0  # log Bayes factor of what cannot be: a magnitude of the wrong sign in every shape

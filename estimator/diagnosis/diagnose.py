@@ -19,7 +19,7 @@ from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces, Verdict
 from estimator.diagnosis.search import search
-from estimator.diagnosis.thresholds import UNEXPLAINED
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
 from estimator.model.design_matrix import best_terms, columns
 from estimator.model.effects import CATALOGUE, Effect
@@ -34,8 +34,24 @@ def diagnose(
     given: tuple[Effect, ...],
     rng: np.random.Generator,
     effects: Sequence[Effect] = CATALOGUE,
+    thresholds: Thresholds | None = None,
 ) -> Diagnosis:
-    """Diagnose one drive, or several of one vehicle; ``given`` effects are part of the model from the start."""
+    """Diagnose one drive, or several of one vehicle.
+
+    Parameters
+    ----------
+    records
+        One of each drive.
+    given
+        Effects that are part of the model from the start.
+    rng
+        Of the bootstrap and of draws from posteriors.
+    effects
+        Candidates.
+    thresholds
+        Evidence that names an effect; None: the defaults.
+    """
+    limits = Thresholds() if thresholds is None else thresholds
     plain: list[Drive] = []
     reason = "there is no driving in it"
     for record in records:
@@ -47,7 +63,9 @@ def diagnose(
     missing = tuple(not_testable(effects, frozenset().union(*(record.known for record in records))))
     if not plain:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=_obstacle(records, reason), not_testable=missing)
-    return _report(Outcome(search(tuple(plain), effects), tuple(plain), effects, rng), missing)
+    result = search(tuple(plain), effects, limits)
+    outcome = Outcome(result=result, plain=tuple(plain), effects=effects, rng=rng, thresholds=limits)
+    return _report(outcome, missing)
 
 
 def _obstacle(records: Sequence[Record], reason: str) -> str:
@@ -94,7 +112,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
     before, after = plain.model, drive.model
     at_last = assess(after, grains_of(after), outcome.effects, drive.record.known, drive.rest)
-    unseen = tuple(invisible(outcome.effects, at_last, after, drive.record.known))
+    unseen = tuple(invisible(outcome.effects, at_last, after, drive.record.known, outcome.thresholds))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -115,17 +133,17 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
         traces=_traces(outcome),
     )
     if beside is not None and outcome.on_hills:
-        return _with_road(diagnosis, beside)
+        return _with_road(diagnosis, beside, outcome.thresholds.min_log_bf_left_process)
     return _with_known_road(diagnosis, outcome, hills is not None)
 
 
-def _with_road(diagnosis: Diagnosis, beside: BesideRoad) -> Diagnosis:
+def _with_road(diagnosis: Diagnosis, beside: BesideRoad, min_log_bf: float) -> Diagnosis:
     """What is left, and the vehicle, where the road is a state."""
     final, deviation = beside.road_load
     left = beside.left_over
     return replace(
         diagnosis,
-        remaining_verdict=Verdict.UNKNOWN if left > UNEXPLAINED else Verdict.NO_GAP,
+        remaining_verdict=Verdict.UNKNOWN if left > min_log_bf else Verdict.NO_GAP,
         remaining_log_bayes_factor=left,
         noise_floor=beside.budget.floor,
         rms_base=beside.rms_base,
@@ -137,10 +155,10 @@ def _with_road(diagnosis: Diagnosis, beside: BesideRoad) -> Diagnosis:
 
 def _with_known_road(diagnosis: Diagnosis, outcome: Outcome, hidden: bool) -> Diagnosis:
     """What is left, and the vehicle, by the road load and the effects that were chosen."""
-    mean, deviation = averaged(outcome.final[outcome.longest])
+    mean, deviation = averaged(outcome.final[outcome.longest], outcome.thresholds)
     left = outcome.left.log_bayes_factor
     remaining = Verdict.NO_GAP
-    if left > UNEXPLAINED:
+    if left > outcome.thresholds.min_log_bf_left_process:
         remaining = Verdict.CANNOT_TELL if outcome.rough_hills else Verdict.UNKNOWN
     return replace(
         diagnosis,

@@ -7,7 +7,7 @@ import numpy as np
 from estimator.diagnosis.evidence import parameter_sd
 from estimator.diagnosis.held_out import HeldOut, held_out
 from estimator.diagnosis.multi_drive import Drive
-from estimator.diagnosis.thresholds import NAMED
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.design_matrix import PLAIN
 from estimator.samples import Samples
 
@@ -38,7 +38,7 @@ class Lateness:
         return self.before.mean_square - self.after.mean_square
 
 
-def lateness(drive: Drive) -> Lateness | None:
+def lateness(drive: Drive, thresholds: Thresholds) -> Lateness | None:
     """The lag of a drive, if no sensor's ordinary delay explains it and the model is worse without."""
     model, s = drive.model, drive.model.samples
     lag = drive.record.lag + float(model.base.theta[PLAIN - 1])
@@ -49,4 +49,4 @@ def lateness(drive: Drive) -> Lateness | None:
     unaligned = replace(s, P=s.P - lag * s.dP)
     before = held_out(unaligned, model.terms, model.road_load, lagged=False)
     late = Lateness(lag=lag, sd=sd, unaligned=unaligned, before=before, after=held_out(s, model.terms, model.road_load))
-    return late if late.log_bayes_factor >= NAMED else None
+    return late if late.log_bayes_factor >= thresholds.min_log_bf_effect else None

@@ -2,7 +2,6 @@
 
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Doubtful, Finding, Remainder, Verdict
-from estimator.diagnosis.thresholds import NAMED, NAMED_TIMED
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME
 
@@ -18,7 +17,7 @@ def doubtful(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> 
     if verdict is not Verdict.CANNOT_TELL or named:
         return None
     best = outcome.result.ranking[0]
-    return Doubtful(best.name, best.log_bayes_factor <= (NAMED_TIMED if best.is_timed else NAMED))
+    return Doubtful(best.name, best.log_bayes_factor <= outcome.thresholds.min_log_bf(best.is_timed, others=0))
 
 
 def advice(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> tuple[Advice, ...]:

@@ -14,7 +14,6 @@ from estimator.diagnosis.outcome import Outcome, alike, ties
 from estimator.diagnosis.processes import Leftover
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span, Verdict
 from estimator.diagnosis.search import Found
-from estimator.diagnosis.thresholds import probabilities
 from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects import BY_NAME, Timing
 from estimator.signals import Quantity
@@ -38,7 +37,7 @@ def _chosen(outcome: Outcome, i: int, found: Found) -> Finding:
         name=joint.name,
         probability=outcome.probability(found),
         log_bayes_factor=joint.log_bayes_factor,
-        equivalent=(*alike(found), *ties(found)),
+        equivalent=(*alike(found, outcome.thresholds), *ties(found, outcome.thresholds)),
         magnitude=_magnitude(final, candidate),
         gap_closed=gap_closed(before, after, outcome.floor, outcome.doubt, outcome.rng),
         rms_before=before.rms,
@@ -87,14 +86,14 @@ def difference(before: Model, after: Model) -> Shift:
 def lag(outcome: Outcome) -> Finding | None:
     """A lag between power and speed that no sensor's ordinary delay explains; the alignment has taken it out."""
     drive = outcome.final[outcome.longest]
-    late = lateness(drive)
+    late = lateness(drive, outcome.thresholds)
     if late is None:
         return None
     plain = fit(late.unaligned, drive.model.terms)
     effect = BY_NAME["time_lag" if late.lag > 0 else "speed_filter"]
     return Finding(
         name=effect.name,
-        probability=probabilities([late.log_bayes_factor])[0],
+        probability=outcome.thresholds.probabilities([late.log_bayes_factor])[0],
         log_bayes_factor=late.log_bayes_factor,
         equivalent=effect.equivalent,
         magnitude=Magnitude(effect.symbol, late.lag, late.sd, effect.unit),
@@ -118,7 +117,7 @@ def hidden_grade(outcome: Outcome) -> Finding | None:
     spread = float(np.sqrt(2 / max(len(outcome.final[outcome.longest].model.samples) / HILL, 1.0)))  # of a variance
     return Finding(
         name="grade",
-        probability=probabilities(
+        probability=outcome.thresholds.probabilities(
             [force.log_bayes_factor, *(joint.log_bayes_factor for joint in outcome.result.ranking)]
         )[0],
         log_bayes_factor=force.log_bayes_factor,
@@ -144,13 +143,18 @@ def ranking(outcome: Outcome, late: Finding | None) -> tuple[Finding, ...]:
     """All candidates against the plain model, and the best process without a name."""
     joints, process = outcome.result.ranking, outcome.result.at_first[0]
     evidence = [joint.log_bayes_factor for joint in joints]
-    shares = probabilities([*evidence, process.log_bayes_factor, *([] if late is None else [late.log_bayes_factor])])
+    lag_evidence = [] if late is None else [late.log_bayes_factor]
+    shares = outcome.thresholds.probabilities([*evidence, process.log_bayes_factor, *lag_evidence])
     rms = outcome.steps[0].rms
     listed = []
     for joint, share in zip(joints, shares, strict=False):
         which, candidate = joint.best
         term = candidate.term
-        same = tuple(sorted(other.name for other in joints if other is not joint and same_class(joint, other)))
+        same = tuple(
+            sorted(
+                other.name for other in joints if other is not joint and same_class(joint, other, outcome.thresholds)
+            )
+        )
         size = Magnitude(term.effect.symbol, candidate.value, candidate.sd, term.effect.unit)
         spans = _clock(outcome.plain[which], term.spans or ())
         value = joint.log_bayes_factor

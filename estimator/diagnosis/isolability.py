@@ -7,10 +7,9 @@ import numpy as np
 from estimator.diagnosis.candidates import Candidate
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import Invisible, Isolability, NotTestable, Shift
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import Effect, Timing
 from estimator.signals import Quantity
-
-VISIBLE = 5.0  # log Bayes factor to be expected of an effect of usual size that this drive can show
 
 
 def isolability(candidates: Sequence[Candidate], model: Model) -> Isolability:
@@ -28,7 +27,11 @@ def expected_evidence(candidate: Candidate, model: Model) -> float:
 
 
 def invisible(
-    effects: Sequence[Effect], candidates: Sequence[Candidate], model: Model, known: frozenset[Quantity]
+    effects: Sequence[Effect],
+    candidates: Sequence[Candidate],
+    model: Model,
+    known: frozenset[Quantity],
+    thresholds: Thresholds,
 ) -> list[Invisible]:
     """Effects that could be there at their usual size unseen, and what A, C and m would take up of them."""
     judged = {candidate.name: candidate for candidate in candidates}
@@ -39,7 +42,8 @@ def invisible(
             continue
         candidate = judged.get(effect.name)
         expected = expected_evidence(candidate, model) if candidate else 0.0
-        if (effect.absorbed or effect.timing is Timing.ALWAYS) and expected < VISIBLE:
+        is_lasting = effect.absorbed or effect.timing is Timing.ALWAYS
+        if is_lasting and expected < thresholds.min_expected_log_bf:
             found.append(Invisible(effect.name, expected, _shift(effect, model, known), effect.breaks))
     return found
 

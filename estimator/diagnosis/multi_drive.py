@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.diagnosis.averaged_residual import grains_of
-from estimator.diagnosis.candidates import ALIKE, Candidate, Rest, assess
+from estimator.diagnosis.candidates import Candidate, Rest, assess
 from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.held_out import HeldOut, held_out
 from estimator.diagnosis.model import Model, fit, select
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.design_matrix import Term
 from estimator.model.effects import Effect, Timing
 from estimator.signals import Floats
@@ -94,12 +95,12 @@ def ranked(
     return tuple(sorted(tested, key=lambda joint: -joint.log_bayes_factor))
 
 
-def same_class(one: Joint, other: Joint) -> bool:
+def same_class(one: Joint, other: Joint, thresholds: Thresholds) -> bool:
     """Whether the drives cannot tell the two apart."""
     if other.name in one.effect.equivalent or one.name in other.effect.equivalent:
         return True
     pairs = [(a, b) for a, b in zip(one.each, other.each, strict=True) if a is not None and b is not None]
-    return bool(pairs) and all(abs(float(a.trace @ b.trace)) > ALIKE for a, b in pairs)
+    return bool(pairs) and all(abs(float(a.trace @ b.trace)) > thresholds.min_class_correlation for a, b in pairs)
 
 
 def pooled(drives: tuple[Drive, ...], on: tuple[Drive, ...]) -> HeldOut:

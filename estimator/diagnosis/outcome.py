@@ -12,16 +12,14 @@ from estimator.diagnosis.multi_drive import Drive, Joint, pooled, same_class
 from estimator.diagnosis.processes import FORCE_OVER_TIME, POWER_OVER_TIME, UNMEASURED_GRADE, Leftover
 from estimator.diagnosis.result import Verdict
 from estimator.diagnosis.search import Found, Search
-from estimator.diagnosis.thresholds import AHEAD, EVIDENT, NAMED, SOMETHING, UNEXPLAINED, probabilities
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import Effect
 
-LIKELY = 0.5  # probability below which an effect is not named
-LEFT = 0.25  # of the evidence of nameless processes that effects may leave if they are to be its name
 LOWEST_FLOOR = 0.05  # of the squared residual: some of it is always noise
 LARGEST_DOUBT = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Outcome:
     """What was found on the ``plain`` models, and what randomness the bootstrap may use."""
 
@@ -29,6 +27,7 @@ class Outcome:
     plain: tuple[Drive, ...]
     effects: Sequence[Effect]
     rng: np.random.Generator
+    thresholds: Thresholds
 
     @property
     def final(self) -> tuple[Drive, ...]:
@@ -43,7 +42,7 @@ class Outcome:
     @cached_property
     def grade(self) -> Leftover | None:
         """A grade that no signal shows."""
-        return hidden_grade(self.result.ranking, self.result.at_first, self.plain)
+        return hidden_grade(self.result.ranking, self.result.at_first, self.plain, self.thresholds)
 
     @cached_property
     def steps(self) -> list[HeldOut]:
@@ -64,7 +63,8 @@ class Outcome:
     def floor(self) -> float:
         """Mean square [W^2] of what no effect could take away."""
         after = self.steps[-1].mean_square
-        hidden = self.left.variance if self.left.log_bayes_factor > UNEXPLAINED else 0.0
+        is_hidden = self.left.log_bayes_factor > self.thresholds.min_log_bf_left_process
+        hidden = self.left.variance if is_hidden else 0.0
         return max(after - hidden, LOWEST_FLOOR * after)
 
     @property
@@ -72,7 +72,8 @@ class Outcome:
         """Whether what is left is what a poor altimeter leaves of a grade in the model: it goes with place or time."""
         wanders = (UNMEASURED_GRADE, POWER_OVER_TIME, FORCE_OVER_TIME)
         altimeter = [other for other in self.result.at_last if other.name in wanders]
-        near = max(other.log_bayes_factor for other in altimeter) > self.left.log_bayes_factor - NAMED
+        least = self.left.log_bayes_factor - self.thresholds.min_log_bf_effect
+        near = max(other.log_bayes_factor for other in altimeter) > least
         return near and any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
 
     @property
@@ -86,41 +87,42 @@ class Outcome:
         rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
         if not found.is_beside:
             rivals.append(found.joint.log_bayes_factor - found.margin)
-        return probabilities([found.joint.log_bayes_factor, *rivals])[0]
+        return self.thresholds.probabilities([found.joint.log_bayes_factor, *rivals])[0]
 
     @cached_property
     def verdict(self) -> Verdict:
         """What the evidence comes to, a lag left aside."""
-        chosen, left = self.result.chosen, self.left.log_bayes_factor
+        chosen, left, limits = self.result.chosen, self.left.log_bayes_factor, self.thresholds
         if self.grade is not None or (chosen and self.rough_hills):
             return Verdict.EFFECT
         if not chosen:
-            if left > EVIDENT and not self.rough_hills:
+            if left > limits.min_log_bf_process and not self.rough_hills:
                 return Verdict.UNKNOWN
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
-            return Verdict.CANNOT_TELL if best > SOMETHING else Verdict.NO_GAP
+            return Verdict.CANNOT_TELL if best > limits.max_log_bf_no_gap else Verdict.NO_GAP
         at_first = self.result.at_first[0].log_bayes_factor
         total = sum(found.joint.log_bayes_factor for found in chosen)
-        outdone = total < at_first + AHEAD or left > LEFT * max(at_first, total)
-        if total < at_first or (left > UNEXPLAINED and outdone):
-            return Verdict.UNKNOWN if max(at_first, left) > EVIDENT else Verdict.CANNOT_TELL
-        alone = self.probability(chosen[0]) < LIKELY
-        return Verdict.CANNOT_TELL if alone or ties(chosen[0]) else Verdict.EFFECT
+        outdone = total < at_first + limits.min_log_bf_lead or left > limits.max_left_share * max(at_first, total)
+        if total < at_first or (left > limits.min_log_bf_left_process and outdone):
+            return Verdict.UNKNOWN if max(at_first, left) > limits.min_log_bf_process else Verdict.CANNOT_TELL
+        improbable = self.probability(chosen[0]) < limits.min_probability
+        return Verdict.CANNOT_TELL if improbable or ties(chosen[0], limits) else Verdict.EFFECT
 
 
-def _close(found: Found) -> list[Joint]:
-    """Effects that come within AHEAD of one that was chosen."""
-    limit = found.joint.log_bayes_factor - AHEAD
+def _rivals(found: Found, thresholds: Thresholds) -> list[Joint]:
+    """Effects whose evidence is within ``min_log_bf_lead`` of that of the chosen one."""
+    limit = found.joint.log_bayes_factor - thresholds.min_log_bf_lead
     return [joint for joint in found.ranking if joint is not found.joint and joint.log_bayes_factor > limit]
 
 
-def ties(found: Found) -> list[str]:
-    """Names close to one that was chosen, of another class: another drive could tell."""
-    return [joint.name for joint in _close(found) if not same_class(found.joint, joint)]
+def ties(found: Found, thresholds: Thresholds) -> list[str]:
+    """Names of rivals of the chosen effect that are of another class: a different drive can separate them."""
+    return [joint.name for joint in _rivals(found, thresholds) if not same_class(found.joint, joint, thresholds)]
 
 
-def alike(found: Found) -> list[str]:
-    """Names of its class that the drive speaks for as well, and those declared equivalent."""
-    others = (joint for joint in found.ranking if joint is not found.joint and joint.log_bayes_factor > NAMED)
-    near = {joint.name for joint in others if same_class(found.joint, joint)}
+def alike(found: Found, thresholds: Thresholds) -> list[str]:
+    """Names of the same class that have enough evidence as well, and those declared equivalent."""
+    least = thresholds.min_log_bf_effect
+    others = (joint for joint in found.ranking if joint is not found.joint and joint.log_bayes_factor > least)
+    near = {joint.name for joint in others if same_class(found.joint, joint, thresholds)}
     return sorted(near | set(found.joint.effect.equivalent))

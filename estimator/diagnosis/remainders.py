@@ -8,7 +8,7 @@ from estimator.diagnosis.averaged_residual import Grains, grains_of
 from estimator.diagnosis.load_resonance import SWING, swing, with_swing
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.processes import Leftover, leftovers
-from estimator.diagnosis.thresholds import EVIDENT
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.signals import Floats
 
 
@@ -37,9 +37,9 @@ def _covariance(left: Leftover | None, n: int) -> Floats:
     return np.zeros((n, n)) if left is None else left.covariances[0]
 
 
-def beside_swing(drives: tuple[Drive, ...], left: Leftover) -> tuple[Drive, ...]:
+def beside_swing(drives: tuple[Drive, ...], left: Leftover, thresholds: Thresholds) -> tuple[Drive, ...]:
     """The drives with a mass that swings in their models, where that is what is left."""
-    if not left.name.startswith(SWING) or left.log_bayes_factor < EVIDENT:
+    if not left.name.startswith(SWING) or left.log_bayes_factor < thresholds.min_log_bf_process:
         return drives
     return tuple(replace(drive, model=with_swing(drive.record, drive.model)) for drive in drives)
 

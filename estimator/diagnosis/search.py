@@ -9,12 +9,11 @@ from estimator.diagnosis.hidden_grade import hidden_grade
 from estimator.diagnosis.multi_drive import Drive, Joint, pooled, ranked
 from estimator.diagnosis.processes import Leftover
 from estimator.diagnosis.remainders import beside_swing, remainders
-from estimator.diagnosis.thresholds import EVIDENT, NAMED, NAMED_TIMED, NEXT, NEXT_TIMED, UNEXPLAINED
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import Effect
 
-LEAST, LEAST_TIMED = 0.001, 0.01  # of what the first effect took away: none has exactly its textbook form
-MOST = 4  # effects that are looked for
-STEPS = 8  # of the search; some only lengthen an effect that is there
+MAX_EFFECTS = 4  # that are looked for
+MAX_STEPS = 8  # of the search; some only lengthen an effect of the model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,48 +56,57 @@ class Search:
     drives: tuple[Drive, ...]
 
 
-def search(plain: tuple[Drive, ...], effects: Sequence[Effect]) -> Search:
+def search(plain: tuple[Drive, ...], effects: Sequence[Effect], thresholds: Thresholds) -> Search:
     """Choose effects for the drives."""
     drives, chosen = plain, list[Found]()
     first = ranked(plain, effects)
-    late = [found for found in map(lateness, plain) if found is not None]
+    late = [found for drive in plain if (found := lateness(drive, thresholds)) is not None]
     most = max((found.taken for found in late), default=0.0)
     left = at_first = remainders(plain)
-    grade = hidden_grade(first, at_first, plain)
-    for _ in range(STEPS):
-        rest = beside_swing(drives, left[0])
+    grade = hidden_grade(first, at_first, plain, thresholds)
+    for _ in range(MAX_STEPS):
+        rest = beside_swing(drives, left[0], thresholds)
         ranking = first if drives is rest is plain else ranked(rest, effects)
         process = left[0] if chosen or grade is None else grade
         others = len(chosen) + bool(late)
-        step = _step(drives, ranking, process, others, most, beside=False) if process is not grade else None
-        if step is None and process.log_bayes_factor > EVIDENT:
+        step = None
+        if process is not grade:
+            step = _step(drives, ranking, process, others, most, thresholds, beside=False)
+        if step is None and process.log_bayes_factor > thresholds.min_log_bf_process:
             ranking = ranked(rest, effects, process.covariances)
-            step = _step(drives, ranking, process, others + 1, most, beside=True)
-        if step is None or len(chosen) == MOST:
+            step = _step(drives, ranking, process, others + 1, most, thresholds, beside=True)
+        if step is None or len(chosen) == MAX_EFFECTS:
             break
         drives, left, most = step.drives, step.left, max(step.taken, most)
         if step.found is None:
             continue
         chosen.append(step.found)
         if len(chosen) > 1:
-            chosen, exchanged = _exchange(plain, chosen, drives, effects)
+            chosen, exchanged = _exchange(plain, chosen, drives, effects, thresholds)
             if exchanged is not drives:
                 drives, left = exchanged, remainders(exchanged)
     return Search(chosen=tuple(chosen), ranking=first, at_first=at_first, at_last=left, drives=drives)
 
 
 def _step(
-    drives: tuple[Drive, ...], ranking: tuple[Joint, ...], process: Leftover, others: int, most: float, beside: bool
+    drives: tuple[Drive, ...],
+    ranking: tuple[Joint, ...],
+    process: Leftover,
+    others: int,
+    most: float,
+    thresholds: Thresholds,
+    beside: bool,
 ) -> Step | None:
-    """Add the effect with most evidence, if it earns its place among ``others``."""
-    if not ranking or ranking[0].log_bayes_factor < _needed(ranking[0], others):
+    """Add the effect with most evidence, if that is enough beside ``others`` effects."""
+    if not ranking or ranking[0].log_bayes_factor < thresholds.min_log_bf(ranking[0].is_timed, others):
         return None
-    bigger = grown(drives, ranking[0])
+    bigger = grown(drives, ranking[0], thresholds)
     longer = merged(drives, ranking[0], bigger)
     if any(one is not other for one, other in zip(longer, bigger, strict=True)):
         return Step(None, 0.0, longer, remainders(longer))
     taken = pooled(drives, bigger).mean_square - pooled(bigger, bigger).mean_square
-    if taken <= 0 or taken < (LEAST_TIMED if ranking[0].is_timed else LEAST) * most:
+    share = thresholds.min_reduction_timed if ranking[0].is_timed else thresholds.min_reduction
+    if taken <= 0 or taken < share * most:
         return None
     left = remainders(bigger)
     found = Found(
@@ -109,26 +117,24 @@ def _step(
         unnamed_after=left[0].log_bayes_factor,
         is_beside=beside,
     )
-    least = NEXT if found.unnamed_after > UNEXPLAINED or (others and ranking[0].is_timed) else 0.0
+    is_unexplained = found.unnamed_after > thresholds.min_log_bf_left_process
+    least = thresholds.min_log_bf_further if is_unexplained or (others and ranking[0].is_timed) else 0.0
     return Step(found, taken, bigger, left) if found.margin >= least else None
 
 
-def _needed(joint: Joint, others: int) -> float:
-    """Log Bayes factor that names an effect beside ``others``."""
-    if joint.is_timed:
-        return NEXT_TIMED if others else NAMED_TIMED
-    return NEXT if others else NAMED
-
-
 def _exchange(
-    plain: tuple[Drive, ...], chosen: list[Found], drives: tuple[Drive, ...], effects: Sequence[Effect]
+    plain: tuple[Drive, ...],
+    chosen: list[Found],
+    drives: tuple[Drive, ...],
+    effects: Sequence[Effect],
+    thresholds: Thresholds,
 ) -> tuple[list[Found], tuple[Drive, ...]]:
-    """Let each effect but the newest stand once more against all others, given the rest."""
+    """Rank all effects again in place of each chosen one but the newest; the best replaces it."""
     for i, found in enumerate(chosen[:-1]):
         rest = tuple(drive.without(found.joint.name) for drive in drives)
         ranking = ranked(rest, effects)
-        if not ranking or ranking[0].log_bayes_factor < NAMED:
+        if not ranking or ranking[0].log_bayes_factor < thresholds.min_log_bf_effect:
             return [*chosen[:i], *chosen[i + 1 :]], rest
         chosen[i] = replace(found, joint=ranking[0], ranking=ranking)
-        drives = grown(rest, ranking[0])
+        drives = grown(rest, ranking[0], thresholds)
     return chosen, drives
