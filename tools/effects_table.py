@@ -52,12 +52,12 @@ it appears in the tables above:
 
 ```python
 Effect(
-    "shimmy",
-    "F v exp(-((v - 14) / 2)^2)",
-    "a wheel out of balance, at its resonance",
-    "force",
-    "N",
-    lambda view, shape: view.v * np.exp(-(((view.v - 14) / 2) ** 2)),
+    name="shimmy",
+    equation="F v exp(-((v - 14) / 2)^2)",
+    source="a wheel out of balance, at its resonance",
+    symbol="force",
+    unit="N",
+    power=lambda view, shape: view.v * np.exp(-(((view.v - 14) / 2) ** 2)),
     usual=lambda road_load: 500.0,
     breaks="driving through 14 m/s again and again",
 )
