@@ -290,7 +290,7 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken():
     n = 2400
     t = np.arange(n) + 0.5
     cold = driven(n)
-    for tau in (360.0, 1500.0):
+    for tau in (360.0, 900.0):
         warming = driven(n, power=0.6 * A * np.exp(-t / tau) * cold.speed)
         warming = replace(warming, altitude=altitude_of(warming))
         plain = fit(warming, np.random.default_rng(1))

@@ -26,6 +26,7 @@ from estimator.diagnosis.result import (
     Isolability,
     Magnitude,
     NotTestable,
+    Shift,
     Traces,
     Verdict,
 )
@@ -395,6 +396,13 @@ def test_percent(fraction: float, words: str) -> None:
 )  # fmt: skip
 def test_size_has_the_digits_it_deserves(magnitude: Magnitude, words: str) -> None:
     assert wording.size(magnitude) == words
+
+
+def test_a_shift_has_the_digits_that_its_sd_deserves():
+    change = Shift(mass=498.3, A=-815.2, C=2.9612)
+    assert wording.shift(change) == f"mass +498 kg, A {number_format.MINUS}815 N, C +2.961"
+    assert wording.shift(change, Shift(mass=150.0, A=63.0, C=0.15)) == f"mass +500 kg, A {number_format.MINUS}820 N, C +3.0"
+    assert wording.shift(Shift(mass=0.2, A=20.0, C=0.0), Shift(mass=150.0, A=63.0, C=0.15)) == "A +20 N"
 
 
 @given(st.floats(allow_nan=True, allow_infinity=True))

@@ -260,7 +260,7 @@ def test_hills_without_a_signal_of_them_make_a_real_truck_too_light(tools, recor
     hidden.write_text(tools.recordings.without(shown.read_text(), "altitude"))
     tools.vt.write(next(rows for name, rows in tools.vt.recordings(table) if name == "1a"), log)
     before = tools.recordings.diagnose(log, "--config", hidden, "--dbc", tools.vt.DBC)
-    assert before.named[0] == "grade"
+    assert before.named == ("grade",)
     assert before.mass[0] + 3 * before.mass[1] < 20e3
     answer = tools.recordings.roadload("estimate", log, "--config", shown, "--effect", "grade")
     mass = answer["parameters"]["mass_kg"]

@@ -42,7 +42,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "found", _found(effect, len(d.logs) > 1)
     if d.effects and d.base is not None and d.final is not None:
         change = Shift(d.final.mass - d.base.mass, d.final.A - d.base.A, d.final.C - d.base.C)
-        yield "shift", wording.shift(change)
+        yield "shift", wording.shift(change, d.deviation)
     if steps:
         strength = wording.bayes(d.remaining_log_bayes_factor)
         yield "left", f"{d.remaining_verdict.value}, log Bayes factor {strength}"

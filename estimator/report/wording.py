@@ -4,7 +4,7 @@ import math
 
 from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Finding, GapClosed, Magnitude, Shift, Span, Verdict
 from estimator.report import number_format
-from estimator.report.number_format import NOTHING, signed
+from estimator.report.number_format import NOTHING, exponent, signed
 
 SPANS = 3  # times that are told
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
@@ -154,16 +154,23 @@ def bayes(x: float | None) -> str:
     return signed(f"{x:+.1f}" if abs(x) < 10 else f"{x:+,.0f}")
 
 
-def shift(change: Shift | None) -> str:
-    """``mass +120 kg, A -35 N, C +0.104``; the unit of C is left out, it is always the same."""
+def shift(change: Shift | None, sd: Shift | None = None) -> str:
+    """``mass +120 kg, A -35 N, C +0.104``, as far as the first digit of the ``sd``; C without its unit."""
     if change is None:
         return NOTHING
-    values = (change.mass, change.A, change.C)
+    values, doubts = (change.mass, change.A, change.C), (0.0,) * 3 if sd is None else (sd.mass, sd.A, sd.C)
     parts = [
-        f"{name} {parameter(value, step, '+')} {unit if name != 'C' else ''}".strip()
-        for value, (name, unit, step) in zip(values, PARAMETERS, strict=True)
+        f"{name} {_change(value, step, doubt)} {unit if name != 'C' else ''}".strip()
+        for value, doubt, (name, unit, step) in zip(values, doubts, PARAMETERS, strict=True)
     ]
     return ", ".join(part for part in parts if any(digit in part for digit in "123456789")) or "nothing worth showing"
+
+
+def _change(value: float, step: float, sd: float) -> str:
+    if not (math.isfinite(value) and sd > step):
+        return parameter(value, step, "+")
+    decimals = -exponent(sd)
+    return signed(f"{round(value, decimals):+,.{max(decimals, 0)}f}")
 
 
 def parameter(value: float, step: float, sign: str = "") -> str:
