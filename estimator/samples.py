@@ -1,4 +1,4 @@
-"""The two arrays-of-everything that flow through the estimator: rows of the time grid, and admitted samples."""
+"""The arrays that the estimator hands on: rows of the time grid, and admitted samples."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -12,7 +12,7 @@ from estimator.errors import StateError
 from estimator.signals import Floats, Mask, Quantity, Role
 
 STEP = 0.1  # s, the time grid: wheel speed comes at 10 Hz on nearly every bus
-HARDEST = 12.0  # m/s^2: no tyre holds more, so a speed that changes faster is not the vehicle's
+MAX_ACCELERATION = 12.0  # m/s^2, beyond the grip of any tyre: a faster change is an error of the speed signal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class Rows:
         )
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same rows from."""
+        """The state that `restore` reads."""
         return table(self)
 
     @classmethod
@@ -74,11 +74,11 @@ class Rows:
 
     @property
     def plausible_speed(self) -> Floats:
-        """Speed [m/s], NaN on either side of a jump: a locked wheel, a sensor that starts anew, a wrong bit.
+        """Speed [m/s] (n,), NaN on either side of a jump: a locked wheel, a restarted sensor, a wrong bit.
 
-        One such value would outweigh an hour of driving in the fit, and be the last to leave the window.
+        One such value has more weight in the fit than an hour of driving, and its cell is evicted last.
         """
-        jump = np.abs(np.diff(self.speed)) > HARDEST * STEP
+        jump = np.abs(np.diff(self.speed)) > MAX_ACCELERATION * STEP
         return np.where(np.append(jump, False) | np.insert(jump, 0, False), np.nan, self.speed)
 
     @classmethod
@@ -98,7 +98,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Samples:
-    """What the model is fitted to; all arrays (n,).
+    """Samples that the model is fitted to; all arrays (n,).
 
     Smoothed speed ``v`` [m/s], acceleration ``a`` [m/s^2] and power ``P`` [W] with its rate ``dP`` [W/s]; and their
     instruments ``zv``, ``za``, ``zdP``: the same quantities from readings around, but not at, the moment.
@@ -122,16 +122,17 @@ class Samples:
 
     @property
     def complete(self) -> Mask:
-        """Where everything that the model needs is known; it can do without the density."""
+        """Whether all quantities of the model are known (n,); the density may be missing."""
         needed = [values for name, values in self._arrays().items() if name != "density"]
         known: Mask = np.all(np.isfinite([*needed, *self.context.values()]), axis=0)
         return known
 
     @property
     def cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Speed [m/s], acceleration [m/s^2] and rows of each sample, by its instruments.
+        """Speed [m/s], acceleration [m/s^2] and rows (n,) of each sample, by its instruments.
 
-        What is kept for its rare acceleration would be kept for the noise in it; that of the instruments is another.
+        The window keeps rare accelerations longest. Selected by measured acceleration, it would keep samples with large
+        noise; the noise of the instruments is independent of it.
         """
         return self.zv, self.za, np.ones(len(self), dtype=np.int64)
 
@@ -141,7 +142,7 @@ class Samples:
         return self.v, self.a, np.ones(len(self), dtype=np.int64)
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same samples from."""
+        """The state that `restore` reads."""
         return table(self)
 
     @classmethod

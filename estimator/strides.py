@@ -63,7 +63,7 @@ class Strides:
 
     @property
     def power(self) -> Floats:
-        """Power [W] at the wheels, as it comes."""
+        """Power [W] (n,) at the wheels, without a shift in time."""
         return self.force[:, len(LAGS) // 2] * self.speed
 
     @property
@@ -116,7 +116,7 @@ class Strides:
         return cls(**blank)
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same strides from."""
+        """The state that `restore` reads."""
         return table(self)
 
     @classmethod

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from estimator.diagnosis import held_out, localisation, switching_times
-from estimator.diagnosis.averaged_residual import Grains, grains_of, weigh
+from estimator.diagnosis.averaged_residual import Averages, averages_of, weigh
 from estimator.diagnosis.evidence import Base, Score, block_sums, blocks_of, fit_base, long_run_variance, score
 from estimator.diagnosis.evidence import log_bayes_factor as log_bayes_factor_of
 from estimator.diagnosis.held_out import HeldOut, gap_closed
@@ -144,12 +144,12 @@ def test_sums_over_blocks() -> None:
 # The averaged residual
 
 
-def grains(residual: Floats, base: Floats) -> Grains:
+def averages(residual: Floats, base: Floats) -> Averages:
     n = len(residual)
     t = 8.0 * np.arange(n)
     v = 20 + 5 * np.sin(t / 90)
     starts, full = np.arange(n), np.ones(n, dtype=bool)
-    return Grains(
+    return Averages(
         residual=residual,
         columns=base,
         t=t,
@@ -175,7 +175,7 @@ def test_weight_of_a_column_is_the_integral_over_its_magnitude(size: float, posi
     rng = np.random.default_rng(4)
     n, usual = 150, 2e3
     base, column = rng.normal(size=(n, 2)), rng.normal(size=n)
-    part = grains(size * 400.0 * column + rng.normal(0.0, 2e3, n), base)
+    part = averages(size * 400.0 * column + rng.normal(0.0, 2e3, n), base)
     found = weigh(part, column[:, None], usual, positive)
     b = np.linspace(0.0 if positive else -6 * usual, 6 * usual, 4001)
     prior = stats.norm.logpdf(b, 0.0, usual) + (np.log(2) if positive else 0.0) + np.log(b[1] - b[0])
@@ -192,7 +192,7 @@ def test_weight_of_a_column_is_the_integral_over_its_magnitude(size: float, posi
 
 def test_evidence_of_a_process_is_the_ratio_of_marginal_likelihoods() -> None:
     rng = np.random.default_rng(5)
-    part = grains(rng.normal(0.0, 2e3, 60) + 3e3 * np.sin(np.arange(60) / 9), rng.normal(size=(60, 2)))
+    part = averages(rng.normal(0.0, 2e3, 60) + 3e3 * np.sin(np.arange(60) / 9), rng.normal(size=(60, 2)))
     process = next(process for process in PROCESSES if process.name == UNMEASURED_GRADE)
     found = next(left for left in leftovers(part) if left.name == UNMEASURED_GRADE)
     y = part.residual / part.residual.std()
@@ -208,7 +208,7 @@ def test_evidence_of_a_process_is_the_ratio_of_marginal_likelihoods() -> None:
 
 def test_averages_of_the_residual_keep_its_mean_and_lose_its_noise() -> None:
     model = model_of(samples_of())
-    part = grains_of(model)
+    part = averages_of(model)
     length = round(len(model.samples) / len(part))
     assert part.residual == pytest.approx(block_means(model.base.residual, length), rel=1e-6)
     assert part.residual.std() == pytest.approx(NOISE / length**0.5, rel=0.15)
@@ -332,4 +332,4 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
     cell &= (s.za >= found.acceleration_edges[j]) & (s.za < found.acceleration_edges[j + 1])
     assert found.samples[i, j] == cell.sum()
     assert found.before[i, j] == pytest.approx(model.base.residual[cell].mean())
-    assert np.isnan(found.before[found.samples < localisation.CELL_SAMPLES]).all()
+    assert np.isnan(found.before[found.samples < localisation.MIN_CELL_SAMPLES]).all()

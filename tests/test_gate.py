@@ -39,18 +39,18 @@ def counts(v, a) -> np.ndarray:
 
 
 def test_a_good_fit_is_calculable():
-    assert gate().is_calculable(fit(), 5000, box(Prior())) == ""
+    assert gate().obstacle_to_fit(fit(), 5000, box(Prior())) == ""
 
 
 def test_too_few_samples():
     strict = gate(minimum_samples=1200)
-    assert strict.is_calculable(fit(), 1199, box(Prior())) == "1199 usable samples of the 1200 needed"
-    assert strict.is_calculable(None, 0, box(Prior())) == "0 usable samples of the 1200 needed"
-    assert strict.is_calculable(fit(), 1200, box(Prior())) == ""
+    assert strict.obstacle_to_fit(fit(), 1199, box(Prior())) == "1199 usable samples of the 1200 needed"
+    assert strict.obstacle_to_fit(None, 0, box(Prior())) == "0 usable samples of the 1200 needed"
+    assert strict.obstacle_to_fit(fit(), 1200, box(Prior())) == ""
 
 
 def test_no_fit():
-    assert "varied too little" in gate().is_calculable(None, 5000, box(Prior()))
+    assert "varied too little" in gate().obstacle_to_fit(None, 5000, box(Prior()))
 
 
 @pytest.mark.parametrize(("i", "name"), list(enumerate(["A", "C", "mass"])))
@@ -58,42 +58,42 @@ def test_no_fit():
 def test_conflicts_with_the_prior_are_named(i, name, factor):
     theta = THETA.copy()
     theta[i] *= factor
-    reason = gate().is_calculable(fit(theta), 5000, box(Prior()))
+    reason = gate().obstacle_to_fit(fit(theta), 5000, box(Prior()))
     assert reason.startswith(f"{name} ")
     assert "outside its prior" in reason
 
 
 def test_a_fit_that_reaches_into_the_prior_is_no_conflict():
-    assert gate().is_calculable(fit([-50.0, 3.74, 27_190.0, 0.0], 1.0), 5000, box(Prior())) == ""
+    assert gate().obstacle_to_fit(fit([-50.0, 3.74, 27_190.0, 0.0], 1.0), 5000, box(Prior())) == ""
 
 
 # Covered
 
 
 def test_a_fit_that_is_sure_enough_is_covered():
-    assert gate().is_covered(fit(), Coverage(20, 60)) == ""
+    assert gate().obstacle_to_estimate(fit(), Coverage(20, 60)) == ""
 
 
 def test_coverage_counts():
-    assert gate().is_covered(fit(), Coverage(7, 10)).startswith("coverage 70 %")
+    assert gate().obstacle_to_estimate(fit(), Coverage(7, 10)).startswith("coverage 70 %")
     assert (
-        gate().is_covered(fit(), Coverage(8, 100))
+        gate().obstacle_to_estimate(fit(), Coverage(8, 100))
         == "coverage 8 % of the reachable speed-acceleration cells (8 of 100)"
     )
-    assert gate().is_covered(fit(), Coverage(0, 0)).startswith("coverage 0 %")
+    assert gate().obstacle_to_estimate(fit(), Coverage(0, 0)).startswith("coverage 0 %")
 
 
 def test_an_unsure_fit_is_not_covered():
-    assert "sd of mass is 20 %" in gate().is_covered(fit(relative=0.2), Coverage(20, 60))
-    assert "sd of A is 60 %" in gate().is_covered(fit(relative=0.6), Coverage(20, 60))
-    assert gate(relative_sd=(1.0, 1.0, 1.0)).is_covered(fit(relative=0.6), Coverage(20, 60)) == ""
-    assert gate().is_covered(fit(relative=np.nan), Coverage(20, 60)) != ""
+    assert "sd of mass is 20 %" in gate().obstacle_to_estimate(fit(relative=0.2), Coverage(20, 60))
+    assert "sd of A is 60 %" in gate().obstacle_to_estimate(fit(relative=0.6), Coverage(20, 60))
+    assert gate(relative_sd=(1.0, 1.0, 1.0)).obstacle_to_estimate(fit(relative=0.6), Coverage(20, 60)) == ""
+    assert gate().obstacle_to_estimate(fit(relative=np.nan), Coverage(20, 60)) != ""
 
 
 def test_constant_speed_covers_one_cell():
     coverage = gate().coverage(counts(np.full(5000, 22.0), np.zeros(5000)), THETA[:3], np.full(5000, 80e3))
     assert coverage.occupied <= 1
-    assert gate().is_covered(fit(), coverage) != ""
+    assert gate().obstacle_to_estimate(fit(), coverage) != ""
 
 
 def test_reachable_cells_need_power_that_was_seen():

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 from simulated_logs import ask, drive, written
 
 from estimator.config import Config
-from estimator.diagnosis.averaged_residual import grains_of
+from estimator.diagnosis.averaged_residual import averages_of
 from estimator.diagnosis.drive_data import record
 from estimator.diagnosis.load_resonance import swing
 from estimator.diagnosis.model import fit, select
@@ -65,7 +65,7 @@ def evidence(rng: np.random.Generator, load: float, period: float = 2.6, lowpass
     assert kept is not None
     model = fit(drove.samples[kept])
     assert model is not None
-    return swing(drove, model, grains_of(model))
+    return swing(drove, model, averages_of(model))
 
 
 @pytest.mark.parametrize("period", [2.0, 2.6, 4.0])

@@ -11,15 +11,15 @@ from estimator.estimation.road_fit import DRAG, LAG, PLAIN, Likelihood
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import (
-    ANY_HEIGHT,
-    EXACT,
-    LONGEST_BRIDGE,
-    LONGEST_PASSAGE,
+    HEIGHT_SD,
+    MAX_BRIDGE,
+    MAX_PASSAGE,
     ROUGH,
     SCALES,
     SIGNALS,
     SMOOTH,
     SPACING,
+    START_HEIGHT_SD,
     Nodes,
     RoadModel,
 )
@@ -86,9 +86,7 @@ def wandering(model: RoadModel, sd, memory):
     t = model.nodes.t
     if model.wander == ROUGH:
         return sd**2 * ou(t, t, memory)
-    return dense_field(
-        replace(model.nodes, s=t, joined=np.insert(np.diff(t) <= LONGEST_PASSAGE, 0, False)), 2, sd, memory
-    )
+    return dense_field(replace(model.nodes, s=t, joined=np.insert(np.diff(t) <= MAX_PASSAGE, 0, False)), 2, sd, memory)
 
 
 class Dense:
@@ -131,7 +129,9 @@ class Dense:
             D[i, i - 1] = -1
             W[i, [i - 1, i]] = 0.5 * (nodes.s[i] - nodes.s[i - 1])
         rise = np.linalg.solve(D, W)
-        loose = np.linalg.inv(D) @ np.diag(np.where(nodes.joined, EXACT**2, ANY_HEIGHT**2)) @ np.linalg.inv(D).T
+        loose = (
+            np.linalg.inv(D) @ np.diag(np.where(nodes.joined, HEIGHT_SD**2, START_HEIGHT_SD**2)) @ np.linalg.inv(D).T
+        )
         maps, noises, values = [-STANDARD_GRAVITY * self.hats], [K], []
         for i, name in enumerate(model.reading_names):
             noise, wander, memory = scales[len(SCALES) + 3 * i : len(SCALES) + 3 * i + 3]
@@ -216,7 +216,7 @@ def test_the_road_that_is_found_is_the_conditional_mean():
 
 
 def test_nodes_bridge_short_gaps_and_end_before_long_ones():
-    short, far = (Nodes.under(strides_of(gap=gap)) for gap in (0.8 * LONGEST_BRIDGE, 1.2 * LONGEST_BRIDGE))
+    short, far = (Nodes.under(strides_of(gap=gap)) for gap in (0.8 * MAX_BRIDGE, 1.2 * MAX_BRIDGE))
     assert short.joined.sum() == len(short.s) - 1
     assert far.joined.sum() == len(far.s) - 2
     for nodes in (short, far):

@@ -10,7 +10,7 @@ from estimator.sampling.convergence import diagnose
 from estimator.sampling.identifiability import eigen_metrics
 from estimator.sampling.likelihood import StudentTarget, in_box
 from estimator.sampling.metropolis import KERNELS
-from estimator.sampling.run import HEAVIEST, overdispersed, run
+from estimator.sampling.run import MAX_IMPORTANCE_WEIGHT, overdispersed, run
 
 CENTRE = np.array([1800.0, 3.7, 27_000.0])
 SD = np.array([60.0, 0.1, 90.0])
@@ -148,7 +148,7 @@ def test_a_proposal_that_hits_a_mode_far_away_is_enough_to_change_the_kernel(p):
     target = TwoModes(p, 7.0)
     made = KERNELS["independence"](target, np.zeros((256, p)), 20, 100, np.random.default_rng(p))
     assert made.acceptance > 0.9
-    assert made.heaviest > HEAVIEST
+    assert made.heaviest > MAX_IMPORTANCE_WEIGHT
     assert run(target, "independence", 256, 20, 100, np.random.default_rng(p)).kernel == "random_walk"
 
 

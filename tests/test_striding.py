@@ -15,7 +15,7 @@ from estimator.config import Config
 from estimator.errors import StateError
 from estimator.preparation.admission import Reason
 from estimator.preparation.standstill import Standstill
-from estimator.preparation.striding import GAP, Strider
+from estimator.preparation.striding import GAP_DISTANCE, Strider
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission, Load
 from estimator.signals import Quantity, Role
@@ -336,7 +336,7 @@ def test_after_a_silence_the_road_is_another_one():
     parts += [strider.feed(later, rejected), strider.finish(rejected)]
     strides = Strides.concatenate(parts)
     step = np.diff(strides.s0)
-    assert (step > GAP).sum() == 1
+    assert (step > GAP_DISTANCE).sum() == 1
     assert not strides.joined[np.argmax(step) + 1]
 
 

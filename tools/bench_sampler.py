@@ -25,7 +25,7 @@ from sampler_peers import BOX, Problem, blackjax_nuts, drive, emcee_stretch, pap
 from estimator.config import Config, from_dict
 from estimator.estimation.paper_likelihood import PaperLikelihood
 from estimator.estimation.window import Window
-from estimator.preparation.stage import BLOCK
+from estimator.preparation.stage import BLOCK_ROWS
 from estimator.samples import STEP, Samples
 from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.likelihood import in_box
@@ -115,14 +115,14 @@ def updates(n: int) -> str:
     v, a, P = drive(2 * n, np.random.default_rng(0))
     unknown = np.full(len(v), np.nan)
     whole = Samples(t=STEP * np.arange(len(v)), v=v, a=a, P=P, dP=unknown, zv=v, za=a, zdP=unknown, density=unknown)
-    for i in range(0, len(v), BLOCK):
-        window.add(whole[i : i + BLOCK])
+    for i in range(0, len(v), BLOCK_ROWS):
+        window.add(whole[i : i + BLOCK_ROWS])
         for likelihood, durations in ((follower, kept), (PaperLikelihood(), rebuilt)):
             start = time.process_time()
             likelihood.target(window.blocks, *BOX)
             durations.extend([1e3 * (time.process_time() - start)] * (window.evicted > 0))
     return (
-        f"Update of a full window of {n:,} samples by another {BLOCK}: {np.median(kept):.2f} ms CPU, "
+        f"Update of a full window of {n:,} samples by another {BLOCK_ROWS}: {np.median(kept):.2f} ms CPU, "
         f"{np.mean(kept):.2f} on average; from all samples {np.median(rebuilt):.1f} ms"
     )
 

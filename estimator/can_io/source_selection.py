@@ -123,7 +123,7 @@ class Choice(Protocol):
         """Choose anew: another vehicle, or much time, may lie between the blocks."""
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from."""
+        """The state that `restore` reads."""
 
     def restore(self, state: State) -> None:
         """Go on where another choice was."""
@@ -166,7 +166,7 @@ class Contest:
         self.reason, self.before = "", None
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from."""
+        """The state that `restore` reads."""
         until = self._until if np.isfinite(self._until) else None
         return {"reason": self.reason, "before": self.before, "until": until, "duration": self._duration}
 

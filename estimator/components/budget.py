@@ -4,7 +4,7 @@ The equation of motion, times -m v, is an identity in power:
 
     P = A v + C v^3 + m v a + lag and drag + sum of effects + m g theta v + errors
 
-A fit of the plain road load by least squares takes up what its columns can, so with M the projection off them
+Least squares fits the columns of the plain road load to P. With M the projection orthogonal to these columns
 
     r = M P = sum of M effects + M (m g theta v) + M errors.
 
@@ -29,10 +29,10 @@ from estimator.units import STANDARD_GRAVITY
 
 ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", "unknown: white force", "other effects"
 DRAWS = 200
-TRIES = 50  # draws of the amplitudes for each that is kept: those with the right signs
-FORM = 0.5  # doubt of a share s that the forms of the model leave, over s (1 - s): measured on simulated drives
-NINETY = 1.645  # sd to either side that hold 90 %
-SMALL = 0.01  # share below which effects that were not chosen are one part
+MAX_TRIES = 50  # draws of the amplitudes for each that is kept: draws with wrong signs are rejected
+FORM_DOUBT = 0.5  # sd of a share s from wrong forms of the model, over s (1 - s): measured on simulated drives
+SDS_OF_90_PERCENT = 1.645  # standard deviations to either side that hold 90 % of a Gaussian
+MIN_SHARE = 0.01  # of the gap: effects that were not chosen and are below it are summed to one part
 FOLDS, CHUNKS = 3, 4  # each fold is so many stretches of the drive
 
 
@@ -101,7 +101,7 @@ def budget(
     chosen = {component.name for drive in drives for component in drive.chosen}
     weak = dict.fromkeys(c.name for others in possible for c in others if c.name not in chosen)
     small = [
-        cause for cause in weak if np.quantile(np.abs(residual @ drawn[cause]), 0.95) < SMALL * residual @ residual
+        cause for cause in weak if np.quantile(np.abs(residual @ drawn[cause]), 0.95) < MIN_SHARE * residual @ residual
     ]
     if small:
         drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
@@ -124,7 +124,7 @@ def _part(cause: str, residual: Floats, draws: Floats, held_out: Floats | None) 
     shares = residual @ draws / (residual @ residual)
     mean = float(shares.mean())
     low, high = (mean - np.quantile(shares, [0.05, 0.95])).tolist()
-    form = NINETY * FORM * abs(mean * (1 - mean))
+    form = SDS_OF_90_PERCENT * FORM_DOUBT * abs(mean * (1 - mean))
     return Part(
         cause=cause,
         share=mean,
@@ -169,11 +169,11 @@ def _powers(
 
 
 def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np.random.Generator) -> Floats:
-    """Draws (p, DRAWS) of all amplitudes, in the joint's own units; signs as they must be where TRIES allow it."""
+    """Draws (p, DRAWS) of all amplitudes, in the joint's own units; signs as they must be where MAX_TRIES allow it."""
     posterior = joint.posterior(range(len(components)))
     root = np.linalg.cholesky(posterior.covariance * np.outer(joint.unit, joint.unit))
     mean = (posterior.mean * joint.unit)[:, None]
-    draws = mean + root @ rng.standard_normal((len(root), DRAWS * TRIES))
+    draws = mean + root @ rng.standard_normal((len(root), DRAWS * MAX_TRIES))
     positive = [joint.places[i][0] for i, component in enumerate(components) if component.positive]
     wrong = np.sum(np.minimum(draws[positive] / np.sqrt(np.diag(root @ root.T))[positive, None], 0.0) ** 2, axis=0)
     kept: Floats = draws[:, np.argsort(wrong, kind="stable")[:DRAWS]]

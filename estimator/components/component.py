@@ -1,4 +1,4 @@
-"""Components of a drive: what may act beside the road load and the road, each a set of columns with a prior.
+"""Components of a drive: effects and processes beside the road load and the road, each a set of columns with a prior.
 
 An effect of the catalogue has one column, its power per unit of magnitude. A nameless process has many: hat functions
 along an axis, times what it is proportional to, all with the same prior. So both are judged by the same likelihood.
@@ -18,7 +18,7 @@ from estimator.model.effects.effect import Effect, Timing, View
 from estimator.signals import Floats, Quantity
 from estimator.strides import Strides
 
-TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter is told from no road
+TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter ones cannot be separated from slopes
 SPEEDS = (3.0,)  # m/s
 ENGINE_SPEEDS = (15.0,)  # rad/s
 STRENGTHS = (0.1, 0.3, 1.0)  # of what is usual
@@ -27,7 +27,7 @@ GAIN_ERROR = 0.1  # share of the force, usual where a gain wanders
 
 @dataclass(frozen=True)
 class Frame:
-    """The strides of a drive and the vehicle as far as it is known: all that columns are computed from."""
+    """The strides of a drive and an estimate of the vehicle, from which columns are computed."""
 
     strides: Strides  # those whose force is known
     force: Floats  # (n,) [N] at the lag of the drive
@@ -44,7 +44,7 @@ class Frame:
 
     @property
     def view(self) -> View:
-        """What effects are computed from."""
+        """The quantities that effects are computed from, with the acceleration on level ground."""
         s = self.strides
         A, C, m = self.road_load.tolist()
         density = s.relative_density
@@ -66,7 +66,7 @@ class Frame:
         return self.as_acceleration(term.column(self.view))
 
     def as_acceleration(self, power: Floats) -> Floats:
-        """What a power [W] (n, ...) takes from the acceleration [m/s^2]."""
+        """Acceleration [m/s^2] (n, ...) lost by a power [W] (n, ...)."""
         taken: Floats = -(power.T / (self.strides.speed * self.road_load[2])).T
         return taken
 

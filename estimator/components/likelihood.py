@@ -36,7 +36,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Judged:
-    """What one-column components say on top of a set: gain in log evidence, value and sd of each, all (c,)."""
+    """One-column components added to a set, each alone: gain in log evidence, value and sd, all (c,)."""
 
     gain: Floats
     value: Floats
@@ -86,7 +86,7 @@ class JointLikelihood:
         self._information = gram[1:, 1:] - limited(self._noise(base, fit, rng), believed)
 
     def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
-        """What noise of the measured force adds to the products of all columns, on average."""
+        """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
         noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
         places = np.concatenate([np.array([0, LAG, DRAG]), *(self.places[i] for i in noisy)]).astype(np.int64)
         force, n = self.frame.force, len(self.frame.force)

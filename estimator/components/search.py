@@ -19,7 +19,7 @@ from estimator.model.effects.effect import Effect, Timing
 from estimator.signals import Floats
 from estimator.strides import Strides
 
-MOST = 4  # effects that are looked for
+MAX_EFFECTS = 4  # effects that are looked for
 PROBE_SEED = 20_042  # of the simulated noise in the corrections
 
 
@@ -73,7 +73,7 @@ class DriveState:
             per_unit = {i: _at_rest(component, self.rest) for i, component in enumerate(components)}
             takers = [i for i, power in per_unit.items() if power]
             chosen = [i for i in takers if i < len(self.chosen)]
-            for i in chosen[:1] or takers:  # what one has taken is no longer there for another
+            for i in chosen[:1] or takers:  # one measurement of the power at rest: it goes to one component
                 joint.observe(i, per_unit[i] / self.rest.sd, self.rest.power / self.rest.sd)
         return joint
 
@@ -97,7 +97,7 @@ class DriveState:
         return found
 
     def _timed(self, joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
-        """Its times found; beside an effect that switches none are: they fit what it left not quite right."""
+        """The form with fitted times; None beside a chosen effect that switches, whose timing errors it would fit."""
         if effect.timing not in (Timing.WINDOW, Timing.SWITCHING) or None not in effect.shapes:
             return None
         if any(c.term is not None and c.term.effect.timing is Timing.SWITCHING for c in self.chosen):
@@ -140,7 +140,7 @@ def _at_rest(component: Component, rest: AtRest) -> float:
 
 
 def _best(frame: Frame, given: Sequence[Component], judged: Judged, places: Sequence[int]) -> Form:
-    """Averaged over forms that are as likely as one another beforehand."""
+    """The form of most evidence, averaged over forms of equal prior probability."""
     gains = judged.gain[list(places)] - np.array([given[i].cost for i in places])
     best = places[int(np.argmax(gains))]
     gain = float(logsumexp(gains)) - np.log(len(places))
@@ -169,7 +169,7 @@ class Ranked:
 
     @property
     def is_timed(self) -> bool:
-        """Whether its times are free, so that it fits what others left not quite right."""
+        """Whether its switching times are fitted."""
         term = self.best[1].component.term
         return term is not None and term.spans is not None
 
@@ -181,7 +181,7 @@ class Ranked:
 
     @property
     def best(self) -> tuple[int, Form]:
-        """The drive that says most, and what it says."""
+        """Number of the drive with most evidence, and the form there."""
         found = [(i, form) for i, form in enumerate(self.each) if form is not None]
         return max(found, key=lambda pair: pair[1].gain)
 
@@ -214,7 +214,7 @@ def search(drives: Sequence[DriveState], effects: Sequence[Effect], needed: Mapp
     """Add effects as long as one gains more in log evidence than is ``needed``, by whether its times are free."""
     states, choices = tuple(drives), list[Choice]()
     order = ranked(states, effects)
-    while len(choices) < MOST:
+    while len(choices) < MAX_EFFECTS:
         best = next((one for one in order if one.gain >= needed[one.is_timed]), None)
         if best is None:
             break

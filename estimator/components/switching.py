@@ -1,4 +1,4 @@
-"""When something acts that no signal shows: the times with most evidence, by exchange of runs of blocks.
+"""Times of an effect that no signal shows: those with most evidence, by exchange of runs of blocks.
 
 Amplitude b and times z (one of two states a block) have the log evidence
 
@@ -17,14 +17,14 @@ from estimator.components.likelihood import JointLikelihood
 from estimator.model.design_matrix import Spans, Term
 from estimator.signals import Floats, Mask
 
-BLOCK = 30.0  # s, longest
-PROBED = 150  # steps whose strength is computed; that of the others lies between
-APART = 5  # strides between two steps of the state
-MOST_STEPS = 200
-CHANGE_COST = 5.5  # log: one time among those at which a change could as well have been
-LONGEST_RUN = 2000.0  # s, that is exchanged at once
-MOST_EXCHANGES = 60
-LONGEST_SHARE = 0.9  # of the drive
+MAX_BLOCK = 30.0  # s, of strides that share a state
+PROBED_STEPS = 150  # steps whose strength is computed; that of the others is interpolated
+MIN_STEP_DISTANCE = 5  # strides between two steps of the state
+MAX_STEPS = 200  # of the state that are considered: bounds the cost of the exchanges
+CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a change
+MAX_RUN = 2000.0  # s, of the blocks exchanged at once
+MAX_EXCHANGES = 60  # bounds the cost
+MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
 
 
 def best_times(joint: JointLikelihood, chosen: list[int], term: Term, single: bool) -> tuple[Spans, float] | None:
@@ -35,10 +35,10 @@ def best_times(joint: JointLikelihood, chosen: list[int], term: Term, single: bo
     column, t = joint.frame.column(term), joint.frame.strides.t
     steps = np.zeros(len(t), dtype=bool)
     steps[likely_steps(joint, chosen, column)] = True
-    block = max(BLOCK, float(t[-1] - t[0]) / MOST_STEPS)
+    block = max(MAX_BLOCK, float(t[-1] - t[0]) / MAX_STEPS)
     labels = np.cumsum(steps | np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False))
     on = _states(joint, chosen, term, single, labels)
-    if not on.any() or on.mean() > LONGEST_SHARE:
+    if not on.any() or on.mean() > MAX_ON_SHARE:
         return None
     spans = _spans(joint.frame, on)
     return spans, CHANGE_COST * _changes(on) if single else sum(
@@ -61,12 +61,12 @@ def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> N
     """
     n = len(column)
     scores = np.cumsum((column * joint.weighed_residual(chosen))[::-1])[::-1]
-    probed = np.unique(np.linspace(1, n - 1, PROBED).astype(np.int64))
+    probed = np.unique(np.linspace(1, n - 1, PROBED_STEPS).astype(np.int64))
     products, _ = joint.projected(chosen, np.where(np.arange(n)[:, None] >= probed, column[:, None], 0.0))
     strength = np.interp(np.arange(n), probed, np.maximum(np.diag(products), 1e-12))
     clarity = np.abs(scores) / np.sqrt(strength)
-    peaks, found = find_peaks(clarity, distance=APART, height=0.0)
-    return peaks[np.argsort(-found["peak_heights"], kind="stable")[:MOST_STEPS]]
+    peaks, found = find_peaks(clarity, distance=MIN_STEP_DISTANCE, height=0.0)
+    return peaks[np.argsort(-found["peak_heights"], kind="stable")[:MAX_STEPS]]
 
 
 def _states(joint: JointLikelihood, chosen: list[int], term: Term, single: bool, labels: Floats) -> Mask:
@@ -87,13 +87,13 @@ def exchanged(G: Floats, s: Floats, sd: float, positive: bool, single: bool, len
     on = np.zeros(b, dtype=bool)
     first, last = np.triu_indices(b)
     ends = np.insert(np.cumsum(lengths), 0, 0.0)
-    short = (ends[last + 1] - ends[first] <= LONGEST_RUN) | single
+    short = (ends[last + 1] - ends[first] <= MAX_RUN) | single
     first, last = first[short], last[short] + 1
     corner = np.zeros((b + 1, b + 1))
     corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
     own = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
     best = 0.0
-    for _ in range(MOST_EXCHANGES):
+    for _ in range(MAX_EXCHANGES):
         active = on.astype(float)
         score, strength = float(s @ active), float(active @ G @ active)
         sums = np.vstack([np.zeros(4), np.cumsum(np.column_stack([s, G @ active, active, 1 - active]), axis=0)])

@@ -1,7 +1,7 @@
-"""What a model leaves, averaged over some seconds, and how strongly that speaks for a column of power.
+"""The residual of a model averaged over blocks of seconds, and the evidence of a column of power in it.
 
-Noise of dv/dt is gone from such means, and what remains of the sensors' noise is a first-order autoregression. The
-road load is refitted (diffuse) beside everything that is judged on them.
+Such means contain no noise of dv/dt, and the rest of the sensors' noise is a first-order autoregression. The road load
+is refitted with a diffuse prior beside every column that is judged.
 """
 
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ from estimator.estimation.moments import ROAD_LOAD
 from estimator.model.design_matrix import PLAIN
 from estimator.signals import Floats, Mask, Quantity
 
-SHORTEST_GRAIN = 40  # samples, 4 s
-OUTLYING = 6.0  # sd of the residual beside effects that switch
-GRAINS = 500  # about as many, for a long drive
-CORRELATIONS = (0.0, 0.25, 0.5, 0.7)  # of the noise, from one grain to the next
-DIFFUSE = 1e4  # variance of the refitted base, over that of the residual
+MIN_BLOCK_SAMPLES = 40  # samples, 4 s
+MAX_RESIDUAL_SDS = 6.0  # sd of a block's residual where effects switch: above, the switching time is wrong
+MAX_BLOCKS = 500  # approximate number in a long drive: the cost grows with its cube
+NOISE_CORRELATIONS = (0.0, 0.25, 0.5, 0.7)  # of the noise between neighbouring blocks; the evidence is their mean
+DIFFUSE_VARIANCE = 1e4  # variance of the refitted base, over that of the residual
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grains:
-    """The residual and the columns of the model, averaged; all with n rows."""
+class Averages:
+    """The residual and the columns of the model, averaged over n blocks; all arrays (n,) unless stated."""
 
     residual: Floats  # [W]
     columns: Floats  # (n, p)
@@ -48,9 +48,9 @@ class Grains:
         """Covariance (n, n) without a process, up to scale, for each correlation of the noise."""
         order = np.abs(np.subtract.outer(np.arange(len(self)), np.arange(len(self))))
         columns = self.columns / np.sqrt((self.columns**2).mean(axis=0))
-        diffuse = DIFFUSE * columns @ columns.T
+        diffuse = DIFFUSE_VARIANCE * columns @ columns.T
         known = diffuse if self.nuisance is None else diffuse + self.nuisance
-        return [(rho**order if rho else np.eye(len(self))) + known for rho in CORRELATIONS]
+        return [(rho**order if rho else np.eye(len(self))) + known for rho in NOISE_CORRELATIONS]
 
     @cached_property
     def factors(self) -> list[Floats]:
@@ -58,44 +58,44 @@ class Grains:
         return [np.linalg.cholesky(noise) for noise in self.noises]
 
     def off_base(self, x: Floats) -> Floats:
-        """What of ``x`` (n,) the base model does not take up."""
+        """Residual (n,) of ``x`` (n,) after regression on the columns of the base model."""
         rest: Floats = x - self.columns @ np.linalg.lstsq(self.columns, x, rcond=None)[0]
         return rest
 
     def mean(self, x: Floats) -> Floats:
-        """Averages of ``x`` (samples, ...) over the grains."""
+        """Averages (n, ...) of ``x`` (samples, ...) over the blocks."""
         count = np.diff(np.append(self.starts, len(x)))
         averaged: Floats = (np.add.reduceat(x, self.starts, axis=0).T / count).T[self.full]
         return averaged
 
 
-def grains_of(model: Model) -> Grains:
-    """Average the residual of ``model``; grains do not reach across gaps of the admitted driving."""
+def averages_of(model: Model) -> Averages:
+    """Average the residual of ``model``; blocks do not reach across gaps of the admitted driving."""
     s = model.samples
     piece = np.concatenate([[0], np.cumsum(np.diff(s.t) > 3.0)])
     position = np.arange(len(s)) - np.searchsorted(piece, piece)
-    grain = max(SHORTEST_GRAIN, len(s) // GRAINS)
-    label = piece * (len(s) // grain + 1) + position // grain
+    block = max(MIN_BLOCK_SAMPLES, len(s) // MAX_BLOCKS)
+    label = piece * (len(s) // block + 1) + position // block
     starts = np.flatnonzero(np.diff(label, prepend=label[0] - 1))
     count = np.diff(np.append(starts, len(s)))
-    full = count >= grain // 2
+    full = count >= block // 2
     if any(term.spans for term in model.terms):
-        # A moment at which something was on and is taken for off tells of the times found, and of nothing else.
+        # Large residuals come from wrongly estimated switching times, so these blocks are left out.
         off = np.abs(np.add.reduceat(model.base.residual, starts) / count)
-        full &= off < OUTLYING * MAD_TO_SD * np.median(off[full])
+        full &= off < MAX_RESIDUAL_SDS * MAD_TO_SD * np.median(off[full])
 
     def mean(x: Floats) -> Floats:
         averaged: Floats = (np.add.reduceat(x, starts, axis=0).T / count).T[full]
         return averaged
 
-    # Where the measured power is in a column, so is the residual: as instruments see it, it is not.
+    # A column computed from measured power contains the residual; its instrument does not.
     X = model.base.X.copy()
     for i, term in enumerate((term for term in model.terms if not term.joins_mass), start=PLAIN):
         if term.effect.is_noisy:
             X[:, i] = model.base.Z[:, i]
     gear = s.context.get(Quantity.GEAR)
     power = model.base.Z[:, :ROAD_LOAD] @ model.base.theta[:ROAD_LOAD]
-    return Grains(
+    return Averages(
         residual=mean(model.base.residual),
         columns=mean(X),
         t=mean(s.t),
@@ -111,22 +111,22 @@ def grains_of(model: Model) -> Grains:
 
 @dataclass(frozen=True)
 class Weight:
-    """What the averaged residual says about k columns, each alone: log Bayes factor, value, sd; all arrays (k,)."""
+    """Evidence of k columns, each alone, in the averaged residual: log Bayes factor, value, sd; all arrays (k,)."""
 
     log_bayes_factor: Floats
     value: Floats
     sd: Floats
 
 
-def weigh(grains: Grains, columns: Floats, usual: float, positive: bool) -> Weight:
+def weigh(averages: Averages, columns: Floats, usual: float, positive: bool) -> Weight:
     """Evidence of each of ``columns`` (n, k) [W]; Gaussian prior of sd ``usual``, or half of one."""
-    n, y = len(grains), grains.residual
+    n, y = len(averages), averages.residual
     none, some, values, sds = [], [], [], []
-    for factor in grains.factors:
+    for factor in averages.factors:
         white = solve_triangular(factor, np.column_stack([y, columns]), lower=True, check_finite=False)
         a, c = white[:, 0], white[:, 1:]
         total, cross, strength = float(a @ a), a @ c, np.maximum((c**2).sum(axis=0), np.finfo(float).tiny)
-        # The noise's variance as the column leaves it.
+        # Variance of the noise after the fit of the column.
         left = np.maximum(total - cross**2 / strength, 1e-9 * total) / n
         precision = strength / left + 1.0 / usual**2
         value, sd = cross / left / precision, precision**-0.5

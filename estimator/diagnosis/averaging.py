@@ -1,7 +1,7 @@
-"""The road load beside effects whose shape is not known for sure: averaged over the shapes that the drive allows.
+"""The road load averaged over the shapes that an effect may have on the drive.
 
-A wind from 30 deg or from 45, a time constant of 25 min or 40: each leaves another A. With weights w_i from the
-marginal likelihood of what the model leaves without the effect,
+A depends on the shape: a wind from 30 or from 45 deg, a time constant of 25 or of 40 min. With weights w_i from the
+marginal likelihood of each shape in the residual of the model without the effect,
 
     mean = sum w_i theta_i,    variance = variance of the fit + sum w_i (theta_i - mean)^2
 
@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.averaged_residual import grains_of, weigh
+from estimator.diagnosis.averaged_residual import averages_of, weigh
 from estimator.diagnosis.evidence import parameter_sd
-from estimator.diagnosis.excess_lag import lateness
+from estimator.diagnosis.excess_lag import excess_lag
 from estimator.diagnosis.lowpass import as_filtered
 from estimator.diagnosis.model import Model, refit
 from estimator.diagnosis.multi_drive import Drive
@@ -23,7 +23,7 @@ from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.design_matrix import Term
 from estimator.signals import Floats, Quantity
 
-LEAST = 0.01  # weight of a shape that is worth a fit
+MIN_SHAPE_WEIGHT = 0.01  # posterior weight of a shape that is fitted: the others change the mean too little
 ROAD_LOAD = slice(0, 3)
 
 
@@ -40,7 +40,7 @@ def averaged(drive: Drive, thresholds: Thresholds) -> tuple[Floats, Floats]:
             )
             mean += shift
             variance += spread
-    filtered = as_filtered(drive.record, model) if lateness(drive, thresholds) is not None else None
+    filtered = as_filtered(drive.record, model) if excess_lag(drive, thresholds) is not None else None
     if filtered is not None:
         half = (filtered.theta[ROAD_LOAD] - model.base.theta[ROAD_LOAD]) / 2
         mean += half
@@ -49,18 +49,18 @@ def averaged(drive: Drive, thresholds: Thresholds) -> tuple[Floats, Floats]:
 
 
 def _over_shapes(model: Model, i: int, variants: list[Term], temper: float) -> tuple[Floats, Floats]:
-    """What allowing the other shapes of term ``i`` does to the road load: shift (3,), and variance it adds (3,)."""
+    """Shift (3,) and added variance (3,) of the road load [A, C, m] when the shape of term ``i`` is unknown."""
     others = (*model.terms[:i], *model.terms[i + 1 :])
     rest = refit(model, others)
     if rest is None:
         return np.zeros(3), np.zeros(3)
     _, ring = rest.views()
-    grains, effect = grains_of(rest), model.terms[i].effect
-    columns = grains.mean(np.column_stack([term.column(ring) for term in variants]))
-    evidence = weigh(grains, columns, effect.usual(model.road_load), effect.positive).log_bayes_factor / temper
+    averages, effect = averages_of(rest), model.terms[i].effect
+    columns = averages.mean(np.column_stack([term.column(ring) for term in variants]))
+    evidence = weigh(averages, columns, effect.usual(model.road_load), effect.positive).log_bayes_factor / temper
     weights = np.exp(evidence - evidence.max())
     weights /= weights.sum()
-    likely = np.flatnonzero(weights > LEAST)
+    likely = np.flatnonzero(weights > MIN_SHAPE_WEIGHT)
     fits = [refit(model, (*model.terms[:i], variants[k], *model.terms[i + 1 :])) for k in likely]
     theta = np.array([model.road_load if found is None else found.road_load for found in fits])
     share = weights[likely] / weights[likely].sum()

@@ -1,7 +1,7 @@
-"""What acts beside a road that is a state: effects judged by one likelihood, and the budget of the gap.
+"""Effects beside the road as a state, judged by one likelihood, and the budget of the gap.
 
-On hills what is left of the plain road load is the road, or what an altimeter leaves of it, and hides every other
-effect. There the effects are looked for beside the road (`components.search`). On a level road the search has chosen
+On hills the residual of the plain road load is the road, or the error of an altimeter, and hides all other effects.
+There effects are searched beside the road (`components.search`). On a level road the search of the diagnosis has chosen
 them already, and the road model only splits the gap between them, the road and the sensors.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from estimator.components.budget import ROAD, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_term
 from estimator.components.search import AtRest, Choice, DriveState, Explained, ranked, search
-from estimator.diagnosis.candidates import IDLE_SD, IDLE_SHARE
+from estimator.diagnosis.candidates import IDLE_POWER_SD, IDLE_POWER_SHARE
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span, Verdict
@@ -22,13 +22,13 @@ from estimator.estimation.road_fit import ROAD_LOAD
 from estimator.model.effects import Effect
 from estimator.signals import Quantity
 
-POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen may be there all the same
-HILL = 300.0  # m, after which a road has another slope
+MIN_LOG_BF_POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen is part of the budget
+SLOPE_LENGTH = 300.0  # m, after which a road has another slope
 
 
 @dataclass(frozen=True, kw_only=True)
 class BesideRoad:
-    """The drives explained with the road as a state, what is left of them, and the budget."""
+    """The drives explained with the road as a state, the best remaining process, and the budget."""
 
     explained: Explained
     left_over: float  # log Bayes factor of the best nameless process beside what was chosen
@@ -38,12 +38,12 @@ class BesideRoad:
 
     @property
     def longest(self) -> DriveState:
-        """The drive that stands for all where one has to."""
+        """The drive with most strides, which figures of a single drive are taken from."""
         return max(self.explained.drives, key=lambda drive: len(drive.fit.strides))
 
     @property
     def slope_sd(self) -> float:
-        """Of the road."""
+        """Standard deviation of the road's slope [1]."""
         return self.longest.fit.slope_sd
 
     @property
@@ -61,28 +61,28 @@ class BesideRoad:
 
     @property
     def rms_base(self) -> float:
-        """Of the model that was given [W]."""
+        """Residual [W] of the model without the effects found."""
         part = self.budget.part(ROAD) if self.is_given else None
         return self.budget.total if part is None or part.reached is None else part.reached
 
     @property
     def _shift(self) -> Shift:
-        """Of the parameters, from the plain model to the one with the road and all that was chosen."""
+        """Shift of the parameters from the plain model to the one with the road and all chosen effects."""
         model = max((drive.model for drive in self.plain), key=lambda model: len(model.samples))
         A, C, m = model.road_load.tolist()
         final, _ = self.road_load
         return Shift(mass=final.mass - m, A=final.A - A, C=final.C - C)
 
     def verdict(self) -> Verdict:
-        """A road that no model had, and effects beside it, are named; what has no name is not."""
+        """An effect where effects were chosen or the road is new in the model; else by the best remaining process."""
         if self.explained.choices or not self.is_given:
             return Verdict.EFFECT
         return Verdict.UNKNOWN if self.left_over > self.thresholds.min_log_bf_left_process else Verdict.NO_GAP
 
     def hills(self, log_bayes_factor: float) -> Finding:
-        """The road itself, which no signal shows: what a signal of it could close."""
+        """The finding of a road that no signal shows, with the share of the gap that a signal could close."""
         driven = float(np.ptp(self.longest.strides.s0))
-        spread = float(np.sqrt(0.5 * HILL / max(driven, HILL)))  # of a standard deviation
+        spread = float(np.sqrt(0.5 * SLOPE_LENGTH / max(driven, SLOPE_LENGTH)))  # of a standard deviation
         part = self.budget.part(ROAD)
         left = self.budget.total if part is None else part.expected
         return Finding(
@@ -197,25 +197,28 @@ def beside_road(outcome: Outcome) -> BesideRoad | None:
 def _state(drive: Drive) -> DriveState | None:
     """The drive with the effects that are part of the model from the start."""
     idling = drive.record.idling
-    rest = None if idling is None else AtRest(idling[0], IDLE_SD + IDLE_SHARE * abs(idling[0]), idling[1])
+    rest = None if idling is None else AtRest(idling[0], IDLE_POWER_SD + IDLE_POWER_SHARE * abs(idling[0]), idling[1])
     state = DriveState.of(drive.record.strides, rest)
     return None if state is None else _with_terms(state, drive)
 
 
 def _with_terms(state: DriveState, drive: Drive) -> DriveState:
-    """With the effects that the drive's model has; gravity is the road's, and a lag is in the fit."""
+    """The state with the effects of the drive's model, except gravity (the road) and absorbed effects (the fit)."""
     frame = Frame.of(state.fit)
     terms = [term for term in drive.model.terms if not (term.effect.is_gravity or term.effect.absorbed)]
     return state.having(tuple(of_term(frame, term) for term in terms)) if terms else state
 
 
 def _possible(explained: Explained, drive: int) -> list[Component]:
-    """Effects that were not chosen but may be there: they always act, and the drive does not speak against them."""
+    """Effects that were not chosen but may act: not switched, not noisy, and without clear evidence against them."""
     forms = [one.each[drive] for one in explained.ranking]
     return [
         form.component
         for form in forms
-        if form is not None and form.gain > POSSIBLE and not form.component.is_noisy and not _is_timed(form.component)
+        if form is not None
+        and form.gain > MIN_LOG_BF_POSSIBLE
+        and not form.component.is_noisy
+        and not _is_timed(form.component)
     ]
 
 

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from estimator.diagnosis import facts, findings
-from estimator.diagnosis.averaged_residual import grains_of
+from estimator.diagnosis.averaged_residual import averages_of
 from estimator.diagnosis.averaging import averaged
 from estimator.diagnosis.beside_road import BesideRoad, beside_road
 from estimator.diagnosis.candidates import assess
@@ -14,7 +14,7 @@ from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.evidence import parameter_sd
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
 from estimator.diagnosis.localisation import gap_map, places
-from estimator.diagnosis.model import FEWEST, Model, fit, select
+from estimator.diagnosis.model import MIN_SAMPLES, Model, fit, select
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces, Verdict
@@ -25,8 +25,8 @@ from estimator.model.design_matrix import best_terms, columns
 from estimator.model.effects import CATALOGUE, Effect
 from estimator.signals import Floats, Quantity
 
-SECOND = 10  # samples
-SHORTEST = 300.0  # s of admitted driving
+SAMPLES_PER_SECOND = 10
+MIN_DRIVE = 300.0  # s of admitted driving: shorter drives seldom determine A, C and m
 
 
 def diagnose(
@@ -70,37 +70,37 @@ def diagnose(
 
 def _obstacle(records: Sequence[Record], reason: str) -> str:
     """Why no drive can be fitted: the ``reason`` of the last, unless all of several are too short."""
-    minutes = [len(record.samples) / SECOND / 60 for record in records]
-    if len(records) < 2 or max(minutes) >= SHORTEST / 60:
+    minutes = [len(record.samples) / SAMPLES_PER_SECOND / 60 for record in records]
+    if len(records) < 2 or max(minutes) >= MIN_DRIVE / 60:
         return reason
     return (
         f"of {len(records)} drives the longest has {max(minutes):.1f} minutes that can be used, all together "
-        f"{sum(minutes):.1f}; each is fitted by itself, so it takes one of {SHORTEST / 60:.0f} at least"
+        f"{sum(minutes):.1f}; each is fitted by itself, so it takes one of {MIN_DRIVE / 60:.0f} at least"
     )
 
 
 def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
     """The plain model on one drive, or why there is none."""
     samples = record.samples
-    if len(samples) < FEWEST:
+    if len(samples) < MIN_SAMPLES:
         common = record.rejected.most_common(1)
         return "less than a minute of driving can be used" + (f"; most is: {common[0][0]}" if common else "")
-    if len(samples) < SHORTEST * SECOND:
-        return f"only {len(samples) / SECOND / 60:.1f} minutes of driving can be used; it takes 5 at least"
+    if len(samples) < MIN_DRIVE * SAMPLES_PER_SECOND:
+        return f"only {len(samples) / SAMPLES_PER_SECOND / 60:.1f} minutes of driving can be used; it takes 5 at least"
     for effect in given:
         if not effect.streaming_shapes(record.known):
             return f"the effect {effect.name} needs {' or '.join(r.value for r in effect.wanted)}, which the bus lacks"
-    A, C, m = 1e3, 1.0, 1e4  # of no weight: only the best of several shapes is looked for
+    A, C, m = 1e3, 1.0, 1e4  # rough: used only to compare the shapes of an effect
     terms = best_terms(given, samples, np.array([A, C, m]))
     kept = select(samples, terms)
     model = None if kept is None else fit(samples[kept], terms)
-    if model is None or len(model.samples) < SHORTEST * SECOND:
+    if model is None or len(model.samples) < MIN_DRIVE * SAMPLES_PER_SECOND:
         return "speed and acceleration vary too little, or power is not positive, so A, C and m cannot be told apart"
     return Drive(record, model)
 
 
 def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
-    """Put together."""
+    """The diagnosis of a finished search, with the road as a state where it can be fitted."""
     verdict, late, hills = outcome.verdict, findings.lag(outcome), findings.hidden_grade(outcome)
     if late is not None and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL) and not outcome.result.chosen:
         verdict = Verdict.EFFECT
@@ -111,7 +111,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     named = tuple(f for f in found if f is not None) if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
     drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
     before, after = plain.model, drive.model
-    at_last = assess(after, grains_of(after), outcome.effects, drive.record.known, drive.rest)
+    at_last = assess(after, averages_of(after), outcome.effects, drive.record.known, drive.rest)
     unseen = tuple(invisible(outcome.effects, at_last, after, drive.record.known, outcome.thresholds))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
     diagnosis = Diagnosis(
@@ -138,7 +138,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
 
 
 def _with_road(diagnosis: Diagnosis, beside: BesideRoad, min_log_bf: float) -> Diagnosis:
-    """What is left, and the vehicle, where the road is a state."""
+    """The diagnosis with residuals and parameters of the model that has the road as a state."""
     final, deviation = beside.road_load
     left = beside.left_over
     return replace(
@@ -154,7 +154,7 @@ def _with_road(diagnosis: Diagnosis, beside: BesideRoad, min_log_bf: float) -> D
 
 
 def _with_known_road(diagnosis: Diagnosis, outcome: Outcome, hidden: bool) -> Diagnosis:
-    """What is left, and the vehicle, by the road load and the effects that were chosen."""
+    """The diagnosis with residuals and parameters of the road load and the chosen effects."""
     mean, deviation = averaged(outcome.final[outcome.longest], outcome.thresholds)
     left = outcome.left.log_bayes_factor
     remaining = Verdict.NO_GAP
@@ -197,5 +197,5 @@ def _traces(outcome: Outcome) -> Traces:
             log=np.full(len(samples), float(before.record.log)),
         )
         for name, part in parts.items():
-            part.append(block_means(getattr(drive, name), SECOND))
+            part.append(block_means(getattr(drive, name), SAMPLES_PER_SECOND))
     return Traces(**{name: np.concatenate(part) for name, part in parts.items()})

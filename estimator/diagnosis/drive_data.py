@@ -1,4 +1,4 @@
-"""A whole drive as the diagnosis sees it: every admitted sample, in order, with all the context the bus offers."""
+"""The data of one drive for the diagnosis: every admitted sample, in order, with all context that the bus carries."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -15,11 +15,11 @@ from estimator.samples import STEP, Rows, Samples
 from estimator.signals import Floats, Quantity, Role
 from estimator.strides import Strides
 
-STOPPED = 0.5  # m/s
-SHORTEST_STOP = 10.0  # s, in which a load could change
-SHORTEST_IDLE = 30.0  # s at rest that tell of the power taken there
-BREAK = 10.0  # s of NaN put between pieces of a drive where only their own order matters
-HEARD = 0.5  # share of the drive for which a quantity must be known to be used
+MAX_STANDING_SPEED = 0.5  # m/s
+MIN_STOP = 10.0  # s, in which a load could change
+MIN_IDLE = 30.0  # s at rest, from which the mean idle power is used
+BREAK = 10.0  # s of NaN between pieces of a drive, where only their order matters
+MIN_KNOWN_SHARE = 0.5  # of the drive, for which a quantity must be known to be used
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Record:
     @property
     def idling(self) -> tuple[float, float] | None:
         """Mean power [W] and engine speed [rad/s] at rest; None where the engine hardly ran there."""
-        if len(self.idle) < SHORTEST_IDLE / STEP:
+        if len(self.idle) < MIN_IDLE / STEP:
             return None
         return float(np.median(self.idle)), float(np.median(self.idle_speed))
 
@@ -58,12 +58,12 @@ class Record:
 
     @property
     def known(self) -> frozenset[Quantity]:
-        """The context there is."""
+        """Quantities that the samples carry."""
         return frozenset(self.samples.context)
 
 
 def record(pieces: list[Rows], config: Config) -> Record:
-    """Samples of a drive from its ``pieces``, each without a gap, in order."""
+    """The record of a drive from its ``pieces``, each without a gap, in order of time."""
     rejected: Counter[str] = Counter()
     if not pieces:
         nothing = np.empty(0)
@@ -142,7 +142,7 @@ def _heard(pieces: list[Rows], start: float) -> frozenset[Quantity]:
     known: Counter[Quantity] = Counter()
     for piece in pieces:
         known.update({q: int(np.isfinite(x).sum()) for q, x in kinematics.quantities(piece, start).items()})
-    least = HEARD * sum(len(piece) for piece in pieces)
+    least = MIN_KNOWN_SHARE * sum(len(piece) for piece in pieces)
     return frozenset(q for q, count in known.items() if count > least)
 
 
@@ -164,13 +164,13 @@ def _whole_speed(pieces: list[Rows]) -> Floats:
 
 
 def _halts(speed: Floats) -> Floats:
-    """How many standstills of at least SHORTEST_STOP have ended before or at each row (n,)."""
-    standing = np.concatenate([[False], speed < STOPPED, [False]])
+    """How many standstills of at least MIN_STOP have ended before or at each row (n,)."""
+    standing = np.concatenate([[False], speed < MAX_STANDING_SPEED, [False]])
     starts, ends = (
         np.flatnonzero(np.diff(standing.astype(int)) == 1),
         np.flatnonzero(np.diff(standing.astype(int)) == -1),
     )
-    long = ends[(ends - starts) >= SHORTEST_STOP / STEP]
+    long = ends[(ends - starts) >= MIN_STOP / STEP]
     count: Floats = np.searchsorted(long, np.arange(len(speed)), side="right").astype(float)
     return count
 

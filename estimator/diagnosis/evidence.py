@@ -1,4 +1,4 @@
-"""How strongly a drive speaks for a column of power: moments of instruments, so that noise is no evidence.
+"""Evidence of a column of power on a drive, from moments of instruments, so that noise of the column is no evidence.
 
 Base model P = X theta + e with instruments Z. A candidate adds the column h with instrument z and magnitude b. With
 both projected off the base,
@@ -23,18 +23,18 @@ from estimator.signals import Floats
 Blocks = NDArray[np.int64]
 
 BLOCK = 5.0  # s of samples whose moments are summed before their covariance is taken
-FEWEST_COSINES = 16
-TIMES_PER_COSINE = 3.0
-POINTS = 161  # of the grid over a magnitude
-WIDEST = 6.0  # sd of the prior, and of the likelihood, that the grid spans
-LEAST_DOF = 4.0
-SINGULAR = 1e7  # condition number of the base's equations, columns scaled to one
-WEAK = 1e-4  # instruments that explain less of a column than this say nothing about it
+MIN_COSINES = 16  # degrees of freedom of a long-run variance
+TIMES_PER_COSINE = 3.0  # autocorrelation times that one cosine transform must span
+GRID_POINTS = 161  # of the grid over a magnitude
+GRID_SDS = 6.0  # sd of the prior, and of the likelihood, that the grid spans
+MIN_DOF = 4.0  # of the Student density: below, its variance is hardly defined
+MAX_CONDITION = 1e7  # condition number of the base's equations, columns scaled to one
+MIN_EXPLAINED_SHARE = 1e-4  # |correlation| of instrument and column below which the magnitude is not estimated
 
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """The model so far, fitted: columns ``X``, instruments ``Z`` (n, p), power ``P`` (n,), block of each sample."""
+    """The fitted base model: columns ``X``, instruments ``Z`` (n, p), power ``P`` (n,) [W], block of each sample."""
 
     X: Floats
     Z: Floats
@@ -45,7 +45,7 @@ class Base:
 
     @property
     def residual(self) -> Floats:
-        """What the model leaves [W] (n,)."""
+        """Measured power less that of the model [W] (n,)."""
         return self.P - self.X @ self.theta
 
 
@@ -55,7 +55,7 @@ def fit_base(X: Floats, Z: Floats, P: Floats, block: Blocks) -> Base | None:
     if not np.all(scale > 0):
         return None
     scaled = (Z / scale).T @ (X / scale) / len(X)
-    if np.linalg.cond(scaled) > SINGULAR:
+    if np.linalg.cond(scaled) > MAX_CONDITION:
         return None
     inverse = np.linalg.inv(scaled) / np.outer(scale, scale) / len(X)
     return Base(X=X, Z=Z, P=P, block=block, theta=inverse @ (Z.T @ P), inverse=inverse)
@@ -80,7 +80,7 @@ def score(base: Base, h: Floats, z: Floats) -> Score:
     outer = z - base.Z @ (base.inverse.T @ (base.X.T @ z))
     inner = h - base.X @ (base.inverse @ (base.Z.T @ h))
     strength = (outer * h).sum(axis=0)
-    weak = np.abs(strength) <= WEAK * np.sqrt((z**2).sum(axis=0) * (h**2).sum(axis=0))
+    weak = np.abs(strength) <= MIN_EXPLAINED_SHARE * np.sqrt((z**2).sum(axis=0) * (h**2).sum(axis=0))
     strength = np.where(weak, np.nan, strength)
     residual = base.residual
     value = outer.T @ residual / strength
@@ -92,11 +92,11 @@ def score(base: Base, h: Floats, z: Floats) -> Score:
 
 
 def parameter_sd(base: Base, i: int) -> float:
-    """Standard deviation of the base model's parameter ``i``, autocorrelated as its residual may be."""
+    """Standard deviation of the base model's parameter ``i``; the residual may be autocorrelated."""
     influence = (base.Z * base.residual[:, None]) @ base.inverse[i]
     variance, dof = long_run_variance(block_sums(influence[:, None], base.block))
-    # The fit has taken from the residual what its parameters can follow, and the rest is Student distributed.
-    left = max(float(dof[0]) - base.X.shape[1], LEAST_DOF)
+    # The fit uses up one degree of freedom for each parameter; the estimate is Student distributed.
+    left = max(float(dof[0]) - base.X.shape[1], MIN_DOF)
     return float(np.sqrt(variance[0] * dof[0] / left * left / (left - 2.0)))
 
 
@@ -113,13 +113,13 @@ def blocks_of(t: Floats) -> Blocks:
 
 
 def long_run_variance(moments: Floats) -> tuple[Floats, Floats]:
-    """Variance (k,) of the column sums of ``moments`` (n, k), autocorrelated as they may be, and its dof (k,)."""
+    """Variance (k,) of the column sums of autocorrelated ``moments`` (n, k), and its degrees of freedom (k,)."""
     n, k = moments.shape
     transform = dct(moments, type=2, axis=0, norm="ortho")[1:] ** 2
     variance, dof = np.empty(k), np.empty(k)
     for i in range(k):
         time = autocorrelation_time(moments[:, i])
-        count = int(np.clip(n / (TIMES_PER_COSINE * time), FEWEST_COSINES, max(0.6 * n ** (5 / 6), FEWEST_COSINES)))
+        count = int(np.clip(n / (TIMES_PER_COSINE * time), MIN_COSINES, max(0.6 * n ** (5 / 6), MIN_COSINES)))
         count = min(count, n - 1)
         variance[i], dof[i] = n * transform[:count, i].mean(), count
     return variance, dof
@@ -127,10 +127,10 @@ def long_run_variance(moments: Floats) -> tuple[Floats, Floats]:
 
 def log_bayes_factor(score: Score, usual: float, positive: bool) -> Floats:
     """Log Bayes factor (k,) of each magnitude against none; its prior is Gaussian with sd ``usual``, or half of one."""
-    low, high = 0.0 if positive else -WIDEST * usual, WIDEST * usual
-    steps = np.linspace(-1.0, 1.0, POINTS)[:, None]
+    low, high = 0.0 if positive else -GRID_SDS * usual, GRID_SDS * usual
+    steps = np.linspace(-1.0, 1.0, GRID_POINTS)[:, None]
     everywhere = (low + high) / 2 + (high - low) / 2 * steps
-    near = score.value + WIDEST * score.sd * np.sinh(3 * steps) / np.sinh(3)
+    near = score.value + GRID_SDS * score.sd * np.sinh(3 * steps) / np.sinh(3)
     b = np.sort(np.concatenate([np.broadcast_to(everywhere, near.shape), np.clip(near, low, high)]), axis=0)
     t = (b - score.value) / score.sd
     against = -0.5 * (score.dof + 1) * (np.log1p(t**2 / score.dof) - np.log1p(score.t**2 / score.dof))

@@ -13,7 +13,7 @@ def remainder(outcome: Outcome) -> Remainder:
 
 
 def doubtful(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> Doubtful | None:
-    """The best candidate where no effect is named, although one may be there."""
+    """The best candidate of a "cannot tell" without named effects; else None."""
     if verdict is not Verdict.CANNOT_TELL or named:
         return None
     best = outcome.result.ranking[0]

@@ -1,11 +1,11 @@
-"""What was found, effect by effect: chosen, ranked, or seen by the alignment."""
+"""The findings of a search, one for each effect: chosen, ranked, a lag, or a hidden grade."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from estimator.diagnosis.candidates import Candidate
-from estimator.diagnosis.excess_lag import lateness
+from estimator.diagnosis.excess_lag import excess_lag
 from estimator.diagnosis.held_out import gap_closed
 from estimator.diagnosis.hidden_grade import grade_sd
 from estimator.diagnosis.model import Model, fit
@@ -18,8 +18,8 @@ from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects import BY_NAME, Timing
 from estimator.signals import Quantity
 
-HILL = 300.0  # samples in which the road changes its grade
-NINETY = 1.645  # sd to either side that hold 90 %
+HILL_SAMPLES = 300.0  # samples, 30 s, after which the road has another grade
+SDS_OF_90_PERCENT = 1.645  # standard deviations to either side that hold 90 % of a Gaussian
 
 
 def chosen(outcome: Outcome) -> tuple[Finding, ...]:
@@ -60,7 +60,7 @@ def _clock(drive: Drive, spans: Spans) -> tuple[Span, ...]:
 
 
 def _magnitude(model: Model, candidate: Candidate) -> Magnitude:
-    """As the final model has it, with the uncertainty with which it was first found."""
+    """Value in the final ``model``, with the sd of the candidate."""
     effect = candidate.term.effect
     values = {term.effect.name: value for term, value in zip(model.terms, model.magnitudes, strict=True)}
     return Magnitude(effect.symbol, values.get(effect.name, candidate.value), candidate.sd, effect.unit)
@@ -84,9 +84,9 @@ def difference(before: Model, after: Model) -> Shift:
 
 
 def lag(outcome: Outcome) -> Finding | None:
-    """A lag between power and speed that no sensor's ordinary delay explains; the alignment has taken it out."""
+    """The lag between power and speed, where it is beyond usual delays; the alignment has removed it."""
     drive = outcome.final[outcome.longest]
-    late = lateness(drive, outcome.thresholds)
+    late = excess_lag(drive, outcome.thresholds)
     if late is None:
         return None
     plain = fit(late.unaligned, drive.model.terms)
@@ -114,7 +114,9 @@ def hidden_grade(outcome: Outcome) -> Finding | None:
         return None
     before = outcome.steps[-1]
     sd = grade_sd(force, outcome.plain)
-    spread = float(np.sqrt(2 / max(len(outcome.final[outcome.longest].model.samples) / HILL, 1.0)))  # of a variance
+    spread = float(
+        np.sqrt(2 / max(len(outcome.final[outcome.longest].model.samples) / HILL_SAMPLES, 1.0))
+    )  # of a variance
     return Finding(
         name="grade",
         probability=outcome.thresholds.probabilities(
@@ -132,11 +134,11 @@ def hidden_grade(outcome: Outcome) -> Finding | None:
 
 
 def _promised(outcome: Outcome, force: Leftover, spread: float) -> GapClosed:
-    """Share of the gap that a signal of the grade could close: all of it, or what is force alone, as far as known."""
+    """Share of the gap that a signal of the grade could close: at most all of it, at least the part that is a force."""
     gap = outcome.steps[-1].mean_square - outcome.floor
     if gap <= 0:
         return GapClosed(0.0, 0.0, 1.0)
-    return GapClosed(1.0, float(np.clip(force.variance * (1 - NINETY * spread) / gap, 0.0, 1.0)), 1.0)
+    return GapClosed(1.0, float(np.clip(force.variance * (1 - SDS_OF_90_PERCENT * spread) / gap, 0.0, 1.0)), 1.0)
 
 
 def ranking(outcome: Outcome, late: Finding | None) -> tuple[Finding, ...]:

@@ -1,4 +1,4 @@
-"""What this drive could tell at all: which effects leave the same trace, and which leave none."""
+"""Which effects this drive can separate, and which it cannot show at their usual size."""
 
 from collections.abc import Sequence
 
@@ -33,7 +33,7 @@ def invisible(
     known: frozenset[Quantity],
     thresholds: Thresholds,
 ) -> list[Invisible]:
-    """Effects that could be there at their usual size unseen, and what A, C and m would take up of them."""
+    """Effects that could act at their usual size without evidence, and the shift of A, C and m they would cause."""
     judged = {candidate.name: candidate for candidate in candidates}
     present = {term.effect.name for term in model.terms}
     found = []
@@ -49,7 +49,7 @@ def invisible(
 
 
 def _shift(effect: Effect, model: Model, known: frozenset[Quantity]) -> Shift:
-    """What ignoring the effect at its usual size does to the parameters."""
+    """Shift of the parameters when the effect acts at its usual size and is not in the model."""
     own, _ = model.views()
     power = effect.power(own, effect.usable_shapes(known)[0])
     change = effect.usual(model.road_load) * (model.base.inverse @ (model.base.Z.T @ power))

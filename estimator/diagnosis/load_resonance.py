@@ -1,16 +1,16 @@
-"""What rings on after accelerations, with no name: a load on springs, a sloshing liquid, a loose coupling.
+"""Oscillations after accelerations: a load on springs, a sloshing liquid, a loose coupling; no effect of the catalogue.
 
 A mass s on a spring and a damper, of natural frequency w and damping ratio d, is displaced by x with
 x'' + 2 d w x' + w^2 x = -a, and holds the vehicle back by s x'' more than if it were fixed. With its complex mode q,
 
     q' = L q + a,    L = w (-d + i sqrt(1 - d^2)),    x'' = -a - Im(L^2 q) / Im L
 
-Means over some seconds leave nothing of it, so its evidence comes from every sample, as that of an effect does. The
-column is h = v x''; its instrument is what still rings of accelerations more than HOLE ago, for their readings are
-not in the sample. The evidence is averaged over frequencies and damping ratios.
+Means over some seconds contain nothing of it, so its evidence comes from every sample, as that of an effect does. The
+column is h = v x''; its instrument is the oscillation from accelerations more than HOLE ago, whose readings are not in
+the sample. The evidence is averaged over frequencies and damping ratios.
 
-What a filter of the speed leaves of a lag can look like a swing: only the evidence counts that there is both with it
-taken out and without.
+A low-pass of the speed leaves a similar residual. The evidence is the smaller of two: with a low-pass in the base
+model, and without.
 """
 
 from dataclasses import dataclass, replace
@@ -21,11 +21,11 @@ from scipy.optimize import nnls
 from scipy.signal import lfilter
 from scipy.special import logsumexp
 
-from estimator.diagnosis.averaged_residual import Grains
+from estimator.diagnosis.averaged_residual import Averages
 from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.evidence import fit_base, log_bayes_factor, score
 from estimator.diagnosis.lowpass import as_filtered
-from estimator.diagnosis.model import SLOW, Model
+from estimator.diagnosis.model import BLOCK_SAMPLES, Model
 from estimator.diagnosis.processes import Leftover
 from estimator.estimation.moments import block_means
 from estimator.model.design_matrix import MASS
@@ -37,8 +37,8 @@ Indices = NDArray[np.int64]
 
 PERIODS = 1.5 * 1.13 ** np.arange(12)  # s, up to 5.8
 DAMPING_RATIOS = (0.05, 0.1, 0.2)
-USUAL = 0.2  # of the mass of the vehicle, that swings
-LIGHTEST = 1.0  # kg, of a vehicle
+USUAL_SHARE = 0.2  # of the vehicle's mass, that swings: sd of its prior
+MIN_MASS = 1.0  # kg, of a vehicle: keeps the prior positive where a fit gives none
 SWING = "a mass that rings on after accelerations"
 
 
@@ -52,14 +52,14 @@ class Swing:
     mass: float
 
 
-def swing(record: Record, model: Model, grains: Grains) -> Leftover:
-    """Evidence of a mass that swings, in what ``model`` leaves of the drive of ``record``."""
+def swing(record: Record, model: Model, averages: Averages) -> Leftover:
+    """Evidence of a mass that swings, in the residual of ``model`` on the drive of ``record``."""
     evidence, best = _find(record, model)
     base = model.base
-    power = best.mass * (best.h - base.X @ (base.inverse @ (base.Z.T @ best.h)))  # what the model does not take up
-    variance = float(np.mean(block_means(power, SLOW) ** 2))
-    smooth = grains.mean(power)
-    shape = smooth / grains.residual.std()
+    power = best.mass * (best.h - base.X @ (base.inverse @ (base.Z.T @ best.h)))  # beyond the refitted base model
+    variance = float(np.mean(block_means(power, BLOCK_SAMPLES) ** 2))
+    smooth = averages.mean(power)
+    shape = smooth / averages.residual.std()
     return Leftover(
         name=f"{SWING} every {best.period:.1f} s",
         log_bayes_factor=evidence,
@@ -70,7 +70,7 @@ def swing(record: Record, model: Model, grains: Grains) -> Leftover:
 
 
 def with_swing(record: Record, model: Model) -> Model:
-    """``model`` with the mass that swings in it, so that effects are judged by what that leaves."""
+    """``model`` with the mass that swings as a further column, so that effects are judged beside it."""
     _, best = _find(record, model)
     base = model.base
     fitted = fit_base(np.column_stack([base.X, best.h]), np.column_stack([base.Z, best.z]), base.P, base.block)
@@ -79,7 +79,7 @@ def with_swing(record: Record, model: Model) -> Model:
 
 def _find(record: Record, model: Model) -> tuple[float, Swing]:
     """Log Bayes factor of a mass that swings, and the one with most evidence."""
-    usual = USUAL * max(float(model.road_load[MASS]), LIGHTEST)
+    usual = USUAL_SHARE * max(float(model.road_load[MASS]), MIN_MASS)
     at = record.at(model.samples)
     filtered = as_filtered(record, model)
     trust, bases = _trust(model), [model.base] if filtered is None else [model.base, filtered]

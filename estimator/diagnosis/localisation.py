@@ -1,7 +1,8 @@
 """Where the model and the vehicle disagree: the residual by parts of each axis.
 
 The mean of a part is judged against the long-run noise of its own stretches: residuals that stay on one side for
-seconds count once. False discoveries are held at LEVEL over all parts of all axes (Benjamini & Hochberg 1995).
+seconds count once. The rate of false discoveries over all parts of all axes is at most MAX_FALSE_DISCOVERY_RATE
+(Benjamini & Hochberg 1995).
 """
 
 from itertools import pairwise
@@ -16,11 +17,11 @@ from estimator.diagnosis.result import GapMap, Place
 from estimator.signals import Floats, Quantity
 
 PARTS = 8
-LEVEL = 0.05
-FEWEST = 200  # samples in a part
-LEAST_BLOCKS = 8
+MAX_FALSE_DISCOVERY_RATE = 0.05  # usual; 1 in 20 of the places listed is expected to be false
+MIN_SAMPLES = 200  # samples in a part
+MIN_BLOCKS = 8  # independent blocks of a part: with fewer, their variance is too uncertain for a test
 SPEED_CELL, ACCELERATION_CELL = 2.5, 0.1  # m/s, m/s^2
-CELL_SAMPLES = 30
+MIN_CELL_SAMPLES = 30  # 3 s, in a cell of the map
 
 
 def places(model: Model) -> list[Place]:
@@ -31,11 +32,11 @@ def places(model: Model) -> list[Place]:
     for name, unit, values, edges in _axes(model):
         for start, end in pairwise(edges):
             part = (values >= start) & (values < end)
-            if part.sum() < FEWEST:
+            if part.sum() < MIN_SAMPLES:
                 continue
             sums = block_sums((residual * part)[:, None], block)[:, 0]
             used = sums[sums != 0]
-            if len(used) < LEAST_BLOCKS:
+            if len(used) < MIN_BLOCKS:
                 continue
             count = int(part.sum())
             bias = float(sums.sum()) / count
@@ -49,7 +50,7 @@ def places(model: Model) -> list[Place]:
     chosen = [
         Place(axis=name, start=start, end=end, unit=unit, bias=bias, share=share, q_value=float(value))
         for (name, unit, start, end, bias, share, _), value in zip(found, q, strict=True)
-        if value < LEVEL
+        if value < MAX_FALSE_DISCOVERY_RATE
     ]
     return sorted(chosen, key=lambda place: -place.share)
 
@@ -107,7 +108,7 @@ def gap_map(before: Model, after: Model) -> GapMap:
         samples = model.samples
         count = np.histogram2d(samples.zv, samples.za, bins)[0]
         total = np.histogram2d(samples.zv, samples.za, bins, weights=model.base.residual)[0]
-        return np.where(count >= CELL_SAMPLES, total / np.maximum(count, 1), np.nan), count
+        return np.where(count >= MIN_CELL_SAMPLES, total / np.maximum(count, 1), np.nan), count
 
     (first, count), (second, _) = mean(before), mean(after)
     return GapMap(speed_edges=speed, acceleration_edges=acceleration, before=first, after=second, samples=count)

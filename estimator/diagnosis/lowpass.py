@@ -1,6 +1,6 @@
-"""A lag that is not a delay but a low-pass: what it leaves once the alignment has shifted the signals.
+"""A lag from a low-pass instead of a delay: the residual that remains after the alignment has shifted the signals.
 
-A speed that is read through a first-order low-pass of time T comes late by T, and m v T^2 / 2 d2a/dt2 is left over.
+A speed behind a first-order low-pass of time T is late by T. After a shift by T, m v T^2 / 2 d2a/dt2 remains.
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ from estimator.model.design_matrix import MASS, PLAIN
 from estimator.preparation.smoothing import DERIVATIVE, convolve
 from estimator.samples import STEP
 
-LATE, EARLY = 0.5, -1.0  # of T^2; where power is early, its own delay hides some of the low-pass
+LATE, EARLY = 0.5, -1.0  # factor of T^2 for power behind or before speed; before, delays of power cancel some of T
 
 
 def as_filtered(record: Record, model: Model) -> Base | None:
-    """The fit if the lag found were all a low-pass; None where it cannot be."""
+    """The fit for a lag that comes from a low-pass alone; None where it cannot be fitted."""
     s, base = model.samples, model.base
     lag = record.lag + float(base.theta[PLAIN - 1])
     curvature = np.convolve(DERIVATIVE, DERIVATIVE) / STEP**2

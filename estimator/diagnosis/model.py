@@ -11,18 +11,18 @@ from estimator.model.effects import View
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 
-SELECTIONS = 6  # passes that settle which samples count
-SIGMAS = 3.0  # model power must exceed this many sd of the slow residual
-SHARE = 0.25  # and need not exceed this share of the mean power
-SLOW = 20  # samples, 2 s: noise of dv/dt is gone from means over them
-FEWEST = 600  # samples that a fit can rest on
-CHANGE = 2.0  # s around a change of state that are not used: it is no sharper known, and power is smoothed
-MAD_TO_SD = 1.4826
+MAX_PASSES = 6  # alternations of fit and selection of samples; they stop when the selection stays the same
+MIN_POWER_SDS = 3.0  # sd of the slow residual that model power must exceed for a sample to count
+MAX_POWER_SHARE = 0.25  # of the mean power: a sample above it counts in any case
+BLOCK_SAMPLES = 20  # 2 s: means over them contain no noise of dv/dt
+MIN_SAMPLES = 600  # 1 min, for a fit
+SWITCH_MARGIN = 2.0  # s left out around a change of state: its time is fitted to 2 s, and power is smoothed
+MAD_TO_SD = 1.4826  # of a Gaussian
 
 
 @dataclass(frozen=True)
 class Model:
-    """Samples that count, the terms in the model, and its fit.
+    """The selected samples, the terms in the model, and its fit.
 
     Columns are those of the plain road load with the lag, [A, C, m, tau], then one for each term that does not join
     the mass.
@@ -50,12 +50,12 @@ class Model:
 
 
 def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
-    """Which samples count: model power, as the instruments see it, clearly above 0; None where there are too few."""
+    """Samples (n,) whose model power, by their instruments, is clearly above 0; None where there are too few."""
     settled = away_from_changes(samples.t, terms)
     kept = settled
     road_load: Floats = np.zeros(3)
-    for _ in range(SELECTIONS):
-        if kept.sum() < FEWEST:
+    for _ in range(MAX_PASSES):
+        if kept.sum() < MIN_SAMPLES:
             return None
         fitted = _fit(samples[kept], terms, road_load)
         if fitted is None:
@@ -63,28 +63,28 @@ def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
         road_load = fitted.theta[:3]
         _, Z = columns(samples, terms, road_load)
         predicted = Z @ fitted.theta
-        slow = MAD_TO_SD * float(np.median(np.abs(block_means(fitted.residual, SLOW))))
-        pulling = predicted > min(SIGMAS * slow, SHARE * float(np.abs(samples.P).mean()))
+        slow = MAD_TO_SD * float(np.median(np.abs(block_means(fitted.residual, BLOCK_SAMPLES))))
+        pulling = predicted > min(MIN_POWER_SDS * slow, MAX_POWER_SHARE * float(np.abs(samples.P).mean()))
         previous, kept = kept, pulling & settled
         if np.array_equal(kept, previous):
             break
-    return kept if kept.sum() >= FEWEST else None
+    return kept if kept.sum() >= MIN_SAMPLES else None
 
 
 def away_from_changes(t: Floats, terms: tuple[Term, ...]) -> Mask:
-    """Which times [s] (n,) are not near one at which a term is switched: that is known to CHANGE only."""
+    """Whether each of the times ``t`` [s] (n,) is more than SWITCH_MARGIN from all switching times of ``terms``."""
     edges = np.sort([edge for term in terms for span in term.spans or () for edge in span])
     if not len(edges):
         return np.ones(len(t), dtype=bool)
     nearest = np.clip(np.searchsorted(edges, t), 1, len(edges) - 1)
     away = np.minimum(np.abs(t - edges[nearest]), np.abs(t - edges[nearest - 1]))
-    distant: Mask = away > CHANGE
+    distant: Mask = away > SWITCH_MARGIN
     return distant
 
 
 def fit(samples: Samples, terms: tuple[Term, ...] = ()) -> Model | None:
     """Fit the model with ``terms`` to ``samples``; None where they do not determine it."""
-    if len(samples) < FEWEST:
+    if len(samples) < MIN_SAMPLES:
         return None
     base = _fit(samples, terms, np.zeros(3))
     for _ in terms:  # they scale with the road load

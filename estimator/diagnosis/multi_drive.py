@@ -1,7 +1,7 @@
-"""Several drives of one vehicle, and what they say of an effect together.
+"""Evidence of effects over several drives of one vehicle.
 
-An effect of the vehicle has to hold in all of them: its evidence adds up. An event, bounded in time, may be in one
-drive only.
+An effect of the vehicle acts in all drives, so its evidence is the sum. An event, bounded in time, may act in one drive
+only, so its evidence is the largest.
 """
 
 from collections.abc import Sequence
@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.diagnosis.averaged_residual import grains_of
-from estimator.diagnosis.candidates import Candidate, Rest, assess
+from estimator.diagnosis.averaged_residual import averages_of
+from estimator.diagnosis.candidates import Candidate, Idling, assess
 from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.held_out import HeldOut, held_out
 from estimator.diagnosis.model import Model, fit, select
@@ -22,16 +22,16 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True)
 class Drive:
-    """One record with its model so far."""
+    """One record with its present model."""
 
     record: Record
     model: Model
 
     @property
-    def rest(self) -> Rest | None:
-        """What idling tells, unless an effect in the model takes power there."""
+    def rest(self) -> Idling | None:
+        """Power and engine speed at idle; None where unknown, or where an effect in the model takes power there."""
         taken = any(term.effect.at_rest is not None for term in self.model.terms)
-        return None if self.record.idling is None or taken else Rest(*self.record.idling)
+        return None if self.record.idling is None or taken else Idling(*self.record.idling)
 
     def having(self, terms: tuple[Term, ...]) -> "Drive":
         """The same drive with other effects; the same as before where they cannot be fitted."""
@@ -64,17 +64,17 @@ class Joint:
 
     @property
     def is_event(self) -> bool:
-        """Whether it may be there in one drive and not in another."""
+        """Whether it may act in one drive and not in another."""
         return self.effect.timing is not Timing.ALWAYS
 
     @property
     def is_timed(self) -> bool:
-        """Whether its times are free, so that it fits what others left not quite right."""
+        """Whether its switching times are fitted."""
         return self.best[1].term.spans is not None
 
     @property
     def best(self) -> tuple[int, Candidate]:
-        """The drive that says most, and what it says."""
+        """Number of the drive with most evidence, and the candidate there."""
         found = [(i, candidate) for i, candidate in enumerate(self.each) if candidate is not None]
         return max(found, key=lambda pair: pair[1].log_bayes_factor)
 
@@ -85,10 +85,10 @@ def ranked(
     """All effects that some drive can test, most evidence first; ``beside`` a process with these covariances."""
     judged = []
     for i, drive in enumerate(drives):
-        grains = grains_of(drive.model)
+        averages = averages_of(drive.model)
         if beside is not None:
-            grains = replace(grains, nuisance=beside[i])
-        found = assess(drive.model, grains, effects, drive.record.known, drive.rest)
+            averages = replace(averages, nuisance=beside[i])
+        found = assess(drive.model, averages, effects, drive.record.known, drive.rest)
         judged.append({candidate.name: candidate for candidate in found})
     joints = [Joint(effect, tuple(found.get(effect.name) for found in judged)) for effect in effects]
     tested = [joint for joint in joints if any(joint.each)]
@@ -96,7 +96,7 @@ def ranked(
 
 
 def same_class(one: Joint, other: Joint, thresholds: Thresholds) -> bool:
-    """Whether the drives cannot tell the two apart."""
+    """Whether the drives cannot separate the two effects."""
     if other.name in one.effect.equivalent or one.name in other.effect.equivalent:
         return True
     pairs = [(a, b) for a, b in zip(one.each, other.each, strict=True) if a is not None and b is not None]

@@ -1,4 +1,4 @@
-"""A finished search with the numbers that all of its report rests on."""
+"""A finished search, and the quantities that its report is computed from."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from estimator.diagnosis.search import Found, Search
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import Effect
 
-LOWEST_FLOOR = 0.05  # of the squared residual: some of it is always noise
-LARGEST_DOUBT = 0.5
+MIN_FLOOR_SHARE = 0.05  # of the squared residual, that is always counted as noise
+MAX_DOUBT = 0.5  # share of the noise floor that may be an effect instead
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What was found on the ``plain`` models, and what randomness the bootstrap may use."""
+    """The result of a search from the ``plain`` models; ``rng`` is for the bootstrap."""
 
     result: Search
     plain: tuple[Drive, ...]
@@ -36,7 +36,7 @@ class Outcome:
 
     @cached_property
     def longest(self) -> int:
-        """The drive that stands for all where one has to."""
+        """Number of the drive with most samples, which figures of a single drive are taken from."""
         return max(range(len(self.plain)), key=lambda i: len(self.plain[i].model.samples))
 
     @cached_property
@@ -51,25 +51,25 @@ class Outcome:
 
     @property
     def left(self) -> Leftover:
-        """The process with most evidence on what is left."""
+        """The process with most evidence in the residual of the final models."""
         return self.result.at_last[0]
 
     @property
     def doubt(self) -> float:
-        """Share of what is taken for noise that a process could still be hiding."""
-        return min(self.left.variance / self.steps[-1].mean_square, LARGEST_DOUBT)
+        """Share of the final squared residual that the best remaining process explains, at most MAX_DOUBT."""
+        return min(self.left.variance / self.steps[-1].mean_square, MAX_DOUBT)
 
     @property
     def floor(self) -> float:
-        """Mean square [W^2] of what no effect could take away."""
+        """Mean squared residual [W^2] that counts as noise."""
         after = self.steps[-1].mean_square
         is_hidden = self.left.log_bayes_factor > self.thresholds.min_log_bf_left_process
         hidden = self.left.variance if is_hidden else 0.0
-        return max(after - hidden, LOWEST_FLOOR * after)
+        return max(after - hidden, MIN_FLOOR_SHARE * after)
 
     @property
     def rough_hills(self) -> bool:
-        """Whether what is left is what a poor altimeter leaves of a grade in the model: it goes with place or time."""
+        """Whether the residual may be the error of an altimeter in the model: it varies with place or time."""
         wanders = (UNMEASURED_GRADE, POWER_OVER_TIME, FORCE_OVER_TIME)
         altimeter = [other for other in self.result.at_last if other.name in wanders]
         least = self.left.log_bayes_factor - self.thresholds.min_log_bf_effect
@@ -78,12 +78,12 @@ class Outcome:
 
     @property
     def on_hills(self) -> bool:
-        """Whether the road is no plane: a grade is missing in the model, or in it by a signal."""
+        """Whether the road has grades: one is in the model by a signal, or missing in it."""
         shown = any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
         return shown or self.grade is not None
 
     def probability(self, found: Found) -> float:
-        """Of a chosen effect, among all that the drive was asked about when it was chosen."""
+        """Probability of a chosen effect, among all candidates and the process at that step."""
         rivals = [joint.log_bayes_factor for joint in found.ranking if joint is not found.joint]
         if not found.is_beside:
             rivals.append(found.joint.log_bayes_factor - found.margin)
@@ -91,7 +91,7 @@ class Outcome:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What the evidence comes to, a lag left aside."""
+        """The verdict by the evidence, without a lag."""
         chosen, left, limits = self.result.chosen, self.left.log_bayes_factor, self.thresholds
         if self.grade is not None or (chosen and self.rough_hills):
             return Verdict.EFFECT

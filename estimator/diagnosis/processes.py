@@ -1,8 +1,8 @@
-"""What is left, with no name: Gaussian processes that any unmodelled effect would excite.
+"""Nameless processes: Gaussian processes for effects that the catalogue does not have.
 
-A process adds the covariance s^2 g_i k(x_i, x_j) g_j: a force, power or drag g
-that wanders over time or distance x, or goes with gear, speed or power alone. Its evidence is the marginal likelihood
-of the averaged residual with A, C, m refitted (diffuse), averaged over its scales, divided by that of noise alone.
+A process adds the covariance s^2 g_i k(x_i, x_j) g_j: a force, power or drag g that varies over time or distance x, or
+depends on gear, speed or power alone. Its evidence is the marginal likelihood of the averaged residual with A, C, m
+refitted (diffuse), averaged over its scales, divided by that of noise alone.
 """
 
 from collections.abc import Callable
@@ -12,21 +12,21 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
-from estimator.diagnosis.averaged_residual import Grains, weigh
+from estimator.diagnosis.averaged_residual import Averages, weigh
 from estimator.signals import Floats
 
 STRENGTHS = (0.1, 0.3, 1.0, 3.0)  # variance of the process over that of the residual
-SHORTEST_PERIOD, LONGEST_PERIOD = 20.0, 600.0  # s, of a ripple
-FINENESS = 0.25  # step of its frequency, over the inverse length of the drive
+MIN_PERIOD, MAX_PERIOD = 20.0, 600.0  # s, of a ripple
+FREQUENCY_STEP = 0.25  # step of its frequency, over the inverse length of the drive
 
 
 @dataclass(frozen=True)
 class Process:
-    """A class of unknown effects: what it is proportional to, and what it wanders over."""
+    """A class of unknown effects: ``gain`` (n,) it is proportional to, ``kernels`` (n, n) of its variation."""
 
     name: str
-    gain: Callable[[Grains], Floats]
-    kernels: Callable[[Grains], list[Floats]]
+    gain: Callable[[Averages], Floats]
+    kernels: Callable[[Averages], list[Floats]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,26 +43,26 @@ class Leftover:
     covariances: tuple[Floats, ...]
 
 
-def _wander(x: Callable[[Grains], Floats], lengths: tuple[float, ...]) -> Callable[[Grains], list[Floats]]:
-    def kernels(grains: Grains) -> list[Floats]:
-        distance = np.abs(np.subtract.outer(x(grains), x(grains)))
+def _wander(x: Callable[[Averages], Floats], lengths: tuple[float, ...]) -> Callable[[Averages], list[Floats]]:
+    def kernels(averages: Averages) -> list[Floats]:
+        distance = np.abs(np.subtract.outer(x(averages), x(averages)))
         rough = [np.exp(-distance / length) for length in lengths]
-        # Matern 3/2, for what has no corners.
+        # Matern 3/2: its functions have a continuous slope.
         smooth = [(1 + d) * np.exp(-d) for d in (2 * distance / length for length in lengths)]
         return rough + smooth
 
     return kernels
 
 
-def _gears(grains: Grains) -> list[Floats]:
-    if grains.gear is None:
+def _gears(averages: Averages) -> list[Floats]:
+    if averages.gear is None:
         return []
-    return [np.equal.outer(grains.gear, grains.gear).astype(float)]
+    return [np.equal.outer(averages.gear, averages.gear).astype(float)]
 
 
 MINUTES = (60.0, 300.0, 1200.0)  # s
-GUSTS = (15.0, *MINUTES)  # s; as fast as this, a gain that wanders would be the noise of dv/dt, which grows with speed
-HILLS = (150.0, 400.0, 1000.0, 3000.0, 9000.0, 30000.0)  # m, as far as MINUTES of driving
+GUSTS = (15.0, *MINUTES)  # s, of force and drag; a gain that varies within 15 s cannot be told from noise of dv/dt
+HILLS = (150.0, 400.0, 1000.0, 3000.0, 9000.0, 30000.0)  # m; the longest is the distance of MINUTES of driving
 SPEEDS = (1.0, 3.0, 10.0)  # m/s
 ENGINE_SPEEDS = (5.0, 20.0)  # rad/s
 POWERS = (2e4, 6e4)  # W
@@ -83,26 +83,26 @@ PROCESSES: tuple[Process, ...] = (
 )
 
 
-def ripple(grains: Grains) -> Leftover:
-    """A torque or power that swings with one period all through the drive."""
-    span = float(grains.t[-1] - grains.t[0])
-    frequency = np.arange(1 / LONGEST_PERIOD, 1 / SHORTEST_PERIOD, FINENESS / span)
-    angle = 2 * np.pi * np.outer(grains.t - grains.t[0], frequency)
-    nothing = np.zeros(len(grains))
+def ripple(averages: Averages) -> Leftover:
+    """A torque or power that oscillates with one period during the whole drive."""
+    span = float(averages.t[-1] - averages.t[0])
+    frequency = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, FREQUENCY_STEP / span)
+    angle = 2 * np.pi * np.outer(averages.t - averages.t[0], frequency)
+    nothing = np.zeros(len(averages))
     best = Leftover(
         name="swings", log_bayes_factor=-np.inf, variance=0.0, smooth=nothing, covariances=(np.outer(nothing, nothing),)
     )
-    for gain in (np.ones(len(grains)), grains.engine_speed):
+    for gain in (np.ones(len(averages)), averages.engine_speed):
         gain = gain / np.sqrt(np.mean(gain**2))
         waves = np.stack([np.cos(angle), np.sin(angle)]) * gain[:, None]
-        cosine, sine = (weigh(grains, wave, float(grains.residual.std()), positive=False) for wave in waves)
+        cosine, sine = (weigh(averages, wave, float(averages.residual.std()), positive=False) for wave in waves)
         evidence = cosine.log_bayes_factor + sine.log_bayes_factor
         peak = int(np.argmax(evidence))
         total = float(logsumexp(evidence)) - np.log(len(frequency))
         if total > best.log_bayes_factor:
-            smooth = grains.off_base(waves[0][:, peak] * cosine.value[peak] + waves[1][:, peak] * sine.value[peak])
+            smooth = averages.off_base(waves[0][:, peak] * cosine.value[peak] + waves[1][:, peak] * sine.value[peak])
             variance = float(np.mean(smooth**2))
-            pair = waves[:, :, peak].T * np.sqrt(variance / grains.residual.var())
+            pair = waves[:, :, peak].T * np.sqrt(variance / averages.residual.var())
             best = Leftover(
                 name=f"swings every {1 / frequency[peak]:.0f} s",
                 log_bayes_factor=total,
@@ -113,19 +113,19 @@ def ripple(grains: Grains) -> Leftover:
     return best
 
 
-def leftovers(grains: Grains) -> list[Leftover]:
+def leftovers(averages: Averages) -> list[Leftover]:
     """All processes on a residual, most evidence first."""
-    n = len(grains)
-    y = grains.residual
+    n = len(averages)
+    y = averages.residual
     scale = float(y.var())
-    noises = grains.noises
+    noises = averages.noises
     plain = [_log_likelihood(y / np.sqrt(scale), noise)[0] for noise in noises]
     none = float(logsumexp(plain)) - np.log(len(noises))
-    found = [ripple(grains)]
+    found = [ripple(averages)]
     for process in PROCESSES:
-        gain = process.gain(grains)
+        gain = process.gain(averages)
         gain = gain / np.sqrt(np.mean(gain**2))
-        kernels = process.kernels(grains)
+        kernels = process.kernels(averages)
         if not kernels:
             continue
         best: tuple[float, float, Floats, Floats] = (-np.inf, 0.0, np.zeros(n), np.zeros((n, n)))
@@ -137,7 +137,7 @@ def leftovers(grains: Grains) -> list[Leftover]:
                     value, weights = _log_likelihood(y / np.sqrt(scale), noise + strength * shape)
                     total.append(value)
                     if value > best[0]:
-                        smooth = grains.off_base(strength * shape @ weights)
+                        smooth = averages.off_base(strength * shape @ weights)
                         best = (value, float(np.mean(smooth**2)), smooth, strength * shape)
         lbf = float(logsumexp(total)) - np.log(len(total)) - none
         found.append(

@@ -1,10 +1,10 @@
-"""What is left of all drives together that no effect explains: processes, and what swings."""
+"""Nameless processes and swinging masses in the residuals of all drives together."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.averaged_residual import Grains, grains_of
+from estimator.diagnosis.averaged_residual import Averages, averages_of
 from estimator.diagnosis.load_resonance import SWING, swing, with_swing
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.processes import Leftover, leftovers
@@ -13,10 +13,10 @@ from estimator.signals import Floats
 
 
 def remainders(drives: tuple[Drive, ...]) -> tuple[Leftover, ...]:
-    """Processes over all drives: evidence adds up."""
-    grains = [grains_of(drive.model) for drive in drives]
-    each = [{_kind(left): left for left in _all(drive, part)} for drive, part in zip(drives, grains, strict=True)]
-    sizes = [len(part) for part in grains]
+    """Processes with their evidence summed over all drives, most evidence first."""
+    averages = [averages_of(drive.model) for drive in drives]
+    each = [{_kind(left): left for left in _all(drive, part)} for drive, part in zip(drives, averages, strict=True)]
+    sizes = [len(part) for part in averages]
     samples = [len(drive.model.samples) for drive in drives]
     joined = []
     for name in each[0]:
@@ -38,16 +38,16 @@ def _covariance(left: Leftover | None, n: int) -> Floats:
 
 
 def beside_swing(drives: tuple[Drive, ...], left: Leftover, thresholds: Thresholds) -> tuple[Drive, ...]:
-    """The drives with a mass that swings in their models, where that is what is left."""
+    """The drives with a swinging mass in their models, where ``left`` is one with enough evidence; else unchanged."""
     if not left.name.startswith(SWING) or left.log_bayes_factor < thresholds.min_log_bf_process:
         return drives
     return tuple(replace(drive, model=with_swing(drive.record, drive.model)) for drive in drives)
 
 
-def _all(drive: Drive, grains: Grains) -> list[Leftover]:
-    return [*leftovers(grains), swing(drive.record, drive.model, grains)]
+def _all(drive: Drive, averages: Averages) -> list[Leftover]:
+    return [*leftovers(averages), swing(drive.record, drive.model, averages)]
 
 
 def _kind(left: Leftover) -> str:
-    """What swings is one, whatever its period."""
+    """Name without its period: swinging masses of all periods are one kind."""
     return left.name.partition(" every ")[0]

@@ -1,4 +1,4 @@
-"""What a diagnosis says: the verdict and everything it rests on, ready for a table, JSON or a page."""
+"""The result of a diagnosis: the verdict and the quantities behind it, for tables, JSON and pages."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -11,7 +11,7 @@ HIDDEN_GRADE = "sd of the grade"  # name of the magnitude of a grade that no sig
 
 
 class Verdict(StrEnum):
-    """The answer in two words."""
+    """The outcome of a diagnosis."""
 
     NO_GAP = "no gap"
     EFFECT = "effect"
@@ -62,7 +62,7 @@ class Finding:
     name: str
     probability: float
     log_bayes_factor: float  # against the model without it; natural logarithm
-    equivalent: tuple[str, ...]  # what it cannot be told apart from
+    equivalent: tuple[str, ...]  # effects that the log cannot separate from it
     magnitude: Magnitude
     gap_closed: GapClosed | None  # None where it was not worth computing
     rms_before: float  # [W], of held-out residuals
@@ -87,7 +87,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class NotTestable:
-    """An effect that this log cannot speak about, and the signal that would let it."""
+    """An effect that this log cannot test, and the signal that is missing."""
 
     name: str
     needs: str
@@ -95,7 +95,7 @@ class NotTestable:
 
 @dataclass(frozen=True, slots=True)
 class Invisible:
-    """An effect that could be there at its usual size unseen, and what it would do to the parameters."""
+    """An effect that could act at its usual size without evidence, and the shift of the parameters it would cause."""
 
     name: str
     expected_log_bayes_factor: float
@@ -130,7 +130,7 @@ class Advice:
 
 @dataclass(frozen=True, slots=True)
 class Isolability:
-    """How alike the traces are that candidates leave on this log: |correlation| (k, k), 1 = cannot be told apart."""
+    """|Correlation| (k, k) of the traces of all candidates on this log; effects with 1 cannot be separated."""
 
     names: tuple[str, ...]
     correlation: Floats

@@ -1,10 +1,10 @@
-"""Which effects: the one with most evidence first; those chosen are tried again after each."""
+"""The search for effects: the one with most evidence is added, then those chosen before are compared again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimator.diagnosis.add_effect import grown, merged
-from estimator.diagnosis.excess_lag import lateness
+from estimator.diagnosis.excess_lag import excess_lag
 from estimator.diagnosis.hidden_grade import hidden_grade
 from estimator.diagnosis.multi_drive import Drive, Joint, pooled, ranked
 from estimator.diagnosis.processes import Leftover
@@ -18,7 +18,7 @@ MAX_STEPS = 8  # of the search; some only lengthen an effect of the model
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """An effect as it was chosen: among which others, on top of what, and what was left before and after."""
+    """A chosen effect: its ranking, the drives before it was added, and the best process before and after."""
 
     joint: Joint
     ranking: tuple[Joint, ...]
@@ -37,7 +37,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Step:
-    """One effect more, or one that acts for longer (no ``found``); what it takes away [W^2], and what it leaves."""
+    """A further effect, or longer times of one in the model (no ``found``); reduction ``taken`` [W^2]."""
 
     found: Found | None
     taken: float
@@ -47,7 +47,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """Where the search ended: what was chosen, the first ranking, processes before and after, the final models."""
+    """The end of a search: chosen effects, the first ranking, processes at first and at last, the final models."""
 
     chosen: tuple[Found, ...]
     ranking: tuple[Joint, ...]
@@ -60,7 +60,7 @@ def search(plain: tuple[Drive, ...], effects: Sequence[Effect], thresholds: Thre
     """Choose effects for the drives."""
     drives, chosen = plain, list[Found]()
     first = ranked(plain, effects)
-    late = [found for drive in plain if (found := lateness(drive, thresholds)) is not None]
+    late = [found for drive in plain if (found := excess_lag(drive, thresholds)) is not None]
     most = max((found.taken for found in late), default=0.0)
     left = at_first = remainders(plain)
     grade = hidden_grade(first, at_first, plain, thresholds)

@@ -1,7 +1,7 @@
-"""When an unmodelled effect acted, where no signal says so: switching by a hidden Markov chain, windows, steps.
+"""Proposed times of an effect that no signal shows: switching by a hidden Markov chain, windows, steps.
 
-Times are found on the residual averaged over BEAT. Proposals only: how strongly the drive speaks for them is judged
-on the samples, and each change of state costs what finding its time among all others is worth.
+Times are searched on the residual averaged over BEAT. They are proposals: their evidence is computed on the samples,
+less a cost for each change of state, which is the log prior probability of its time.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from estimator.model.design_matrix import Spans, inside
 from estimator.signals import Floats, Mask, Quantity
 
 BEAT = 2.0  # s
-SHORTEST_WINDOW = 60.0  # s, together where it switches
-DWELL_FACTOR = 6.0  # by which a usual stretch may be shorter or longer
-LONGEST_SHARE = 0.9  # of the drive
-EXCHANGES = 6  # of states and levels in turn
-STARTS = (0.1, 0.25, 0.5, 0.75, 0.9)  # quantiles of the residual at which the two levels are first told apart
-CHANGE_COST = 5.5  # log: one time among those at which a change could as well have been
-GRAIN = 10.0  # s, of the windows that are tried
+MIN_WINDOW = 60.0  # s in which an effect is on, all stretches together
+MAX_DWELL_FACTOR = 6.0  # by which the mean stretch may be shorter or longer than the usual one
+MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
+MAX_PASSES = 6  # alternations of states and levels
+START_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)  # of the residual, between the two levels of the first states
+CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a change
+SCAN_STEP = 10.0  # s, of the ends of windows that are tried
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +65,11 @@ def switching(model: Model, profile: Floats, dwell: float) -> list[Spans]:
     if not size.any():
         return []
     ratio = np.where(size, b.residual / np.where(size, b.profile, 1.0), np.nan)
-    # The base: what a constant and the road load could take of the residual.
+    # Columns of the base model, refitted with the level.
     columns = _beat_columns(model, b)
-    for quantile in STARTS:
+    for quantile in START_QUANTILES:
         on = ratio > np.nanquantile(ratio, quantile)
-        for _ in range(EXCHANGES):
+        for _ in range(MAX_PASSES):
             fitted = _levels(b, on, columns)
             if fitted is None:
                 break
@@ -78,15 +78,15 @@ def switching(model: Model, profile: Floats, dwell: float) -> list[Spans]:
             if np.array_equal(new, on):
                 break
             on = new
-        if fitted is not None and fitted[1] > 0 and SHORTEST_WINDOW < on.sum() * BEAT < LONGEST_SHARE * len(on) * BEAT:
+        if fitted is not None and fitted[1] > 0 and MIN_WINDOW < on.sum() * BEAT < MAX_ON_SHARE * len(on) * BEAT:
             proposals.append(_spans(model, on[b.of]))
     return proposals
 
 
 def is_usual(spans: Spans, dwells: tuple[float, ...]) -> bool:
-    """Whether what switches stays on about as long as it usually does, one of ``dwells`` [s]."""
+    """Whether the mean stretch is within MAX_DWELL_FACTOR of one of the usual ``dwells`` [s]."""
     lasting = sum(end - start for start, end in spans) / len(spans) + BEAT
-    return any(dwell / DWELL_FACTOR < lasting < dwell * DWELL_FACTOR for dwell in dwells)
+    return any(dwell / MAX_DWELL_FACTOR < lasting < dwell * MAX_DWELL_FACTOR for dwell in dwells)
 
 
 def _beat_columns(model: Model, b: Beats) -> Floats:
@@ -110,7 +110,7 @@ def _levels(b: Beats, on: Mask, columns: Floats) -> tuple[Floats, float, float] 
 
 
 def _independent_sd(left: Floats) -> float:
-    """Standard deviation of beats as if they were independent: neighbours hang together, each tells less."""
+    """Standard deviation of independent beats with the same information as the correlated ones ``left`` (n,)."""
     correlation = float(np.clip(np.corrcoef(left[1:], left[:-1])[0, 1], 0.0, 0.9))
     return float(left.std()) * float(np.sqrt((1 + correlation) / (1 - correlation)))
 
@@ -144,7 +144,7 @@ def _viterbi(b: Beats, rest: Floats, level: float, spread: float, dwell: float) 
 
 
 def again(model: Model, i: int, dwell: float) -> Spans:
-    """When the switching term ``i`` of ``model`` was on, now that the road load is known beside it."""
+    """Times of the switching term ``i`` of ``model``, fitted again with the road load of the model."""
     own, _ = model.views()
     term, value = model.terms[i], model.magnitudes[i]
     b = beats(model, value * term.effect.power(own, None))
@@ -154,23 +154,21 @@ def again(model: Model, i: int, dwell: float) -> Spans:
 
 
 def windows(model: Model, profile: Floats) -> list[Spans]:
-    """Proposals for one stretch of time in which an effect with this profile was on: the best, refined."""
+    """The window in which an effect with this ``profile`` (n,) [W] explains most, or no window."""
     b = beats(model, profile)
     columns = _beat_columns(model, b)
-    # Least squares on beats: the scan only proposes, and none of these profiles holds an acceleration.
+    # Least squares on beats, without instruments: no profile here contains the acceleration.
     Q = np.linalg.qr(columns)[0]
     y = b.residual - Q @ (Q.T @ b.residual)
     g = b.profile
-    number = np.floor((b.t - b.t[0]) / GRAIN).astype(np.int64)
+    number = np.floor((b.t - b.t[0]) / SCAN_STEP).astype(np.int64)
     edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), len(g))
     sums = np.vstack([np.zeros(2 + Q.shape[1]), np.cumsum(np.column_stack([g * y, g * g, Q * g[:, None]]), axis=0)])[
         edges
     ]
     first, last = np.triu_indices(len(edges), k=1)
     times = np.append(b.t, b.t[-1] + BEAT)[edges]
-    long = (times[last] - times[first] >= SHORTEST_WINDOW) & (
-        times[last] - times[first] < 0.97 * (times[-1] - times[0])
-    )
+    long = (times[last] - times[first] >= MIN_WINDOW) & (times[last] - times[first] < 0.97 * (times[-1] - times[0]))
     first, last = first[long], last[long]
     if not len(first):
         return []
@@ -182,7 +180,7 @@ def windows(model: Model, profile: Floats) -> list[Spans]:
     if gain[best] <= 0:
         return []
     start, end = _refine(y, g, Q, int(edges[first[best]]), int(edges[last[best]]))
-    if end - start < SHORTEST_WINDOW / BEAT:
+    if end - start < MIN_WINDOW / BEAT:
         return []
     on = np.zeros(len(g), dtype=bool)
     on[start:end] = True
@@ -190,8 +188,8 @@ def windows(model: Model, profile: Floats) -> list[Spans]:
 
 
 def _refine(y: Floats, g: Floats, Q: Floats, start: int, end: int) -> tuple[int, int]:
-    """Move both ends of a window, beat by beat, to where it explains most."""
-    reach = round(2 * GRAIN / BEAT)
+    """The ends of a window, each moved by up to two SCAN_STEP to where the window explains most."""
+    reach = round(2 * SCAN_STEP / BEAT)
     sums = np.vstack([np.zeros(2 + Q.shape[1]), np.cumsum(np.column_stack([g * y, g * g, Q * g[:, None]]), axis=0)])
     for _ in range(3):
         for which in (0, 1):
@@ -220,7 +218,7 @@ def _spans(model: Model, on: Mask) -> Spans:
 
 
 def between(model: Model, spans: Spans) -> Spans:
-    """When something was off that was on within ``spans``."""
+    """The times between ``spans``."""
     return _spans(model, inside(model.samples.t, spans) == 0)
 
 

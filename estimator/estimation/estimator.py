@@ -1,6 +1,7 @@
 """The streaming estimator: rows in, an estimate at regular intervals of message time.
 
-It owns the window and nothing else that moves: no clock, no bus, no thread. Fed the same rows it concludes the same.
+Its only state is the window and what was concluded from it: no clock, no bus, no thread. The same rows give the same
+estimates.
 """
 
 from collections import Counter
@@ -58,22 +59,22 @@ class Estimator:
 
     @property
     def latest(self) -> Estimate | None:
-        """The newest conclusion; None before the first, and between `restore` and `resume`."""
+        """The newest estimate; None before the first, and between `restore` and `resume`."""
         return None if self._resting else self._latest
 
     @property
     def progress(self) -> tuple[int, int, int]:
-        """Changes with all that is learnt: rows heard in motion, samples admitted, and those at the last estimate."""
+        """Rows in motion, samples admitted, and those at the last estimate: equal while nothing new was learnt."""
         return self._stage.moving, self.window.added, self._at_last
 
     @property
     def evidence(self) -> Evidence | None:
-        """What the newest estimate rests on; None while there is none."""
+        """Trace and draws behind the newest estimate; None while there is none."""
         return self._inference.evidence
 
     @property
     def rejected(self) -> Counter[str]:
-        """Rows that did not count, by reason; the fit's own choice is that of the newest update."""
+        """Rows not used, by reason; those below model power are of the newest update."""
         own = {Reason.BELOW_MODEL_POWER: self._inference.below, Reason.EVICTED: self.window.evicted}
         return self._stage.rejected + Counter({reason.value: count for reason, count in own.items()})
 
@@ -87,7 +88,7 @@ class Estimator:
             yield from self._take(piece)
 
     def finish(self) -> Iterator[Estimate]:
-        """Use what is still waiting, at the end of a log or before a gap, and conclude."""
+        """Use the rows that still wait, at the end of a log or before a gap, and yield the estimates due."""
         end = self._stage.waiting
         if end is None:
             return
@@ -96,10 +97,10 @@ class Estimator:
         yield self._conclude(end)
 
     def forget(self, vehicle: bool = False) -> None:
-        """Start a new window: what follows is another drive, perhaps with another load.
+        """Start a new window: another drive follows, perhaps with another load.
 
-        With ``vehicle``, also forget what was learnt about the vehicle itself: nobody knows whose drive follows, or
-        whether it is the same one once more.
+        With ``vehicle``, also discard the parameters of the vehicle: the next drive may be of another vehicle, or the
+        same drive again.
         """
         self._stage.forget()
         self._due, self._next = None, None
@@ -109,7 +110,7 @@ class Estimator:
             self._scale = SpeedScale()
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from: all but the evidence, which the next update makes anew."""
+        """The state that `restore` reads; the evidence is left out, for the next update computes it."""
         return {
             "likelihood": self._config.sampler.likelihood,
             "window": self.window.state(),
@@ -123,7 +124,7 @@ class Estimator:
         }
 
     def restore(self, state: State) -> None:
-        """Know what another estimator knew; then `resume`. To be discarded when it fails.
+        """Take the state of another estimator; `resume` must follow. Discard this estimator if it fails.
 
         Raises
         ------
@@ -146,7 +147,7 @@ class Estimator:
         self._resting = True
 
     def resume(self, same_load: bool) -> Iterator[Estimate]:
-        """Go on after `restore`: use what was waiting, and keep the window if the load is the ``same_load``."""
+        """Continue after `restore`: use the rows that waited, and keep the window if the load is the ``same_load``."""
         self._resting = False
         yield from self.finish()
         if not same_load:
@@ -169,7 +170,7 @@ class Estimator:
                 yield self._conclude(newest * STEP)
 
     def _start_segment(self) -> None:
-        """Another load, perhaps: forget the mass, keep what the vehicle has shown of itself."""
+        """Begin a load segment: discard the mass, keep A / m and C as a belief."""
         self.segment += 1
         self._inference.start_segment()
         self.window.clear()

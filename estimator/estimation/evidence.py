@@ -1,4 +1,4 @@
-"""What an estimate rests on: for pictures, for files of draws, and for whoever wants to look."""
+"""The data and draws behind an estimate, for plots and files."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """What the model was fitted to; all arrays (n,).
+    """The data that the model was fitted to; all arrays (n,).
 
     ``v`` [m/s], ``a`` [m/s^2], ``P`` [W] measured and ``fitted`` [W], ``density`` of the air [kg/m^3], NaN where it is
     not known; ``spacing`` [s] of consecutive elements.

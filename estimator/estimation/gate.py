@@ -1,8 +1,8 @@
-"""The coverage gate: has the drive shown enough for an estimate, and is a new one worth making.
+"""The coverage gate: whether a window is enough for an estimate, and whether a new one is due.
 
-Three questions, three methods. `is_calculable`: do the moments determine the parameters at all; `is_covered`: have
-enough of the reachable speed-acceleration cells been seen, and is the predicted standard deviation small enough;
-`has_news`: has enough been added since the last estimate.
+`obstacle_to_fit`: do the moments determine the parameters; `obstacle_to_estimate`: were enough of the reachable
+speed-acceleration cells driven, and is the predicted standard deviation small enough. Both return the reason why not,
+empty where there is none. `has_news`: was enough added since the last estimate.
 """
 
 from typing import Protocol
@@ -15,16 +15,16 @@ from estimator.model.road_load import design
 from estimator.settings import Gate as GateConfig
 from estimator.signals import Floats
 
-PEAK_QUANTILE = 0.999  # of the power seen: what this vehicle can do
+PEAK_QUANTILE = 0.999  # of the measured power: the power that this vehicle can give
 NAMES = ("A", "C", "mass")
 
 
 class Fitted(Protocol):
-    """What a gate has to know of a fit."""
+    """A fit, as a gate needs it."""
 
     @property
     def theta(self) -> Floats:
-        """A [N], C [N s^2/m^2], m [kg], and what else the model has."""
+        """A [N], C [N s^2/m^2], m [kg], then further parameters (p,)."""
         ...
 
     @property
@@ -34,7 +34,7 @@ class Fitted(Protocol):
 
 
 class Gate:
-    """Judges a window; keeps no state but its settings, and says why when the answer is no."""
+    """Judges a window by its settings; has no other state."""
 
     def __init__(self, config: GateConfig, grid: Grid) -> None:
         self._config = config
@@ -56,8 +56,8 @@ class Gate:
         reachable &= self._acceleration <= self._acceleration[seen].max()
         return Coverage(int((occupied & reachable).sum()), int(reachable.sum()))
 
-    def is_calculable(self, fit: Fitted | None, usable: int, box: tuple[Floats, Floats]) -> str:
-        """Empty when the parameters can be computed from ``usable`` samples, else the reason why not."""
+    def obstacle_to_fit(self, fit: Fitted | None, usable: int, box: tuple[Floats, Floats]) -> str:
+        """Reason why the parameters cannot be computed from ``usable`` samples; empty where they can."""
         if usable < self._config.minimum_samples:
             return f"{usable} usable samples of the {self._config.minimum_samples} needed"
         if fit is None:
@@ -68,9 +68,9 @@ class Gate:
                 return f"{name} {value:.4g} +- {sd:.2g} lies outside its prior [{low:g}, {high:g}]"
         return ""
 
-    def is_covered(self, fit: Fitted, coverage: Coverage) -> str:
-        """Empty when the drive has shown enough, else the reason why not."""
-        if reason := self.has_covered(coverage):
+    def obstacle_to_estimate(self, fit: Fitted, coverage: Coverage) -> str:
+        """Reason why a fit is no estimate yet: coverage, or a predicted sd; empty where it is one."""
+        if reason := self.missing_coverage(coverage):
             return reason
         for name, value, sd, limit in zip(NAMES, fit.theta, fit.sd, self._config.relative_sd, strict=False):
             if not sd < limit * abs(value):
@@ -79,16 +79,16 @@ class Gate:
                 )
         return ""
 
-    def known(self, i: int, value: float, sd: float) -> str:
-        """Empty when parameter ``i`` of NAMES is known well enough to be used, else the reason why not."""
+    def obstacle_to_value(self, i: int, value: float, sd: float) -> str:
+        """Reason why parameter ``i`` of NAMES, of this value and sd, is withheld; empty where it is not."""
         limit = self._config.relative_sd[i]
         if sd < limit * abs(value):
             return ""
         share = f"{100 * sd / abs(value):.0f} %" if value else "infinite"
         return f"sd of {NAMES[i]} is {share} of its value, above {100 * limit:.0f} %"
 
-    def has_covered(self, coverage: Coverage) -> str:
-        """Empty when enough cells have been seen, else how many."""
+    def missing_coverage(self, coverage: Coverage) -> str:
+        """Share of the reachable cells that were driven, as a reason; empty where it is enough."""
         if coverage.occupied >= self._config.minimum_cells and coverage.fraction >= self._config.coverage:
             return ""
         share = f"{100 * coverage.fraction:.0f} % of the reachable speed-acceleration cells"

@@ -1,6 +1,6 @@
-"""One update: fit, judge, sample. What the window says, given what was known before.
+"""One update: fit, judge, sample, given the window and prior beliefs.
 
-Known before are the beliefs of the configuration, and what the vehicle has shown of itself under other loads.
+Beliefs come from the configuration, and from the parameters of the vehicle under earlier loads.
 """
 
 from collections import Counter
@@ -26,25 +26,25 @@ from estimator.samples import STEP, Samples
 from estimator.sampling.likelihood import Target
 from estimator.signals import Quantity
 
-PULLING = 0.1  # m/s^2
+MIN_PULLING_ACCELERATION = 0.1  # m/s^2, from which power must be positive
 NOTHING_COVERED = Coverage(0, 0)
 
 
 class Inference:
-    """Concludes from a window, and remembers what each load has shown.
+    """Makes estimates from a window of samples, and keeps the segments of the loads.
 
     Parameters
     ----------
     config
         All settings.
     window
-        What is concluded from.
+        The samples that estimates are made from.
     rng
         Source of all randomness.
     """
 
     def __init__(self, config: Config, window: Window[Samples], rng: np.random.Generator) -> None:
-        self.evidence: Evidence | None = None  # what the newest estimate rests on; None while there is none
+        self.evidence: Evidence | None = None  # of the newest estimate
         self.below = 0  # samples that the newest fit left out for their model power
         self._config = config
         self._window = window
@@ -56,16 +56,16 @@ class Inference:
         self._loads = Loads()
 
     def start_segment(self) -> None:
-        """Another load, perhaps: what this one has shown becomes what was shown before."""
+        """Begin a new load: the present segment becomes the one before."""
         self._loads.start_segment()
         self.evidence = None
 
     def forget_vehicle(self) -> None:
-        """It may be another vehicle."""
+        """Discard the segments: the vehicle may be another one."""
         self._loads.forget_vehicle()
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from: all but the evidence, which the next update makes anew."""
+        """The state that `restore` reads; the evidence is left out, for the next update computes it."""
         return {
             "generator": generator_state(self._rng),
             "below": self.below,
@@ -74,7 +74,7 @@ class Inference:
         }
 
     def restore(self, state: State) -> None:
-        """Know what another knew.
+        """Take the state of another one.
 
         Raises
         ------
@@ -114,8 +114,8 @@ class Inference:
         def unestimated(reason: str, coverage: Coverage = NOTHING_COVERED) -> Estimate:
             return Estimate(t=t, status=Status.UNESTIMATED, reason=reason, coverage=coverage, admitted=held)
 
-        reason = self._gate.is_calculable(fit, held, posterior.box(self._config.prior))
-        pulling = samples.P[samples.za > PULLING]
+        reason = self._gate.obstacle_to_fit(fit, held, posterior.box(self._config.prior))
+        pulling = samples.P[samples.za > MIN_PULLING_ACCELERATION]
         if fit is None and len(pulling) and np.median(pulling) <= 0:
             return unestimated("power is not positive while the vehicle accelerates: check the sign of the torque")
         if fit is None or reason:
@@ -123,7 +123,7 @@ class Inference:
             return unestimated(reason + (f"; most others: {common[0][0]}" if common else ""))
         counts = window.counts
         coverage = self._gate.coverage(counts, np.maximum(fit.theta[:3], 0.0), samples.P)
-        if reason := self._gate.is_covered(fit, coverage):
+        if reason := self._gate.obstacle_to_estimate(fit, coverage):
             return unestimated(reason, coverage)
         if reason := doubt or misfit(samples, fit):
             return Estimate(t=t, status=Status.INVALID, reason=reason, coverage=coverage, admitted=held, rms=fit.rms)
@@ -170,7 +170,7 @@ class Inference:
         )
 
     def _contradicted(self, samples: Samples) -> str:
-        """Which belief of the configuration the drive contradicts, if any."""
+        """Belief of the configuration that the drive contradicts; empty where there is none."""
         if self._given is SMALL_LAG:
             return ""
         drive = moments.fit(samples, self._config.admission.power_sigmas, SMALL_LAG, self._effects)

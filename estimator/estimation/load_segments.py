@@ -1,8 +1,8 @@
-"""Loads change at standstill: when to start afresh, what to keep, and whether the mass has changed.
+"""Load segments: a new one after a long stop, the belief carried over, and the probability that the mass changed.
 
-While a vehicle moves its mass is one number. After a stop that is long enough to load or unload, the mass starts
-afresh; what the vehicle has shown of itself stays, with a doubt that grows with time: the drag coefficient C, and the
-rolling coefficient A / m, for rolling resistance goes with the load.
+While a vehicle moves its mass is constant. After a stop that is long enough to load or unload, the mass is unknown.
+The drag coefficient C and the rolling coefficient A / m (rolling resistance is proportional to the load) are carried
+over, with a variance that grows with time.
 """
 
 from dataclasses import dataclass
@@ -19,20 +19,20 @@ from estimator.settings import Load
 from estimator.signals import Floats
 
 HOUR = 3600.0  # s
-OTHER_LOAD = 0.5  # sd of a new load's mass, as a share of the old: empty to full doubles a truck's weight
-LARGEST_ODDS = 700.0  # log odds beyond which exp overflows and nobody cares
+NEW_LOAD_SD = 0.5  # sd of a new load's mass, as a share of the old: empty to full doubles a truck's weight
+MAX_LOG_ODDS = 700.0  # exp overflows beyond; the probability is 0 or 1 in floating point
 
 
 @dataclass(frozen=True)
 class Segment:
-    """What one load has shown: posterior mean and covariance of A, C, m (3,), (3, 3), and when it ended [s]."""
+    """Posterior mean (3,) and covariance (3, 3) of A, C, m under one load, and its last time ``t`` [s]."""
 
     mean: Floats
     covariance: Floats
     t: float
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same segment from."""
+        """The state that `restore` reads."""
         return {"mean": self.mean, "covariance": self.covariance, "t": self.t}
 
     @classmethod
@@ -51,12 +51,12 @@ class Segment:
         return cls(mean, covariance, read(state, "t", float))
 
     def carry_over(self, t: float, load: Load) -> Belief:
-        """Belief about the next load at time ``t`` [s]: C and A / m as they were, give or take the drift."""
+        """Belief about the next load at time ``t`` [s]: C and A / m as before, with the variance of the drift."""
         A, C, m = self.mean
         doubt = load.drift_per_hour**2 * max(t - self.t, 0.0) / HOUR + load.change_sd**2
         ratio = np.array([1 / m, -A / m**2]) @ self.covariance[np.ix_([0, 2], [0, 2])] @ np.array([1 / m, -A / m**2])
         sd_ratio, sd_C = sqrt(ratio + doubt * (A / m) ** 2), sqrt(self.covariance[1, 1] + doubt * C**2)
-        # A - (A / m) m = 0 within the doubt at the old mass; C = C within its own.
+        # A - (A / m) m = 0 with the sd of A / m times the old mass; C with its own sd.
         rolling, drag = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
         rolling[0], rolling[2] = 1.0, -A / m
         drag[1] = 1.0
@@ -66,20 +66,20 @@ class Segment:
 
 
 class Loads:
-    """What the present load and the one before it have shown."""
+    """The segments of the present load and of the one before it."""
 
     def __init__(self) -> None:
         self._shown: Segment | None = None
         self._before: Segment | None = None
 
     def start_segment(self) -> None:
-        """Another load, perhaps: what this one has shown becomes what was shown before."""
+        """Begin a new load: the present segment becomes the one before."""
         if self._shown is not None:
             self._before = self._shown
         self._shown = None
 
     def forget_vehicle(self) -> None:
-        """It may be another vehicle."""
+        """Discard both segments: the vehicle may be another one."""
         self._before = None
 
     def carried_over(self, t: float, load: Load) -> Belief:
@@ -89,19 +89,19 @@ class Loads:
         return self._before.carry_over(t, load)
 
     def show(self, segment: Segment) -> LoadChange | None:
-        """Remember what the present load has shown; says whether it differs from the one before."""
+        """Store the segment of the present load; returns whether the mass differs from the load before."""
         self._shown = segment
         return None if self._before is None else load_change(self._before, segment)
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from."""
+        """The state that `restore` reads."""
         return {
             "shown": None if self._shown is None else self._shown.state(),
             "before": None if self._before is None else self._before.state(),
         }
 
     def restore(self, state: State) -> None:
-        """Know what another knew.
+        """Take the state of another one.
 
         Raises
         ------
@@ -113,15 +113,15 @@ class Loads:
 
 
 def load_change(before: Segment, after: Segment) -> LoadChange:
-    """Probability that the mass [kg] is another one, from what two segments have shown.
+    """Probability that the mass [kg] of two segments differs.
 
-    Two hypotheses, equally likely beforehand: the same mass, so that the means differ by their noise; or another,
-    which lies within OTHER_LOAD of the old one.
+    Two hypotheses of equal prior probability: the same mass, so the means differ by their sd; or another mass, Gaussian
+    about the old one with the relative sd NEW_LOAD_SD.
     """
     m0, m1 = float(before.mean[2]), float(after.mean[2])
     noise = float(before.covariance[2, 2] + after.covariance[2, 2])
-    other = noise + (OTHER_LOAD * m0) ** 2
+    other = noise + (NEW_LOAD_SD * m0) ** 2
     d = (m1 - m0) ** 2
     log_odds = 0.5 * (log(noise / other) + d / noise - d / other)
-    probability = 1 / (1 + exp(-min(max(log_odds, -LARGEST_ODDS), LARGEST_ODDS)))
+    probability = 1 / (1 + exp(-min(max(log_odds, -MAX_LOG_ODDS), MAX_LOG_ODDS)))
     return LoadChange(probability, m0, m1)

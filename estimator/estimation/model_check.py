@@ -1,13 +1,13 @@
-"""Can the estimate be true at all: checks of the residual, of the speed, of the lag and of what was believed.
+"""Checks that invalidate an estimate: of the residual, the speed, the lag and the beliefs of the configuration.
 
-If the model holds, the residual P - X theta has no mean left in any part of the drive, whatever its noise. The
-check splits the samples by the speed, the acceleration and the power that their *instruments* give, which share no
-noise with the residual, and asks of each part whether its mean residual is both certain and large: certain against
-the spread that autocorrelated residuals of this size have, large against the power itself. A long drive makes every
-small imperfection certain; only large ones make an estimate worthless.
+If the model holds, the residual P - X theta has mean zero in every part of the drive, whatever its noise. The samples
+are split by the speed, the acceleration and the power of their *instruments*, whose noise is independent of the
+residual. A part contradicts the model if its mean residual is both significant (against the standard error of
+autocorrelated residuals) and large (against the power). On a long drive small errors of the model are significant too;
+only large ones invalidate the estimate.
 
-A speed in the wrong unit fits perfectly, with a wrong mass: only another speed can tell. So can only the drive whether
-what the configuration believes holds for this vehicle.
+A speed in the wrong unit fits well with a wrong mass, so the wheel speed is compared with the GPS speed. Beliefs of the
+configuration are compared with the fit of the drive alone.
 """
 
 from typing import Any
@@ -22,15 +22,15 @@ from estimator.settings import Prior
 from estimator.signals import Floats, Role
 
 PARTS = 8  # quantile bins along each axis
-CERTAIN = 5.0  # standard errors
-LARGE = 0.15  # of the mean model power
-LEAST_EXPLAINED = 0.5  # share of the variance of power, means over SLOW
-SLOW = 50  # samples, 5 s
-LONGEST_LAG_LEFT = 2 * LAG_SD  # s, after alignment
-CONTRADICTION = 5.0  # sd between a belief and the drive
-SPEED_SCALE = 0.1  # by which wheel and GPS speed may differ: worn tyres make 3 %, a wrong unit 60 %
-SCALE_SPEED = 5.0  # m/s, above which they are compared
-SCALE_ROWS = 600
+MIN_STANDARD_ERRORS = 5.0  # of the mean residual, from which it is significant
+MIN_BIAS_SHARE = 0.15  # mean residual over the mean model power, from which it is large
+MIN_EXPLAINED = 0.5  # share of the variance of power, means over BLOCK_SAMPLES
+BLOCK_SAMPLES = 50  # 5 s
+MAX_LAG_LEFT = 2 * LAG_SD  # s, after alignment
+MAX_BELIEF_SDS = 5.0  # sd by which a belief and the drive may differ
+MAX_SCALE_DIFFERENCE = 0.1  # by which wheel and GPS speed may differ: worn tyres make 3 %, a wrong unit 60 %
+MIN_SCALE_SPEED = 5.0  # m/s, above which they are compared
+MIN_SCALE_ROWS = 600  # 1 min, for a comparison
 
 
 class SpeedScale:
@@ -44,17 +44,17 @@ class SpeedScale:
         gps = rows.context.get(Role.GPS_SPEED)
         if gps is None:
             return
-        both = np.isfinite(rows.speed) & np.isfinite(gps) & (rows.speed > SCALE_SPEED)
+        both = np.isfinite(rows.speed) & np.isfinite(gps) & (rows.speed > MIN_SCALE_SPEED)
         self._rows += int(both.sum())
         self._wheel += float(rows.speed[both].sum())
         self._gps += float(gps[both].sum())
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from."""
+        """The state that `restore` reads."""
         return {"rows": self._rows, "wheel": self._wheel, "gps": self._gps}
 
     def restore(self, state: State) -> None:
-        """Have seen what another has seen.
+        """Take the state of another one.
 
         Raises
         ------
@@ -66,7 +66,7 @@ class SpeedScale:
 
     def verdict(self) -> str:
         """Empty while they agree or cannot be compared, else by how much they differ."""
-        if self._rows < SCALE_ROWS or abs(self._wheel - self._gps) <= SPEED_SCALE * self._gps:
+        if self._rows < MIN_SCALE_ROWS or abs(self._wheel - self._gps) <= MAX_SCALE_DIFFERENCE * self._gps:
             return ""
         ratio = self._wheel / self._gps if self._gps > 0 else np.inf
         return f"the wheel speed is {ratio:.2f} times the GPS speed: check its signal and unit"
@@ -75,7 +75,7 @@ class SpeedScale:
 def contradiction(prior: Prior, drive: Fitted) -> str:
     """Empty when the beliefs of the configuration fit what the drive alone says, else the worst contradiction."""
     beliefs = {"A": prior.A_belief_N, "C": prior.C_belief_N_s2_m2, "mass": prior.mass_belief_kg}
-    worst, found = CONTRADICTION, ""
+    worst, found = MAX_BELIEF_SDS, ""
     for i, (name, belief) in enumerate(beliefs.items()):
         if belief is not None:
             value, sd = float(drive.theta[i]), float(drive.sd[i])
@@ -91,15 +91,15 @@ def misfit(samples: Samples, fit: Fit) -> str:
     kept = samples[fit.kept]
     X, Z = (part[fit.kept] for part in fit.columns(samples))
     residual = kept.P - X @ fit.theta
-    # Noise of dv/dt is most of the residual of a poor speed sensor; over seconds it is gone, and hills are not.
-    explained = 1 - float(block_means(residual, SLOW).var() / block_means(kept.P, SLOW).var())
-    if explained < LEAST_EXPLAINED:
+    # Noise of dv/dt dominates the residual of a noisy speed sensor. Means over seconds remove it, but not hills.
+    explained = 1 - float(block_means(residual, BLOCK_SAMPLES).var() / block_means(kept.P, BLOCK_SAMPLES).var())
+    if explained < MIN_EXPLAINED:
         share = 100 * max(explained, 0.0)
         return f"the model explains {share:.0f} % of the power's variance: grade, or a wrong signal?"
-    if abs(fit.theta[ROAD_LOAD]) - fit.sd[ROAD_LOAD] > LONGEST_LAG_LEFT:
+    if abs(fit.theta[ROAD_LOAD]) - fit.sd[ROAD_LOAD] > MAX_LAG_LEFT:
         return f"power and speed are {fit.theta[ROAD_LOAD]:+.1f} s apart even after alignment: check their time stamps"
     model = Z @ np.where(np.arange(Z.shape[1]) == ROAD_LOAD, 0.0, fit.theta)
-    # One residual counts for as much less as there are correlated ones around it.
+    # Autocorrelated residuals: the standard error is larger by the square root of the correlation time.
     inflation = len(residual) / fit.effective
     axes = (("speed", "m/s", kept.zv), ("acceleration", "m/s²", kept.za), ("model power", "kW", model / 1e3))
     worst, found = 0.0, ""
@@ -108,7 +108,7 @@ def misfit(samples: Samples, fit: Fit) -> str:
         part = np.clip(np.searchsorted(edges, axis, side="right") - 1, 0, PARTS - 1)
         for k in range(PARTS):
             share, z = _bias(residual[part == k], float(model.mean()), inflation)
-            if abs(z) > CERTAIN and abs(share) > max(LARGE, abs(worst)):
+            if abs(z) > MIN_STANDARD_ERRORS and abs(share) > max(MIN_BIAS_SHARE, abs(worst)):
                 worst = share
                 place = f"{name} {edges[k]:.3g}..{edges[k + 1]:.3g} {unit}"
                 found = f"{100 * share:+.0f} % of the mean power is left at {place}"

@@ -9,8 +9,8 @@ independent of the sample's, so the moments
 
     g(theta) = Z' (P - X theta)
 
-vanish at the truth without anyone knowing how noisy the sensors are. Which samples count is decided by the model
-power that the *instruments* predict: choosing by the measured power would choose by its noise.
+have mean zero at the true theta, whatever the noise of the sensors. Samples are selected by the model power that the
+*instruments* predict: a selection by measured power would depend on its noise and bias the fit.
 
 The covariance S of the moments has to allow for residuals that stay on one side for seconds. It is the average of
 the lowest B cosine transforms of Z e (equal-weighted cosines: Mueller 2004; Lazarus, Lewis, Stock, Watson 2018),
@@ -28,16 +28,16 @@ from estimator.model.effects import Effect
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 
-SELECTIONS = 8  # passes that settle which samples count
-FEWEST_COSINES = 12
-SLOW = 20  # samples, 2 s: beyond the reach of the smoother
+MAX_PASSES = 8  # passes that settle which samples count
+MIN_COSINES = 12  # degrees of freedom of the covariance: fewer would give a t density without usable tails
+BLOCK_SAMPLES = 20  # samples, 2 s: beyond the reach of the smoother
 TIMES_PER_COSINE = 4.0  # autocorrelation times that one cosine transform must span
 LAG_SD = 0.1  # s, prior of what the coarse alignment leaves
 ROAD_LOAD = 3  # the first parameters
 PARAMETERS = 4  # with the lag
 USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
-EFFECT_PASSES = 3
-FEWEST_FOR_EFFECTS = 600  # samples
+EFFECT_PASSES = 3  # fits: effects scale with the road load of the fit before
+MIN_SAMPLES_FOR_EFFECTS = 600  # samples
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ def block_means(x: Floats, size: int) -> Floats:
 
 
 def _slow_time(residual: Floats) -> float:
-    """Autocorrelation time [samples] of means over SLOW, where noise of dv/dt, which hides slower noise, is gone."""
-    return SLOW * autocorrelation_time(block_means(residual, SLOW))
+    """Autocorrelation time [samples] of means over BLOCK_SAMPLES, which contain no noise of dv/dt."""
+    return BLOCK_SAMPLES * autocorrelation_time(block_means(residual, BLOCK_SAMPLES))
 
 
 def cosine_transform(x: Floats, count: int) -> Floats:
@@ -155,7 +155,7 @@ def fit(
     """
     found = _fit(samples, power_sigmas, belief, (), None)
     for _ in range(EFFECT_PASSES if effects else 0):
-        if found is None or len(samples) < FEWEST_FOR_EFFECTS:
+        if found is None or len(samples) < MIN_SAMPLES_FOR_EFFECTS:
             return None
         road_load = found.theta[:ROAD_LOAD]
         terms = best_terms(effects, samples[found.kept], road_load)
@@ -178,7 +178,7 @@ def _fit(
     kept = np.ones(len(X), dtype=bool)
     driving = np.arange(X.shape[1]) != ROAD_LOAD  # all but the lag
     spread: Floats | None = None
-    for _ in range(SELECTIONS):
+    for _ in range(MAX_PASSES):
         if kept.sum() < 20 * X.shape[1]:
             return None
         Xk, Zk, Pk = X[kept], Z[kept], samples.P[kept]
@@ -189,7 +189,7 @@ def _fit(
         residual = Pk - Xk @ theta
         time = autocorrelation_time(residual)
         cosines = _cosines(len(Pk), _slow_time(residual))
-        # The fit has taken from the residual what its parameters can follow, as in n / (n - p).
+        # The fit reduces the residual's variance by its number of parameters, as in n / (n - p).
         spread = long_run_covariance(Zk * residual[:, None], cosines) * cosines / (cosines - X.shape[1])
         previous, kept = kept, Z @ (theta * driving) > power_sigmas * residual.std()
         if np.array_equal(kept, previous):
@@ -232,4 +232,4 @@ def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Belief
 
 def _cosines(n: int, time: float) -> int:
     """How many cosine transforms stay below the frequency at which the residual's spectrum falls off."""
-    return int(np.clip(n / (TIMES_PER_COSINE * time), FEWEST_COSINES, max(0.4 * n ** (2 / 3), FEWEST_COSINES)))
+    return int(np.clip(n / (TIMES_PER_COSINE * time), MIN_COSINES, max(0.4 * n ** (2 / 3), MIN_COSINES)))

@@ -1,13 +1,13 @@
-"""The paper's likelihood of the samples in the window that have power above 0, kept up as its blocks come and go.
+"""The paper's likelihood of the samples with power above 0 in a window, updated block by block.
 
 Each block is condensed once, for a region of parameters far wider than the posterior, and the window's total is the
-sum over its blocks: nothing cancels in the course of days, and an update costs a pass over the new block, and over
-the few samples that might be clipped. When the posterior has moved out of the region, or become much narrower than
-it, all blocks are condensed anew: as the window fills that happens each time the deviations have halved.
+sum over its blocks: rounding errors do not accumulate over days, and an update costs a pass over the new block and over
+the few samples that might be clipped. When the posterior leaves the region, or becomes much narrower than it, all
+blocks are condensed again: as the window fills, each time the deviations have halved.
 
-Drag goes with the air, C with the mean density over the window, which every block changes. So blocks do not know it:
-their columns are [v, v^3, rho v^3, v a], the second where the density rho is not known, the third where it is, with
-coefficients [A, C, C / mean rho, m].
+Drag is proportional to the density of the air, and C refers to its mean over the window, which every block changes. So
+the columns of a block do not use the mean: they are [v, v^3, rho v^3, v a], the second where the density rho is not
+known, the third where it is, with coefficients [A, C, C / mean rho, m].
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,10 +26,10 @@ from estimator.sampling.condensed import Condensed, Region
 from estimator.signals import Floats
 
 COLUMNS = 4
-AIR = 2  # the one that goes with the density
-REGION = 64.0  # sd, radius in which blocks are condensed
-NEAR, FAR = 32.0, 128.0  # sd around the newest posterior that the region must at least, and may at most, hold
-ROOM = 0.05  # by which the mean density may change without leaving the region
+AIR_COLUMN = 2  # proportional to the density
+REGION_SDS = 64.0  # radius of the region when blocks are condensed, in sd of the posterior
+MIN_REGION_SDS, MAX_REGION_SDS = 32.0, 128.0  # radius of the region, in sd of the newest posterior
+MAX_DENSITY_CHANGE = 0.05  # by which the mean density may change without leaving the region
 
 
 @dataclass(frozen=True)
@@ -72,16 +72,18 @@ class PaperLikelihood:
             self._condensed = {key: have.get(key) or region.condense(x.X, x.P) for key, x in self._blocks.items()}
             samples = Condensed.total(list(self._condensed.values()))
             target = ClippedGaussianTarget(samples, M, everything, lower, upper)
-            if NEAR <= target.reach <= FAR:
+            if MIN_REGION_SDS <= target.reach <= MAX_REGION_SDS:
                 return target
         target = ClippedGaussianTarget(Condensed.of(*everything()), M, everything, lower, upper)
-        phi, covariance = M @ target.centre, REGION**2 * target.root @ target.root.T
-        covariance[AIR, AIR] += ROOM**2 * (covariance[AIR, AIR] + phi[AIR] ** 2)
+        phi, covariance = M @ target.centre, REGION_SDS**2 * target.root @ target.root.T
+        covariance[AIR_COLUMN, AIR_COLUMN] += MAX_DENSITY_CHANGE**2 * (
+            covariance[AIR_COLUMN, AIR_COLUMN] + phi[AIR_COLUMN] ** 2
+        )
         self._region, self._condensed = Region.around(phi, covariance), {}
         return target
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from to the bit; the blocks come with the window."""
+        """The state that `restore` reads, exact to the bit; the blocks are saved with the window."""
         region = self._region
         return {"region": None if region is None else {"origin": region.origin, "whiten": region.whiten}}
 

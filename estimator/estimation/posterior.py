@@ -12,9 +12,9 @@ from estimator.sampling.run import run
 from estimator.settings import Prior
 from estimator.signals import Floats
 
-LARGEST_R_HAT = 1.05
-SMALLEST_ESS = 100.0
-WIDEST = 20.0  # usual magnitudes that an effect may have
+MAX_R_HAT = 1.05  # rank-normalised split R-hat (Vehtari et al. 2021), of the worst parameter
+MIN_ESS = 100.0  # effective draws: the mean is then known to a tenth of the sd
+MAX_USUAL_MAGNITUDES = 20.0  # bound of an effect's magnitude, over its usual one
 LAG_BOX = (-1.0, 1.0)  # s, far wider than the prior of the lag
 
 
@@ -29,7 +29,7 @@ class Posterior:
     def has_converged(self) -> bool:
         """Whether the chains agree and are worth enough independent draws."""
         c = self.convergence
-        return c.r_hat < LARGEST_R_HAT and c.ess_bulk > SMALLEST_ESS
+        return c.r_hat < MAX_R_HAT and c.ess_bulk > MIN_ESS
 
     def marginal(self, i: int) -> Marginal:
         """Summary of parameter ``i``."""
@@ -56,7 +56,7 @@ def belief_of(prior: Prior) -> Belief:
 def target_of(fit: Fit, config: Config) -> Target:
     """The moment objective of a fit, in the box of the configuration and of what its effects can be."""
     lower, upper = box(config.prior)
-    widest = [WIDEST * term.effect.usual(fit.theta) for term in fit.own_terms]
+    widest = [MAX_USUAL_MAGNITUDES * term.effect.usual(fit.theta) for term in fit.own_terms]
     lowest = [0.0 if term.effect.positive else -size for term, size in zip(fit.own_terms, widest, strict=True)]
     lower, upper = np.append(lower, lowest), np.append(upper, widest)
     return StudentTarget(fitted=fit.theta, covariance=fit.covariance, dof=fit.dof, lower=lower, upper=upper)
@@ -70,7 +70,7 @@ def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterio
     return Posterior(
         result.draws,
         Convergence(
-            # A parameter that cannot be judged makes the whole NaN, which never counts as converged.
+            # The diagnostics of one parameter may be NaN: then the worst is NaN, which is not converged.
             r_hat=float(np.max([diagnosis.r_hat for diagnosis in road_load])),
             ess_bulk=float(np.min([diagnosis.ess_bulk for diagnosis in road_load])),
             acceptance=result.acceptance,

@@ -9,9 +9,10 @@ scale known from the same fit the normal matrix is corrected (a corrected score:
 
     X'K^-1 X  less  the mean over simulated noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
 
-The correction holds where the driver does not feel more of the road than the sensors show; drivers do. The share of
-it that stays doubtful (CORRECTION_DOUBT) and a floor for the mass (FORM_SD) widen the covariance. Both were measured
-on simulated drives over hidden hills: mixed, highway and urban roads, speed noise 0..30 mm/s, torque in 0.125 and 1 %.
+The correction assumes that the driver reacts to the measured speed alone; drivers also react to the slope itself. So a
+share of the correction (CORRECTION_DOUBT) and a floor for the sd of the mass (FORM_SD) widen the covariance. Both were
+measured on simulated drives over hidden hills: mixed, highway and urban roads, speed noise 0..30 mm/s, torque in 0.125
+and 1 %.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,18 +38,18 @@ DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from
 USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
 PROBES = 8  # simulated noises that the correction is averaged over
-LARGEST_SHARE = 0.3  # of the information on 1/m that is noise: beyond, the correction is doubted whole
-MOST_NOISE = 0.7  # share of noise in any direction that is taken off
+MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction counts as sd
+MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
 CORRECTION_DOUBT = 0.5  # share of the correction's shift that counts as a standard deviation
 FORM_SD = 0.0025  # of 1/m: what the model's form leaves on any road (friction in steps of 1 %)
-FORM_SLOPE = 0.4  # ... and per unit of the slopes' sd where no signal shows them (the driver feels the road first)
+FORM_SLOPE = 0.4  # sd of 1/m per unit of the slopes' sd where no signal shows them: the driver reacts to slopes
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
-FEWEST = 30  # strides
-PRECISION = 0.1  # of the logarithms of the scales
-MOST_EVALUATIONS = 120
-FAR, NEAR = 0.7, 0.25  # logarithms by which scales are varied at first: unknown before, known before
-OF_THE_ROAD = (0, 4, 5)  # scales that change with the smoothness of the road
-OF_THE_VEHICLE = (2, 3)  # scales that do not change with the smoothness of the wander
+MIN_STRIDES = 30  # strides
+SCALE_TOLERANCE = 0.1  # of the logarithms of the scales, at which the search stops
+MAX_EVALUATIONS = 120  # of the likelihood in one search
+UNKNOWN_SCALE_STEP, KNOWN_SCALE_STEP = 0.7, 0.25  # first steps of the logarithms of scales, unknown or known before
+ROAD_SCALES = (0, 4, 5)  # scales that change with the smoothness of the road
+VEHICLE_SCALES = (2, 3)  # scales that do not change with the smoothness of the wander
 LAG_PASSES = 4
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
@@ -225,7 +226,7 @@ class Likelihood:
             origin[place],
             method="COBYQA",
             bounds=bounds,
-            options={"initial_tr_radius": reach, "final_tr_radius": PRECISION, "maxfev": MOST_EVALUATIONS},
+            options={"initial_tr_radius": reach, "final_tr_radius": SCALE_TOLERANCE, "maxfev": MAX_EVALUATIONS},
         )
         best = start.copy()
         best[place] = np.exp(found.x)
@@ -251,8 +252,8 @@ class Likelihood:
 def with_doubt_of_form(beta: Floats, covariance: Floats, slope_sd: float, hidden: bool) -> Floats:
     """The covariance of beta, wider by what the form of the model leaves in doubt.
 
-    A / m and C / m go with 1 / m: the doubt of the form is one of the mass alone. Over hidden hills they are wider by
-    ROAD_DOUBT, to the extent that slopes of 0.4 % and more swamp what a flat road would tell.
+    A / m and C / m are proportional to 1 / m, so an error of the form changes the mass alone. Over hidden hills their
+    sd is larger by ROAD_DOUBT, in proportion to the slopes up to an sd of 0.4 %.
     """
     share = float(np.hypot(FORM_SD, FORM_SLOPE * slope_sd)) if hidden else FORM_SD
     form = share * np.concatenate([beta[:ROAD_LOAD], np.zeros(len(beta) - ROAD_LOAD)])
@@ -264,16 +265,16 @@ def with_doubt_of_form(beta: Floats, covariance: Floats, slope_sd: float, hidden
 
 
 def limited(noise: Floats, information: Floats) -> Floats:
-    """The noise (p, p) in an information matrix, at most MOST_NOISE of it in any direction.
+    """The noise (p, p) in an information matrix, at most MAX_CORRECTED_SHARE of it in any direction.
 
-    A direction in which noise would be all there is (a lag that no change of force shows) keeps some information.
+    A direction with noise alone (the lag, where the force hardly changes) keeps some information.
     """
     unit = 1 / np.sqrt(np.diag(information))
     root = np.linalg.cholesky(information * np.outer(unit, unit))
     inverse = np.linalg.inv(root)
     shares, directions = np.linalg.eigh(inverse @ (noise * np.outer(unit, unit)) @ inverse.T)
     back = root @ directions
-    kept: Floats = (back * np.minimum(shares, MOST_NOISE)) @ back.T / np.outer(unit, unit)
+    kept: Floats = (back * np.minimum(shares, MAX_CORRECTED_SHARE)) @ back.T / np.outer(unit, unit)
     return kept
 
 
@@ -337,7 +338,7 @@ def fit(
         Largest lag of power behind speed that is tried [s].
     """
     driven = strides[strides.known]
-    if len(driven) < FEWEST:
+    if len(driven) < MIN_STRIDES:
         return None
     road_load = first_guess(driven)
     search = _Search(strides, terms, road_load, longest_lag)
@@ -397,24 +398,28 @@ class _Search:
             start = RoadScales(
                 values=values, alpha=ALPHAS[0], wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
             )
-            scales, evidence = self._lagged(start, FAR)
+            scales, evidence = self._lagged(start, UNKNOWN_SCALE_STEP)
         else:
-            scales, evidence = self._lagged(known, NEAR)
+            scales, evidence = self._lagged(known, KNOWN_SCALE_STEP)
         if scales.readings:
-            others = [i for i in range(len(scales.values)) if i not in OF_THE_VEHICLE]
+            others = [i for i in range(len(scales.values)) if i not in VEHICLE_SCALES]
             order = SMOOTH if scales.wander == ROUGH else ROUGH
             scales, evidence = self._better(scales, evidence, replace(scales, wander=order), others)
         for alpha in ALPHAS:
             if alpha != scales.alpha:
-                scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha), OF_THE_ROAD)
+                scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha), ROAD_SCALES)
         return *self.likelihood(scales), evidence
 
     def _better(
         self, scales: RoadScales, evidence: float, other: RoadScales, changed: Sequence[int]
     ) -> tuple[RoadScales, float]:
         """The ``scales``, or those of ``other`` orders where these have more evidence once ``changed`` are found."""
-        varied, found = self._improved(other, changed, FAR)
-        return self._improved(varied, range(len(varied.values)), NEAR) if found > evidence else (scales, evidence)
+        varied, found = self._improved(other, changed, UNKNOWN_SCALE_STEP)
+        return (
+            self._improved(varied, range(len(varied.values)), KNOWN_SCALE_STEP)
+            if found > evidence
+            else (scales, evidence)
+        )
 
     def _improved(self, scales: RoadScales, free: Sequence[int], reach: float) -> tuple[RoadScales, float]:
         likelihood, _ = self.likelihood(scales)
@@ -436,7 +441,7 @@ class _Search:
             lag = int(np.argmin(np.abs(LAGS - wanted)))
             if lag == scales.lag or abs(left) < 0.55 * LAG_SPACING:
                 break
-            scales, reach = replace(scales, lag=lag), NEAR
+            scales, reach = replace(scales, lag=lag), KNOWN_SCALE_STEP
         return scales, evidence
 
 
@@ -452,7 +457,7 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
     noise = limited(noise, information)
     corrected = np.linalg.inv(information - noise)
     beta: Floats = corrected @ gram[1:, 0]
-    shift = (beta - plain) * (CORRECTION_DOUBT if share <= LARGEST_SHARE else 1.0)
+    shift = (beta - plain) * (CORRECTION_DOUBT if share <= MAX_NOISE_SHARE else 1.0)
     covariance: Floats = corrected @ information @ corrected + np.outer(shift, shift)
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
     covariance = with_doubt_of_form(beta, covariance, float(scales.values[4]), hidden=not scales.readings)

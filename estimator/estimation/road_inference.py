@@ -1,7 +1,7 @@
 """One update with the road as a state: fit, judge each parameter by itself, sample.
 
-The mass is told by how speed answers to force within seconds, A and C by what the mean force and the mean road are;
-over hills that no signal shows the mass is known long before A and C. So each parameter has a status of its own.
+The mass follows from the change of speed with force within seconds, A and C from the means of force and slope. Over
+hills that no signal shows the mass is known long before A and C, so each parameter has its own status.
 """
 
 from collections import Counter
@@ -39,23 +39,23 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
 PROBE_SEED = 20_041  # of the simulated noise in the correction: the same in every update
-GROWTH = 1.5  # by which the window must grow before the scales of road and noise are looked for again
-PULLING = 0.1  # m/s^2
-LEAST_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road
-STEEPEST = 0.06  # sine: no road's slopes have a larger standard deviation
-LARGEST_NOISE = 0.3  # m/s^2 of torque noise over mass: ten times that of a poor signal
+MIN_GROWTH = 1.5  # factor by which the window must grow before the scales of road and noise are searched again
+MIN_PULLING_ACCELERATION = 0.1  # m/s^2, from which power must be positive
+MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road
+MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road
+MAX_TORQUE_NOISE = 0.3  # m/s^2 of torque noise over mass: ten times that of a poor signal
 PARTS = 4  # of the window, between which the mass may have changed
-CERTAIN = 4.0  # sd by which the masses of two parts must differ to contradict each other
-LARGE = 0.04  # share of the mass by which they must
-EDGE_SDS = 2.0  # sd beyond its box at which a fit contradicts the box; inside it by less, a parameter is not known
-LONGEST_LAG = 0.5  # s, beyond which the time stamps are wrong
-SMALLEST_ANSWER = 1e-6  # 1/kg: a vehicle of 1000 t
-LARGEST_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
+MIN_MASS_CHANGE_SDS = 4.0  # difference of the masses of two parts, in its sd, that is a contradiction
+MIN_MASS_CHANGE_SHARE = 0.04  # difference of the masses, as a share, that is a contradiction
+EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
+MAX_LAG = 0.5  # s, between power and speed: beyond, the time stamps are wrong
+MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
+MAX_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
 NOTHING_COVERED = Coverage(0, 0)
 
 
 class Withheld(Protocol):
-    """Makes an estimate that publishes nothing."""
+    """Makes an estimate without values."""
 
     def __call__(self, reason: str, coverage: Coverage = ..., status: Status = ...) -> Estimate:
         """The estimate with its reason."""
@@ -64,7 +64,7 @@ class Withheld(Protocol):
 
 @dataclass(frozen=True)
 class _Judged:
-    """Parameters [A, C, m] with the beliefs, before the box: what the gate is asked about."""
+    """Parameters [A, C, m] and their sd (3,) with the beliefs, without the box, for the gate."""
 
     theta: Floats
     sd: Floats
@@ -72,7 +72,7 @@ class _Judged:
 
 @dataclass(frozen=True)
 class Change:
-    """What the part of a window before a cut and the part after it say of 1/m [1/kg], each with its variance."""
+    """Estimates of 1/m [1/kg] from the parts of a window before and after a cut, each with its variance."""
 
     before: float
     after: float
@@ -86,7 +86,7 @@ class Change:
 
     @property
     def doubt(self) -> float:
-        """Standard deviation of 1/m, as a share of it, that the difference alone suggests.
+        """Relative standard deviation of 1/m that follows from the difference alone.
 
         Parts with the shares w and 1 - w of the information differ by chance with the variance s^2 / (w (1 - w)), where
         s^2 is that of the whole. So sqrt(w (1 - w)) times the difference has the sd of the whole if nothing changed,
@@ -97,29 +97,29 @@ class Change:
 
     @property
     def contradiction(self) -> str:
-        """Empty unless they differ by more than chance and the form of the model explain."""
+        """Reason why the parts contradict each other; empty where noise or the form of the model explain it."""
         sd = float(np.sqrt(self.variance_before + self.variance_after))
-        if abs(self.after - self.before) < CERTAIN * sd or abs(self.share) < LARGE:
+        if abs(self.after - self.before) < MIN_MASS_CHANGE_SDS * sd or abs(self.share) < MIN_MASS_CHANGE_SHARE:
             return ""
         masses = f"mass {1 / self.before:.4g} and {1 / self.after:.4g} kg"
         return f"two parts of the drive contradict each other: {masses}"
 
 
 class RoadInference:
-    """Concludes from a window of strides, and remembers what each load has shown.
+    """Makes estimates from a window of strides, and keeps the segments of the loads.
 
     Parameters
     ----------
     config
         All settings.
     window
-        What is concluded from.
+        The strides that estimates are made from.
     rng
         Source of all randomness.
     """
 
     def __init__(self, config: Config, window: Window[Strides], rng: np.random.Generator) -> None:
-        self.evidence: Evidence | None = None  # what the newest estimate rests on; None while there is none
+        self.evidence: Evidence | None = None  # of the newest estimate
         self.below = 0  # no sample is left out for its model power here
         self._config = config
         self._window = window
@@ -132,18 +132,18 @@ class RoadInference:
         self._fitted = 0  # rows in the window when the scales were found
 
     def start_segment(self) -> None:
-        """Another load, perhaps: what this one has shown becomes what was shown before."""
+        """Begin a new load: the present segment becomes the one before."""
         self._loads.start_segment()
         self._fitted = 0
         self.evidence = None
 
     def forget_vehicle(self) -> None:
-        """It may be another vehicle."""
+        """Discard the segments: the vehicle may be another one."""
         self._loads.forget_vehicle()
         self._scales = None
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from: all but the evidence, which the next update makes anew."""
+        """The state that `restore` reads; the evidence is left out, for the next update computes it."""
         scales = self._scales
         found = None
         if scales is not None:
@@ -162,7 +162,7 @@ class RoadInference:
         }
 
     def restore(self, state: State) -> None:
-        """Know what another knew.
+        """Take the state of another one.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class RoadInference:
             others = f"; most others: {rejected.most_common(1)[0][0]}" if rejected else ""
             return withheld(f"{held} usable samples of the {self._config.gate.minimum_samples} needed{others}")
         driven = strides[strides.known]
-        pulling = driven.power[driven.a > PULLING]
+        pulling = driven.power[driven.a > MIN_PULLING_ACCELERATION]
         if len(pulling) and np.median(pulling) <= 0:
             return withheld("power is not positive while the vehicle accelerates: check the sign of the torque")
         found = self._fit(strides, held)
@@ -211,7 +211,7 @@ class RoadInference:
         return self._judge(t, found, lag, withheld)
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
-        grown = _has_changed(held, self._fitted, GROWTH)
+        grown = _has_changed(held, self._fitted, MIN_GROWTH)
         limit = self._config.kinematics.maximum_lag_s
         terms = self._terms(strides)
         found = fit(strides, np.random.default_rng(PROBE_SEED), terms, self._scales, grown, limit)
@@ -222,10 +222,10 @@ class RoadInference:
         return found
 
     def _terms(self, strides: Strides) -> tuple[Term, ...]:
-        """Each effect with the shape that suits the strides best, given the scales of road and noise."""
+        """Each effect with the shape of most evidence, given the scales of road and noise."""
         known, rng = frozenset(strides.context), np.random.default_rng(PROBE_SEED)
         shapes = [[Term(effect, shape) for shape in effect.streaming_shapes(known)] for effect in self._effects]
-        # Of several signals that tell the same the first one is taken.
+        # Of several signals of one quantity the first one is taken.
         shapes = [each[:1] if isinstance(each[0].shape, Quantity) else each for each in shapes if each]
         if all(len(each) == 1 for each in shapes):
             return tuple(each[0] for each in shapes)
@@ -234,7 +234,7 @@ class RoadInference:
 
     def _judge(self, t: float, found: RoadFit, lag: float, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)
-        usual = [posterior.WIDEST * term.effect.usual(found.theta) for term in found.terms]
+        usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual(found.theta) for term in found.terms]
         lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
         bounds = np.append(lower[:ROAD_LOAD], lowest), np.append(upper[:ROAD_LOAD], usual)
         empty = Belief(np.zeros_like(self._given.precision), np.zeros_like(self._given.moment))
@@ -250,7 +250,7 @@ class RoadInference:
         coverage = self._gate.coverage(
             self._window.counts, np.maximum(judged.theta[:ROAD_LOAD], 0.0), driven.power[driven.power > 0]
         )
-        if reason := self._gate.has_covered(coverage) or _outside(judged, *bounds):
+        if reason := self._gate.missing_coverage(coverage) or _outside(judged, *bounds):
             return withheld(reason, coverage)
         reasons = self._reasons(judged, found, *bounds)
         if "m" in reasons:
@@ -267,20 +267,20 @@ class RoadInference:
         return self._published(t, found, draws, coverage, reasons, lag)
 
     def _undetermined(self, found: RoadFit) -> str:
-        """Empty when the drive says something of the mass, else why not: a density around nothing has no mode."""
+        """Reason why the drive does not determine the mass; empty where it does."""
         inverse, sd = float(found.beta[0]), float(np.sqrt(max(found.covariance[0, 0], 0.0)))
-        if not inverse > SMALLEST_ANSWER:
-            return "speed does not answer to force: the drive is too uniform, or a signal is wrong"
-        if sd > LARGEST_RELATIVE_SD * inverse and self._config.prior.mass_belief_kg is None:
+        if not inverse > MIN_INVERSE_MASS:
+            return "speed does not change with force: the drive is too uniform, or a signal is wrong"
+        if sd > MAX_RELATIVE_SD * inverse and self._config.prior.mass_belief_kg is None:
             return f"sd of mass is {100 * sd / inverse:.0f} % of its value" + _advice("m", found)
         return ""
 
     def _reasons(self, judged: _Judged, found: RoadFit, lower: Floats, upper: Floats) -> dict[str, str]:
-        """Why a parameter of PARAMETERS is not known, for those that are not."""
+        """Reason for each of PARAMETERS that is not known well enough."""
         reasons = {}
         for i, name in enumerate(PARAMETERS):
             value, sd = float(judged.theta[i]), float(judged.sd[i])
-            reason = self._gate.known(i, value, sd)
+            reason = self._gate.obstacle_to_value(i, value, sd)
             near = value - EDGE_SDS * sd < lower[i] or value + EDGE_SDS * sd > upper[i]
             if not reason and near:
                 reason = (
@@ -291,7 +291,7 @@ class RoadInference:
         return reasons
 
     def _changes(self, found: RoadFit) -> list[Change]:
-        """The window cut in two after each of its parts but the last; no parts where one does not tell the mass."""
+        """The window cut after each of its parts but the last; empty where a part does not determine the mass."""
         strides = self._window.samples
         known = np.flatnonzero(strides.known)
         cuts = [int(known[len(known) * k // PARTS]) for k in range(1, PARTS)]
@@ -375,25 +375,25 @@ def _restored_scales(state: State) -> RoadScales:
 
 
 def _misfit(found: RoadFit) -> str:
-    """Empty when vehicle and road describe the strides, else what they do not."""
+    """Reason why vehicle and road do not describe the strides; empty where they do."""
     a = found.strides.a
     explained = 1 - float(np.var(a - found.fitted)) / max(float(np.var(a)), 1e-12)
-    if explained < LEAST_EXPLAINED:
+    if explained < MIN_EXPLAINED:
         share = 100 * max(explained, 0.0)
         return f"the model explains {share:.0f} % of the acceleration's variance: a wrong signal?"
     if found.beta[0] <= 0:
-        return "speed does not answer to force: a wrong signal?"
-    if found.slope_sd > STEEPEST:
+        return "speed does not change with force: a wrong signal?"
+    if found.slope_sd > MAX_SLOPE_SD:
         return f"only slopes of {100 * found.slope_sd:.0f} % would explain the drive: a wrong signal?"
-    if found.scales.values[0] > LARGEST_NOISE:
-        return "force and acceleration hardly belong together: a wrong signal?"
-    if abs(found.lag) > LONGEST_LAG:
+    if found.scales.values[0] > MAX_TORQUE_NOISE:
+        return "force and acceleration are hardly correlated: a wrong signal?"
+    if abs(found.lag) > MAX_LAG:
         return f"power and speed are {found.lag:+.1f} s apart: check their time stamps"
     return ""
 
 
 def _outside(judged: _Judged, lower: Floats, upper: Floats) -> str:
-    """Empty unless the drive puts a parameter beyond its box: then none of them can be believed."""
+    """Reason why a parameter is outside its box, which withholds all of them; empty where none is."""
     for i, name in enumerate(NAMES):
         value, sd = float(judged.theta[i]), float(judged.sd[i])
         if value + EDGE_SDS * sd < lower[i] or value - EDGE_SDS * sd > upper[i]:
@@ -402,7 +402,7 @@ def _outside(judged: _Judged, lower: Floats, upper: Floats) -> str:
 
 
 def _advice(name: str, found: RoadFit) -> str:
-    """What is in the way of a parameter, and what would help."""
+    """Obstacle to a parameter and remedy, as the end of a message."""
     if found.scales.readings or found.slope_sd < 2e-3:
         return ""
     hills = f"; hills with slopes of {100 * found.slope_sd:.1f} % that no signal shows are in the way"
@@ -410,6 +410,6 @@ def _advice(name: str, found: RoadFit) -> str:
 
 
 def _road(found: RoadFit) -> Road:
-    """What the drive says of the road."""
+    """The road of an estimate."""
     climbed = found.climbed if found.scales.readings else None
     return Road(found.slope_sd, float(found.scales.values[5]), found.scales.readings, climbed)

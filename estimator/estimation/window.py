@@ -1,4 +1,4 @@
-"""The bounded memory of admitted samples: blocks of consecutive driving, rare cells kept longest."""
+"""A bounded window of admitted samples: blocks of consecutive driving; those in rare cells are kept longest."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -68,11 +68,11 @@ class Content(Protocol):
 
     @property
     def own_cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """The same as it is to be shown."""
+        """The same by measured values, for plots."""
         ...
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same from."""
+        """The state that `restore` reads."""
         ...
 
     @classmethod
@@ -134,7 +134,7 @@ class Window(Generic[C]):
         return self._counted(self._place(self.samples.own_cells))
 
     def add(self, block: C) -> None:
-        """Take a block of consecutive driving, and let go what there is no room for."""
+        """Add a block of consecutive driving, and evict blocks beyond the capacity or the age limit."""
         if not len(block):
             return
         cells = self._place(block.cells)
@@ -148,7 +148,7 @@ class Window(Generic[C]):
             self._drop(max(self._cells, key=self._fullness))
 
     def _fullness(self, number: int) -> float:
-        """Mean count of the cells that the rows of a block lie in; what lies in none goes last."""
+        """Mean count of the cells of a block's rows; 0 for a block without cells, which is evicted last."""
         cells = self._cells[number]
         total = int(cells.rows.sum())
         return float((self._counts[cells.places] * cells.rows).sum()) / total if total else 0.0
@@ -173,7 +173,7 @@ class Window(Generic[C]):
         self._counts[:] = 0
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same window from."""
+        """The state that `restore` reads."""
         lengths = np.array([len(block) for block in self._blocks.values()], dtype=np.int64)
         return {
             "samples": self.samples.state(),
@@ -185,7 +185,7 @@ class Window(Generic[C]):
         }
 
     def restore(self, state: State) -> None:
-        """Hold what another window held.
+        """Take the state of another one.
 
         Raises
         ------

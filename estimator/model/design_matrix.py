@@ -17,8 +17,8 @@ from estimator.units import STANDARD_GRAVITY
 
 PLAIN = 4  # columns without effects
 MASS = 2  # of the mass
-LEAST_ROLLING, LEAST_DRAG = 0.002, 2e-5  # coefficient of rolling [1], and C over mass [1/m]
-AGREEING = 0.1  # of the mass, between inertia and gravity
+MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
+MAX_MASS_DIFFERENCE = 0.1  # share of the mass, between the mass by inertia and by gravity
 Spans = tuple[tuple[float, float], ...]
 
 
@@ -62,9 +62,9 @@ def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> 
     Some effects scale with ``road_load`` = [A, C, m], and with the climb that other ``terms`` of the model know of.
     """
     density, context = samples.relative_density, samples.context
-    # What is missing in the model can push A or C below zero; effects in proportion to them must not vanish.
+    # An effect missing in the model can make A or C negative; effects proportional to them need a positive scale.
     m = max(float(road_load[MASS]), 0.0)
-    road_load = np.maximum(road_load, np.array([LEAST_ROLLING * STANDARD_GRAVITY, LEAST_DRAG, 1.0]) * m)
+    road_load = np.maximum(road_load, np.array([MIN_ROLLING * STANDARD_GRAVITY, MIN_DRAG, 1.0]) * m)
     gravity = [context[term.shape] for term in terms if term.effect.is_gravity]
     climb = gravity[0] if gravity else np.zeros(len(samples))
     own = View(
@@ -77,7 +77,8 @@ def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> 
         road_load=road_load,
         climb=climb,
     )
-    # The model's power, not the power measured around: what the model lacks outlasts the ring, and would be in both.
+    # Model power, not measured power: a missing effect is correlated over more than the instrument's window of
+    # readings, so it would be in the measured power of the sample and of its instrument, and bias both.
     around = design(samples.zv, samples.za, density) @ road_load
     return own, replace(own, v=samples.zv, a=samples.za, P=around)
 
@@ -101,18 +102,18 @@ def columns(samples: Samples, terms: tuple[Term, ...] = (), road_load: Floats | 
 
 
 def settled(term: Term, samples: Samples) -> Term:
-    """The term as it is to enter the model: gravity joins the mass if both agree on it.
+    """The term as it enters the model: gravity joins the mass if the mass by inertia and by gravity agree.
 
-    They do not where the signal that shows the climb is poor: its noise makes slopes look steeper than the power they
-    take, and would make the vehicle too light.
+    They differ where the signal of the climb is noisy: the noise adds slopes that take no power, so that the mass by
+    gravity is too small.
     """
     if not term.effect.is_gravity:
         return term
     X, Z = columns(samples, (term,))
-    if not X[:, PLAIN].any():  # a flat road contradicts no mass, and a column of zeros would have no solution
+    if not X[:, PLAIN].any():  # on a flat road the column is zero, and its coefficient is undefined
         return replace(term, joins_mass=True)
     theta = np.linalg.lstsq(Z.T @ X, Z.T @ samples.P, rcond=None)[0]
-    return replace(term, joins_mass=bool(abs(theta[PLAIN] - theta[MASS]) < AGREEING * abs(theta[MASS])))
+    return replace(term, joins_mass=bool(abs(theta[PLAIN] - theta[MASS]) < MAX_MASS_DIFFERENCE * abs(theta[MASS])))
 
 
 def wanted_by(effects: tuple[Effect, ...], known: Set[Quantity]) -> frozenset[Quantity]:

@@ -1,7 +1,7 @@
-"""The road as a state: what a drive's strides say of the vehicle when nobody knows the hills.
+"""The road as a state: the likelihood of a drive's strides where the slopes are unknown or measured with noise.
 
-Newton's second law over a stride, solved for the acceleration (a driver answers to what the speed has done, not to
-the road to come, so force and speed are predetermined while acceleration is not):
+Newton's second law over a stride, solved for the acceleration (the driver reacts to past speed, not to the slopes
+ahead, so force and speed are predetermined while acceleration is not):
 
     a = F / m - A / m - (C / m) rho v^2 - g theta(s) + (e1 - e0) / T - (f0 + f1) / 2 + w
 
@@ -37,13 +37,13 @@ from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
 
 SPACING = 25.0  # m between nodes of the road: finer changes no estimate (12.5 m: below 0.05 % of mass)
-LONGEST_BRIDGE = 1500.0  # m without strides over which the road is still one; beyond, the hills are others
+MAX_BRIDGE = 1500.0  # m without strides that nodes bridge; slopes beyond are independent
 ALPHAS = (2, 4)  # orders of the road's Matern process: smoothness 3/2 (crests and dips of roads) and 7/2
 ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
-LEAST_PASSAGE = 0.2  # s from node to node: faster than any vehicle
-LONGEST_PASSAGE = 60.0  # s from node to node over which a smooth wander goes on
-EXACT = 0.01  # m, by which height may differ from the integral of the slope
-ANY_HEIGHT = 1000.0  # m, sd of the height at the beginning
+MIN_PASSAGE = 0.2  # s from node to node: shorter than that of any vehicle (125 m/s)
+MAX_PASSAGE = 60.0  # s from node to node over which a smooth wander goes on
+HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numerically exact
+START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up
 _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the stride's mean
 SIGNALS = ("altitude", "grade", "gravity")
@@ -98,17 +98,17 @@ class Nodes:
 
     @classmethod
     def under(cls, strides: Strides) -> "Nodes":
-        """Nodes every SPACING around all ``strides``, gaps up to LONGEST_BRIDGE filled."""
+        """Nodes every SPACING around all ``strides``, gaps up to MAX_BRIDGE filled."""
         cells = np.unique(np.floor(np.concatenate([strides.s0, strides.s1]) / SPACING).astype(np.int64))
         steps = np.diff(cells)
-        bridged = steps * SPACING <= LONGEST_BRIDGE
+        bridged = steps * SPACING <= MAX_BRIDGE
         extra = [np.arange(a + 1, b) for a, b in zip(cells[:-1][bridged], cells[1:][bridged], strict=True) if b > a + 1]
         points = np.unique(np.concatenate([cells, cells + 1, *extra]))
         s = points * SPACING
         along = np.concatenate([strides.s0, strides.s1[-1:]])
         times = np.concatenate([strides.t - DURATION / 2, strides.t[-1:] + DURATION / 2])
         joined = np.insert(np.diff(points) == 1, 0, False)
-        least = LEAST_PASSAGE * np.arange(len(s))
+        least = MIN_PASSAGE * np.arange(len(s))
         return cls(s, joined, np.maximum.accumulate(np.interp(s, along, times) - least) + least)
 
     def between(self, s: Floats) -> tuple[NDArray[np.int64], Floats]:
@@ -128,7 +128,7 @@ class Reading:
 
     @classmethod
     def of(cls, name: str, strides: Strides, nodes: Nodes) -> "Reading | None":
-        """The signal ``name`` of SIGNALS, None where it is not there or tells less than two values."""
+        """The signal ``name`` of SIGNALS; None where it is missing or has fewer than two values."""
         values = getattr(strides, name)
         there = np.isfinite(values)
         if there.sum() < 2:
@@ -245,8 +245,8 @@ class RoadModel:
         self._is_fixed = [False, *([True, True] if self.by_altitude else []), *([False] * len(self.readings))]
         self._fixed = np.zeros(shape)
         if self.by_altitude:
-            self._fixed += self._maps[1].information(np.full(len(maps[1][0]), EXACT**2))
-            self._fixed += self._maps[2].information(np.full(len(maps[2][0]), ANY_HEIGHT**2))
+            self._fixed += self._maps[1].information(np.full(len(maps[1][0]), HEIGHT_SD**2))
+            self._fixed += self._maps[2].information(np.full(len(maps[2][0]), START_HEIGHT_SD**2))
         self._field = MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
         self._noise = Chain(self._ends_t, self._force_error, self._linked)
         self._wanders = [self._wandering(places) for places in self._wander]
@@ -255,7 +255,7 @@ class RoadModel:
         t = self.nodes.t
         if self.wander == ROUGH:
             return Chain(t, places, np.ones(len(t) - 1, dtype=bool))
-        return MaternField(t, np.insert(np.diff(t) <= LONGEST_PASSAGE, 0, False), self.wander, places, self._shape)
+        return MaternField(t, np.insert(np.diff(t) <= MAX_PASSAGE, 0, False), self.wander, places, self._shape)
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
@@ -292,7 +292,7 @@ class RoadModel:
         variances = [torque**2 * own * self.weight**2 + disturbance**2]
         counts = list(self.counts[1:])
         if self.by_altitude:
-            variances += [np.full(counts.pop(0), EXACT**2), np.full(counts.pop(0), ANY_HEIGHT**2)]
+            variances += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
         for i, reading in enumerate(self.readings):
             variances.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0))
         return variances, 2 * weight * torque, time

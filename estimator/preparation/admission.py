@@ -1,4 +1,4 @@
-"""Which rows may become samples: each one that may not has one named reason."""
+"""Admission of rows as samples; each row that is not admitted has one named reason."""
 
 from collections import Counter
 from enum import StrEnum
@@ -93,7 +93,7 @@ def is_shifting(rows: Rows) -> Mask:
 
 
 def is_coasting(rows: Rows, margin: int) -> Mask:
-    """Where the bus says that the driveline is open and stays so (n,): no force comes from the engine.
+    """Where the bus signals that the driveline is open and stays open (n,): no force comes from the engine.
 
     Neutral, disengaged and no gear change in process, all three signalled, for ``margin`` rows on either side.
     """

@@ -7,7 +7,7 @@ from collections.abc import Set
 
 import numpy as np
 
-from estimator.preparation.lag import LONGEST_LAG
+from estimator.preparation.lag import MAX_LAG
 from estimator.preparation.smoothing import REACH, Kernels, convolve, instrument_kernels, slow_kernel
 from estimator.samples import STEP, Rows, Samples
 from estimator.signals import Floats, Quantity, Role
@@ -21,10 +21,10 @@ def to_samples(
 ) -> Samples:
     """Samples for the rows that have REACH on either side, one each; NaN where anything needed is missing.
 
-    ``lag`` [s] is how far power comes behind speed; ``inertial`` adds the slow part of the longitudinal
-    accelerometer's difference from dv/dt, which is gravity along the grade: m (dv/dt + g sin) is what the engine
-    feels. The fast part is left out: it is pitch on the suspension and vibration. ``wanted`` context that the bus
-    does not carry is NaN; time elapsed counts from ``start`` [s].
+    ``lag`` [s] is the delay of power behind speed. ``inertial`` adds the slow part of the longitudinal accelerometer's
+    difference from dv/dt, which is gravity along the grade: the engine's force is m (dv/dt + g sin) plus resistance.
+    The fast part is left out: it is pitch on the suspension and vibration. ``wanted`` context that the bus does not
+    carry is NaN; time elapsed counts from ``start`` [s].
     """
     ring = instrument_kernels(STEP)
     step = int(np.floor(lag / STEP))
@@ -55,10 +55,10 @@ def to_samples(
 
 
 def quantities(rows: Rows, start: float) -> dict[Quantity, Floats]:
-    """What the rows tell besides speed and power, each (n,); time elapsed counts from ``start`` [s].
+    """Quantities of the rows besides speed and power, each (n,); time elapsed counts from ``start`` [s].
 
-    Climb is gravity along the road, low-passed as wide as the ring: what an altimeter or accelerometer adds on top of
-    it faster than that is noise and pitch. An altitude's rate is its convolution with that low-pass' derivative.
+    Climb is gravity along the road, low-passed as wide as the ring of the instruments: faster changes of an altimeter
+    or accelerometer are noise and pitch. The rate of an altitude is its convolution with the low-pass' derivative.
     """
     found = measured(rows, start)
     speed = rows.plausible_speed
@@ -75,7 +75,7 @@ def quantities(rows: Rows, start: float) -> dict[Quantity, Floats]:
 
 
 def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
-    """The quantities that one row tells for itself, each (n,); time elapsed counts from ``start`` [s]."""
+    """Quantities that depend on one row alone, each (n,); time elapsed counts from ``start`` [s]."""
     found = {Quantity.ELAPSED: rows.t - start}
     same = {
         Quantity.ENGINE_SPEED: Role.ENGINE_SPEED,
@@ -100,7 +100,7 @@ def air_density(rows: Rows) -> Floats:
 
 def margin(dt: float) -> int:
     """Rows needed on either side of a sample: the ring, and room for the lag."""
-    return round((REACH + LONGEST_LAG) / dt)
+    return round((REACH + MAX_LAG) / dt)
 
 
 def _shift(signal: Floats, steps: int) -> Floats:

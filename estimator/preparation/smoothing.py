@@ -48,7 +48,7 @@ class Kernels:
         return len(self.value) // 2
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same kernels from."""
+        """The state that `restore` reads."""
         return table(self)
 
     @classmethod

@@ -1,7 +1,7 @@
-"""From rows to what a model is fitted to: the part of the estimator that differs between the likelihoods.
+"""From rows to the input of a model: the part of the estimator that depends on the likelihood.
 
 `SampleStage` makes samples with instruments, ten a second, for the moments and the paper's likelihood; `StrideStage`
-makes strides, one a second, for the model with the road as a state. Both cut at fixed rows, whatever the batches.
+makes strides, one a second, for the model with the road as a state. Both cut at fixed rows, independent of the batches.
 """
 
 from collections import Counter
@@ -18,7 +18,7 @@ from estimator.model.design_matrix import wanted_by
 from estimator.model.effects import Effect, named
 from estimator.preparation import kinematics, smoothing
 from estimator.preparation.admission import Reason
-from estimator.preparation.lag import LONGEST_LAG
+from estimator.preparation.lag import MAX_LAG
 from estimator.preparation.sample_maker import SampleMaker
 from estimator.preparation.standstill import Standstill
 from estimator.preparation.striding import Strider
@@ -26,17 +26,17 @@ from estimator.samples import Rows, Samples
 from estimator.signals import Quantity
 from estimator.strides import Strides
 
-BLOCK = 200  # rows turned into samples or strides at a time: 20 s
-CALIBRATION = 1800  # moving rows after which it is known how noisy and how late the signals are: 3 min
-LONGEST_WAIT = 18_000  # rows kept waiting for that: 30 min
-HEARD = 0.05  # share of the first minutes in which a quantity must be known to be used
+BLOCK_ROWS = 200  # rows turned into samples or strides at a time: 20 s
+CALIBRATION_ROWS = 1800  # moving rows from which noise and lag of the signals are found: 3 min
+MAX_WAITING_ROWS = 18_000  # rows kept until then: 30 min
+MIN_KNOWN_SHARE = 0.05  # of the first minutes, in which a quantity must be known to be used
 
 B = TypeVar("B", Samples, Strides, covariant=True)
 
 
 @dataclass(frozen=True)
 class Piece(Generic[B]):
-    """``rows`` of the grid and what was made of them; ``departs`` where they begin another load, perhaps."""
+    """``rows`` of the grid and the ``block`` made of them; ``departs`` where they begin a load segment."""
 
     rows: Rows
     block: B
@@ -56,7 +56,7 @@ class Stage(Protocol[B]):
         ...
 
     def finish(self) -> Iterator[Piece[B]]:
-        """Use what is still waiting, at the end of a log or before a gap."""
+        """Use the rows that still wait, at the end of a log or before a gap."""
         ...
 
     @property
@@ -65,28 +65,28 @@ class Stage(Protocol[B]):
         ...
 
     def pause(self, rows: int) -> None:
-        """Rows that never came: a silence of the bus."""
+        """Count ``rows`` of the grid that are missing: a silence of the bus."""
         ...
 
     def forget(self) -> None:
-        """Another drive begins."""
+        """Begin another drive."""
         ...
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from."""
+        """The state that `restore` reads."""
         ...
 
     def restore(self, state: State) -> None:
-        """Go on where another stage was."""
+        """Take the state of another stage."""
         ...
 
 
 def _needed(effects: tuple[Effect, ...], rows: Rows) -> frozenset[Quantity]:
-    """What the effects are to be computed from, of what the bus carries in ``rows``."""
+    """Quantities that the effects need and that the bus carries in ``rows``."""
     if not effects:
         return frozenset()
     there = kinematics.quantities(rows, 0.0).items()
-    return wanted_by(effects, {q for q, values in there if np.isfinite(values).mean() > HEARD})
+    return wanted_by(effects, {q for q, values in there if np.isfinite(values).mean() > MIN_KNOWN_SHARE})
 
 
 class SampleStage:
@@ -114,9 +114,9 @@ class SampleStage:
         """See `Stage`."""
         self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
         self.moving += int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
-        if self.moving < CALIBRATION and len(self._pending) < LONGEST_WAIT:
+        if self.moving < CALIBRATION_ROWS and len(self._pending) < MAX_WAITING_ROWS:
             return
-        yield from self._consume(BLOCK)
+        yield from self._consume(BLOCK_ROWS)
 
     def finish(self) -> Iterator[Piece[Samples]]:
         """See `Stage`; the rows at the very ends have no complete surroundings."""
@@ -143,11 +143,11 @@ class SampleStage:
             self._start = float(self._pending.t[0])
             self.wanted = _needed(self._effects, self._pending)
         while len(self._pending) >= least + 2 * margin:
-            core = min(BLOCK, len(self._pending) - 2 * margin)
+            core = min(BLOCK_ROWS, len(self._pending) - 2 * margin)
             yield self._piece(self._pending[: core + 2 * margin])
             self._pending = self._pending[core:]
-        if self.moving < CALIBRATION:
-            # A few moments of driving must not settle the smoother for all that follows.
+        if self.moving < CALIBRATION_ROWS:
+            # The smoother is kept for the whole drive, so it is not calibrated on a few seconds of driving.
             self._smoother, self.moving = None, 0
 
     def _piece(self, rows: Rows) -> Piece[Samples]:
@@ -187,14 +187,14 @@ class SampleStage:
         wanted = read(state, "wanted", list[Quantity] | None)
         self.wanted, self._start = None if wanted is None else frozenset(wanted), read(state, "start", float | None)
         self._standstill.restore(substate(state, "standstill"))
-        if abs(self.lag) > LONGEST_LAG:
+        if abs(self.lag) > MAX_LAG:
             raise StateError("lag: is out of range")
         if (self.wanted is None) != (self._start is None):
             raise StateError("start: does not go with what is wanted")
 
 
 class StrideStage:
-    """Rows to strides. Only effects make it wait, until it is known what the bus carries for them."""
+    """Rows to strides; with effects it waits until the signals that the bus carries for them are known."""
 
     lag = 0.0  # strides hold the force at several lags
 
@@ -219,11 +219,16 @@ class StrideStage:
         self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
         self._newest = float(rows.t[-1])
         self.moving += int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
-        if self._effects and self.wanted is None and self.moving < CALIBRATION and len(self._pending) < LONGEST_WAIT:
+        if (
+            self._effects
+            and self.wanted is None
+            and self.moving < CALIBRATION_ROWS
+            and len(self._pending) < MAX_WAITING_ROWS
+        ):
             return
         self._begin()
-        while self._pending is not None and len(self._pending) >= BLOCK:
-            part, self._pending = self._pending[:BLOCK], self._pending[BLOCK:]
+        while self._pending is not None and len(self._pending) >= BLOCK_ROWS:
+            part, self._pending = self._pending[:BLOCK_ROWS], self._pending[BLOCK_ROWS:]
             yield from self._stride(part)
 
     def finish(self) -> Iterator[Piece[Strides]]:
@@ -253,7 +258,7 @@ class StrideStage:
             self._strider = Strider(self._config.admission, self.wanted, float(self._pending.t[0]))
 
     def _stride(self, rows: Rows) -> Iterator[Piece[Strides]]:
-        """Strides before and after a departure are apart: the load may be another."""
+        """Pieces of strides, separated at a departure, after which the load may differ."""
         assert self._strider is not None
         departure = self._standstill.departure(rows.speed)
         if departure is not None:
@@ -264,7 +269,7 @@ class StrideStage:
         yield Piece(rows, self._strider.feed(rows, self.rejected), departure is not None)
 
     def _last(self) -> Iterator[Piece[Strides]]:
-        """What the strider still holds, none of it new to the grid."""
+        """The strides that the strider still holds; their rows were counted before."""
         assert self._strider is not None
         held = self._strider.held
         if held is not None:

@@ -11,7 +11,7 @@ from estimator.signals import Floats
 
 
 class Standstill:
-    """Tells from speeds on the grid when a vehicle drives off after a long stop."""
+    """Finds departures after long stops in speeds on the grid."""
 
     def __init__(self, load: Load, standing_speed: float) -> None:
         self._long = round(load.stop_s / STEP)
@@ -33,15 +33,15 @@ class Standstill:
         return int(moving[long[-1]]) if len(long) else None
 
     def pause(self, rows: int) -> None:
-        """Count a silence of the bus as standing: nobody saw what was loaded."""
+        """Count a silence of the bus as standing: the load may change in it."""
         self._standing += rows
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from."""
+        """The state that `restore` reads."""
         return {"standing": self._standing}
 
     def restore(self, state: State) -> None:
-        """Have stood for as long as another.
+        """Take the state of another one.
 
         Raises
         ------

@@ -20,15 +20,15 @@ from estimator.settings import Admission
 from estimator.signals import Floats, Mask, Quantity, Role
 from estimator.strides import DURATION, EDGE, LAGS, ROWS, Strides
 
-SPAN = ROWS + EDGE  # rows that a stride is computed from
-GAP = 1e5  # m of road that nobody saw, between two stretches of rows
-SLOWEST = 2.0  # m/s: below, force is a ratio of two small numbers, and a clutch may slip
+SPAN_ROWS = ROWS + EDGE  # rows that a stride is computed from
+GAP_DISTANCE = 1e5  # m, assumed between two stretches of rows: their slopes are then independent
+MIN_SPEED = 2.0  # m/s: below, force is a ratio of two small numbers, and a clutch may slip
 _REACH = round(float(LAGS.max()) / STEP)
-_WEIGHTS = np.convolve(np.convolve(np.ones(ROWS), np.ones(EDGE)), [0.5, 0.5])[:SPAN] / (ROWS * EDGE)
+_WEIGHTS = np.convolve(np.convolve(np.ones(ROWS), np.ones(EDGE)), [0.5, 0.5])[:SPAN_ROWS] / (ROWS * EDGE)
 
 
 class Strider:
-    """Cuts rows into strides; how the rows are batched changes nothing.
+    """Cuts rows into strides; the result does not depend on the batches.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Strider:
     def __init__(self, admission: Admission, wanted: frozenset[Quantity], start: float) -> None:
         self._admission = msgspec.structs.replace(
             admission,
-            minimum_speed_m_s=max(admission.minimum_speed_m_s, SLOWEST),
+            minimum_speed_m_s=max(admission.minimum_speed_m_s, MIN_SPEED),
             margin_s=admission.stride_margin_s,
         )
         self.wanted, self._start = wanted, start
@@ -61,7 +61,7 @@ class Strider:
     def feed(self, rows: Rows, rejected: Counter[str]) -> Strides:
         """Strides that rows up to these complete; rows of no known stride are counted by reason."""
         self._rows = rows if self._rows is None else Rows.concatenate(self._rows, rows)
-        return self._cut(self._rows, SPAN + ROWS + self._margin, rejected)
+        return self._cut(self._rows, SPAN_ROWS + ROWS + self._margin, rejected)
 
     def finish(self, rejected: Counter[str]) -> Strides:
         """The strides still waiting, when no row follows without a gap."""
@@ -79,7 +79,7 @@ class Strider:
         codes = row_reasons(rows, self._admission)
         if not rows.context.keys() & {Role.BRAKE_SWITCH, Role.BRAKE_PEDAL}:
             codes = np.where((codes == ADMITTED) & (rows.power <= 0), MAY_BRAKE, codes)
-        coasting = is_coasting(rows, margin) & (rows.plausible_speed > SLOWEST)
+        coasting = is_coasting(rows, margin) & (rows.plausible_speed > MIN_SPEED)
         return np.where(coasting, np.int8(ADMITTED), codes), coasting
 
     def _cut(self, rows: Rows, ahead: int, rejected: Counter[str]) -> Strides:
@@ -87,7 +87,7 @@ class Strider:
         codes, coasting = self._codes(rows)
         bad = np.concatenate([[0], np.cumsum(codes != ADMITTED)])
         clear = np.zeros(len(rows) + 1, dtype=bool)
-        clear[: max(len(rows) - SPAN + 1, 0)] = bad[SPAN:] == bad[:-SPAN]
+        clear[: max(len(rows) - SPAN_ROWS + 1, 0)] = bad[SPAN_ROWS:] == bad[:-SPAN_ROWS]
         starts, lengths, place = list[int](), list[int](), self._next
         while place + max(ahead, ROWS) <= len(rows):
             onward = np.flatnonzero(clear[place : place + ROWS])
@@ -113,7 +113,7 @@ class Strider:
         self, rows: Rows, coasting: Mask, first: NDArray[np.intp], length: NDArray[np.intp], known: Mask
     ) -> Strides:
         travelled, _ = self._travelled(rows)
-        at = np.minimum(first[:, None] + np.arange(SPAN), len(rows) - 1)
+        at = np.minimum(first[:, None] + np.arange(SPAN_ROWS), len(rows) - 1)
         speed = rows.plausible_speed
         blank = np.full(len(rows), np.nan)
 
@@ -130,15 +130,15 @@ class Strider:
             0.5 * (travelled[np.minimum(first + i + 1, len(rows))] + travelled[np.minimum(first + i + 2, len(rows))])
             for i in (0, ROWS)
         )
-        slow = np.maximum(speed, SLOWEST)
+        slow = np.maximum(speed, MIN_SPEED)
         force = np.column_stack([mean(np.where(coasting, 0.0, _later(rows.power, lag) / slow)) for lag in LAGS])
         turns = signal(Role.ENGINE_SPEED)
         gearing = np.where(np.isfinite(turns), turns, 1.0) / slow
         rise = signal(Role.GRADE)
-        middle = at[:, SPAN // 2]
+        middle = at[:, SPAN_ROWS // 2]
         there = measured(rows, self._start)
         return Strides(
-            t=rows.t[first] + (SPAN - 1) / 2 * STEP,
+            t=rows.t[first] + (SPAN_ROWS - 1) / 2 * STEP,
             rows=length.astype(np.int64),
             known=known,
             v0=v0,
@@ -167,10 +167,10 @@ class Strider:
 
     def pause(self) -> None:
         """The next rows follow after a gap of unknown length: no road connects them with those before."""
-        self._distance += GAP
+        self._distance += GAP_DISTANCE
 
     def state(self) -> dict[str, Any]:
-        """What `restore` goes on from."""
+        """The state that `restore` reads."""
         return {
             "rows": None if self._rows is None else self._rows.state(),
             "next": self._next,

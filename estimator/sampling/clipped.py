@@ -27,9 +27,9 @@ from estimator.sampling.likelihood import bound_precision, factor, highest_in_bo
 from estimator.signals import Floats
 
 RADII = (1.5, 2.5, 4.0, 8.0, 32.0, 128.0)  # sd, of the ellipsoids
-ITERATIONS = 50  # of the least squares; a few are enough where the data say anything
-FINEST = 1e-9  # smallest sd of the residual, over the root mean square of the power
-BATCH = 2**15  # numbers evaluated at once, to stay in the cache
+MAX_ITERATIONS = 50  # of the least squares; a few are enough where the data determine the parameters
+MIN_RESIDUAL_SHARE = 1e-9  # sd of the residual over the root mean square of the power: keeps exact data finite
+BATCH = 2**15  # numbers evaluated at once, to fit the cache
 
 
 def clipped_least_squares(samples: Condensed, M: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Sums]:
@@ -42,9 +42,9 @@ def clipped_least_squares(samples: Condensed, M: Floats, lower: Floats, upper: F
     active = np.ones(len(P), dtype=bool)
     sums = samples.active.about(-samples.region.origin).through(M) + Sums.of(X, P)
     weak = (upper - lower) ** -2.0
-    for _ in range(ITERATIONS):
-        # The whisper of a prior settles directions about which the active samples say nothing.
-        precision = sums.G + np.diag(FINEST**2 * (np.diag(sums.G) + sums.G.trace() * weak / weak.sum()))
+    for _ in range(MAX_ITERATIONS):
+        # A weak prior determines the directions that the active samples do not.
+        precision = sums.G + np.diag(MIN_RESIDUAL_SHARE**2 * (np.diag(sums.G) + sums.G.trace() * weak / weak.sum()))
         root = np.linalg.inv(factor(precision))
         theta = highest_in_box(precision, root.T @ (root @ sums.b), lower, upper)
         before, active = active, X @ theta > 0
@@ -111,7 +111,7 @@ class ClippedGaussianTarget:
         u = samples.X @ self._phi
         e = samples.P - np.maximum(u, 0.0)
         sure = samples.active.about(self._phi - samples.region.origin)
-        finest = FINEST**2 * samples.squares / max(samples.n, 1)
+        finest = MIN_RESIDUAL_SHARE**2 * samples.squares / max(samples.n, 1)
         chi2 = sure.s + samples.clipped + float(e @ e)
         self.variance = max(chi2 / max(samples.n - len(lower), 1), finest, np.finfo(float).tiny)  # W^2
         self._sigma = self.variance**0.5

@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear
 
 from estimator.signals import Floats, Mask
 
-WHISPER = 1e-12  # of its variance, added where a direction would have none
+MIN_VARIANCE_SHARE = 1e-12  # of the variances, added to them where a direction has none
 
 
 class Target(Protocol):
@@ -48,11 +48,11 @@ def in_box(theta: Floats, lower: Floats, upper: Floats) -> Mask:
 
 
 def factor(covariance: Floats) -> Floats:
-    """Lower Cholesky factors (..., p, p), with a whisper added where a direction has no variance."""
+    """Lower Cholesky factors (..., p, p) of covariances (..., p, p); MIN_VARIANCE_SHARE is added to singular ones."""
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     scale = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     correlation = covariance / (scale[..., :, None] * scale[..., None, :])
-    lower: Floats = scale[..., None] * np.linalg.cholesky(correlation + WHISPER * np.eye(scale.shape[-1]))
+    lower: Floats = scale[..., None] * np.linalg.cholesky(correlation + MIN_VARIANCE_SHARE * np.eye(scale.shape[-1]))
     return lower
 
 
@@ -67,7 +67,7 @@ def highest_in_box(precision: Floats, mean: Floats, lower: Floats, upper: Floats
 
 
 def bound_precision(centre: Floats, slope: Floats, lower: Floats, upper: Floats) -> Floats:
-    """What a bound at the highest point adds to the precision (p, p) of a Gaussian that resembles the density.
+    """Precision (p, p) that bounds at the highest point add to a Gaussian that resembles the density.
 
     There the density falls off along ``slope`` (p,), the gradient of its logarithm, as an exponential of sd 1 / slope;
     a proposal of twice that sd covers its tail.

@@ -21,7 +21,7 @@ WIDE_DOF = 6.0  # of that t: tails heavier than those of any target here
 
 @dataclass(frozen=True, slots=True)
 class Chains:
-    """``draws`` (chains, draws, p), those of the burn-in left out, and how they came about."""
+    """``draws`` (chains, draws, p) without the burn-in, and the figures of the kernel."""
 
     draws: Floats
     acceptance: float  # share of the proposals
@@ -87,8 +87,14 @@ def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: 
     hurdle[:-1] += weight
     hurdle[::n] = np.inf
     heaviest = 1 / float(np.exp(weight - weight.max()).mean())
-    # Whoever does not clear the hurdle against the state before stays there, and so may those that come next: against
-    # a state that refused its successor. That has the larger weight, so no refusal is ever taken back.
+    # A rejected proposal keeps the previous state. The vectorised code below equals, for each chain,
+    #     state = 0
+    #     for i in range(1, n):
+    #         if hurdle[i] > weight[state]:
+    #             state = i
+    #         states[i] = states[state]
+    # It compares each proposal with the one before, then those behind a rejected one with the state that was kept. The
+    # kept state has the larger weight, so a rejection stays one.
     refused = np.zeros(k * n, dtype=bool)
     place = np.flatnonzero(hurdle[1:-1] <= weight[:-1]) + 1
     stay = place - 1

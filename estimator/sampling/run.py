@@ -1,4 +1,4 @@
-"""One run of a kernel: starting points, draws, diagnosis, and a second way where the first does badly."""
+"""One run of a kernel: starting points, draws, diagnosis; the random walk where independence proposals fail."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,16 @@ from estimator.sampling.metropolis import KERNELS, Chains
 from estimator.signals import Floats
 
 SPREAD = 3.0  # sd of the chains' starting points around the centre
-LEAST_ACCEPTANCE = 0.2  # of independence proposals that resemble the target
-LEAST_ESS = 0.05  # per draw, of the worst parameter
-HEAVIEST = 20.0  # importance weight of them, over the mean
-WALK_BURN_IN = 1000  # iterations of the random walk that steps in
-WALK_DRAWS = 5000  # of it, the paper's number
+MIN_ACCEPTANCE = 0.2  # of independence proposals that resemble the target
+MIN_ESS_PER_DRAW = 0.05  # effective draws over draws, of the worst parameter
+MAX_IMPORTANCE_WEIGHT = 20.0  # of an independence proposal, over the mean weight
+WALK_BURN_IN = 1000  # iterations of the random walk that replaces them
+WALK_DRAWS = 5000  # of the random walk: the paper's number
 
 
 @dataclass(frozen=True)
 class Run:
-    """Draws (chains, draws, p), who made them, and what they are worth parameter by parameter."""
+    """Draws (chains, draws, p), their kernel, and the diagnosis of each parameter."""
 
     draws: Floats
     kernel: str
@@ -43,16 +43,16 @@ def overdispersed(target: Target, chains: int, rng: np.random.Generator) -> Floa
 def run(target: Target, kernel: str, chains: int, burn_in: int, draws: int, rng: np.random.Generator) -> Run:
     """Draw from ``target`` with one of `metropolis.KERNELS`, ``chains`` x ``draws`` after ``burn_in`` iterations.
 
-    Independence proposals are only as good as the local Gaussian they come from. Where the density has several
-    modes or an odd shape they are hardly ever accepted, few draws are worth anything, or a few have all the weight;
-    then the random walk, which needs no such resemblance, takes over with more iterations. Whether it converged its
-    diagnoses say: chains that stay in different modes give a large R-hat.
+    Independence proposals need a density that resembles their Gaussian. Where it has several modes or another shape,
+    few are accepted, the effective draws are few, or a few draws have all the weight; then the random walk, which does
+    not need the resemblance, is run with more iterations. The diagnoses show whether it converged: chains that stay in
+    different modes give a large R-hat.
     """
     starts = overdispersed(target, chains, rng)
     if kernel == "independence":
         made = KERNELS[kernel](target, starts, burn_in, draws, rng)
         judged = _judged(kernel, made)
-        if made.heaviest <= HEAVIEST and _resembles(judged):
+        if made.heaviest <= MAX_IMPORTANCE_WEIGHT and _resembles(judged):
             return judged
     burn_in, draws = max(burn_in, WALK_BURN_IN), max(draws, WALK_DRAWS)
     return _judged("random_walk", KERNELS["random_walk"](target, starts, burn_in, draws, rng))
@@ -67,4 +67,4 @@ def _resembles(run: Run) -> bool:
     """Whether the proposals of an independence run were like its target."""
     draws = run.draws.shape[0] * run.draws.shape[1]
     worst = float(np.min([diagnosis.ess_bulk for diagnosis in run.diagnoses]))
-    return run.acceptance >= LEAST_ACCEPTANCE and worst >= LEAST_ESS * draws
+    return run.acceptance >= MIN_ACCEPTANCE and worst >= MIN_ESS_PER_DRAW * draws

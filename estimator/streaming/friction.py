@@ -58,7 +58,7 @@ class FrictionCurve:
         return refined
 
     def state(self) -> dict[str, Any]:
-        """What `restore` makes the same curve from."""
+        """The state that `restore` reads."""
         return {"sums": self._sums, "levels": self._levels}
 
     def restore(self, state: State) -> None:

@@ -30,7 +30,7 @@ from blind.naming import naming
 from blind.tables import as_row
 from blind.truth import Truth
 from estimator.config import Config
-from estimator.diagnosis.averaged_residual import grains_of
+from estimator.diagnosis.averaged_residual import averages_of
 from estimator.diagnosis.candidates import assess
 from estimator.diagnosis.model import fit, select
 from estimator.model.effects import CATALOGUE
@@ -58,7 +58,7 @@ def library_of(log: Path) -> Library | None:
     model = None if kept is None else fit(record.samples[kept])
     if model is None:
         return None
-    candidates = assess(model, grains_of(model), CATALOGUE, record.known, None)
+    candidates = assess(model, averages_of(model), CATALOGUE, record.known, None)
     own, _ = model.views()
     X = model.base.X
     raw = np.column_stack([own.P, *(candidate.term.column(own) for candidate in candidates)])

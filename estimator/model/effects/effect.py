@@ -1,4 +1,4 @@
-"""What an unmodelled effect is: the power it adds to the road load, as a function of what was measured.
+"""An effect that the road load lacks: the power it adds, as a function of measured quantities.
 
 One object serves the diagnosis (is it there?), the streaming estimator (add it to the model) and the documentation.
 """
@@ -44,7 +44,7 @@ class View:
     density: Floats
     context: Context
     road_load: Floats
-    climb: Floats  # (n,) [m/s] that the model knows of
+    climb: Floats  # [m/s], vertical speed by a signal in the model; 0 without one
 
     @property
     def A(self) -> float:
@@ -100,7 +100,7 @@ class Effect:
     positive
         Whether a negative magnitude makes no sense.
     needs
-        Context without which it cannot be computed.
+        Quantities without which it cannot be computed.
     shapes
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
     finer
@@ -119,7 +119,7 @@ class Effect:
     is_gravity
         Its magnitude is the mass: in the model it joins m instead of adding a parameter.
     absorbed
-        A, C and m take it up whole: no drive shows it, whatever its size.
+        A, C and m fit it completely, so no drive gives evidence of it, whatever its size.
     breaks
         Signal or manoeuvre that would show it.
     """
@@ -152,7 +152,7 @@ class Effect:
         return tuple(shape for shape in self.shapes if not isinstance(shape, Quantity) or shape in known)
 
     def streaming_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:
-        """Those with which it can be part of the streaming model: free times have to be shown by a signal."""
+        """The shapes with which it can be in the streaming model: a signal must show when it acts."""
         usable = self.usable_shapes(known)
         return usable if self.timing is Timing.ALWAYS else tuple(s for s in usable if isinstance(s, Quantity))
 
@@ -164,6 +164,6 @@ class Effect:
 
     @property
     def streams(self) -> bool:
-        """Whether it can be part of the streaming model: not if its times have to be found, or nothing shows it."""
+        """Whether it can be in the streaming model: its times need no search, and A, C and m do not absorb it."""
         signalled = any(isinstance(shape, Quantity) for shape in self.shapes)
         return not self.absorbed and (self.timing is Timing.ALWAYS or signalled)

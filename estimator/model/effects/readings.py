@@ -1,4 +1,4 @@
-"""Effects of the instruments: what the control units report goes off."""
+"""Effects of the instruments: errors of the signals that control units send."""
 
 import numpy as np
 
