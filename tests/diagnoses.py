@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.result import (
     Advice,
     Diagnosis,
@@ -19,7 +20,6 @@ from estimator.diagnosis.result import (
     Shift,
     Span,
     Traces,
-    Verdict,
 )
 
 NAMES = ("headwind", "grade", "warm_up", "auxiliary_cycling", "auxiliary_load", "viscous_drag", "torque_bias")

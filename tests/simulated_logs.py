@@ -7,8 +7,15 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
+from estimator.answers.answer import Answer, encode
+from estimator.answers.diagnosis import DiagnosisAnswer
+from estimator.answers.fleet import FleetAnswer
+from estimator.answers.inspection import InspectionAnswer
+from estimator.answers.run import RunAnswer
+from estimator.answers.simulation import SimulationAnswer
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands.main import main
@@ -20,6 +27,15 @@ from estimator.simulation.route import RoadKind
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import Truck
 
+ANSWERS: dict[str, type[Answer]] = {
+    "estimate": RunAnswer,
+    "replay": RunAnswer,
+    "diagnose": DiagnosisAnswer,
+    "inspect": InspectionAnswer,
+    "check": InspectionAnswer,
+    "simulate": SimulationAnswer,
+    "fleet": FleetAnswer,
+}
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the dyno truth of the paper
 CLIMB = (Role.GRADE, Role.ALTITUDE, Role.LONGITUDINAL_ACCELERATION)
 
@@ -46,12 +62,14 @@ def written(recording: Recording, path: Path) -> Path:
 
 
 def ask(*arguments: object) -> dict[str, Any]:
-    """The JSON that a command prints; it must succeed."""
+    """The JSON that a command prints; it must succeed, and the JSON must be of its type."""
     out = StringIO()
     with redirect_stdout(out):
         status = main([*map(str, arguments), "--json"])
     assert status == 0
     answer: dict[str, Any] = json.loads(out.getvalue())
+    typed = msgspec.json.decode(out.getvalue(), type=ANSWERS[str(arguments[0])])
+    assert json.loads(encode(typed)) == answer  # no key that its type does not have
     return answer
 
 

@@ -6,22 +6,32 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
+
+from estimator.answers.answer import encode
+from estimator.answers.diagnosis import GapClosed, Verdict
+from estimator.diagnosis.result import Diagnosis
+from estimator.report.diagnosis_summary import of_diagnosis
 
 DRIVES = int(os.environ.get("BLIND_DRIVES", "30"))  # of the fixed set
 MINUTES = float(os.environ.get("BLIND_MINUTES", "40"))
 SEED = 7
 
 FAKE = """
-import json, sys
+import sys
 from pathlib import Path
 assert not list(Path.cwd().glob("**/sealed")), "a truth lies within reach"
 name = Path(sys.argv[1]).stem
 if name.endswith("1"):
     sys.exit("error: no power in the log")
-finding = {"name": "grade", "probability": 0.9, "log_bayes_factor": 9.0, "equivalent": [], "span_s": [[1, 2]],
-           "gap_closed": {"fraction": 0.8, "q05": 0.7, "q95": 0.9}, "magnitude": None}
-print(json.dumps({"verdict": "effect", "effects": [finding], "candidates": [finding]}))
+print(Path(__file__).with_name("answer.json").read_text())
 """
+
+
+def answer(verdict, effects=(), candidates=()):
+    """What `roadload diagnose` says; of all else it knows nothing."""
+    nothing = of_diagnosis(Diagnosis(verdict=Verdict.CANNOT_TELL))
+    return replace(nothing, verdict=Verdict(verdict), effects=effects, candidates=candidates)
 
 
 @pytest.fixture(autouse=True)
@@ -57,13 +67,13 @@ def truth_of(drive="drive-0000", kind="single", names=("grade",), log_bayes_fact
 
 
 def run_of(verdict, *names, drive="drive-0000", probability=0.95, fraction=1.0, equivalent=(), span=()):
-    from blind.answer import Answer, Finding, GapClosed, Run
+    from blind.answer import Run, bare
 
-    closed = GapClosed(fraction, fraction - 0.05, fraction + 0.05)
+    closed = GapClosed(fraction=fraction, q05=fraction - 0.05, q95=fraction + 0.05)
     findings = tuple(
-        Finding(name, probability, 20.0, equivalent=equivalent, gap_closed=closed, span=span) for name in names
+        replace(bare(name, probability), equivalent=equivalent, gap_closed=closed, span_s=span) for name in names
     )
-    return Run(drive, 4.0, 4.0, 200.0, Answer(verdict, effects=findings, candidates=findings))
+    return Run(drive, 4.0, 4.0, 200.0, answer(verdict, findings, findings))
 
 
 def measures(*cases):
@@ -220,11 +230,11 @@ def test_overlap_counts_only_where_the_truck_is_driven():
 
 
 def test_credible_sets_hold_what_they_promise():
-    from blind.answer import Answer, Finding, Run, credible_set
+    from blind.answer import Run, bare, credible_set
 
     def chosen(**probabilities):
-        ranked = tuple(Finding(name, p) for name, p in probabilities.items())
-        return [f.name for f in credible_set(Run("", 1.0, 1.0, 1.0, Answer("effect", candidates=ranked)))]
+        ranked = tuple(bare(name, p) for name, p in probabilities.items())
+        return [f.name for f in credible_set(Run("", 1.0, 1.0, 1.0, answer("effect", candidates=ranked)))]
 
     assert chosen(grade=0.95, headwind=0.05) == ["grade"]
     assert chosen(grade=0.6, headwind=0.35) == ["grade", "headwind"]
@@ -255,6 +265,7 @@ def test_seal_refuses_what_was_changed_afterwards(tmp_path):
 
 def test_answers_are_kept_with_their_cost_and_failures_with_their_reason(tmp_path):
     from blind import diagnose, seal
+    from blind.answer import bare
 
     for name in ("logs", "sealed"):
         (tmp_path / name).mkdir()
@@ -265,6 +276,7 @@ def test_answers_are_kept_with_their_cost_and_failures_with_their_reason(tmp_pat
     seal.publish(tmp_path, entries)
     script = tmp_path / "fake.py"
     script.write_text(FAKE)
+    script.with_name("answer.json").write_bytes(encode(answer("effect", (bare("grade", 0.9),))))
     assert len(list(diagnose.diagnose_all(tmp_path, 2, (sys.executable, str(script))))) == 2
     runs = diagnose.answers(tmp_path)
 

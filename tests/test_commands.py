@@ -52,6 +52,7 @@ def fails(outcome: Outcome, *fragments: str) -> None:
 
 
 JSON_KEYS = {
+    "schema",
     "status",
     "reason",
     "advice",

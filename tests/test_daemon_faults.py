@@ -65,12 +65,12 @@ def test_saving_is_tried_again_until_it_works_and_the_reason_is_shown():
     bench.turn()
     bench.traffic(30.0, frame(0x18FEF100, bytes([0xFF, 0, 60, *[0xFF] * 5])))
     bench.worker.save()
-    assert "Read-only" in bench.daemon.content(bench.now)["estimator"]["state_problem"]
+    assert "Read-only" in bench.daemon.status(bench.now).estimator.state_problem
     assert bench.worker.saves["failed"] >= 1
     disk.is_read_only = False
     bench.worker.save()
     assert disk.saved == 1
-    assert bench.daemon.content(bench.now)["estimator"]["state_problem"] == ""
+    assert bench.daemon.status(bench.now).estimator.state_problem == ""
 
 
 def test_status_and_metrics_that_cannot_be_written_do_not_stop_the_loop(tmp_path: Path, monkeypatch, caplog):

@@ -9,12 +9,12 @@ import pytest
 from daemon_bench import Bench, frame
 
 from estimator import config
+from estimator.answers.status import State
 from estimator.can_io.j1939_node import FREE
 from estimator.daemon.reception.buses import BusSpec, open_bus
 from estimator.daemon.reception.device import Device
 from estimator.daemon.reception.filters import node_filters
 from estimator.daemon.reception.reader import Batch
-from estimator.daemon.service.status_file import State
 from estimator.errors import ConfigError
 
 GONE = can.CanOperationError("Failed to receive: No such device", errno.ENODEV)

@@ -1,18 +1,21 @@
 """The loop: what it sends and keeps back, what it says of itself, and that nothing on a bus breaks it."""
 
-import json
 import socket
 from collections.abc import Mapping
 from pathlib import Path
 
 import can
+import msgspec
 import numpy as np
 import pytest
 from daemon_bench import EPOCH, Bench, frame
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from estimator import config
+from estimator.answers.answer import encode
+from estimator.answers.status import State, StatusAnswer
 from estimator.can_io.counter_crc import verify
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
@@ -22,9 +25,8 @@ from estimator.config import Config
 from estimator.daemon.reception.reader import Batch
 from estimator.daemon.service import status, status_file
 from estimator.daemon.service.sd_notify import Notifier
-from estimator.daemon.service.status_file import State
 from estimator.daemon.service.worker import Worker
-from estimator.errors import RoadloadError
+from estimator.errors import InputError, RoadloadError
 from estimator.settings import Reception
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
@@ -91,9 +93,9 @@ def test_a_claim_that_does_not_reach_the_bus_is_sent_again_and_counted() -> None
     bench.traffic(30.0)
     assert set(groups(bench.bus.sent)) == {0xEAFF, 0xEEFF}
     assert 25 <= groups(bench.bus.sent).count(0xEEFF) <= 30
-    content = bench.daemon.content(bench.now)
-    assert content["transmit"]["address"] is None
-    assert content["transmit"]["events"]["claim not confirmed"] >= 24
+    transmit = bench.daemon.status(bench.now).transmit
+    assert transmit.address is None
+    assert transmit.events["claim not confirmed"] >= 24
 
 
 def test_before_the_first_estimate_all_values_are_not_available(sending: Bench) -> None:
@@ -121,7 +123,7 @@ def test_an_id_that_another_node_sends_is_withheld_and_said(sending: Bench) -> N
     assert groups(sending.bus.sent).count(0xFF60) == before
     assert sending.transmitter is not None
     assert sending.transmitter.withheld == {"another node sends from our address": 5}
-    assert sending.daemon.content(sending.now)["transmit"]["colliding_groups"] == ["FF60"]
+    assert sending.daemon.status(sending.now).transmit.colliding_groups == ("FF60",)
     sending.traffic(60.0)
     assert groups(sending.bus.sent).count(0xFF60) > before
 
@@ -131,9 +133,9 @@ def test_reasons_for_withholding_are_few_whatever_others_send(sending: Bench) ->
         for address in (source, 0xFB):
             sending.put(*(frame(0x18000000 | pgn << 8 | address) for pgn in sorted(output_groups())))
         sending.traffic(1.0)
-    content = sending.daemon.content(sending.now)["transmit"]
-    assert set(content["withheld"]) == {"another node sends the CVW", "another node sends from our address"}
-    assert len(content["colliding_groups"]) == len(output_groups(cvw=False))
+    transmit = sending.daemon.status(sending.now).transmit
+    assert set(transmit.withheld) == {"another node sends the CVW", "another node sends from our address"}
+    assert len(transmit.colliding_groups) == len(output_groups(cvw=False))
 
 
 def test_a_copy_of_our_own_claim_changes_nothing(sending: Bench) -> None:
@@ -154,10 +156,10 @@ def test_our_name_at_another_address_silences_us_for_seconds_and_not_for_good(se
     sending.traffic(1.0)
     assert sending.transmitter is not None
     assert sending.transmitter.address is None
-    assert "has our NAME" in sending.daemon.content(sending.now)["transmit"]["fault"]
+    assert "has our NAME" in sending.daemon.status(sending.now).transmit.fault
     sending.traffic(12.0)
     assert sending.transmitter.address == 0xFB
-    assert sending.daemon.content(sending.now)["transmit"]["fault"] == ""
+    assert sending.daemon.status(sending.now).transmit.fault == ""
     assert sending.transmitter.events["NAME used by another"] == 1
 
 
@@ -183,9 +185,9 @@ def test_a_foreign_weight_keeps_ours_back(sending: Bench) -> None:
     before = groups(sending.bus.sent).count(0xFE70)
     sending.traffic(25.0, frame(0x18FE7031))
     assert groups(sending.bus.sent).count(0xFE70) == before
-    content = sending.daemon.content(sending.now)
-    assert content["transmit"]["foreign_weights"] == [0x31]
-    assert any("CVW" in reason for reason in content["transmit"]["withheld"])
+    transmit = sending.daemon.status(sending.now).transmit
+    assert transmit.foreign_weights == (0x31,)
+    assert any("CVW" in reason for reason in transmit.withheld)
 
 
 def test_a_sleeping_vehicle_is_left_asleep(sending: Bench) -> None:
@@ -290,9 +292,11 @@ def test_a_drive_on_the_bus_is_estimated_as_from_its_log_and_broadcast(drive: Fr
     masses = [m for m in broadcast(bench) if m.arbitration_id >> 8 & 0xFFFF == 0xFF61]
     decoded = output_database().decode_message("RoadloadMass", masses[-1].data)
     assert decoded["MassMean"] == pytest.approx(shown.mass.mean, abs=2.0)
-    content = json.loads((tmp_path / "status.json").read_text())
-    assert content["estimate"]["parameters"]["mass_kg"]["mean"] == pytest.approx(shown.mass.mean)
-    assert content["signals"]["speed"]["age_s"] < 10
+    written = status_file.read(tmp_path / "status.json")
+    assert written.estimate is not None
+    assert written.estimate.parameters.mass_kg.mean == pytest.approx(shown.mass.mean)
+    assert written.signals["speed"].age_s is not None
+    assert written.signals["speed"].age_s < 10
     assert 'roadload_mass_kg{moment="mean"}' in (tmp_path / "metrics.prom").read_text()
     bench.daemon.close()
     last = output_database().decode_message("RoadloadMass", broadcast(bench)[-1].data, decode_choices=True)
@@ -308,7 +312,7 @@ def test_a_clock_set_by_an_hour_in_mid_drive_does_not_harm_the_estimate(drive: F
         half = len(drive) // 2
         play(bench, drive[:half])
         play(bench, drive[half:], ahead=step)
-        assert bench.daemon.content(bench.now)["clock_steps"] == (step != 0)
+        assert bench.daemon.status(bench.now).clock_steps == (step != 0)
         shown = bench.worker.knowledge.estimate
         assert shown is not None
         assert shown.mass is not None
@@ -409,16 +413,28 @@ def test_systemd_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
 def test_a_status_is_only_that_of_a_living_and_recent_daemon(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.turn()
-    content = json.loads((tmp_path / "status.json").read_text())
-    assert status_file.verdict(content, bench.now) == ""
-    assert "ago" in status_file.verdict(content, bench.now + 60)
-    assert "machine" in status_file.verdict(content, bench.now - 60)
-    assert "ended" in status_file.verdict(content | {"pid": 2**22 + 1}, bench.now)
+    written = status_file.read(tmp_path / "status.json")
+    assert status_file.verdict(written, bench.now) == ""
+    assert "ago" in status_file.verdict(written, bench.now + 60)
+    assert "machine" in status_file.verdict(written, bench.now - 60)
+    assert "ended" in status_file.verdict(replace(written, pid=2**22 + 1), bench.now)
+
+
+def test_a_status_of_another_version_is_refused_with_the_reason(tmp_path: Path) -> None:
+    Bench(tmp_path).turn()
+    path = tmp_path / "status.json"
+    newer = path.read_text().replace('"schema":1', '"schema":2')
+    path.write_text(newer)
+    with pytest.raises(InputError, match=r"status\.json: is of another version.*schema"):
+        status_file.read(path)
+    path.write_text("{broken")
+    with pytest.raises(InputError, match="not a status file"):
+        status_file.read(path)
 
 
 def test_metrics_can_be_read_by_prometheus(sending: Bench) -> None:
     sending.worker.knowledge = status.Knowledge(refused={'odd "name"\nwith \\': 2})
-    text = status.metrics(sending.daemon.content(sending.now))
+    text = status.metrics(sending.daemon.status(sending.now))
     for line in text.splitlines():
         assert line.startswith("# TYPE roadload_") or line.startswith("roadload_")
         if not line.startswith("#"):
@@ -470,9 +486,9 @@ def test_nothing_on_a_bus_breaks_the_loop(turns: list[tuple[float, list[can.Mess
     assert bench.worker.drops == counts.queue_drops == 0
     shown = bench.worker.knowledge.estimate
     assert shown is None or shown.mass is None
-    text = json.dumps(bench.daemon.content(bench.now), allow_nan=False)
+    text = encode(bench.daemon.status(bench.now))
     assert len(text) < 50_000
-    assert status.metrics(json.loads(text))
+    assert status.metrics(msgspec.json.decode(text, type=StatusAnswer))
     assert len(bench.bus.sent) <= 40 + 20 * (bench.now - 100.0)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from diagnoses import empty, finding, rich, several, unknown
@@ -16,6 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
+from estimator.answers import diagnosis as answer
+from estimator.answers.answer import encode
+from estimator.answers.diagnosis import Verdict
 from estimator.commands.diagnosis_tables import print_diagnosis
 from estimator.diagnosis.result import (
     HIDDEN_GRADE,
@@ -28,7 +32,6 @@ from estimator.diagnosis.result import (
     NotTestable,
     Shift,
     Traces,
-    Verdict,
 )
 from estimator.errors import ConfigError, RoadloadError
 from estimator.report import number_format, wording
@@ -52,7 +55,7 @@ CONTRACT = {
 
 @pytest.mark.parametrize("name", DIAGNOSES)
 def test_json_keeps_the_contract(name: str) -> None:
-    content = json.loads(json.dumps(of_diagnosis(DIAGNOSES[name]()), allow_nan=False))
+    content = json.loads(encode(of_diagnosis(DIAGNOSES[name]())))
     assert content.keys() >= CONTRACT
     assert content["remaining"].keys() == {"verdict", "log_bayes_factor"}
     for effect in content["effects"] + content["candidates"]:
@@ -66,37 +69,36 @@ def test_json_keeps_the_contract(name: str) -> None:
 
 def test_json_gives_kilowatts_and_distances() -> None:
     d = rich()
-    content = of_diagnosis(d)
-    wind = content["effects"][0]
-    assert (content["rms_base_kW"], content["noise_floor_kW"], wind["rms_after_kW"]) == (13.4, 3.3, 7.6)
-    assert wind["gap_closed"] == {"fraction": 0.712, "q05": 0.66, "q95": 0.755}
-    assert wind["parameter_shift"] == {"mass_kg": -120.0, "A_N": 85.0, "C_N_s2_m2": -0.21}
-    assert content["where"][0]["bias_kW"] == pytest.approx(14.2)
+    said = of_diagnosis(d)
+    wind = said.effects[0]
+    assert (said.rms_base_kW, said.noise_floor_kW, wind.rms_after_kW) == (13.4, 3.3, 7.6)
+    assert wind.gap_closed == answer.GapClosed(fraction=0.712, q05=0.66, q95=0.755)
+    assert wind.parameter_shift == answer.RoadLoad(mass_kg=-120.0, A_N=85.0, C_N_s2_m2=-0.21)
+    assert said.where[0].bias_kW == pytest.approx(14.2)
     names = len(d.isolability.names)
-    assert len(content["isolability"]["pairs"]) == names * (names - 1) / 2
+    assert len(said.isolability.pairs) == names * (names - 1) / 2
     same = dataclasses.replace(
         d, isolability=Isolability(("a", "b", "c"), np.array([[1, -1, 0], [-1, 1, 0], [0, 0, 1]]), np.zeros(3))
     )
-    assert [p["distance"] for p in of_diagnosis(same)["isolability"]["pairs"]] == [0, 1, 1]
+    assert [pair.distance for pair in of_diagnosis(same).isolability.pairs] == [0, 1, 1]
 
 
 def test_json_says_null_for_what_is_not_known() -> None:
     odd = finding("fan", np.nan, magnitude=Magnitude("x", np.inf, np.nan, ""), gap_closed=GapClosed(np.nan, 0.1, 0.2))
     d = Diagnosis(verdict=Verdict.EFFECT, effects=(odd,), noise_floor=np.nan, rms_base=np.float64(2000.0))
-    content = json.loads(json.dumps(of_diagnosis(d), allow_nan=False))
-    assert content["effects"][0]["probability"] is None
-    assert content["effects"][0]["magnitude"]["value"] is None
-    assert content["effects"][0]["gap_closed"]["fraction"] is None
-    assert (content["noise_floor_kW"], content["rms_base_kW"], content["rms_final_kW"]) == (None, 2.0, None)
+    said = msgspec.json.decode(encode(of_diagnosis(d)), type=answer.DiagnosisAnswer)
+    (effect,) = said.effects
+    assert (effect.probability, effect.magnitude.value, effect.gap_closed.fraction) == (None, None, None)
+    assert (said.noise_floor_kW, said.rms_base_kW, said.rms_final_kW) == (None, 2.0, None)
 
 
 def test_json_says_which_log_a_time_belongs_to() -> None:
-    content = of_diagnosis(several())
-    wind, fan = content["effects"]
-    assert fan["span_s"] == [[420.0, 520.0], [427.0, 527.0], [1127.0, 1227.0]]
-    assert fan["span_log"] == [0, 1, 1]
-    assert (wind["span_s"], wind["span_log"]) == ([], [])
-    assert content["logs"] == ["monday.blf", "tuesday.blf"]
+    said = of_diagnosis(several())
+    wind, fan = said.effects
+    assert fan.span_s == ((420.0, 520.0), (427.0, 527.0), (1127.0, 1227.0))
+    assert fan.span_log == (0, 1, 1)
+    assert (wind.span_s, wind.span_log) == ((), ())
+    assert said.logs == ("monday.blf", "tuesday.blf")
 
 
 # page

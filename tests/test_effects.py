@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from simulated_logs import TRUCK, drive, written
 
+from estimator.answers.diagnosis import Verdict
 from estimator.config import Config
 from estimator.diagnosis.diagnose import diagnose
-from estimator.diagnosis.result import Verdict
 from estimator.errors import ConfigError
 from estimator.model.effects import BY_NAME, CATALOGUE, SOURCES, Effect, Timing, View, named
 from estimator.model.road_load import design

@@ -18,12 +18,13 @@ import pytest
 
 from estimator import config as configuration
 from estimator import estimate_drives
+from estimator.answers.diagnosis import Verdict
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands.main import main
 from estimator.config import Config
-from estimator.diagnosis.result import Diagnosis, Finding, Magnitude, Verdict
+from estimator.diagnosis.result import Diagnosis, Finding, Magnitude
 from estimator.errors import ConfigError, RoadloadError
 from estimator.fleet import output
 from estimator.fleet.cache import Cache

@@ -5,7 +5,9 @@ from math import pi
 import numpy as np
 import pytest
 
+from estimator.answers import simulation as answer
 from estimator.errors import InputError
+from estimator.report.simulation_summary import of_recording
 from estimator.simulation.drive import drive
 from estimator.simulation.effects.catalogue import KINDS, effects_from, parse_effect
 from estimator.simulation.effects.effect import Effect
@@ -343,14 +345,14 @@ def test_simulate_takes_names_and_magnitudes_and_describes_what_was_true():
     recording = simulate(
         TRUCK, "highway", 300.0, rng, effects={"grade": 0.01, "snow_plough": None}, shape="out-and-back"
     )
-    told = recording.describe()
+    said = of_recording(recording, "truck.blf", 1000, 300.0)
 
-    assert told["truth"] == {"mass_kg": 27_190.0, "A_N": 1739.0, "C_N_s2_m2": 3.74}
-    grade, plough = told["effects"]
-    assert (grade["name"], grade["known_as"], grade["magnitude"]) == ("grade", "grade", 0.01)
-    assert (plough["name"], plough["known_as"], plough["magnitude"]) == ("snow_plough", None, 3000.0)
-    assert grade["rms_kW"] > 1.0
-    assert set(told["also_acting_kW"]) == {"air_density"}
+    assert said.truth == answer.Truth(mass_kg=27_190.0, A_N=1739.0, C_N_s2_m2=3.74)
+    grade, plough = said.effects
+    assert (grade.name, grade.known_as, grade.magnitude) == ("grade", "grade", 0.01)
+    assert (plough.name, plough.known_as, plough.magnitude) == ("snow_plough", None, 3000.0)
+    assert grade.rms_kW > 1.0
+    assert set(said.also_acting_kW) == {"air_density"}
 
 
 def test_usual_magnitudes_are_plausible_and_at_least_five_kinds_are_outside_the_catalogue():

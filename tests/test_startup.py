@@ -1,13 +1,15 @@
 """The program starts quickly because a command imports only its own needs; measured by module, not by the clock."""
 
-import json
-import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from daemon_bench import Bench
+from msgspec.structs import replace
+
+from estimator.daemon.service import status_file
 
 COMPUTING = {"numpy", "scipy", "filterpy", "matplotlib", "pandas", "can", "cantools"}
 OTHER_COMMANDS = {
@@ -44,8 +46,10 @@ def test_version_and_help_import_nothing_that_computes(option: str) -> None:
 def test_status_imports_nothing_that_computes(tmp_path: Path) -> None:
     config = tmp_path / "roadload.toml"
     config.write_text(f'[service]\nruntime_directory = "{tmp_path}"\n')
-    status = {"pid": os.getpid(), "written_monotonic_s": time.monotonic()}
-    (tmp_path / "status.json").write_text(json.dumps(status))
+    bench = Bench(tmp_path)
+    bench.turn()
+    status = replace(bench.daemon.status(0.0), written_monotonic_s=time.monotonic())
+    status_file.write(tmp_path / "status.json", status)
     modules = imported("status", "--json", "--config", str(config))
     assert "estimator.commands.status" in modules
     assert not COMPUTING & modules

@@ -9,13 +9,20 @@ import can
 import cantools
 import numpy as np
 import pytest
+from diagnoses import finding
+from msgspec.structs import replace
 
 from estimator import config
+from estimator.answers.diagnosis import Verdict
+from estimator.answers.run import RunAnswer
+from estimator.answers.simulation import SimulationAnswer, Truth
 from estimator.can_io.binding import load_database
 from estimator.can_io.j1939_encoder import EPOCH, frames_of
 from estimator.can_io.log_writer import write_log
+from estimator.diagnosis.result import Diagnosis, GapClosed
 from estimator.errors import RoadloadError
 from estimator.model.road_load import design
+from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Role
 from estimator.streaming.replay import estimate_logs
 from estimator.units import STANDARD_GRAVITY
@@ -260,11 +267,11 @@ def test_hills_without_a_signal_of_them_make_a_real_truck_too_light(tools, recor
     hidden.write_text(tools.recordings.without(shown.read_text(), "altitude"))
     tools.vt.write(next(rows for name, rows in tools.vt.recordings(table) if name == "1a"), log)
     before = tools.recordings.diagnose(log, "--config", hidden, "--dbc", tools.vt.DBC)
-    assert before.named == ("grade",)
-    assert before.mass[0] + 3 * before.mass[1] < 20e3
-    answer = tools.recordings.roadload("estimate", log, "--config", shown, "--effect", "grade")
-    mass = answer["parameters"]["mass_kg"]
-    assert mass["q05"] < 32e3 < mass["q95"]
+    assert tools.recordings.named(before) == ("grade",)
+    assert before.parameters.base.mass_kg + 3 * before.parameters.base_sd.mass_kg < 20e3
+    answer = tools.recordings.roadload(RunAnswer, "estimate", log, "--config", shown, "--effect", "grade")
+    mass = answer.parameters.mass_kg
+    assert mass.q05 < 32e3 < mass.q95
 
 
 @pytest.fixture
@@ -373,42 +380,31 @@ def test_without_fastsim_the_second_world_says_what_to_install(tools, truck, hil
 
 
 def answer(*names, verdict="effect", base=40.0, final=10.0, equivalent=()):
-    """What `roadload diagnose --json` says, in its own keys."""
-    closed = {"fraction": 0.9, "q05": 0.85, "q95": 0.95}
-    effects = [
-        {
-            "name": name,
-            "probability": 0.99,
-            "equivalent": list(equivalent),
-            "gap_closed": closed,
-            "rms_after_kW": final,
-        }
-        for name in names
-    ]
-    return {
-        "verdict": verdict,
-        "effects": effects,
-        "rms_base_kW": base,
-        "rms_final_kW": final,
-        "noise_floor_kW": 5.0,
-        "parameters": {"base": {"mass_kg": 2e4}, "base_sd": {"mass_kg": 1e3}},
-        "reason": "",
-    }
+    """What `roadload diagnose` says; powers in kW."""
+    closed = GapClosed(0.9, 0.85, 0.95)
+    effects = [finding(name, 0.99, equivalent=equivalent, gap_closed=closed, rms_after=1e3 * final) for name in names]
+    return of_diagnosis(
+        Diagnosis(
+            verdict=Verdict(verdict),
+            effects=tuple(effects),
+            rms_base=1e3 * base,
+            rms_final=1e3 * final,
+            noise_floor=5e3,
+        )
+    )
 
 
 def test_share_reached_is_of_the_mean_square(tools):
-    said = tools.recordings.Diagnosis.of(answer("grade"))
-    assert said.promised == (0.9, 0.85, 0.95)
-    assert said.shrunk(40.0) == 0.0
-    assert said.shrunk(20.0) == 0.75
-    assert said.shrunk(None) is None
+    said = answer("grade")
+    assert tools.recordings.share_removed(said, 40.0) == 0.0
+    assert tools.recordings.share_removed(said, 20.0) == 0.75
+    assert tools.recordings.share_removed(said, None) is None
 
 
 def test_a_promise_counts_before_any_signal_can_keep_it(tools):
-    hidden = answer("grade")
-    hidden["rms_final_kW"] = hidden["rms_base_kW"]
-    assert tools.recordings.Diagnosis.of(hidden).rms_promised == 10.0
-    assert tools.recordings.Diagnosis.of(answer(verdict="no gap", final=40.0)).rms_promised == 40.0
+    hidden = replace(answer("grade"), rms_final_kW=40.0)
+    assert tools.recordings.rms_promised(hidden) == 10.0
+    assert tools.recordings.rms_promised(answer(verdict="no gap", final=40.0)) == 40.0
 
 
 @pytest.mark.parametrize(
@@ -428,15 +424,13 @@ def test_a_promise_counts_before_any_signal_can_keep_it(tools):
 )
 def test_the_second_world_is_judged(tools, truck, hilly, grade, said, right, invented):
     truth = tools.second.truth_of(truck, drive_by_hand(tools, truck, hilly))
-    row = tools.second.judge(truth, grade, tools.recordings.Diagnosis.of(said))
+    row = tools.second.judge(truth, grade, said)
     assert (row["as it should"], row["invented"]) == (right, invented)
 
 
 def test_on_a_flat_road_grade_is_an_invention(tools, truck):
     flat = drive_by_hand(tools, truck, tools.roads.Road(np.full(600, 20.0), np.zeros(600)))
-    row = tools.second.judge(
-        tools.second.truth_of(truck, flat), "withheld", tools.recordings.Diagnosis.of(answer("grade"))
-    )
+    row = tools.second.judge(tools.second.truth_of(truck, flat), "withheld", answer("grade"))
     assert row["invented"] == "grade"
 
 
@@ -455,7 +449,7 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
     folder.mkdir()
     (folder / "TripA02.blf").touch()
 
-    def roadload(command, log, *arguments):
+    def roadload(kind, command, log, *arguments):
         settings = config.load(Path(arguments[1]))
         if settings.kinematics.acceleration == "inertial":
             return answer(verdict="no gap", base=11.0, final=11.0)
@@ -543,10 +537,11 @@ def test_a_surrogate_drive_obeys_the_road_load(tools, original, tmp_path):
 def test_what_a_drive_promises_is_tried_on_another(tools, tmp_path, monkeypatch):
     asked = []
 
-    def roadload(command, *arguments):
+    def roadload(kind, command, *arguments):
         asked.append((command, *map(str, arguments)))
         if command == "simulate":
-            return {"truth": {"mass_kg": 2e4, "A_N": 1500.0, "C_N_s2_m2": 3.5}}
+            truth = Truth(mass_kg=2e4, A_N=1500.0, C_N_s2_m2=3.5)
+            return SimulationAnswer(log="", frames=0, duration_s=0.0, truth=truth, effects=(), also_acting_kW={})
         extended = "--effect" in arguments
         return answer(verdict="no gap", base=13.0, final=13.0) if extended else answer("grade", "mass_step")
 
@@ -572,4 +567,4 @@ def test_without_recordings_there_is_one_line(tools, tmp_path, monkeypatch, caps
 
 def test_a_command_that_fails_says_why(tools, tmp_path):
     with pytest.raises(RoadloadError, match=r"none\.blf"):
-        tools.recordings.roadload("estimate", tmp_path / "none.blf")
+        tools.recordings.roadload(RunAnswer, "estimate", tmp_path / "none.blf")

@@ -19,13 +19,15 @@ from blind import diagnose, draw, score, seal, tables, world
 from rich.console import Console
 from rich.progress import track
 
+from estimator.errors import RoadloadError
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one of the steps."""
     options = _parser().parse_args(arguments)
     try:
         status: int = options.run(options)
-    except seal.SealError as error:
+    except (seal.SealError, RoadloadError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return status

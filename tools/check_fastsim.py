@@ -19,8 +19,9 @@ import numpy as np
 from fastsim_world.bus import FINE, signals_of
 from fastsim_world.roads import ROUTES, road_of
 from fastsim_world.truck import Drive, Vehicle, draw_vehicle, followed, simulate
-from real_recordings import Diagnosis, data_folder, diagnose, print_table
+from real_recordings import data_folder, diagnose, print_table
 
+from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.errors import RoadloadError
@@ -48,25 +49,25 @@ def truth_of(vehicle: Vehicle, drive: Drive) -> dict[str, Any]:
     }
 
 
-def judge(truth: dict[str, Any], grade: str, said: Diagnosis) -> dict[str, str]:
+def judge(truth: dict[str, Any], grade: str, said: DiagnosisAnswer) -> dict[str, str]:
     """A row of the table: grade must be named where it is withheld, and no absent effect named anywhere.
 
     A name is right if the answer lists it as equivalent to a present effect.
     """
     there = frozenset(truth["effects"])
     wanted = grade == "withheld" and "grade" in there
-    invented = sorted(name for name, alike in zip(said.named, said.classes, strict=True) if not alike & there)
-    found = any("grade" in alike for alike in said.classes)
+    alike = [(effect.name, {effect.name, *effect.equivalent}) for effect in said.effects]
+    invented = sorted(name for name, names in alike if not names & there)
+    found = any("grade" in names for _, names in alike)
     return {
         "grade": grade,
         "grade sd": f"{100 * truth['grade_sd']:.2f} %",
         "verdict": said.verdict,
-        "named": ", ".join(" or ".join([n, *sorted(c - {n})]) for n, c in zip(said.named, said.classes, strict=True))
-        or "-",
+        "named": ", ".join(" or ".join([name, *sorted(names - {name})]) for name, names in alike) or "-",
         "as it should": "yes" if not invented and (found or not wanted) else "NO",
         "invented": ", ".join(invented) or "-",
-        "kW before": "-" if said.rms_base is None else f"{said.rms_base:.2f}",
-        "kW after": "-" if said.rms_final is None else f"{said.rms_final:.2f}",
+        "kW before": "-" if said.rms_base_kW is None else f"{said.rms_base_kW:.2f}",
+        "kW after": "-" if said.rms_final_kW is None else f"{said.rms_final_kW:.2f}",
     }
 
 

@@ -13,10 +13,11 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from real_recordings import Diagnosis, diagnose, print_table, roadload, share_text
+from real_recordings import diagnose, named, print_table, roadload, share_text
 
+from estimator.answers.diagnosis import DiagnosisAnswer
+from estimator.answers.simulation import SimulationAnswer
 from estimator.errors import RoadloadError
 from estimator.model.effects import BY_NAME
 
@@ -36,38 +37,39 @@ def simulate_pair(effect: str, minutes: float, seed: int, folder: Path) -> Pair:
     """Write two logs of identical trucks."""
     pair = Pair(folder / f"{effect}-1.blf", folder / f"{effect}-2.blf")
     common = ["--minutes", str(minutes), "--effect", effect]
-    truth: dict[str, Any] = roadload("simulate", pair.first, *common, "--seed", str(seed))["truth"]
-    same = ["--mass", str(truth["mass_kg"]), "--A", str(truth["A_N"]), "--C", str(truth["C_N_s2_m2"])]
-    roadload("simulate", pair.second, *common, *same, "--seed", str(seed + 1))
+    truth = roadload(SimulationAnswer, "simulate", pair.first, *common, "--seed", str(seed)).truth
+    same = ["--mass", str(truth.mass_kg), "--A", str(truth.A_N), "--C", str(truth.C_N_s2_m2)]
+    roadload(SimulationAnswer, "simulate", pair.second, *common, *same, "--seed", str(seed + 1))
     return pair
 
 
 def row(effect: str, pair: Pair) -> dict[str, str]:
     """Predicted share of the first drive and measured share of the second, for the effects named on the first."""
     promise = diagnose(pair.first)
-    able = [name for name in promise.named if name in BY_NAME and BY_NAME[name].streams]
+    able = [name for name in named(promise) if name in BY_NAME and BY_NAME[name].streams]
     plain = diagnose(pair.second)
     extended = diagnose(pair.second, *(word for name in able for word in ("--effect", name))) if able else plain
     together = diagnose(pair.first, pair.second)
+    closed = promise.effects[0].gap_closed if promise.effects else None
     return {
         "effect": effect,
-        "named on drive 1": ", ".join(promise.named) or promise.verdict,
-        "promised": share_text(promise.promised and promise.promised[0]),
-        "its interval": "-" if promise.promised is None else " .. ".join(map(share_text, promise.promised[1:])),
+        "named on drive 1": ", ".join(named(promise)) or promise.verdict,
+        "promised": share_text(None if closed is None else closed.fraction),
+        "its interval": "-" if closed is None else f"{share_text(closed.q05)} .. {share_text(closed.q95)}",
         "reached on drive 2": share_text(_reached(plain, extended)) if able else "-",
-        "kW before": "-" if plain.rms_base is None else f"{plain.rms_base:.2f}",
-        "kW after": "-" if extended.rms_base is None else f"{extended.rms_base:.2f}",
-        "left on drive 2": ", ".join(extended.named) or extended.verdict,
-        "named on both": ", ".join(together.named) or together.verdict,
+        "kW before": "-" if plain.rms_base_kW is None else f"{plain.rms_base_kW:.2f}",
+        "kW after": "-" if extended.rms_base_kW is None else f"{extended.rms_base_kW:.2f}",
+        "left on drive 2": ", ".join(named(extended)) or extended.verdict,
+        "named on both": ", ".join(named(together)) or together.verdict,
     }
 
 
-def _reached(plain: Diagnosis, extended: Diagnosis) -> float | None:
+def _reached(plain: DiagnosisAnswer, extended: DiagnosisAnswer) -> float | None:
     """Closed share of the gap above the noise floor of the extended model."""
-    if plain.rms_base is None or extended.rms_base is None or extended.floor is None:
+    if plain.rms_base_kW is None or extended.rms_base_kW is None or extended.noise_floor_kW is None:
         return None
-    gap = plain.rms_base**2 - extended.floor**2
-    return None if gap <= 0 else 1 - (extended.rms_base**2 - extended.floor**2) / gap
+    gap = plain.rms_base_kW**2 - extended.noise_floor_kW**2
+    return None if gap <= 0 else 1 - (extended.rms_base_kW**2 - extended.noise_floor_kW**2) / gap
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -7,7 +7,6 @@ prints the figures.
 """
 
 import argparse
-import json
 import subprocess
 import sys
 import time
@@ -15,9 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from resource import RUSAGE_CHILDREN, getrusage
 
+import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 
+from estimator.answers.fleet import FleetAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
@@ -63,13 +64,13 @@ def make(folder: Path, vehicles: int, drives: int, minutes: float, seed: int) ->
     return Made(truth, masses)
 
 
-def timed(command: list[str]) -> tuple[dict[str, object], float, float]:
-    """The JSON that a command prints, its time by the clock [s], and its processor time [s]."""
+def timed(command: list[str]) -> tuple[FleetAnswer, float, float]:
+    """The answer of `roadload fleet`, its time by the clock [s], and its processor time [s]."""
     began, before = time.perf_counter(), getrusage(RUSAGE_CHILDREN)
     answer = subprocess.run(command, capture_output=True, text=True, check=True)
     after = getrusage(RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return json.loads(answer.stdout), time.perf_counter() - began, used
+    return msgspec.json.decode(answer.stdout, type=FleetAnswer), time.perf_counter() - began, used
 
 
 def inside(rows: list[dict[str, float]], name: str, truth: list[float]) -> str:
@@ -98,7 +99,7 @@ def main() -> int:
     command = [sys.executable, "-m", "estimator", "fleet", str(logs), "-o", str(out), "--json"]
     for label in ("new", "cached"):
         answer, wall, used = timed([*command, "--workers", str(options.workers)])
-        print(f"{label}: {wall:.1f} s by the clock, {used:.1f} s of processor time; rows {answer['rows']}")
+        print(f"{label}: {wall:.1f} s by the clock, {used:.1f} s of processor time; rows {answer.rows}")
     drives = [row for row in pq.read_table(out / "drives.parquet").to_pylist() if row["source"] in made.masses]
     vehicles = pq.read_table(out / "vehicles.parquet").to_pylist()
     masses = [made.masses[row["source"]] for row in drives]
@@ -106,7 +107,7 @@ def main() -> int:
     print("mass, all drives: ", inside(drives, "joint_mass_kg", masses))
     for i, name in enumerate(("A_per_mass_N_kg", "C_N_s2_m2")):
         print(f"{name}:", inside(vehicles, name, [made.vehicles[row["vehicle"]][i] for row in vehicles]))
-    print("outliers made: ", sorted(OUTLIERS), "found:", answer["outliers"])
+    print("outliers made: ", sorted(OUTLIERS), "found:", answer.outliers)
     return 0
 
 

@@ -26,7 +26,6 @@ from estimator.components.search import DriveState
 from estimator.config import Config
 from estimator.diagnosis.drive_data import Record
 from estimator.model.effects import BY_NAME
-from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Floats, Role
 from estimator.simulation.effects.catalogue import effects_from, kind_of
 from estimator.simulation.recording import Recording, record
@@ -99,16 +98,17 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     """Diagnose a drive from its log and compare."""
     log = folder / "drive.blf"
     write_log(frames_of(world.recording.signals), log)
-    answer = of_diagnosis(diagnose_logs([log], Config()))
+    diagnosis = diagnose_logs([log], Config())
+    assert diagnosis.budget is not None
     truth = true_shares(world.recording, drives(log, Config())[0])
-    parts = {part["cause"]: part for part in answer["budget"]}
-    found = {cause: part["share"] for cause, part in parts.items()}
+    parts = {part.cause: part for part in diagnosis.budget.parts}
+    found = {cause: part.share for cause, part in parts.items()}
     rest = 1 - sum(truth.values())
     truth |= {NOISE: rest}
     found[NOISE] = found.get(NOISE, 0.0) + found.pop(WHITE, 0.0)
     causes = {*truth, *(cause for cause in found if cause in BY_NAME)}
     errors = {cause: found.get(cause, 0.0) - truth.get(cause, 0.0) for cause in sorted(causes)}
-    named = [[effect["name"], *effect["equivalent"]] for effect in answer["effects"] if effect["name"] != "grade"]
+    named = [[effect.name, *effect.equivalent] for effect in diagnosis.effects if effect.name != "grade"]
     there = {*NATURAL, world.extra, *(("torque_bias",) if "auxiliary_load" in NATURAL else ())}
     road = parts[ROAD]
     return {
@@ -120,7 +120,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
         "named": [names[0] for names in named],
         "within": sum(abs(error) < CLOSE for error in errors.values()),
         "shares": len(errors),
-        "road": [truth[ROAD], road["share"], road["q05"], road["q95"]],
+        "road": [truth[ROAD], road.share, road.q05, road.q95],
         "worst": max(errors.items(), key=lambda item: abs(item[1])),
     }
 

@@ -18,10 +18,10 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TypeVar
 
+import msgspec
 import numpy as np
 import vt_truck
 from rich.console import Console
@@ -31,54 +31,32 @@ from surrogate_drives import original, write_surrogate
 from table import read_table
 
 from estimator import config
+from estimator.answers.answer import Answer
+from estimator.answers.diagnosis import DiagnosisAnswer
+from estimator.answers.run import RunAnswer
 from estimator.errors import InputError, RoadloadError
 
 ROOT = Path(__file__).parents[1]
 LEAST_ROWS = 480  # of a recording of the truck, one a second
 SEED = 1  # of the surrogates
 WIDE = 180  # columns, where the output is no terminal
+Answers = TypeVar("Answers", bound=Answer)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis:
-    """Values of `roadload diagnose --json` for one row of a table; rms and floor [kW]."""
+def named(answer: DiagnosisAnswer) -> tuple[str, ...]:
+    """Names of the effects, in order of adding."""
+    return tuple(effect.name for effect in answer.effects)
 
-    verdict: str
-    named: tuple[str, ...]  # effects in order of adding
-    classes: tuple[frozenset[str], ...]  # each of them with its equivalents
-    probability: float | None  # of the first one
-    promised: tuple[float, float, float] | None  # share of the gap closed by the first one: value, 5 %, 95 %
-    rms_base: float | None
-    rms_final: float | None
-    rms_promised: float | None  # with all that is named: less than rms_final where no signal shows it yet
-    floor: float | None
-    mass: tuple[float, float] | None  # [kg] of the plain model, and its sd
-    reason: str
 
-    @classmethod
-    def of(cls, content: dict[str, Any]) -> Self:
-        """Read the values from the command's answer."""
-        effects = content["effects"]
-        first = effects[0] if effects else None
-        closed = first and first["gap_closed"]
-        base, sd = content["parameters"]["base"], content["parameters"]["base_sd"]
-        return cls(
-            verdict=content["verdict"],
-            named=tuple(effect["name"] for effect in effects),
-            classes=tuple(frozenset([effect["name"], *effect["equivalent"]]) for effect in effects),
-            probability=first and first["probability"],
-            promised=(closed["fraction"], closed["q05"], closed["q95"]) if closed else None,
-            rms_base=content["rms_base_kW"],
-            rms_final=content["rms_final_kW"],
-            rms_promised=min((effect["rms_after_kW"] for effect in effects), default=content["rms_final_kW"]),
-            floor=content["noise_floor_kW"],
-            mass=(base["mass_kg"], sd["mass_kg"]) if base and sd else None,
-            reason=content["reason"],
-        )
+def rms_promised(answer: DiagnosisAnswer) -> float | None:
+    """Residual [kW] with all that is named: less than that of the final model where no signal shows an effect yet."""
+    after = [effect.rms_after_kW for effect in answer.effects if effect.rms_after_kW is not None]
+    return min(after, default=answer.rms_final_kW)
 
-    def shrunk(self, rms: float | None) -> float | None:
-        """Share of the mean squared residual removed when ``rms`` [kW] remains."""
-        return None if rms is None or not self.rms_base else 1 - (rms / self.rms_base) ** 2
+
+def share_removed(answer: DiagnosisAnswer, rms: float | None) -> float | None:
+    """Share of the mean squared residual removed when ``rms`` [kW] remains."""
+    return None if rms is None or not answer.rms_base_kW else 1 - (rms / answer.rms_base_kW) ** 2
 
 
 def data_folder() -> Path:
@@ -95,8 +73,8 @@ def data_folder() -> Path:
     return folder
 
 
-def roadload(*arguments: str | Path) -> dict[str, Any]:
-    """The JSON answer of a command of the program.
+def roadload(kind: type[Answers], *arguments: str | Path) -> Answers:
+    """The answer of a command of the program.
 
     Raises
     ------
@@ -108,13 +86,12 @@ def roadload(*arguments: str | Path) -> dict[str, Any]:
     if done.returncode:
         lines = done.stderr.strip().splitlines()
         raise RoadloadError(lines[-1].removeprefix("error: ") if lines else f"exit status {done.returncode}")
-    content: dict[str, Any] = json.loads(done.stdout)
-    return content
+    return msgspec.json.decode(done.stdout, type=kind)
 
 
-def diagnose(*arguments: str | Path) -> Diagnosis:
-    """Diagnosis by `roadload diagnose` with these arguments."""
-    return Diagnosis.of(roadload("diagnose", *arguments))
+def diagnose(*arguments: str | Path) -> DiagnosisAnswer:
+    """The answer of `roadload diagnose` with these arguments."""
+    return roadload(DiagnosisAnswer, "diagnose", *arguments)
 
 
 def without(configuration: str, *roles: str) -> str:
@@ -134,9 +111,10 @@ def _kilowatts(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-def _names(diagnosis: Diagnosis) -> str:
-    likely = "" if diagnosis.probability is None else f" ({share_text(diagnosis.probability)})"
-    return (" + ".join(diagnosis.named) + likely) if diagnosis.named else diagnosis.verdict
+def _names(answer: DiagnosisAnswer) -> str:
+    if not answer.effects:
+        return answer.verdict
+    return f"{' + '.join(named(answer))} ({share_text(answer.effects[0].probability)})"
 
 
 def bmw_logs(folder: Path, trips: list[str]) -> list[Path]:
@@ -179,30 +157,31 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
         yield {
             "trip": log.stem,
             "named, withheld": _names(withheld),
-            "kW before": _kilowatts(withheld.rms_base),
-            "kW promised": _kilowatts(withheld.rms_promised),
-            "promised": share_text(withheld.shrunk(withheld.rms_promised)),
-            "reached": share_text(withheld.shrunk(felt.rms_final)),
+            "kW before": _kilowatts(withheld.rms_base_kW),
+            "kW promised": _kilowatts(rms_promised(withheld)),
+            "promised": share_text(share_removed(withheld, rms_promised(withheld))),
+            "reached": share_text(share_removed(withheld, felt.rms_final_kW)),
             "named, accelerometer": _names(felt),
-            "kW reached": _kilowatts(felt.rms_final),
-            "kW, inertial": _kilowatts(said["inertial"].rms_base),
+            "kW reached": _kilowatts(felt.rms_final_kW),
+            "kW, inertial": _kilowatts(said["inertial"].rms_base_kW),
             "named, GPS elevation": _names(elevation),
-            "kW elevation": _kilowatts(elevation.rms_final),
+            "kW elevation": _kilowatts(elevation.rms_final_kW),
         }
 
 
 def _mass(log: Path, *arguments: str | Path) -> str:
     """Mass by `roadload estimate` [t] with its 90 % interval, or the reason why there is none."""
-    answer = roadload("estimate", log, *arguments)
-    mass = answer["parameters"]["mass_kg"]
-    if mass is None:
-        return str(answer["status"])
-    mean, low, high = (mass[key] / 1e3 for key in ("mean", "q05", "q95"))
-    return f"{mean:.1f} ({low:.1f} .. {high:.1f})"
+    mass = roadload(RunAnswer, "estimate", log, *arguments).parameters.mass_kg
+    if mass.mean is None or mass.q05 is None or mass.q95 is None:
+        return mass.status
+    return f"{mass.mean / 1e3:.1f} ({mass.q05 / 1e3:.1f} .. {mass.q95 / 1e3:.1f})"
 
 
-def _tonnes(said: Diagnosis) -> str:
-    return "-" if said.mass is None else f"{said.mass[0] / 1e3:.1f} +- {said.mass[1] / 1e3:.1f}"
+def _tonnes(answer: DiagnosisAnswer) -> str:
+    base, sd = answer.parameters.base, answer.parameters.base_sd
+    if base is None or sd is None or base.mass_kg is None or sd.mass_kg is None:
+        return "-"
+    return f"{base.mass_kg / 1e3:.1f} +- {sd.mass_kg / 1e3:.1f}"
 
 
 def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
@@ -227,11 +206,11 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
             "recording": name,
             "min": f"{len(recording) / 60:.0f}",
             "named, withheld": _names(before),
-            "kW before": _kilowatts(before.rms_base),
-            "promised": share_text(before.shrunk(before.rms_promised)),
-            "reached": share_text(before.shrunk(after.rms_final)),
+            "kW before": _kilowatts(before.rms_base_kW),
+            "promised": share_text(share_removed(before, rms_promised(before))),
+            "reached": share_text(share_removed(before, after.rms_final_kW)),
             "named, revealed": _names(after),
-            "kW revealed": _kilowatts(after.rms_final),
+            "kW revealed": _kilowatts(after.rms_final_kW),
             "t withheld": _tonnes(before),
             "t revealed": _tonnes(diagnose(log, *revealed)),
             "estimate withheld": _mass(log, *withheld),
@@ -258,18 +237,18 @@ def surrogates(folder: Path, work: Path, trips: list[str], count: int) -> Iterat
     usable = {trip: like for trip, like in likes.items() if like is not None}
     total: Counter[str] = Counter()
     for i, (trip, like) in enumerate(usable.items()):
-        said: list[Diagnosis] = []
+        said: list[DiagnosisAnswer] = []
         for k in range(i, count, len(usable)):
             log = work / f"surrogate{k}.blf"
             write_surrogate(like, dbc, log, np.random.default_rng([SEED, k]))
             said.append(diagnose(log, "--config", withheld, "--dbc", dbc))
             log.unlink()
-        verdicts = Counter(answer.verdict for answer in said)
+        verdicts = Counter(answer.verdict.value for answer in said)
         total += verdicts
         yield (
             {"like": trip, "kW of noise": _kilowatts(like.noise / 1e3)}
             | _counted(verdicts)
-            | {"named": ", ".join(_names(answer) for answer in said if answer.named) or "-"}
+            | {"named": ", ".join(_names(answer) for answer in said if answer.effects) or "-"}
         )
     alarms, drawn = total["effect"], total.total()
     interval = binomtest(alarms, drawn).proportion_ci(0.95, method="wilson")

@@ -4,11 +4,11 @@ import argparse
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import can
 import can.cli
 
+from estimator.answers.inspection import InspectionAnswer
 from estimator.can_io.frames import Frames
 from estimator.commands.arguments import add_output, add_print_config, add_settings, number
 from estimator.commands.tables import print_inspection
@@ -40,22 +40,22 @@ def run(options: argparse.Namespace) -> int:
         print_config(settings)
         return 0
     if options.log is not None:
-        content = inspection.inspect(options.log, settings, lambda share: None)
+        answer = inspection.inspect(options.log, settings, lambda share: None)
     else:
-        content = _hear(spec_of(options, settings.reception), settings, options.seconds)
+        answer = _hear(spec_of(options, settings.reception), settings, options.seconds)
     if options.json:
-        print_json(content)
+        print_json(answer)
     else:
         console = standard_output()
-        print_inspection(console, content)
-        for message, senders in content["senders"].items():
+        print_inspection(console, answer)
+        for message, senders in answer.senders.items():
             if len(senders) > 1:
                 say(console, f"several nodes send {message}: {', '.join(f'0x{a:02X}' for a in senders)}")
-        say(console, "the model can be fed" if content["usable"] else "the model cannot be fed")
-    return 0 if content["usable"] else 1
+        say(console, "the model can be fed" if answer.usable else "the model cannot be fed")
+    return 0 if answer.usable else 1
 
 
-def _hear(spec: BusSpec, settings: Config, seconds: float) -> dict[str, Any]:
+def _hear(spec: BusSpec, settings: Config, seconds: float) -> InspectionAnswer:
     """Inspect a bus for some seconds, all of its traffic."""
     try:
         bus = open_bus(spec, None)

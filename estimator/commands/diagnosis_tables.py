@@ -6,8 +6,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import Budget
-from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Shift, Verdict
+from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Shift
 from estimator.printable import printable
 from estimator.report import number_format, wording
 

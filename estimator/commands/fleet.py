@@ -2,10 +2,11 @@
 
 import argparse
 import os
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from estimator.answers.fleet import FleetAnswer
 from estimator.commands.arguments import add_output, add_settings, number
 from estimator.commands.complaints import complain
 from estimator.commands.log_options import add_effects, add_seed, settings
@@ -76,18 +77,15 @@ def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
             complain(f"note: {row['vehicle']}: {row['C_reason']}")
 
 
-def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], written: Sequence[Path]) -> dict[str, Any]:
-    counts: dict[str, int] = {}
-    for row in drives:
-        counts[row["status"]] = counts.get(row["status"], 0) + 1
-    return {
-        "drives": len(found.grouped.drives),
-        "rows": counts,
-        "vehicles": len(vehicles),
-        "vehicles_estimated": sum(row["status"] == "estimated" for row in vehicles),
-        "outliers": {row["vehicle"]: row["outlier"] for row in vehicles if row["outlier"]},
-        "files": [str(path) for path in written],
-    }
+def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], written: Sequence[Path]) -> FleetAnswer:
+    return FleetAnswer(
+        drives=len(found.grouped.drives),
+        rows=dict(Counter(row["status"] for row in drives)),
+        vehicles=len(vehicles),
+        vehicles_estimated=sum(row["status"] == "estimated" for row in vehicles),
+        outliers={row["vehicle"]: row["outlier"] for row in vehicles if row["outlier"]},
+        files=tuple(map(str, written)),
+    )
 
 
 def _print(drives: Sequence[Row], vehicles: Sequence[Row], out: Path) -> None:

@@ -20,9 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Inspect, and print the inputs."""
     with progress_bar("reading") as progress:
-        content = inspection.inspect(options.log, settings(options), progress)
+        answer = inspection.inspect(options.log, settings(options), progress)
     if options.json:
-        print_json(content)
+        print_json(answer)
     else:
-        print_inspection(standard_output(), content)
+        print_inspection(standard_output(), answer)
     return 0

@@ -13,6 +13,7 @@ from estimator.commands.arguments import add_output, not_negative, number, posit
 from estimator.commands.terminal import print_json
 from estimator.output_files import check_suffix
 from estimator.printable import printable
+from estimator.report.simulation_summary import of_recording
 from estimator.signals import Role
 from estimator.simulation.cycle import COLUMNS, cycle_route
 from estimator.simulation.effects.catalogue import KINDS, parse_effect
@@ -81,15 +82,14 @@ def run(options: argparse.Namespace) -> int:
     recording = record(truck, route, duration, rng, sensors=sensors, effects=effects)
     frames = frames_of(recording.signals)
     write_log(frames, options.output)
-    told = recording.describe()
+    answer = of_recording(recording, str(options.output), len(frames), duration)
     if options.json:
-        print_json({"log": str(options.output), "frames": len(frames), "duration_s": duration, **told})
+        print_json(answer)
     else:
         road_name = options.cycle.name if options.cycle else options.route
-        name = printable(str(options.output))
-        print(f"{name}: {len(frames):,} frames, {options.minutes:g} min of {road_name} driving")
+        print(f"{printable(answer.log)}: {answer.frames:,} frames, {options.minutes:g} min of {road_name} driving")
         print(f"truth: mass {truck.mass:,.0f} kg, A {truck.A:,.0f} N, C {truck.C:.3f} N s²/m²")
-        for effect in told["effects"]:
-            size = f"{effect['magnitude']:g} {effect['unit']}".removesuffix(" 1")
-            print(f"effect: {effect['name']} {size}, {effect['rms_kW']:.1f} kW rms")
+        for effect in answer.effects:
+            size = f"{effect.magnitude:g} {effect.unit}".removesuffix(" 1")
+            print(f"effect: {effect.name} {size}, {effect.rms_kW:.1f} kW rms")
     return 0

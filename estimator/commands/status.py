@@ -4,20 +4,18 @@ It is asked every few seconds by other programs, so it imports nothing that comp
 """
 
 import argparse
-import json
 from pathlib import Path
-from typing import Any
 
+import msgspec
 from rich.console import Console
 from rich.text import Text
 
 from estimator import config
+from estimator.answers.status import State, StatusAnswer
 from estimator.commands.arguments import add_output
 from estimator.commands.complaints import complain
 from estimator.commands.terminal import print_json, say, standard_output
 from estimator.daemon.service import folders, status_file
-from estimator.daemon.service.status_file import State
-from estimator.errors import InputError
 from estimator.printable import printable
 
 COLOURS = {
@@ -42,65 +40,58 @@ def run(options: argparse.Namespace) -> int:
     if path is None:
         complain(f"no daemon is running: there is no {' nor '.join(map(str, places))}")
         return 1
-    try:
-        content = json.loads(path.read_bytes())
-        reason = status_file.verdict(content)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except (ValueError, AttributeError):
-        raise InputError(f"{path}: is not a status file; delete it") from None
+    status = status_file.read(path)
+    reason = status_file.verdict(status)
     if options.json:
-        print_json({"running": not reason, "why_not": reason, **content})
+        print_json(msgspec.structs.replace(status, running=not reason, why_not=reason))
     elif reason:
         complain(f"no daemon is running: {path}: {reason}")
     else:
-        _print_status(standard_output(), content)
+        _print_status(standard_output(), status)
     return 1 if reason else 0
 
 
-def _print_status(console: Console, content: dict[str, Any]) -> None:
+def _print_status(console: Console, status: StatusAnswer) -> None:
     """A screenful for people."""
-    detail = f": {content['detail']}" if content["detail"] else ""
-    colour = COLOURS[State(content["state"])]
-    console.print(Text.assemble((content["state"], f"bold {colour}"), printable(detail)), soft_wrap=True)
-    for name in ("input", "output"):
-        link = content[name]
+    detail, colour = f": {status.detail}" if status.detail else "", COLOURS[status.state]
+    console.print(Text.assemble((status.state.value, f"bold {colour}"), printable(detail)), soft_wrap=True)
+    for name, link in (("input", status.input), ("output", status.output)):
         if link is None:
             continue
-        rate = f", {content['frames_per_s'] or 0:,.0f} per s" if name == "input" else ""
-        say(console, f"{name:9} {link['bus']}: {link['frames']:,} frames{rate}; re-opened {link['reopened']} times")
-        losses = {"kernel": link["kernel_drops"], "queue": link["queue_drops"]}
+        rate = f", {status.frames_per_s or 0:,.0f} per s" if name == "input" else ""
+        say(console, f"{name:9} {link.bus}: {link.frames:,} frames{rate}; re-opened {link.reopened} times")
+        losses = {"kernel": link.kernel_drops, "queue": link.queue_drops}
         lost = ", ".join(f"{n:,} in the {place}" for place, n in losses.items() if n) or "none"
-        say(console, f"lost      {lost}; error frames {link['errors']:,}; clock steps {content['clock_steps']}")
-    for role, signal in content["signals"].items():
-        age = "none valid since the start" if signal["age_s"] is None else f"newest valid {signal['age_s']:.1f} s ago"
-        say(console, f"  {role:24} {signal['readings']:>10,} readings, {age}")
-    if content["missing"]:
-        say(console, f"missing   {', '.join(content['missing'])}")
-    for path, reason in sorted(content["contested"].items()):
+        say(console, f"lost      {lost}; error frames {link.errors:,}; clock steps {status.clock_steps}")
+    for role, signal in status.signals.items():
+        age = "none valid since the start" if signal.age_s is None else f"newest valid {signal.age_s:.1f} s ago"
+        say(console, f"  {role:24} {signal.readings:>10,} readings, {age}")
+    if status.missing:
+        say(console, f"missing   {', '.join(status.missing)}")
+    for path, reason in sorted(status.contested.items()):
         say(console, f"contested {path}: {reason}")
-    for reason, count in sorted(content["refused"].items()):
+    for reason, count in sorted(status.refused.items()):
         say(console, f"refused   {reason} {count:,}")
-    estimate = content["estimate"]
+    estimate = status.estimate
     if estimate is None:
         say(console, "estimate  none yet")
     else:
-        why = f": {estimate['reason']}" if estimate["reason"] else ""
-        say(console, f"estimate  {estimate['status']}{why}, {estimate['age_s']:,.0f} s old")
-        for name, x in estimate["parameters"].items():
-            if x["mean"] is None:
-                say(console, f"  {name:24} {x['status']}: {x['reason']}")
+        why = f": {estimate.reason}" if estimate.reason else ""
+        say(console, f"estimate  {estimate.status}{why}, {estimate.age_s:,.0f} s old")
+        for name, x in msgspec.structs.asdict(estimate.parameters).items():
+            if x.mean is None:
+                say(console, f"  {name:24} {x.status}: {x.reason}")
             else:
-                say(console, f"  {name:24} {x['mean']:,.4g} ({x['q05']:,.4g} .. {x['q95']:,.4g})")
-        say(console, f"coverage  {100 * estimate['coverage']['fraction']:.0f} %, {estimate['samples']:,} samples")
-    worker = content["estimator"]
-    say(console, f"sampler   {worker['conclusion_s']:.2f} s, at most {worker['longest_conclusion_s']:.2f} s")
-    transmit = content["transmit"]
-    if not transmit["enabled"]:
+                say(console, f"  {name:24} {x.mean:,.4g} ({x.q05:,.4g} .. {x.q95:,.4g})")
+        say(console, f"coverage  {100 * estimate.coverage.fraction:.0f} %, {estimate.samples:,} samples")
+    worker = status.estimator
+    say(console, f"sampler   {worker.conclusion_s:.2f} s, at most {worker.longest_conclusion_s:.2f} s")
+    transmit = status.transmit
+    if not transmit.enabled:
         say(console, "transmit  off: listening only")
         return
-    address = "no address" if transmit["address"] is None else f"address 0x{transmit['address']:02X}"
-    fault = f"; {transmit['fault']}" if transmit["fault"] else ""
-    say(console, f"transmit  {address}{fault}; {transmit['published']:,} frames sent, {transmit['failed']:,} failed")
-    for reason, count in transmit["withheld"].items():
+    address = "no address" if transmit.address is None else f"address 0x{transmit.address:02X}"
+    fault = f"; {transmit.fault}" if transmit.fault else ""
+    say(console, f"transmit  {address}{fault}; {transmit.published:,} frames sent, {transmit.failed:,} failed")
+    for reason, count in transmit.withheld.items():
         say(console, f"withheld  {reason} {count:,}")

@@ -1,13 +1,12 @@
 """What a person reads on the terminal."""
 
-from typing import Any
-
 import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from estimator.answers.inspection import InspectionAnswer
 from estimator.commands.terminal import say
 from estimator.estimate import Marginal, Road, Status
 from estimator.model.effects import BY_NAME
@@ -106,34 +105,33 @@ def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, floa
     return table
 
 
-def print_inspection(console: Console, content: dict[str, Any]) -> None:
+def print_inspection(console: Console, found: InspectionAnswer) -> None:
     """Inputs found and missing, and whether an estimate can come of them."""
-    frames = content["frames"]
+    frames = found.frames
     say(
         console,
-        f"{content['log']}: {content['duration_s']:,.1f} s, {frames['read']:,} frames of {frames['ids']} ids, "
-        f"{frames['used']:,} used",
+        f"{found.log}: {found.duration_s:,.1f} s, {frames.read:,} frames of {frames.ids} ids, {frames.used:,} used",
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps"):
         table.add_column(heading, overflow="fold", no_wrap=heading == "input")
-    for role, x in content["inputs"].items():
-        source = content["sources"].get(x["signal"])
-        rate = "" if x["rate_Hz"] is None else f"{x['rate_Hz']:.1f} Hz"
-        values = "none valid" if x["minimum"] is None else f"{x['minimum']:.4g} .. {x['maximum']:.4g}"
-        gaps = ", ".join(f"{a:.1f}-{b:.1f} s" for a, b in x["gaps_s"][:3])
-        more = f" (+{len(x['gaps_s']) - 3})" if len(x["gaps_s"]) > 3 else ""
+    for role, x in found.inputs.items():
+        source = found.sources.get(x.signal)
+        rate = "" if x.rate_Hz is None else f"{x.rate_Hz:.1f} Hz"
+        values = "none valid" if x.minimum is None else f"{x.minimum:.4g} .. {x.maximum:.4g}"
+        gaps = ", ".join(f"{a:.1f}-{b:.1f} s" for a, b in x.gaps_s[:3])
+        more = f" (+{len(x.gaps_s) - 3})" if len(x.gaps_s) > 3 else ""
         address = "" if source is None else f"0x{source:02X}"
-        table.add_row(role, x["signal"], address, rate, f"{100 * x['not_available']:.1f} %", values, gaps + more)
+        table.add_row(role, x.signal, address, rate, f"{100 * x.not_available:.1f} %", values, gaps + more)
     console.print(table)
-    if content["missing"]:
-        missing = ", ".join(f"{role} ({signal})" for role, signal in content["missing"].items())
+    if found.missing:
+        missing = ", ".join(f"{role} ({signal})" for role, signal in found.missing.items())
         say(console, f"not there: {missing}")
-    if frames["reordered"]:
-        say(console, f"put in order of time: {frames['reordered']:,} frames")
-    if frames["steps_back"]:
-        say(console, f"time steps back: {frames['steps_back']:,} times, each the start of another drive")
-    for reason, count in sorted(frames["errors"].items()):
+    if frames.reordered:
+        say(console, f"put in order of time: {frames.reordered:,} frames")
+    if frames.steps_back:
+        say(console, f"time steps back: {frames.steps_back:,} times, each the start of another drive")
+    for reason, count in sorted(frames.errors.items()):
         say(console, f"refused: {reason} {count:,}")
-    reason = f": {content['reason']}" if content["reason"] else ""
-    say(console, f"{content['status']}{reason}; coverage {100 * content['coverage']:.0f} %")
+    reason = f": {found.reason}" if found.reason else ""
+    say(console, f"{found.status}{reason}; coverage {100 * found.coverage:.0f} %")

@@ -1,9 +1,7 @@
 """Standard output, for people and for programs; and progress."""
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import msgspec
 from rich.console import Console
@@ -11,6 +9,7 @@ from rich.progress import Progress
 from rich.text import Text
 
 from estimator import toml_text
+from estimator.answers.answer import Answer, as_text
 from estimator.config import Config
 from estimator.printable import printable
 
@@ -28,9 +27,9 @@ def say(console: Console, text: str) -> None:
     console.print(Text(printable(text)), soft_wrap=True)
 
 
-def print_json(content: dict[str, Any]) -> None:
+def print_json(answer: Answer) -> None:
     """Print one JSON object."""
-    print(json.dumps(content, indent=2, allow_nan=False))
+    print(as_text(answer))
 
 
 def print_config(settings: Config) -> None:

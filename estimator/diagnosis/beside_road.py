@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import ROAD, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_term
 from estimator.components.search import AtRest, Choice, DriveState, Explained, ranked, search
 from estimator.diagnosis.candidates import IDLE_POWER_SD, IDLE_POWER_SHARE
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span, Verdict
+from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_fit import ROAD_LOAD
 from estimator.model.effects import Effect

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis import facts, findings
 from estimator.diagnosis.averaged_residual import averages_of
 from estimator.diagnosis.averaging import averaged
@@ -17,7 +18,7 @@ from estimator.diagnosis.localisation import gap_map, places
 from estimator.diagnosis.model import MIN_SAMPLES, Model, fit, select
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces, Verdict
+from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces
 from estimator.diagnosis.search import search
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means

@@ -1,7 +1,8 @@
 """Facts behind the sentences of a report: remainder, doubtful candidate, advice, effects to configure."""
 
+from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Doubtful, Finding, Remainder, Verdict
+from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Doubtful, Finding, Remainder
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME
 

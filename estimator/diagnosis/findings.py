@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.candidates import Candidate
 from estimator.diagnosis.excess_lag import excess_lag
 from estimator.diagnosis.held_out import gap_closed
@@ -12,7 +13,7 @@ from estimator.diagnosis.model import Model, fit
 from estimator.diagnosis.multi_drive import Drive, same_class
 from estimator.diagnosis.outcome import Outcome, alike, ties
 from estimator.diagnosis.processes import Leftover
-from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span, Verdict
+from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.diagnosis.search import Found
 from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects import BY_NAME, Timing

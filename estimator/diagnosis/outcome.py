@@ -6,11 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
+from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.held_out import HeldOut
 from estimator.diagnosis.hidden_grade import hidden_grade
 from estimator.diagnosis.multi_drive import Drive, Joint, pooled, same_class
 from estimator.diagnosis.processes import FORCE_OVER_TIME, POWER_OVER_TIME, UNMEASURED_GRADE, Leftover
-from estimator.diagnosis.result import Verdict
 from estimator.diagnosis.search import Found, Search
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import Effect

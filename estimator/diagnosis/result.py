@@ -1,22 +1,13 @@
 """The result of a diagnosis: the verdict and the quantities behind it, for tables, JSON and pages."""
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import NamedTuple
 
+from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import Budget
 from estimator.signals import Floats
 
 HIDDEN_GRADE = "sd of the grade"  # name of the magnitude of a grade that no signal shows
-
-
-class Verdict(StrEnum):
-    """The outcome of a diagnosis."""
-
-    NO_GAP = "no gap"
-    EFFECT = "effect"
-    UNKNOWN = "unknown effect"
-    CANNOT_TELL = "cannot tell"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.diagnosis.result import Diagnosis, Traces, Verdict
+from estimator.answers.diagnosis import Verdict
+from estimator.diagnosis.result import Diagnosis, Traces
 from estimator.output_files import check_suffix, whole
 from estimator.report import wording
 from estimator.report.page import figures, tables

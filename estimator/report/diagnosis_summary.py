@@ -1,122 +1,112 @@
-"""The JSON that `roadload diagnose` prints: keys that other programs rely on; what is not known is null."""
+"""The answer of `roadload diagnose`; powers in kW, all else in the units that the keys name."""
 
 import math
-from typing import Any
 
+from estimator.answers import diagnosis as answer
+from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.components.budget import Part
-from estimator.diagnosis.result import Diagnosis, Finding, Isolability, Shift
+from estimator.diagnosis.result import Diagnosis, Finding, Invisible, Isolability, Place, Shift
 from estimator.report import wording
 
 
-def of_diagnosis(d: Diagnosis) -> dict[str, Any]:
-    """One object for a whole diagnosis; powers in kW, all else in the units that the keys name."""
-    return {
-        "verdict": d.verdict.value,
-        "reason": wording.reason(d),
-        "configuration": wording.configuration(d),
-        "effects": [_finding(f) for f in d.effects],
-        "candidates": [_finding(f) for f in d.candidates],
-        "remaining": {
-            "verdict": d.remaining_verdict.value,
-            "log_bayes_factor": _number(d.remaining_log_bayes_factor),
-        },
-        "noise_floor_kW": _kilowatts(d.noise_floor),
-        "rms_base_kW": _kilowatts(d.rms_base),
-        "rms_final_kW": _kilowatts(d.rms_final),
-        "budget": [] if d.budget is None else [_part(part) for part in d.budget.parts],
-        "parameters": {
-            "base": _parameters(d.base),
-            "base_sd": _parameters(d.base_deviation),
-            "final": _parameters(d.final),
-            "sd": _parameters(d.deviation),
-        },
-        "where": [
-            {
-                "axis": place.axis,
-                "from": _number(place.start),
-                "to": _number(place.end),
-                "unit": place.unit,
-                "bias_kW": _kilowatts(place.bias),
-                "share": _number(place.share),
-                "q_value": _number(place.q_value),
-            }
-            for place in d.where
-        ],
-        "isolability": {"pairs": [], "visibility": []} if d.isolability is None else _isolability(d.isolability),
-        "not_testable": [{"name": n.name, "needs": n.needs} for n in d.not_testable],
-        "invisible": [
-            {
-                "name": i.name,
-                "expected_log_bayes_factor": _number(i.expected_log_bayes_factor),
-                "parameter_shift": _parameters(i.shift),
-                "breaks": i.breaks,
-            }
-            for i in d.invisible
-        ],
-        "advice": wording.advice(d),
-        "logs": list(d.logs),
-    }
+def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
+    """A whole diagnosis."""
+    return DiagnosisAnswer(
+        verdict=d.verdict,
+        reason=wording.reason(d),
+        configuration=wording.configuration(d),
+        effects=tuple(map(_finding, d.effects)),
+        candidates=tuple(map(_finding, d.candidates)),
+        remaining=answer.Remaining(verdict=d.remaining_verdict, log_bayes_factor=d.remaining_log_bayes_factor),
+        noise_floor_kW=_kilowatts(d.noise_floor),
+        rms_base_kW=_kilowatts(d.rms_base),
+        rms_final_kW=_kilowatts(d.rms_final),
+        budget=() if d.budget is None else tuple(map(_part, d.budget.parts)),
+        parameters=answer.Parameters(
+            base=_road_load(d.base),
+            base_sd=_road_load(d.base_deviation),
+            final=_road_load(d.final),
+            sd=_road_load(d.deviation),
+        ),
+        where=tuple(map(_place, d.where)),
+        isolability=answer.Isolability() if d.isolability is None else _isolability(d.isolability),
+        not_testable=tuple(answer.NotTestable(name=n.name, needs=n.needs) for n in d.not_testable),
+        invisible=tuple(map(_invisible, d.invisible)),
+        advice=tuple(wording.advice(d)),
+        logs=d.logs,
+    )
 
 
-def _finding(f: Finding) -> dict[str, Any]:
-    closed = f.gap_closed
-    return {
-        "name": f.name,
-        "probability": _number(f.probability),
-        "log_bayes_factor": _number(f.log_bayes_factor),
-        "equivalent": list(f.equivalent),
-        "magnitude": {
-            "name": f.magnitude.name,
-            "value": _number(f.magnitude.value),
-            "sd": _number(f.magnitude.sd),
-            "unit": f.magnitude.unit,
-        },
-        "gap_closed": None
+def _finding(f: Finding) -> answer.Finding:
+    closed, size = f.gap_closed, f.magnitude
+    return answer.Finding(
+        name=f.name,
+        probability=f.probability,
+        log_bayes_factor=f.log_bayes_factor,
+        equivalent=f.equivalent,
+        magnitude=answer.Magnitude(name=size.name, value=size.value, sd=size.sd, unit=size.unit),
+        gap_closed=None
         if closed is None
-        else {"fraction": _number(closed.fraction), "q05": _number(closed.q05), "q95": _number(closed.q95)},
-        "rms_before_kW": _kilowatts(f.rms_before),
-        "rms_after_kW": _kilowatts(f.rms_after),
-        "parameter_shift": _parameters(f.shift),
-        "span_s": [[_number(span.start), _number(span.end)] for span in f.span],
-        "span_log": [span.log for span in f.span],
-        "detail": f.detail,
-    }
+        else answer.GapClosed(fraction=closed.fraction, q05=closed.q05, q95=closed.q95),
+        rms_before_kW=_kilowatts(f.rms_before),
+        rms_after_kW=_kilowatts(f.rms_after),
+        parameter_shift=_road_load(f.shift),
+        span_s=tuple((span.start, span.end) for span in f.span),
+        span_log=tuple(span.log for span in f.span),
+        detail=f.detail,
+    )
 
 
-def _part(part: Part) -> dict[str, Any]:
-    return {
-        "cause": part.cause,
-        "share": _number(part.share),
-        "q05": _number(part.q05),
-        "q95": _number(part.q95),
-        "rms_kW": _kilowatts(part.rms),
-        "reached_kW": _kilowatts(part.reached),
-        "expected_kW": _kilowatts(part.expected),
-    }
+def _part(part: Part) -> answer.Part:
+    return answer.Part(
+        cause=part.cause,
+        share=part.share,
+        q05=part.q05,
+        q95=part.q95,
+        rms_kW=_kilowatts(part.rms),
+        reached_kW=_kilowatts(part.reached),
+        expected_kW=_kilowatts(part.expected),
+    )
 
 
-def _isolability(of: Isolability) -> dict[str, Any]:
-    """Pairs with the sine of the angle between their traces: 0 cannot be told apart, 1 have nothing in common."""
+def _place(place: Place) -> answer.Place:
+    return answer.Place(
+        axis=place.axis,
+        start=place.start,
+        end=place.end,
+        unit=place.unit,
+        bias_kW=_kilowatts(place.bias),
+        share=place.share,
+        q_value=place.q_value,
+    )
+
+
+def _isolability(of: Isolability) -> answer.Isolability:
     pairs = []
     for i, a in enumerate(of.names):
         for j in range(i + 1, len(of.names)):
-            r = _number(of.correlation[i, j])
-            distance = None if r is None else math.sqrt(max(1 - r * r, 0.0))
-            pairs.append({"a": a, "b": of.names[j], "distance": distance, "correlation": r})
-    visibility = [
-        {"name": name, "expected_log_bayes_factor": _number(expected)}
-        for name, expected in zip(of.names, of.expected_log_bayes_factor, strict=True)
-    ]
-    return {"pairs": pairs, "visibility": visibility}
+            r = float(of.correlation[i, j])
+            distance = math.sqrt(max(1 - r * r, 0.0))
+            pairs.append(answer.Pair(a=a, b=of.names[j], distance=distance, correlation=r))
+    visibility = (
+        answer.Visibility(name=name, expected_log_bayes_factor=expected)
+        for name, expected in zip(of.names, of.expected_log_bayes_factor.tolist(), strict=True)
+    )
+    return answer.Isolability(pairs=tuple(pairs), visibility=tuple(visibility))
 
 
-def _parameters(p: Shift | None) -> dict[str, float | None] | None:
-    return None if p is None else {"mass_kg": _number(p.mass), "A_N": _number(p.A), "C_N_s2_m2": _number(p.C)}
+def _invisible(effect: Invisible) -> answer.Invisible:
+    return answer.Invisible(
+        name=effect.name,
+        expected_log_bayes_factor=effect.expected_log_bayes_factor,
+        parameter_shift=_road_load(effect.shift),
+        breaks=effect.breaks,
+    )
+
+
+def _road_load(p: Shift | None) -> answer.RoadLoad | None:
+    return None if p is None else answer.RoadLoad(mass_kg=p.mass, A_N=p.A, C_N_s2_m2=p.C)
 
 
 def _kilowatts(watts: float | None) -> float | None:
-    return None if watts is None else _number(watts / 1e3)
-
-
-def _number(x: float | None) -> float | None:
-    return float(x) if x is not None and math.isfinite(x) else None
+    return None if watts is None else watts / 1e3

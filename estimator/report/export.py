@@ -6,13 +6,15 @@ parameter, the paper's eigen-metrics raw and scaled by the posterior, and the dr
 
 import csv
 import importlib.util
-import json
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
+from msgspec import UNSET, UnsetType
 
+from estimator.answers import draws as answer
+from estimator.answers.answer import encode
+from estimator.answers.draws import DrawsAnswer
 from estimator.errors import ConfigError
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.posterior import Posterior
@@ -20,6 +22,7 @@ from estimator.model.road_load import design
 from estimator.output_files import check_suffix, whole
 from estimator.sampling.convergence import diagnose
 from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
+from estimator.signals import Floats
 
 NAMES = ("A_N", "C_N_s2_m2", "mass_kg")  # order of the draws' last axis
 FORMATS = (".csv", ".json", ".nc")
@@ -51,7 +54,7 @@ def write_draws(evidence: Evidence, path: Path) -> None:
     check_suffix(path, FORMATS)
     with whole(path) as temporary:
         if path.suffix.lower() == ".json":
-            temporary.write_text(json.dumps(_content(evidence), allow_nan=False), encoding="utf-8")
+            temporary.write_bytes(encode(_draws(evidence)))
         else:
             {".csv": _csv, ".nc": _netcdf}[path.suffix.lower()](evidence.posterior, temporary)
 
@@ -64,46 +67,46 @@ def _csv(posterior: Posterior, path: Path) -> None:
             table.writerows([i, j, *draw] for j, draw in enumerate(chain))
 
 
-def _content(evidence: Evidence) -> dict[str, Any]:
+def _draws(evidence: Evidence) -> DrawsAnswer:
     draws = evidence.posterior.draws[:, :, : len(NAMES)]
     flat = draws.reshape(-1, len(NAMES))
     used = evidence.trace
     J = design(used.v, used.a, used.relative_density)
     information = J.T @ J
     scale = flat.std(axis=0) / evidence.rms
-    content: dict[str, Any] = {
-        "dims": ["chain", "draw"],
-        "posterior": {name: draws[:, :, i].tolist() for i, name in enumerate(NAMES)},
-        "summary": {name: _summary(evidence.posterior, i) for i, name in enumerate(NAMES)},
-        "correlation": np.corrcoef(flat.T).tolist(),
-        "effective_samples": evidence.effective,
-        "eigen_metrics": {
-            "raw": _metrics(eigen_metrics(information)),
-            "scaled": _metrics(eigen_metrics(information, scale)),
-        },
-    }
-    density = used.density[np.isfinite(used.density)]
-    if len(density):
-        factor = REFERENCE_DENSITY / float(density.mean())
-        content["air"] = {
-            "density_kg_m3": float(density.mean()),
-            "reference_kg_m3": REFERENCE_DENSITY,
-            "C_at_reference_N_s2_m2": {
-                "mean": factor * float(flat[:, 1].mean()),
-                "sd": factor * float(flat[:, 1].std()),
-            },
-        }
-    return content
+    return DrawsAnswer(
+        dims=("chain", "draw"),
+        posterior={name: draws[:, :, i].tolist() for i, name in enumerate(NAMES)},
+        summary={name: _summary(evidence.posterior, i) for i, name in enumerate(NAMES)},
+        correlation=np.atleast_2d(np.corrcoef(flat.T)).tolist(),
+        effective_samples=evidence.effective,
+        eigen_metrics=answer.EigenMetricsPair(
+            raw=_metrics(eigen_metrics(information)), scaled=_metrics(eigen_metrics(information, scale))
+        ),
+        air=_air(used.density[np.isfinite(used.density)], flat[:, 1]),
+    )
 
 
-def _summary(posterior: Posterior, i: int) -> dict[str, float]:
+def _air(density: Floats, C: Floats) -> answer.Air | UnsetType:
+    if not len(density):
+        return UNSET
+    factor = REFERENCE_DENSITY / float(density.mean())
+    return answer.Air(
+        density_kg_m3=float(density.mean()),
+        reference_kg_m3=REFERENCE_DENSITY,
+        C_at_reference_N_s2_m2=answer.Drag(mean=factor * float(C.mean()), sd=factor * float(C.std())),
+    )
+
+
+def _summary(posterior: Posterior, i: int) -> answer.Summary:
     marginal, diagnosis = posterior.marginal(i), diagnose(posterior.draws[:, :, i])
-    summary: dict[str, float] = msgspec.to_builtins(marginal)
-    return summary | {"r_hat": diagnosis.r_hat, "ess_bulk": diagnosis.ess_bulk, "ess_tail": diagnosis.ess_tail}
+    return answer.Summary(
+        **asdict(marginal), r_hat=diagnosis.r_hat, ess_bulk=diagnosis.ess_bulk, ess_tail=diagnosis.ess_tail
+    )
 
 
-def _metrics(metrics: EigenMetrics) -> dict[str, Any]:
-    return {"log10_eigenvalues": metrics.log10_eigenvalues.tolist(), "angles_deg": metrics.angles.tolist()}
+def _metrics(metrics: EigenMetrics) -> answer.EigenMetrics:
+    return answer.EigenMetrics(log10_eigenvalues=metrics.log10_eigenvalues.tolist(), angles_deg=metrics.angles.tolist())
 
 
 def _netcdf(posterior: Posterior, path: Path) -> None:

@@ -2,7 +2,8 @@
 
 import math
 
-from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Finding, GapClosed, Magnitude, Shift, Span, Verdict
+from estimator.answers.diagnosis import Verdict
+from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.report import number_format
 from estimator.report.number_format import NOTHING, exponent, signed
 

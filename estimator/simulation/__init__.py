@@ -14,7 +14,6 @@ A drive obeys ``P = A v + C v^3 + m v a`` exactly until something is asked to go
     )
     frames = frames_of(recording.signals)                               # of estimator.can_io.recorder, as is write_log
     recording.truth.effect_power["grade"]                               # [W], on recording.truth.t
-    recording.describe()                                                # the truth in plain values, for JSON
 
 `effects.catalogue.KINDS` lists the effects with unit, usual magnitude, plausible range, and the name a right diagnosis
 gives them (``known_as``; None: outside every catalogue). `effects.effect.Effect` also says when, or from where.

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from estimator.signals import Signals
 from estimator.simulation.drive import drive
-from estimator.simulation.effects.catalogue import effects_from, kind_of
+from estimator.simulation.effects.catalogue import effects_from
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.itinerary import Shape, plan_route
 from estimator.simulation.route import RoadKind, Route
@@ -23,26 +22,6 @@ class Recording:
 
     signals: Signals
     truth: Truth
-
-    def describe(self) -> dict[str, Any]:
-        """The truth in a few plain values: the truck, the effects asked for, and the power of whatever else acted."""
-        truth, truck = self.truth, self.truth.truck
-        names = [effect.name for effect in truth.effects]
-        return {
-            "truth": {"mass_kg": truck.mass, "A_N": truck.A, "C_N_s2_m2": truck.C},
-            "effects": [
-                {
-                    "name": effect.name,
-                    "known_as": kind_of(effect.name).known_as,
-                    "magnitude": effect.magnitude,
-                    "unit": kind_of(effect.name).unit,
-                    "rms_kW": truth.rms_power(effect.name) / 1e3,
-                    "active_s": [list(span) for span in truth.active.get(effect.name, [])],
-                }
-                for effect in truth.effects
-            ],
-            "also_acting_kW": {name: truth.rms_power(name) / 1e3 for name in truth.effect_power if name not in names},
-        }
 
 
 def record(

@@ -3,10 +3,12 @@
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from estimator.answers.inspection import Busy, InspectionAnswer
+from estimator.answers.inspection import Frames as FrameCounts
+from estimator.answers.inspection import Input as InputAnswer
 from estimator.can_io.binding import bind, load_database
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
@@ -30,27 +32,24 @@ class Input:
     times: list[Floats] = field(default_factory=list)
     values: list[Floats] = field(default_factory=list)
 
-    def describe(self, end: float, start: float) -> dict[str, Any]:
-        """Count, rate [Hz], share without a valid value, range in SI, and gaps as pairs of times [s]."""
-        if not self.times:
-            return {"signal": self.name, "readings": 0}
+    def describe(self, end: float, start: float) -> InputAnswer:
+        """Describe the readings, of which there are some, between two times [s]."""
         t, value = np.concatenate(self.times), np.concatenate(self.values)
         period = float(np.median(np.diff(t))) if len(t) > 1 else float("inf")
         known = value[np.isfinite(value)]
         edges = np.append(t, end)
         long = np.diff(edges) > max(GAP_PERIODS * period, SHORTEST_GAP)
-        gaps = [
-            [round(float(edges[i] - start), 3), round(float(edges[i + 1] - start), 3)] for i in np.flatnonzero(long)
-        ]
-        return {
-            "signal": self.name,
-            "readings": len(t),
-            "rate_Hz": round(1 / period, 3) if np.isfinite(period) and period > 0 else None,
-            "not_available": round(1 - len(known) / len(t), 6),
-            "minimum": float(known.min()) if len(known) else None,
-            "maximum": float(known.max()) if len(known) else None,
-            "gaps_s": gaps,
-        }
+        return InputAnswer(
+            signal=self.name,
+            readings=len(t),
+            rate_Hz=round(1 / period, 3) if np.isfinite(period) and period > 0 else None,
+            not_available=round(1 - len(known) / len(t), 6),
+            minimum=float(known.min()) if len(known) else None,
+            maximum=float(known.max()) if len(known) else None,
+            gaps_s=tuple(
+                (round(float(edges[i] - start), 3), round(float(edges[i + 1] - start), 3)) for i in np.flatnonzero(long)
+            ),
+        )
 
 
 class Inspection:
@@ -96,7 +95,7 @@ class Inspection:
                     self._inputs[role, place].times.append(part.t)
                     self._inputs[role, place].values.append(part.value)
 
-    def report(self, place: str, skipped: Counter[str]) -> dict[str, Any]:
+    def report(self, place: str, skipped: Counter[str]) -> InspectionAnswer:
         """All that was found at ``place``, where frames were ``skipped`` for a reason; nothing can be added after."""
         traffic = self._pipeline.traffic
         for item in traffic.finish():
@@ -105,55 +104,52 @@ class Inspection:
             self._final = update
         try:
             traffic.require_inputs(place)
-            final = self._final
-            verdict = {"status": Status.UNESTIMATED.value, "reason": "", "coverage": 0.0}
-            if final is not None:
-                verdict = {"status": final.status.value, "reason": final.reason, "coverage": final.coverage.fraction}
+            missing = ""
         except MissingInputsError as error:
-            verdict = {"status": Status.UNESTIMATED.value, "reason": str(error), "coverage": 0.0}
-            usable = False
-        else:
-            usable = True
-        return {
-            "log": place,
-            "duration_s": round(self._before + self._end - self._begun, 3),
-            "frames": {
-                "read": sum(self._idents.values()),
-                "ids": len(self._idents),
-                "used": traffic.used,
-                "reordered": traffic.order.reordered,
-                "steps_back": traffic.order.steps_back,
-                "errors": dict(skipped + traffic.errors),
-            },
-            "sources": traffic.sources,
-            "contested": traffic.contested,
-            "senders": self._senders(),
-            "inputs": {
+            missing = str(error)
+        final = None if missing else self._final
+        return InspectionAnswer(
+            log=place,
+            duration_s=round(self._before + self._end - self._begun, 3),
+            frames=FrameCounts(
+                read=sum(self._idents.values()),
+                ids=len(self._idents),
+                used=traffic.used,
+                reordered=traffic.order.reordered,
+                steps_back=traffic.order.steps_back,
+                errors=dict(skipped + traffic.errors),
+            ),
+            sources=traffic.sources,
+            contested=traffic.contested,
+            senders=self._senders(),
+            inputs={
                 self._label(*key): x.describe(self._end, self._start) for key, x in self._inputs.items() if x.times
             },
-            "missing": {self._label(*key): x.name for key, x in self._inputs.items() if not x.times},
-            "busiest": [
-                {"id": f"{ident & ~EXTENDED:0{8 if ident & EXTENDED else 3}X}", "frames": count}
+            missing={self._label(*key): x.name for key, x in self._inputs.items() if not x.times},
+            busiest=tuple(
+                Busy(id=f"{ident & ~EXTENDED:0{8 if ident & EXTENDED else 3}X}", frames=count)
                 for ident, count in self._idents.most_common(10)
-            ],
-            "usable": usable,
-            **verdict,
-        }
+            ),
+            usable=not missing,
+            status=Status.UNESTIMATED if final is None else final.status,
+            reason=missing if final is None else final.reason,
+            coverage=0.0 if final is None else final.coverage.fraction,
+        )
 
     def _label(self, role: Role, place: int) -> str:
         return f"{role.value} {place + 1}" if role in self._several else role.value
 
-    def _senders(self) -> dict[str, list[int]]:
+    def _senders(self) -> dict[str, tuple[int, ...]]:
         """Source addresses that send a bound message in single frames, by its name."""
         idents = np.array([ident for ident in self._idents if ident & EXTENDED], dtype=np.uint32)
         found: dict[str, list[int]] = {}
         for ident, pgn in sorted(zip((idents & 0xFF).tolist(), pgn_of(idents).tolist(), strict=True)):
             if pgn in self._groups and ident not in found.setdefault(self._groups[pgn], []):
                 found[self._groups[pgn]].append(ident)
-        return found
+        return {name: tuple(idents) for name, idents in found.items()}
 
 
-def inspect(path: Path, config: Config, progress: Progress = no_progress) -> dict[str, Any]:
+def inspect(path: Path, config: Config, progress: Progress = no_progress) -> InspectionAnswer:
     """Describe one log; never fails for what the log lacks, only for what cannot be read.
 
     Raises

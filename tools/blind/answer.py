@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blind.truth import Truth
+from estimator.answers.diagnosis import DiagnosisAnswer, Finding, GapClosed, Magnitude
 
 Spans = tuple[tuple[float, float], ...]  # from, to [s]
 
@@ -18,61 +19,6 @@ CLASSES = (  # effects that one drive cannot tell apart, as printed beside the c
 NONE, UNKNOWN = "none", "unknown"  # candidates outside the catalogue
 
 
-class GapClosed(msgspec.Struct, frozen=True):
-    """Predicted share of the gap closed, with its 90 % interval; null where there is none."""
-
-    fraction: float | None = None
-    q05: float | None = None
-    q95: float | None = None
-
-    def holds(self, share: float) -> bool:
-        """Whether the interval covers a share; false if there is no interval."""
-        return self.q05 is not None and self.q95 is not None and self.q05 <= share <= self.q95
-
-
-class Magnitude(msgspec.Struct, frozen=True):
-    """Size of an effect."""
-
-    name: str = ""
-    value: float | None = None
-    sd: float | None = None
-    unit: str = ""
-
-
-class Finding(msgspec.Struct, frozen=True):
-    """One effect or candidate."""
-
-    name: str
-    probability: float | None = None
-    log_bayes_factor: float | None = None
-    equivalent: tuple[str, ...] = ()
-    magnitude: Magnitude | None = None
-    gap_closed: GapClosed | None = None
-    span: Spans = msgspec.field(default=(), name="span_s")
-
-    def means(self, name: str) -> bool:
-        """Whether it is ``name`` or lists it as equivalent."""
-        return name == self.name or name in self.equivalent or any({name, self.name} <= group for group in CLASSES)
-
-
-class Parameters(msgspec.Struct, frozen=True):
-    """A, C, m of the plain model, and of the model with the effects with their sd; null where there is no fit."""
-
-    base: dict[str, float | None] | None = None
-    final: dict[str, float | None] | None = None
-    sd: dict[str, float | None] | None = None
-
-
-class Answer(msgspec.Struct, frozen=True):
-    """The part of ``diagnose --json`` that is judged."""
-
-    verdict: str
-    reason: str = ""
-    effects: tuple[Finding, ...] = ()
-    candidates: tuple[Finding, ...] = ()
-    parameters: Parameters = Parameters()
-
-
 class Run(msgspec.Struct, frozen=True):
     """One diagnosis: the answer or the reason why there is none, and its cost."""
 
@@ -80,7 +26,7 @@ class Run(msgspec.Struct, frozen=True):
     seconds: float
     processor_seconds: float
     peak_MB: float
-    answer: Answer | None
+    answer: DiagnosisAnswer | None
     error: str = ""
 
     @property
@@ -99,20 +45,48 @@ class Run(msgspec.Struct, frozen=True):
         return self.verdict in ("no gap", "cannot tell")
 
 
+def bare(name: str, probability: float | None = None) -> Finding:
+    """A finding of which nothing else is known."""
+    return Finding(
+        name=name,
+        probability=probability,
+        log_bayes_factor=None,
+        equivalent=(),
+        magnitude=Magnitude(name="", value=None, sd=None, unit=""),
+        gap_closed=None,
+        rms_before_kW=None,
+        rms_after_kW=None,
+        parameter_shift=None,
+        span_s=(),
+        span_log=(),
+        detail="",
+    )
+
+
+def means(finding: Finding, name: str) -> bool:
+    """Whether it is ``name`` or lists it as equivalent."""
+    return name == finding.name or name in finding.equivalent or any({name, finding.name} <= one for one in CLASSES)
+
+
+def holds(closed: GapClosed, share: float) -> bool:
+    """Whether the interval covers a share; false if there is no interval."""
+    return closed.q05 is not None and closed.q95 is not None and closed.q05 <= share <= closed.q95
+
+
 def first_is_right(truth: Truth, run: Run) -> bool:
     """Whether the effect named first is one of the drive's effects or equivalent to one."""
-    return bool(run.named) and any(run.named[0].means(effect.name) for effect in truth.effects)
+    return bool(run.named) and any(means(run.named[0], effect.name) for effect in truth.effects)
 
 
 def found(truth: Truth, run: Run) -> list[bool]:
     """Which of the drive's effects are among those named."""
-    return [any(finding.means(effect.name) for finding in run.named) for effect in truth.effects]
+    return [any(means(finding, effect.name) for finding in run.named) for effect in truth.effects]
 
 
 def invented(truth: Truth, run: Run) -> list[str]:
     """Named effects that are neither among the drive's effects nor physics caused by them."""
     real = [*(effect.name for effect in truth.effects), *truth.companions]
-    return [f.name for f in run.named if not any(f.means(name) for name in real)]
+    return [f.name for f in run.named if not any(means(f, name) for name in real)]
 
 
 def credible_set(run: Run) -> tuple[Finding, ...] | None:
@@ -126,7 +100,7 @@ def credible_set(run: Run) -> tuple[Finding, ...] | None:
     listed = [f for f in ranked if f.probability is not None]
     rest = 1.0 - sum(f.probability or 0.0 for f in listed)
     if rest > 1e-6 and all(f.name != NONE for f in listed):
-        listed.append(Finding(NONE, rest))
+        listed.append(bare(NONE, rest))
     chosen: list[Finding] = []
     held = 0.0
     for finding in sorted(listed, key=lambda f: -(f.probability or 0.0)):

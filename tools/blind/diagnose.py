@@ -14,7 +14,9 @@ from typing import IO
 import msgspec
 
 from blind import seal
-from blind.answer import Answer, Run
+from blind.answer import Run
+from estimator.answers.diagnosis import DiagnosisAnswer
+from estimator.errors import RoadloadError
 
 COMMAND = (sys.executable, "-m", "estimator", "diagnose")
 TIMEOUT = 900.0  # s
@@ -47,7 +49,7 @@ def diagnose(folder: Path, drive: str, command: tuple[str, ...] = COMMAND) -> Ru
     answer, error = None, " ".join(said.split())[-300:] or f"exit status {process.returncode}"
     if process.returncode == 0:
         try:
-            answer, error = msgspec.json.decode(text, type=Answer), ""
+            answer, error = msgspec.json.decode(text, type=DiagnosisAnswer), ""
         except msgspec.DecodeError as wrong:
             error = f"not the JSON of the contract: {wrong}"
     run = Run(drive, seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, answer, error)
@@ -71,7 +73,16 @@ def diagnose_all(folder: Path, workers: int, command: tuple[str, ...] = COMMAND)
 
 
 def answers(folder: Path) -> dict[str, Run]:
-    """All answers so far, by drive."""
+    """All answers so far, by drive.
+
+    Raises
+    ------
+    RoadloadError
+        An answer is of another version of the program.
+    """
     paths = sorted((folder / "answers").glob("*.json"))
-    runs = (msgspec.json.decode(p.read_bytes(), type=Run) for p in paths if not p.name.endswith(".full.json"))
+    try:
+        runs = [msgspec.json.decode(p.read_bytes(), type=Run) for p in paths if not p.name.endswith(".full.json")]
+    except msgspec.ValidationError as error:
+        raise RoadloadError(f"{folder}: answers of another version; run `diagnose` again: {error}") from None
     return {run.drive: run for run in runs}

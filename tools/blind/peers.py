@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from pysindy.optimizers import STLSQ
@@ -24,16 +25,19 @@ from rich.table import Table
 from sklearn.linear_model import LassoLarsIC
 
 from blind import seal
-from blind.answer import Answer, Finding, Run
+from blind.answer import Run, bare
 from blind.case import Case
 from blind.naming import naming
 from blind.tables import as_row
 from blind.truth import Truth
+from estimator.answers.diagnosis import DiagnosisAnswer, Verdict
 from estimator.config import Config
 from estimator.diagnosis.averaged_residual import averages_of
 from estimator.diagnosis.candidates import assess
 from estimator.diagnosis.model import fit, select
+from estimator.diagnosis.result import Diagnosis
 from estimator.model.effects import CATALOGUE
+from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.streaming.drive_extraction import drives
 
 THRESHOLD = 0.1  # of STLSQ, as in the published study of discrepancy models
@@ -109,14 +113,15 @@ METHODS: dict[str, Choose] = {
 }
 
 
-def answer_of(library: Library | None, choose: Choose) -> Answer:
+def answer_of(library: Library | None, choose: Choose) -> DiagnosisAnswer:
     """Result of a method, as an answer of the diagnosis."""
+    nothing = of_diagnosis(Diagnosis(verdict=Verdict.CANNOT_TELL))
     if library is None or not library.names:
-        return Answer("cannot tell")
+        return nothing
     coefficients = choose(library.columns, library.left)
     order = np.argsort(-np.abs(coefficients))
-    named = tuple(Finding(library.names[i]) for i in order if coefficients[i] != 0.0)
-    return Answer("effect", effects=named) if named else Answer("no gap")
+    named = tuple(bare(library.names[i]) for i in order if coefficients[i] != 0.0)
+    return msgspec.structs.replace(nothing, verdict=Verdict.EFFECT if named else Verdict.NO_GAP, effects=named)
 
 
 def compare(truths: dict[str, Truth], folder: Path, workers: int) -> dict[str, list[Case]]:

@@ -8,6 +8,7 @@ from blind import answer
 from blind.case import Case, Measure, seen, share_of
 from blind.intervals import Floats, bootstrap, calibration_error, share
 from blind.truth import HIDDEN, key_of
+from estimator.answers.diagnosis import Finding
 
 LATE = 10.0  # s, limit for a log of 75 minutes
 NINETY = 1.645  # half-width of the central 90 % of a Gaussian, in sd
@@ -46,14 +47,14 @@ def honesty(cases: Sequence[Case]) -> list[Measure]:
     ]
 
 
-def _right(case: Case, finding: answer.Finding) -> bool:
+def _right(case: Case, finding: Finding) -> bool:
     """Whether a ranked candidate is the truth; "none" counts as true where the effect is invisible to the oracle."""
     truth = case.truth
     if finding.name == answer.NONE:
         return truth.log_bayes_factor < HIDDEN or truth.kind == "clean" or not case.plain
     if finding.name.startswith(answer.UNKNOWN):
         return truth.kind == "outside"
-    return any(finding.means(effect.name) for effect in truth.effects)
+    return any(answer.means(finding, effect.name) for effect in truth.effects)
 
 
 def shrinkage(cases: Sequence[Case]) -> list[Measure]:
@@ -73,11 +74,11 @@ def shrinkage(cases: Sequence[Case]) -> list[Measure]:
             # Each effect closes a share of the gap that remains after the effects before it.
             promised.append((case, 1.0 - float(np.prod([1.0 - x for x in fractions])) - oracle))
             if len(fractions) == 1:
-                inside[truth.drive] = any(c is not None and c.holds(oracle) for c in closed)
+                inside[truth.drive] = any(c is not None and answer.holds(c, oracle) for c in closed)
         for effect in hits:
             if effect.spans:
-                finding = next(f for f in run.named if f.means(effect.name))
-                located.append(answer.overlap(finding.span, effect.spans, truth.driven))
+                finding = next(f for f in run.named if answer.means(f, effect.name))
+                located.append(answer.overlap(finding.span_s, effect.spans, truth.driven))
     errors = {case.truth.drive: abs(error) <= CLOSE for case, error in promised}
     judged = [case for case, _ in promised]
     single = [case for case in judged if case.truth.drive in inside]
@@ -108,8 +109,9 @@ def parameters(cases: Sequence[Case]) -> list[Measure]:
         errors = []
         held: dict[str, bool] = {}
         for case in good:
-            said = case.run.answer.parameters if case.run.answer is not None else answer.Parameters()
-            value, sd = (None if part is None else part.get(key) for part in (said.final, said.sd))
+            assert case.run.answer is not None
+            said = case.run.answer.parameters
+            value, sd = (None if part is None else getattr(part, key) for part in (said.final, said.sd))
             if value is not None:
                 errors.append(value / case.truth.parameters[key] - 1.0)
             if value is not None and sd is not None:

@@ -5,12 +5,12 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
 
 from daemon_bench import loopback
 from daemon_bench.latency import Delays
+from estimator.answers.status import StatusAnswer
 from estimator.can_io.frames import Frames
 from estimator.commands.main import main as roadload
 from estimator.daemon.reception.reader import Batch, SocketReader
@@ -23,7 +23,7 @@ def main(port: str, folder: str, *options: str) -> None:
     """Run until SIGTERM; write counts and delays to the folder."""
     loopback.register()
     drained, taken = Delays(), Delays()
-    last: dict[str, Any] = {}
+    shown: list[StatusAnswer] = []
     read, feed, write = SocketReader.read, Pipeline.feed, status_file.write
 
     def timed_read(self: SocketReader, timeout: float) -> Batch:
@@ -35,9 +35,9 @@ def main(port: str, folder: str, *options: str) -> None:
         taken.add(time.time() - frames.t)
         return feed(self, frames)
 
-    def noted_write(path: Path, content: dict[str, Any]) -> None:
-        last.update(content)
-        write(path, content)
+    def noted_write(path: Path, status: StatusAnswer) -> None:
+        shown[:] = [status]
+        write(path, status)
 
     for owner, name, function in (
         (SocketReader, "read", timed_read),
@@ -46,12 +46,12 @@ def main(port: str, folder: str, *options: str) -> None:
     ):
         setattr(owner, name, function)
     roadload(["run", "-i", loopback.NAME, "-c", port, *options])
-    received, estimator = last["input"], last["estimator"]
+    received, estimator = shown[0].input, shown[0].estimator
     result = {
-        "frames": received["frames"],
-        "kernel_drops": received["kernel_drops"],
-        "queue_drops": received["queue_drops"] + estimator["queue_drops"],
-        "conclusion_s": estimator["longest_conclusion_s"],
+        "frames": received.frames,
+        "kernel_drops": received.kernel_drops,
+        "queue_drops": received.queue_drops + estimator.queue_drops,
+        "conclusion_s": estimator.longest_conclusion_s,
         "drained": drained.summary(),
         "processed": taken.summary(),
     }

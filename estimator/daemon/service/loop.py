@@ -9,16 +9,15 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from estimator import __version__
+from estimator.answers.status import State, StatusAnswer
 from estimator.can_io.frames import Frames
 from estimator.daemon.reception.link import Link
 from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import Batch
 from estimator.daemon.service import status, status_file
 from estimator.daemon.service.sd_notify import Notifier
-from estimator.daemon.service.status_file import State
 from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
 from estimator.errors import RoadloadError
@@ -139,25 +138,33 @@ class Daemon:
             self._report_due = now + REPORT_PERIOD
             self._report(now)
 
-    def content(self, now: float) -> dict[str, Any]:
-        """The status as plain values."""
-        t = self._time(self.source).at(now)
-        return {
-            "version": __version__,
-            "pid": os.getpid(),
-            "started_s": round(self._started, 3),
-            "written_s": round(self._wall(), 3),
-            "written_monotonic_s": now,
-            "state": self.state.value,
-            "detail": self.detail,
-            "frames_per_s": self._rate(now),
-            "clock_steps": self._time(self.source).steps,
-            "input": status.of_link(self.source, now),
-            "output": None if self.target is None else status.of_link(self.target, now),
-            "estimator": status.of_worker(self.worker, now),
-            "transmit": status.of_transmitter(self.transmitter),
-            **status.of_knowledge(self.worker.knowledge, t),
-        }
+    def status(self, now: float) -> StatusAnswer:
+        """The status at a monotonic time [s]."""
+        t, knowledge = self._time(self.source).at(now), self.worker.knowledge
+        return StatusAnswer(
+            version=__version__,
+            pid=os.getpid(),
+            started_s=round(self._started, 3),
+            written_s=round(self._wall(), 3),
+            written_monotonic_s=now,
+            state=self.state,
+            detail=self.detail,
+            frames_per_s=self._rate(now),
+            clock_steps=self._time(self.source).steps,
+            input=status.of_link(self.source, now),
+            output=None if self.target is None else status.of_link(self.target, now),
+            estimator=status.of_worker(self.worker, now),
+            transmit=status.of_transmitter(self.transmitter),
+            signals=status.of_signals(knowledge, t),
+            missing=knowledge.missing,
+            sources=dict(knowledge.sources),
+            contested=dict(knowledge.contested),
+            senders_replaced=knowledge.replacements,
+            frames_used=knowledge.used,
+            refused=dict(knowledge.refused),
+            samples_rejected=dict(knowledge.rejected),
+            estimate=status.of_estimate(knowledge.estimate, t),
+        )
 
     def is_healthy(self, now: float) -> bool:
         """Whether the draining threads turn and the estimator is not hung: only then the watchdog is fed."""
@@ -233,22 +240,21 @@ class Daemon:
         return round((count - before[1]) / (now - before[0]), 1)
 
     def _report(self, now: float) -> None:
-        content = self.content(now)
+        found = self.status(now)
         self._last_report = (now, self.source.counts.frames)
         try:
             if self._status_file is not None:
-                status_file.write(self._status_file, content)
+                status_file.write(self._status_file, found)
             if self._metrics_file is not None:
                 with whole(self._metrics_file) as temporary:
-                    temporary.write_text(status.metrics(content), encoding="utf-8")
+                    temporary.write_text(status.metrics(found), encoding="utf-8")
                     temporary.chmod(0o644)
         except RoadloadError as error:
             log.warning("status not written: %s", error)
-        estimate = content["estimate"]
-        known = "no estimate yet" if estimate is None else f"{estimate['status']} {estimate['reason']}".strip()
+        estimate = found.estimate
+        known = "no estimate yet" if estimate is None else f"{estimate.status} {estimate.reason}".strip()
         drops = self.source.counts.kernel_drops + self.source.counts.queue_drops + self.worker.drops
-        rate = content["frames_per_s"] or 0
-        line = f"STATUS={self.state.value}; {rate:.0f} frames/s; {drops} dropped; {known}"
+        line = f"STATUS={self.state.value}; {found.frames_per_s or 0:.0f} frames/s; {drops} dropped; {known}"
         # Ready as soon as the loop turns: a bus may be away for weeks, and that is no failure to start.
         ready = [] if self._is_ready else ["READY=1"]
         self._is_ready = True

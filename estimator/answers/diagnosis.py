@@ -1,0 +1,167 @@
+"""The answer of `diagnose`; what is not known is null."""
+
+from enum import StrEnum
+
+from msgspec import Struct, field
+
+from estimator.answers.answer import Answer
+
+
+class Verdict(StrEnum):
+    """The outcome of a diagnosis."""
+
+    NO_GAP = "no gap"
+    EFFECT = "effect"
+    UNKNOWN = "unknown effect"
+    CANNOT_TELL = "cannot tell"
+
+
+class RoadLoad(Struct, frozen=True, kw_only=True):
+    """Values, sd or changes of mass, rolling resistance and drag."""
+
+    mass_kg: float | None
+    A_N: float | None
+    C_N_s2_m2: float | None
+
+
+class Magnitude(Struct, frozen=True, kw_only=True):
+    """Size of an effect, in its unit."""
+
+    name: str
+    value: float | None
+    sd: float | None
+    unit: str
+
+
+class GapClosed(Struct, frozen=True, kw_only=True):
+    """Share of the gap that an effect closes on held-out blocks, with its 90 % interval."""
+
+    fraction: float | None
+    q05: float | None
+    q95: float | None
+
+
+class Finding(Struct, frozen=True, kw_only=True):
+    """One effect: its evidence, its size, and when it acts.
+
+    ``span_s`` holds times from and to, since the first row of the log that ``span_log`` counts; without spans it acts
+    always.
+    """
+
+    name: str
+    probability: float | None
+    log_bayes_factor: float | None
+    equivalent: tuple[str, ...]
+    magnitude: Magnitude
+    gap_closed: GapClosed | None
+    rms_before_kW: float | None
+    rms_after_kW: float | None
+    parameter_shift: RoadLoad | None
+    span_s: tuple[tuple[float, float], ...]
+    span_log: tuple[int, ...]
+    detail: str
+
+
+class Remaining(Struct, frozen=True, kw_only=True):
+    """The verdict on what the named effects leave."""
+
+    verdict: Verdict
+    log_bayes_factor: float | None
+
+
+class Part(Struct, frozen=True, kw_only=True):
+    """Share of one cause in the plain model's residual, with its 90 % interval."""
+
+    cause: str
+    share: float | None
+    q05: float | None
+    q95: float | None
+    rms_kW: float | None
+    reached_kW: float | None
+    expected_kW: float | None
+
+
+class Parameters(Struct, frozen=True, kw_only=True):
+    """Fit of the plain model and of the model with the named effects; null without a fit."""
+
+    base: RoadLoad | None
+    base_sd: RoadLoad | None
+    final: RoadLoad | None
+    sd: RoadLoad | None
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """A part of an axis where the residual is not zero; ``q_value`` is its false discovery rate."""
+
+    axis: str
+    start: float | None = field(name="from")
+    end: float | None = field(name="to")
+    unit: str
+    bias_kW: float | None
+    share: float | None
+    q_value: float | None
+
+
+class Pair(Struct, frozen=True, kw_only=True):
+    """Two effects.
+
+    ``distance`` is the sine of the angle between their traces: 0 if nothing separates them, 1 if they have nothing in
+    common.
+    """
+
+    a: str
+    b: str
+    distance: float | None
+    correlation: float | None
+
+
+class Visibility(Struct, frozen=True, kw_only=True):
+    """Evidence expected of an effect of its usual size."""
+
+    name: str
+    expected_log_bayes_factor: float | None
+
+
+class Isolability(Struct, frozen=True, kw_only=True):
+    """Which effects this drive separates, and which it shows."""
+
+    pairs: tuple[Pair, ...] = ()
+    visibility: tuple[Visibility, ...] = ()
+
+
+class NotTestable(Struct, frozen=True, kw_only=True):
+    """An effect that this log cannot show, and the signal that would."""
+
+    name: str
+    needs: str
+
+
+class Invisible(Struct, frozen=True, kw_only=True):
+    """An effect that could act unseen at its usual size, its bias of the parameters, and the signal that shows it."""
+
+    name: str
+    expected_log_bayes_factor: float | None
+    parameter_shift: RoadLoad | None
+    breaks: str
+
+
+class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
+    """Verdict and evidence; ``effects`` is the chosen set in order of adding, ``candidates`` the whole ranking."""
+
+    verdict: Verdict
+    reason: str
+    configuration: str
+    effects: tuple[Finding, ...]
+    candidates: tuple[Finding, ...]
+    remaining: Remaining
+    noise_floor_kW: float | None
+    rms_base_kW: float | None
+    rms_final_kW: float | None
+    budget: tuple[Part, ...]
+    parameters: Parameters
+    where: tuple[Place, ...]
+    isolability: Isolability
+    not_testable: tuple[NotTestable, ...]
+    invisible: tuple[Invisible, ...]
+    advice: tuple[str, ...]
+    logs: tuple[str, ...]

@@ -1,0 +1,105 @@
+"""The answer of `estimate` and `replay`."""
+
+from msgspec import UNSET, Struct, UnsetType
+
+from estimator.answers.answer import Answer
+from estimator.estimate import Marginal, Status
+
+
+class Parameter(Struct, frozen=True, kw_only=True):
+    """Marginal posterior of one parameter; without values where it is not estimated."""
+
+    status: Status
+    reason: str
+    mean: float | None = None
+    sd: float | None = None
+    q05: float | None = None
+    q50: float | None = None
+    q95: float | None = None
+
+
+class Parameters(Struct, frozen=True, kw_only=True):
+    """Mass, rolling resistance and drag."""
+
+    mass_kg: Parameter
+    A_N: Parameter
+    C_N_s2_m2: Parameter
+
+
+class Convergence(Struct, frozen=True, kw_only=True):
+    """Diagnostics of the chains: worst value over the parameters; draws per chain."""
+
+    r_hat: float | None
+    ess_bulk: float | None
+    acceptance: float | None
+    draws: int
+    chains: int
+
+
+class Coverage(Struct, frozen=True, kw_only=True):
+    """Occupied cells of the speed x acceleration grid, of those that the vehicle can reach."""
+
+    fraction: float
+    occupied: int
+    available: int
+
+
+class Road(Struct, frozen=True, kw_only=True):
+    """Slopes of the road where the model has one; no height climbed where no signal shows it."""
+
+    slope_sd: float
+    length_m: float
+    shown_by: tuple[str, ...]
+    climbed_m: float | None
+
+
+class Samples(Struct, frozen=True, kw_only=True):
+    """Samples in the window, and counts of those rejected, by reason."""
+
+    admitted: int
+    rejected: dict[str, int]
+
+
+class Frames(Struct, frozen=True, kw_only=True):
+    """Counts of frames; ``errors`` by reason."""
+
+    read: int
+    used: int
+    reordered: int
+    steps_back: int
+    errors: dict[str, int]
+
+
+class LoadChanged(Struct, frozen=True, kw_only=True):
+    """Probability that the mass after a long stop is another one than before, and both means."""
+
+    probability: float
+    mass_before_kg: float
+    mass_after_kg: float
+
+
+class Update(Struct, frozen=True, kw_only=True):
+    """The estimate at a time since the first frame; ``load_changed`` only in the first ones after a long stop."""
+
+    t_s: float
+    status: Status
+    parameters: Parameters
+    load_changed: LoadChanged | UnsetType = UNSET
+
+
+class RunAnswer(Answer, frozen=True, kw_only=True):
+    """The final estimate, what went in, and every update before it."""
+
+    status: Status
+    reason: str
+    advice: str
+    parameters: Parameters
+    convergence: Convergence | None
+    coverage: Coverage
+    road: Road | None
+    rms_kW: float | None
+    samples: Samples
+    frames: Frames
+    effects: tuple[str, ...]
+    magnitudes: dict[str, Marginal]
+    updates: tuple[Update, ...]

@@ -1,0 +1,119 @@
+"""The status of a running daemon: its file, and the answer of `status`."""
+
+from enum import StrEnum
+
+from msgspec import UNSET, Struct, UnsetType
+
+from estimator.answers.answer import Answer
+from estimator.answers.run import Convergence, Coverage, Parameters
+from estimator.estimate import Status
+
+
+class State(StrEnum):
+    """What the daemon is doing; only a fault needs somebody's attention."""
+
+    WAITING = "waiting for interface"
+    LISTENING = "listening"  # open, and nothing heard yet
+    SILENT = "ignition off"
+    RECEIVING = "receiving"
+    FAULT = "fault"
+
+
+class Link(Struct, frozen=True, kw_only=True):
+    """A bus; counts since the start."""
+
+    bus: str
+    open: bool
+    up: bool
+    problem: str
+    silent_s: float | None
+    receive_buffer_bytes: int | None
+    frames: int
+    errors: int
+    remote: int
+    malformed: int
+    bus_off: int
+    kernel_drops: int
+    queue_drops: int
+    opened: int
+    attempts_failed: int
+    reopened: int
+
+
+class Estimator(Struct, frozen=True, kw_only=True):
+    """The estimator's thread: frames that wait, time of its conclusions, and the saved state."""
+
+    backlog_frames: int
+    queue_drops: int
+    conclusion_s: float
+    longest_conclusion_s: float
+    busy_s: float
+    state_saves: dict[str, int]
+    state_problem: str
+    state_age_s: float | None
+
+
+class Transmit(Struct, frozen=True, kw_only=True):
+    """What is sent, and what is withheld, by reason; the defaults where nothing is to be sent."""
+
+    enabled: bool
+    address: int | None = None
+    address_lost: bool = False
+    fault: str = ""
+    published: int = 0
+    withheld: dict[str, int] = {}
+    failed: int = 0
+    foreign_weights: tuple[int, ...] = ()
+    colliding_groups: tuple[str, ...] = ()
+    events: dict[str, int] = {}
+
+
+class Signal(Struct, frozen=True, kw_only=True):
+    """Readings of a role, and the age of the newest valid one."""
+
+    readings: int
+    age_s: float | None
+
+
+class Estimate(Struct, frozen=True, kw_only=True):
+    """The latest conclusion; ``samples`` in the window."""
+
+    status: Status
+    reason: str
+    age_s: float
+    samples: int
+    parameters: Parameters
+    convergence: Convergence | None
+    coverage: Coverage
+
+
+class StatusAnswer(Answer, frozen=True, kw_only=True):
+    """Buses, signals, estimate and transmission; times of day are seconds since 1970.
+
+    ``running`` and ``why_not`` are what `roadload status` adds to the file.
+    """
+
+    running: bool | UnsetType = UNSET
+    why_not: str | UnsetType = UNSET
+    version: str
+    pid: int
+    started_s: float
+    written_s: float
+    written_monotonic_s: float
+    state: State
+    detail: str
+    frames_per_s: float | None
+    clock_steps: int
+    input: Link
+    output: Link | None
+    estimator: Estimator
+    transmit: Transmit
+    signals: dict[str, Signal]
+    missing: tuple[str, ...]
+    sources: dict[str, int]
+    contested: dict[str, str]
+    senders_replaced: int
+    frames_used: int
+    refused: dict[str, int]
+    samples_rejected: dict[str, int]
+    estimate: Estimate | None

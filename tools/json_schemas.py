@@ -1,0 +1,46 @@
+"""JSON Schemas of the program's answers, written to docs/schema: ``python3 tools/json_schemas.py``."""
+
+import json
+import sys
+from pathlib import Path
+
+import msgspec
+
+from estimator.answers.answer import Answer
+from estimator.answers.diagnosis import DiagnosisAnswer
+from estimator.answers.draws import DrawsAnswer
+from estimator.answers.fleet import FleetAnswer
+from estimator.answers.inspection import InspectionAnswer
+from estimator.answers.run import RunAnswer
+from estimator.answers.simulation import SimulationAnswer
+from estimator.answers.status import StatusAnswer
+
+FOLDER = Path(__file__).parents[1] / "docs" / "schema"
+ANSWERS: dict[str, type[Answer]] = {
+    "diagnosis": DiagnosisAnswer,
+    "draws": DrawsAnswer,
+    "fleet": FleetAnswer,
+    "inspection": InspectionAnswer,
+    "run": RunAnswer,
+    "simulation": SimulationAnswer,
+    "status": StatusAnswer,
+}
+
+
+def schemas() -> dict[Path, str]:
+    """The text of each file."""
+    return {
+        FOLDER / f"{name}.json": json.dumps(msgspec.json.schema(kind), indent=1) + "\n"
+        for name, kind in ANSWERS.items()
+    }
+
+
+def main() -> int:
+    """Write the files."""
+    for path, text in schemas().items():
+        path.write_text(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
