@@ -4,6 +4,7 @@ import os
 import sys
 from pathlib import Path
 
+import grimp
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -100,6 +101,14 @@ def test_drives_are_dealt_in_the_promised_shares_and_every_effect_and_noise_leve
     sizes = [(abs(size), KINDS[name]) for p in plans for name, size in p.effects.items()]
     assert all(kind.low - 1e-12 <= size <= kind.high + 1e-12 for size, kind in sizes)
     assert all(0.03 <= p.sensors.torque_lag <= 0.1 and p.sensors.torque_noise > 0 for p in plans)
+
+
+def test_drives_and_their_truth_owe_nothing_to_the_model_under_test():
+    graph = grimp.build_graph("blind", "estimator", cache_dir=None)
+    makers = ("blind.draw", "blind.oracle", "blind.seal", "blind.truth", "blind.world")
+    under_test = ("estimator.diagnosis", "estimator.estimation", "estimator.model")
+    chains = (graph.find_shortest_chain(one, other, as_packages=True) for one in makers for other in under_test)
+    assert [chain for chain in chains if chain] == []
 
 
 def test_noise_of_the_oracle_is_that_of_the_generator():

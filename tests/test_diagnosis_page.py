@@ -403,7 +403,8 @@ def test_size_has_the_digits_it_deserves(magnitude: Magnitude, words: str) -> No
 def test_a_shift_has_the_digits_that_its_sd_deserves():
     change = Shift(mass=498.3, A=-815.2, C=2.9612)
     assert wording.shift(change) == f"mass +498 kg, A {number_format.MINUS}815 N, C +2.961"
-    assert wording.shift(change, Shift(mass=150.0, A=63.0, C=0.15)) == f"mass +500 kg, A {number_format.MINUS}820 N, C +3.0"
+    rough = wording.shift(change, Shift(mass=150.0, A=63.0, C=0.15))
+    assert rough == f"mass +500 kg, A {number_format.MINUS}820 N, C +3.0"
     assert wording.shift(Shift(mass=0.2, A=20.0, C=0.0), Shift(mass=150.0, A=63.0, C=0.15)) == "A +20 N"
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from simulated_logs import drive, written
 
+from estimator.answers.diagnosis import Verdict
 from estimator.blas_threads import one_blas_thread
 from estimator.config import Config
 from estimator.diagnosis.model import fit, select
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import Verdict
 from estimator.diagnosis.search import search
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import BY_NAME
