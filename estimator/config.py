@@ -32,7 +32,7 @@ from estimator.settings import (
     Window,
 )
 
-LARGEST_FILE = 1 << 20  # bytes
+MAX_FILE_BYTES = 1 << 20  # bytes
 DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
 FREE_TABLES: dict[str, Any] = {"signals": SignalPaths, "bus.source_addresses": Address}  # keys are the user's
 
@@ -89,7 +89,7 @@ class Config(Section, frozen=True):
 
 
 def check(config: Config) -> None:
-    """Complain about tables that contradict each other.
+    """Refuse tables that contradict each other.
 
     Raises
     ------
@@ -107,11 +107,11 @@ def check(config: Config) -> None:
         if belief is not None and not low <= belief[0] <= high:
             raise ConfigError(f"prior.{name}: the box [{low}, {high}] excludes the belief {belief[0]}")
         if belief is not None and config.sampler.likelihood == "paper":
-            raise ConfigError('sampler.likelihood: "paper" knows boxes only; take the beliefs out of [prior]')
+            raise ConfigError('sampler.likelihood: "paper" has boxes only; take the beliefs out of [prior]')
     if config.effects and config.sampler.likelihood == "paper":
-        raise ConfigError('sampler.likelihood: "paper" knows the plain road load only; take the effects out')
+        raise ConfigError('sampler.likelihood: "paper" has the plain road load only; take the effects out')
     if "grade" in config.effects and config.kinematics.acceleration == "inertial":
-        raise ConfigError('kinematics.acceleration: "inertial" feels the grade already; take it out of the effects')
+        raise ConfigError('kinematics.acceleration: "inertial" contains the grade already; take it out of the effects')
     known = {role.value for role in Role}
     for role, bound in config.signals.items():
         if role not in known:
@@ -183,7 +183,7 @@ def load(path: Path | str | None = None) -> Config:
         return Config()
     path = Path(path)
     try:
-        tables = tomllib.loads(read_bounded(path, LARGEST_FILE).decode("utf-8"))
+        tables = tomllib.loads(read_bounded(path, MAX_FILE_BYTES).decode("utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # also bytes that are not UTF-8, and numbers of thousands of digits

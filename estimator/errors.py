@@ -18,7 +18,7 @@ class ConfigError(InputError):
 
 
 class DatabaseError(InputError):
-    """A DBC does not parse, lacks a bound signal, or gives a signal a unit nobody knows."""
+    """A DBC does not parse, lacks a bound signal, or gives a signal an unknown unit."""
 
 
 class LogError(InputError):

@@ -1,4 +1,4 @@
-"""What an update of the estimator concludes: the one object that is printed, broadcast and stored."""
+"""The estimate of one update, which is printed, broadcast and stored."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -92,7 +92,7 @@ class Estimate:
     effects: dict[str, Marginal] = field(default_factory=dict)  # magnitudes of effects in the model
     load: LoadChange | None = None  # against the load before the last long stop, where that was estimated
     withheld: dict[str, str] = field(default_factory=dict)  # reason, for each of PARAMETERS that is not known yet
-    road: Road | None = None  # what the drive says of the road, where the model has one
+    road: Road | None = None  # where the model has one
 
     @property
     def marginals(self) -> dict[str, Marginal | None]:

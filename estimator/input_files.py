@@ -1,4 +1,4 @@
-"""Small files that a user names, read whole: a device or a fifo that never ends fills no memory."""
+"""Small files that a user names, read up to a limit: an endless device or fifo does not fill the memory."""
 
 import errno
 from pathlib import Path

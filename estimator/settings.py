@@ -5,14 +5,14 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-LARGEST = 1e9  # in any unit used here: larger numbers are mistakes, and their products overflow
-SMALLEST = 1e-6
-Positive = Annotated[float, Meta(ge=SMALLEST, le=LARGEST)]
-NotNegative = Annotated[float, Meta(ge=0, le=LARGEST)]
+MAX_VALUE = 1e9  # in any unit used here: larger numbers are mistakes, and their products overflow
+MIN_POSITIVE = 1e-6
+Positive = Annotated[float, Meta(ge=MIN_POSITIVE, le=MAX_VALUE)]
+NotNegative = Annotated[float, Meta(ge=0, le=MAX_VALUE)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
-Count = Annotated[int, Meta(ge=1, le=int(LARGEST))]
+Count = Annotated[int, Meta(ge=1, le=int(MAX_VALUE))]
 Address = Annotated[int, Meta(ge=0, le=253)]
-Bound = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Bound = Annotated[float, Meta(ge=-MAX_VALUE, le=MAX_VALUE)]
 Range = tuple[Bound, Bound]
 Belief = tuple[Positive, Positive]
 SignalPaths = str | list[str]
@@ -58,7 +58,7 @@ class Admission(Section, frozen=True):
 
 
 class Window(Section, frozen=True):
-    """What is remembered."""
+    """The samples that an estimate is made from."""
 
     samples: Annotated[int, Meta(ge=600, le=1_000_000)] = 36_000  # at 10 Hz: an hour of admitted driving
     hours: Positive = 24.0
@@ -67,7 +67,7 @@ class Window(Section, frozen=True):
 class Gate(Section, frozen=True):
     """When an estimate may be made."""
 
-    interval_s: Annotated[float, Meta(ge=5, le=LARGEST)] = 60.0  # between updates, message time
+    interval_s: Annotated[float, Meta(ge=5, le=MAX_VALUE)] = 60.0  # between updates, message time
     minimum_samples: Count = 600
     minimum_cells: Count = 8  # occupied cells of the speed x acceleration grid
     cell_count: Count = 10  # samples that make a cell occupied
@@ -79,7 +79,7 @@ class Gate(Section, frozen=True):
 
 
 class Load(Section, frozen=True):
-    """When the load may change, and how well the vehicle is remembered across such a stop."""
+    """When the load may change, and the uncertainty of the parameters that are carried over."""
 
     stop_s: Positive = 300.0  # standing this long starts a new load segment
     change_sd: NotNegative = 0.1  # relative sd of what A / m and C may change with the load: trailers differ
@@ -129,7 +129,7 @@ class BusOptions(Section, frozen=True):
 
 
 class Reception(BusOptions, frozen=True):
-    """How the daemon hears the bus."""
+    """How the daemon receives from the bus."""
 
     filter: bool = True  # have the kernel pass on the wanted messages only
     buffer_bytes: Annotated[int, Meta(ge=4096, le=1 << 28)] = 4 << 20  # of the kernel, for the socket
@@ -155,9 +155,9 @@ class Transmit(BusOptions, frozen=True):
 
 
 class Service(Section, frozen=True):
-    """Where the daemon keeps what it knows."""
+    """Where the daemon keeps its state and status."""
 
     state_directory: str | None = None  # default: that of systemd, else the user's own
     runtime_directory: str | None = None  # of the status file; default: that of systemd, else the user's own
-    save_interval_s: Annotated[float, Meta(ge=10, le=LARGEST)] = 60.0  # lost with the power: at most that and 10 s
+    save_interval_s: Annotated[float, Meta(ge=10, le=MAX_VALUE)] = 60.0  # lost with the power: at most that and 10 s
     metrics: str | None = None  # file for the node exporter of Prometheus

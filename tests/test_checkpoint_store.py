@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from estimator.checkpoint.store import CURRENT, LARGEST, PREVIOUS, SCHEMA, StateStore, pack, unpack
+from estimator.checkpoint.store import CURRENT, MAX_BYTES, PREVIOUS, SCHEMA, StateStore, pack, unpack
 from estimator.errors import RoadloadError, StateError
 
 arrays = hnp.arrays(
@@ -115,7 +115,7 @@ def test_a_state_too_large_is_not_written(tmp_path, monkeypatch):
 
 def test_a_file_too_large_is_not_read(tmp_path):
     with (tmp_path / CURRENT).open("wb") as file:
-        file.truncate(LARGEST + 1)
+        file.truncate(MAX_BYTES + 1)
     assert "too large" in StateStore(tmp_path).load("k")[1]
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.daemon.reception.message_clock import STEP, MessageClock
+from estimator.daemon.reception.message_clock import MIN_LATENESS, MessageClock
 
 EPOCH = 1_700_000_000.0
 
@@ -121,5 +121,5 @@ def test_no_stamps_break_the_order_or_run_ahead(batches: list[tuple[float, list[
             assert np.isfinite(t).all()
             assert (np.diff(t) >= 0).all()
             assert t[0] >= last
-            assert t[-1] <= max(clock.at(now) + STEP, last)
+            assert t[-1] <= max(clock.at(now) + MIN_LATENESS, last)
             last = t[-1]

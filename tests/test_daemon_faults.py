@@ -12,7 +12,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from daemon_bench import Bench, FakeBus, frame
 
 from estimator.checkpoint.store import StateStore
-from estimator.daemon.reception.reader import LARGEST_BATCH, MessageReader
+from estimator.daemon.reception.reader import MAX_BATCH, MessageReader
 from estimator.daemon.service import folders
 from estimator.errors import ConfigError, RoadloadError
 
@@ -133,8 +133,8 @@ def test_malformed_datagrams_are_counted_and_passed_over():
 
 
 def test_a_flood_of_malformed_datagrams_does_not_hold_the_reader():
-    reader = MessageReader(Datagrams(*[ValueError("x")] * (2 * LARGEST_BATCH)))
-    assert reader.read(0.0).malformed == LARGEST_BATCH
+    reader = MessageReader(Datagrams(*[ValueError("x")] * (2 * MAX_BATCH)))
+    assert reader.read(0.0).malformed == MAX_BATCH
 
 
 def test_a_bus_that_has_gone_is_still_an_error():

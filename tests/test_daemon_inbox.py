@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.can_io.frames import Frames
-from estimator.daemon.reception.echoes import MOST_ECHOES, Echoes
+from estimator.daemon.reception.echoes import MAX_ECHOES, Echoes
 from estimator.daemon.reception.inbox import Inbox
 
 sizes = st.lists(st.integers(1, 40), max_size=60)
@@ -69,7 +69,7 @@ def test_what_we_sent_is_taken_out_once_and_what_others_send_stays() -> None:
 
 def test_only_the_latest_of_what_we_sent_is_remembered() -> None:
     echoes = Echoes()
-    sent = [message(0x18FF60FB, i.to_bytes(2, "big")) for i in range(MOST_ECHOES + 5)]
+    sent = [message(0x18FF60FB, i.to_bytes(2, "big")) for i in range(MAX_ECHOES + 5)]
     for each in sent:
         echoes.expect(each)
     heard, _ = echoes.split(Frames.from_messages(sent))

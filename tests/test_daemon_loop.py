@@ -414,10 +414,10 @@ def test_a_status_is_only_that_of_a_living_and_recent_daemon(tmp_path: Path) -> 
     bench = Bench(tmp_path)
     bench.turn()
     written = status_file.read(tmp_path / "status.json")
-    assert status_file.verdict(written, bench.now) == ""
-    assert "ago" in status_file.verdict(written, bench.now + 60)
-    assert "machine" in status_file.verdict(written, bench.now - 60)
-    assert "ended" in status_file.verdict(replace(written, pid=2**22 + 1), bench.now)
+    assert status_file.obstacle_to_status(written, bench.now) == ""
+    assert "ago" in status_file.obstacle_to_status(written, bench.now + 60)
+    assert "machine" in status_file.obstacle_to_status(written, bench.now - 60)
+    assert "ended" in status_file.obstacle_to_status(replace(written, pid=2**22 + 1), bench.now)
 
 
 def test_a_status_of_another_version_is_refused_with_the_reason(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.j1939 import MAXIMUM_BYTES, T1, MultiPacket, Transport, classify, pgn_of
+from estimator.can_io.j1939 import MAX_BYTES, T1, MultiPacket, Transport, classify, pgn_of
 
 EC1 = 0xFEE3
 Row = tuple[float, int, bytes]
@@ -83,7 +83,7 @@ def test_a_broadcast_as_recorded() -> None:
     assert feed(broadcast(10.0, 0, PAYLOAD)) == ([MultiPacket(10.0 + 0.05 * 6, EC1, 0, PAYLOAD)], {})
 
 
-@pytest.mark.parametrize("size", [9, 14, 15, MAXIMUM_BYTES])
+@pytest.mark.parametrize("size", [9, 14, 15, MAX_BYTES])
 def test_any_allowed_size(size: int) -> None:
     payload = bytes(k % 251 for k in range(size))
     assert feed(broadcast(0.0, 3, payload)) == ([MultiPacket(0.05 * -(-size // 7), EC1, 3, payload)], {})
@@ -128,9 +128,7 @@ def test_packets_must_follow_each_other_in_time(period: float, whole: bool) -> N
     assert rejected == ({} if whole else {"transport: packet late or lost": 1})
 
 
-@pytest.mark.parametrize(
-    ("size", "packets"), [(0, 0), (8, 2), (MAXIMUM_BYTES + 1, 255), (65535, 255), (39, 5), (39, 7)]
-)
+@pytest.mark.parametrize(("size", "packets"), [(0, 0), (8, 2), (MAX_BYTES + 1, 255), (65535, 255), (39, 5), (39, 7)])
 def test_impossible_announcements(size: int, packets: int) -> None:
     transfers = [transfer(0.1 * k, 0, k) for k in range(1, 8)]
     assert feed([announcement(0.0, 0, size, packets), *transfers]) == ([], {"transport: impossible announcement": 1})
@@ -202,17 +200,17 @@ def test_arbitrary_frames_in_arbitrary_batches(events: list[Row], places: list[i
     edges = [0, *sorted(min(p, len(rows)) for p in places), len(rows)]
     assert [m for a, b in itertools.pairwise(edges) for m in parts.feed(pack(rows[a:b]))] == expected
     assert parts.rejected == whole.rejected
-    assert all(8 < len(m.payload) <= MAXIMUM_BYTES for m in expected)
+    assert all(8 < len(m.payload) <= MAX_BYTES for m in expected)
 
 
 def test_memory_is_bounded() -> None:
     rng = np.random.default_rng(1)
     n = 20_000
     transport = Transport()
-    rows = [announcement(0.0, source, MAXIMUM_BYTES) for source in range(256)]
+    rows = [announcement(0.0, source, MAX_BYTES) for source in range(256)]
     for k in range(n):
         source, kind = int(rng.integers(256)), rng.random()
-        rows.append(announcement(0.0, source, MAXIMUM_BYTES) if kind < 0.1 else transfer(0.0, source, k % 3 + 1))
+        rows.append(announcement(0.0, source, MAX_BYTES) if kind < 0.1 else transfer(0.0, source, k % 3 + 1))
     transport.feed(pack(rows))
     assert len(transport._sessions) <= 256
-    assert all(len(s.payload) <= MAXIMUM_BYTES + 6 for s in transport._sessions.values())
+    assert all(len(s.payload) <= MAX_BYTES + 6 for s in transport._sessions.values())

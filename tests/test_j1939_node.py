@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.can_io.counter_crc import verify
-from estimator.can_io.foreign_senders import COLLISION_HOLD, CVW, HOLD, Neighbours
+from estimator.can_io.foreign_senders import COLLISION_HOLD, CVW, CVW_HOLD, ForeignSenders
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_name import Name
 from estimator.can_io.j1939_node import ANSWER_BURST, ANSWER_RATE, CLAIM_BURST, CLAIM_RATE, FREE, NULL, Node
@@ -492,7 +492,7 @@ def batch(*idents: int, t: float = 100.0, extended: bool = True) -> Frames:
 
 
 def test_ids_of_ours_that_others_send_are_learnt():
-    neighbours = Neighbours([0xFF60, 0xFF61])
+    neighbours = ForeignSenders([0xFF60, 0xFF61])
     neighbours.watch(batch(0x18FF60FB, 0x0CFF6133, 0x18FEF1FB))
     assert neighbours.occupied(0xFF60, 0xFB, 101.0)
     assert not neighbours.occupied(0xFF61, 0xFB, 101.0)
@@ -502,15 +502,15 @@ def test_ids_of_ours_that_others_send_are_learnt():
 
 
 def test_a_foreign_weight_is_one_too_many_whoever_sends_it():
-    neighbours = Neighbours([0xFF60])
+    neighbours = ForeignSenders([0xFF60])
     assert not neighbours.occupied(CVW, 0xFB, 100.0)
     neighbours.watch(batch(0x18FE7021))
     assert neighbours.occupied(CVW, 0xFB, 100.0)
-    assert neighbours.senders(CVW, 99.0 + HOLD) == [0x21]
-    assert neighbours.senders(CVW, 101.0 + HOLD) == []
+    assert neighbours.senders(CVW, 99.0 + CVW_HOLD) == [0x21]
+    assert neighbours.senders(CVW, 101.0 + CVW_HOLD) == []
 
 
 def test_eleven_bit_ids_are_nobodys_group():
-    neighbours = Neighbours([0x0000])
+    neighbours = ForeignSenders([0x0000])
     neighbours.watch(batch(0x7B, extended=False))
     assert neighbours.senders(0, 100.0) == []

@@ -18,7 +18,7 @@ from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
-from estimator.streaming.row_stream import NEW_DRIVE
+from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the dyno truth of the paper
 MINUTES = 25
@@ -189,7 +189,7 @@ def test_one_signal_missing_for_a_while_is_a_gap(short):
     assert pipeline.estimator.rejected[Reason.SPEED_STALE] >= 98
 
 
-@pytest.mark.parametrize(("silence", "kept"), [(200, True), (NEW_DRIVE + 60, False)])
+@pytest.mark.parametrize(("silence", "kept"), [(200, True), (MIN_NEW_DRIVE_SILENCE + 60, False)])
 def test_a_long_silence_starts_a_new_window(short, silence, kept):
     pipeline, _ = run([between(short, 0, 300), moved(between(short, 300, 480), silence)])
     t = pipeline.estimator.window.samples.t - EPOCH

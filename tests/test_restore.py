@@ -23,7 +23,7 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
-from estimator.streaming.row_stream import NEW_DRIVE, RowStream
+from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE, RowStream
 from estimator.strides import DURATION
 
 pytestmark = pytest.mark.slow
@@ -178,7 +178,7 @@ def test_rows_are_never_joined_over_the_absence(drive, state, away):
 
 
 @pytest.mark.parametrize(
-    "away", [NEW_DRIVE + 60, -3600.0, -EPOCH], ids=["long", "clock set back", "clock never set again"]
+    "away", [MIN_NEW_DRIVE_SILENCE + 60, -3600.0, -EPOCH], ids=["long", "clock set back", "clock never set again"]
 )
 def test_after_a_long_absence_the_load_is_another(drive, state, away):
     pipeline = restored(state)
@@ -262,7 +262,7 @@ def test_a_sender_that_was_exchanged_is_found_on_the_next_drive(drive, state):
     list(same.feed(by(between(drive, SAVED, SAVED + 8), 0x77)))
     assert same.traffic.sources["EEC1.EngSpeed"] != 0x77
     later = restored(state)
-    list(later.feed(moved(by(between(drive, SAVED, SAVED + 30), 0x77), 2 * NEW_DRIVE)))
+    list(later.feed(moved(by(between(drive, SAVED, SAVED + 30), 0x77), 2 * MIN_NEW_DRIVE_SILENCE)))
     assert set(later.traffic.sources.values()) == {0x77}
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_decoder import LARGE, SPEED, TORQUE, TRUCK, announced, broadcast, cut, pack
 
 from estimator.can_io.binding import bind, load_database
-from estimator.can_io.contradiction import alternates, disagree
+from estimator.can_io.contradiction import disagree, is_alternating
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import Frames
 from estimator.can_io.source_selection import Contest, fastest
@@ -330,7 +330,7 @@ def test_no_smooth_signal_with_noise_and_resolution_alternates(seed, n, noise, s
     rng = np.random.default_rng(seed)
     value = 1 + swing * np.sin(2 * np.pi * np.arange(n) / period) + rng.normal(0, noise, n)
     value = np.round(value / step) * step if step else value
-    assert not alternates(value, 1.0, step)
+    assert not is_alternating(value, 1.0, step)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
@@ -345,7 +345,7 @@ def test_a_lie_in_between_alternates_however_often_it_comes(seed, times, lie, st
     true = 1 + 0.2 * np.sin(2 * np.pi * np.arange(60) / 50) + rng.normal(0, 0.003, 60)
     value = np.column_stack([true, *[lie * true] * times]).ravel()
     value = np.round(value / step) * step if step else value
-    assert alternates(value, 1.0, step)
+    assert is_alternating(value, 1.0, step)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)

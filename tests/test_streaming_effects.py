@@ -113,8 +113,8 @@ def test_names_are_checked(bends, tmp_path, capsys):
 
 
 CONFLICTS = [
-    ('[sampler]\nlikelihood = "paper"\n', 'sampler.likelihood: "paper" knows the plain road load only'),
-    ('[kinematics]\nacceleration = "inertial"\n', 'kinematics.acceleration: "inertial" feels the grade already'),
+    ('[sampler]\nlikelihood = "paper"\n', 'sampler.likelihood: "paper" has the plain road load only'),
+    ('[kinematics]\nacceleration = "inertial"\n', 'kinematics.acceleration: "inertial" contains the grade already'),
 ]
 
 

@@ -1,4 +1,4 @@
-"""Which bits of which message play which role: databases and configuration brought together, once at start."""
+"""Binding of roles to signals of messages, from databases and configuration, once at start."""
 
 import difflib
 import logging
@@ -21,11 +21,11 @@ from estimator.units import KNOWN_UNITS, Conversion, conversion_of
 
 logging.getLogger("cantools").setLevel(logging.ERROR)
 
-LONGEST = 64  # bits of a signal
+MAX_SIGNAL_BITS = 64  # bits of a signal
 FLOATS = (16, 32, 64)  # bits of a floating-point signal
-LARGEST_FILE = 32 << 20  # bytes of a database
-LARGEST_MESSAGE = 1785  # bytes: what J1939-21 can transport
-LARGEST_LAYOUT = 1 << 19  # bits; cantools lays out every bit of a message, so a larger number fills the memory
+MAX_FILE_BYTES = 32 << 20  # bytes of a database
+MAX_MESSAGE_BYTES = 1785  # bytes: what J1939-21 can transport
+MAX_LAYOUT_BITS = 1 << 19  # bits; cantools lays out every bit of a message, so a larger number fills the memory
 _LAYOUT = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")  # start bit and length of a signal
 
 
@@ -53,7 +53,7 @@ class BoundMessage:
     key: int
     by_pgn: bool
     j1939: bool
-    source: int | None  # the only source address to believe, if configured
+    source: int | None  # the only source address that is accepted, if configured
     cycle: float | None  # s between two of them as the database says, if it does
     signals: tuple[BoundSignal, ...]
 
@@ -71,7 +71,7 @@ def load_database(paths: list[str]) -> Database:
     texts = []
     for path in paths:
         try:
-            texts.append((path, _text(read_bounded(Path(path), LARGEST_FILE))))
+            texts.append((path, _text(read_bounded(Path(path), MAX_FILE_BYTES))))
         except OSError as error:
             raise DatabaseError(f"{path}: {error.strerror}; correct bus.dbc, or give --dbc FILE.dbc") from error
     database = _parse(*texts[0])
@@ -107,10 +107,10 @@ def _check_layouts(path: str, text: str) -> None:
     """Refuse a signal of absurd size before cantools reserves memory for it."""
     for match in _LAYOUT.finditer(text):
         digits = max(map(len, match.groups()))
-        if digits > len(str(LARGEST_LAYOUT)) or sum(map(int, match.groups())) > LARGEST_LAYOUT:
+        if digits > len(str(MAX_LAYOUT_BITS)) or sum(map(int, match.groups())) > MAX_LAYOUT_BITS:
             line = text.count("\n", 0, match.start()) + 1
             raise DatabaseError(
-                f"{path}:{line}: a signal beyond bit {LARGEST_LAYOUT:,} of its message; correct the DBC"
+                f"{path}:{line}: a signal beyond bit {MAX_LAYOUT_BITS:,} of its message; correct the DBC"
             )
 
 
@@ -152,11 +152,11 @@ def _find(database: Database, message_name: str, signal_name: str, place: str) -
 
 
 def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSignal:
-    if signal.length > LONGEST or (signal.is_float and signal.length not in FLOATS):
+    if signal.length > MAX_SIGNAL_BITS or (signal.is_float and signal.length not in FLOATS):
         kind = "floating-point signal" if signal.is_float else "signal"
         raise DatabaseError(f"{path}: a {kind} of {signal.length} bits is no number; correct the DBC")
-    if signal.start + signal.length > 8 * LARGEST_MESSAGE:
-        raise DatabaseError(f"{path}: lies beyond byte {LARGEST_MESSAGE} of its message; correct the DBC")
+    if signal.start + signal.length > 8 * MAX_MESSAGE_BYTES:
+        raise DatabaseError(f"{path}: lies beyond byte {MAX_MESSAGE_BYTES} of its message; correct the DBC")
     multiplexers = _multiplexers(signal, message, path)
     dimension = DIMENSION[role]
     if dimension == STATE:

@@ -1,4 +1,4 @@
-"""Whether readings of one quantity contradict each other: between two senders, or within what one address sends.
+"""Whether readings of one quantity contradict each other: between two senders, or within those of one address.
 
 The limits were set between two sets of recordings: 8,065 blocks of 5 s of a BMW i3, 16 of a Kenworth T270 and 540 of a
 simulated truck, none of which may be called a contradiction, and the same traffic with a second sender added. The
@@ -16,9 +16,9 @@ TOLERANCE = 0.02  # of the quantity's magnitude, by which two honest senders may
 QUANTA = 2.5  # steps of resolution that are no difference
 MIN_READINGS = 20  # readings for a verdict on one sender
 MAX_STEP_RATIO = 1.6  # mean step to the next reading over that to the next but one; honest: at most 1.25
-MATERIAL = 0.03  # of the magnitude, and QUANTA: by which a reading of a mixture is beyond both its neighbours
+MIN_MATERIAL_STEP = 0.03  # of the magnitude, and QUANTA: by which a reading of a mixture is beyond both its neighbours
 MAX_MATERIAL_SHARE = 0.22  # share of such readings; honest: at most 0.17
-SLIGHT, SLIGHT_QUANTA = 0.003, 1.5  # the same, where all of them lie on one side
+MIN_SLIGHT_STEP, SLIGHT_QUANTA = 0.003, 1.5  # the same, where all of them lie on one side
 MIN_SLIGHT_SHARE = 0.04  # share of such readings
 MAX_ONE_SIDED_SDS = 4.5  # standard deviations of a fair coin for "all on one side"; honest: at most 2.8
 MAX_CHANGES = 10  # of a switch or a gear in one block of some seconds
@@ -37,7 +37,7 @@ MAGNITUDE = {  # what the quantity usually is on the road, at least: smaller val
 
 
 class Contradiction(StrEnum):
-    """Why readings cannot be believed; the value is the reason that is counted and shown."""
+    """Why readings are not used; the value is the reason that is counted and shown."""
 
     SENDERS_DISAGREE = "senders disagree"
     ALTERNATING = "values alternate"
@@ -74,7 +74,7 @@ def disagree(
     return abs(float(difference.mean())) > QUANTA * step + TOLERANCE * size + MAX_LATENESS * drift
 
 
-def alternates(value: Floats, magnitude: float, step: float) -> bool:
+def is_alternating(value: Floats, magnitude: float, step: float) -> bool:
     """Whether consecutive readings (n,) of one address look like those of two senders in turn.
 
     Of two senders in strict turn, every other reading is closer than the next one; of any other mixture, readings
@@ -89,14 +89,14 @@ def alternates(value: Floats, magnitude: float, step: float) -> bool:
     if next_step > step + TOLERANCE / 2 * size and next_step > MAX_STEP_RATIO * next_but_one:
         return True
     beyond = np.where(steps[:-1] * steps[1:] < 0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
-    if np.count_nonzero(beyond > QUANTA * step + MATERIAL * size) > MAX_MATERIAL_SHARE * len(value):
+    if np.count_nonzero(beyond > QUANTA * step + MIN_MATERIAL_STEP * size) > MAX_MATERIAL_SHARE * len(value):
         return True
-    out = np.flatnonzero(beyond > SLIGHT_QUANTA * step + SLIGHT * size)
+    out = np.flatnonzero(beyond > SLIGHT_QUANTA * step + MIN_SLIGHT_STEP * size)
     sides = np.sign(steps[out])
     one_sided = max(abs(sides.sum()), abs((sides * np.sign(value[out + 1])).sum()))
     return len(out) > MIN_SLIGHT_SHARE * len(value) and bool(one_sided >= MAX_ONE_SIDED_SDS * np.sqrt(len(out)))
 
 
-def flickers(value: Floats) -> bool:
+def is_flickering(value: Floats) -> bool:
     """Whether a switch or gear (n,) changes more often in a block than a driver or a gearbox can."""
     return int(np.count_nonzero(np.diff(value))) > MAX_CHANGES

@@ -98,7 +98,7 @@ NOTHING = Series(np.empty(0), np.empty(0))
 
 
 class Decoder:
-    """Keeps what decoding must remember between batches: the senders of the signals, and unfinished broadcasts.
+    """Decodes batches; its state is the senders of the signals, and unfinished broadcasts.
 
     Several nodes may send one parameter group, each filling in the signals it knows: each *signal* is taken from one
     source address, see `estimator.can_io.source_selection`. While an input of the road load is contested there, no
@@ -109,7 +109,7 @@ class Decoder:
         self.used = 0  # frames that gave at least one signal
         self.rejected: Counter[str] = Counter()
         self.contested: dict[str, str] = {}  # reason by MESSAGE.signal, as of the last batch
-        self.replaced = False  # in the last batch a sender that cannot have been right was given up
+        self.replaced = False  # in the last batch a sender was replaced because its readings were wrong
         self._messages = messages
         self._choices = {_path(m, b): choice(m, b, bus) for m in messages for b in m.signals}
         self._by_pgn = {_path(m, b) for m in messages if m.by_pgn for b in m.signals}
@@ -129,7 +129,7 @@ class Decoder:
         return self._transport.rejected
 
     def release(self) -> None:
-        """Let go of the sources that were found: another node may send now."""
+        """Choose the senders again: another node may send now."""
         for each in self._choices.values():
             each.release()
         self.contested = {}
@@ -145,7 +145,7 @@ class Decoder:
         }
 
     def restore(self, state: State) -> None:
-        """Go on where another decoder of the same messages was.
+        """Take the state of another decoder of the same messages.
 
         Raises
         ------
@@ -239,7 +239,7 @@ class Decoder:
         return taken
 
     def _withhold(self, out: dict[Role, list[Series]]) -> None:
-        """Make every input of the road load unknown: what is contested makes the others useless, or misleading."""
+        """Make every input of the road load unknown: without one of them, the others give no or a wrong estimate."""
         for role, parts in out.items():
             if KIND.get(role) is not Kind.MEASURED:
                 continue

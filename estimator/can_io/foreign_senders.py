@@ -1,4 +1,4 @@
-"""Who else sends the groups that we send: two senders of one id destroy each other's frames, and mislead receivers."""
+"""Other senders of the groups that are broadcast here: frames of two senders with one id collide on the bus."""
 
 from collections.abc import Iterable
 
@@ -8,11 +8,11 @@ from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
 
 CVW = 0xFE70  # 65136, combination vehicle weight: SAE's own, so its receivers take it from any address
-HOLD = 3600.0  # s after which a sender of the CVW that fell silent is forgotten: it may send on request only
-COLLISION_HOLD = 60.0  # s after which a sender of one of our own ids is: a copied frame must not silence us for long
+CVW_HOLD = 3600.0  # s without a CVW after which its sender no longer counts: it may send on request only
+COLLISION_HOLD = 60.0  # s without a frame with our id after which we send again: one copied frame stops us briefly
 
 
-class Neighbours:
+class ForeignSenders:
     """Learns which of the groups ``pgns`` come from others; to be fed with their frames only, not with our own."""
 
     def __init__(self, pgns: Iterable[int]) -> None:
@@ -28,7 +28,7 @@ class Neighbours:
 
     def senders(self, pgn: int, t: float) -> list[int]:
         """Source addresses from which others sent a group of late, at time ``t`` [s]."""
-        hold = HOLD if pgn == CVW else COLLISION_HOLD
+        hold = CVW_HOLD if pgn == CVW else COLLISION_HOLD
         return sorted(
             source for (group, source), heard in self._heard.items() if group == pgn and abs(t - heard) < hold
         )
@@ -36,7 +36,7 @@ class Neighbours:
     def occupied(self, pgn: int, source: int, t: float) -> bool:
         """Whether we may not send a group from address ``source`` at time ``t`` [s]: that id is another's.
 
-        For the CVW anybody's is enough: two weights of one vehicle are one too many.
+        For the CVW, a sender at any address is enough: a vehicle has one weight.
         """
         senders = self.senders(pgn, t)
         return bool(senders) if pgn == CVW else source in senders

@@ -23,7 +23,7 @@ PACKET_BYTES = 7
 GROUP_MASK = EXTENDED | 0x3FFFF00  # of an id: all but priority and source
 ANNOUNCEMENT = EXTENDED | (TP_CM | GLOBAL) << 8
 PACKET = EXTENDED | (TP_DT | GLOBAL) << 8
-MAXIMUM_BYTES = 1785
+MAX_BYTES = 1785
 
 
 def pgn_of(ident: NDArray[np.uint32]) -> NDArray[np.uint32]:
@@ -33,7 +33,7 @@ def pgn_of(ident: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def highest_valid(length: int) -> int:
-    """The highest raw value of ``length`` bits that is one, see `classify`."""
+    """The highest raw value of ``length`` bits that is valid, see `classify`."""
     if length >= 8:
         return (0xFB << length - 8) - 1
     return (1 << length) - (3 if length in (2, 4) else 1)
@@ -112,7 +112,7 @@ class Transport:
         if data[0] == ABORT:
             return
         size, packets = int.from_bytes(data[1:3], "little"), data[3]
-        if not 8 < size <= MAXIMUM_BYTES or packets != -(-size // PACKET_BYTES):
+        if not 8 < size <= MAX_BYTES or packets != -(-size // PACKET_BYTES):
             self.rejected["transport: impossible announcement"] += 1
             return
         self._sessions[source] = _Session(pgn=int.from_bytes(data[5:8], "little"), size=size, packets=packets, t=t)

@@ -1,4 +1,4 @@
-"""The 64-bit NAME that tells J1939 nodes apart and decides who keeps an address (SAE J1939-81)."""
+"""The 64-bit NAME that identifies a J1939 node; the lower NAME keeps a contested address (SAE J1939-81)."""
 
 from dataclasses import astuple, dataclass, fields
 

@@ -1,4 +1,4 @@
-"""Broadcast of the estimate on J1939: what it says, when, and what it withholds.
+"""Broadcast of the estimate on J1939: contents, times, and values that are withheld.
 
 The layout is that of the shipped ``roadload.dbc`` and nowhere else: positions, scales, limits and the raw values of
 "error" and "not available" (J1939-71: a number is valid while its top byte is at most 0xFA) are read from there.

@@ -6,8 +6,8 @@ Traffic is judged in blocks of some seconds. The choice rests on the readings an
   another sends is given up for it.
 * Readings that contradict each other (see `contradiction`) make a signal *contested*: no reading of it is used, until
   there has been no contradiction for ``contest_s``.
-* After a contest the address that was used before stays, if it still sends. Where another one takes its place, all
-  that was learnt from the first is in doubt: `Verdict.replaced`.
+* After a contest the address that was used before stays, if it still sends. Where another one replaces it, all that was
+  learnt from the first may be wrong: `Verdict.replaced`.
 
 Times are those of messages, so live and replayed traffic are judged alike.
 """
@@ -22,7 +22,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from estimator.can_io.binding import BoundMessage, BoundSignal
-from estimator.can_io.contradiction import MAGNITUDE, Contradiction, alternates, disagree, flickers
+from estimator.can_io.contradiction import MAGNITUDE, Contradiction, disagree, is_alternating, is_flickering
 from estimator.checkpoint.validation import State, read, substate
 from estimator.settings import Bus
 from estimator.signals import DIMENSION, STATE, Floats, Mask, Role
@@ -45,7 +45,7 @@ MIN_RIVAL_READINGS = 3  # readings in a block, below which a sender is no eviden
 
 
 class Kind(Enum):
-    """How much depends on a signal."""
+    """How the estimate uses a signal."""
 
     MEASURED = auto()  # a term of the road load
     CONSTANT = auto()  # a property of the engine
@@ -247,7 +247,7 @@ class SenderChoice:
         own = senders[chosen]
         if self._kind is Kind.MEASURED and not self._agree(own, senders, chosen):
             return Contradiction.SENDERS_DISAGREE
-        repeats = flickers(own.value) if self._is_state else alternates(own.value, self._magnitude, self._step)
+        repeats = is_flickering(own.value) if self._is_state else is_alternating(own.value, self._magnitude, self._step)
         if repeats and self._is_j1939:
             self._rate.doubt(end)
             return Contradiction.ALTERNATING

@@ -1,8 +1,8 @@
-"""State on disk that survives the loss of power at any instant: whole or not there, with an older one behind it.
+"""State on disk that survives a loss of power at any instant: files are complete or missing, the one before is kept.
 
-A file is a header, the key and MessagePack, compressed; arrays are extensions of their type, shape and bytes, the first
-byte of every element first, for those are much alike. There is no code in it, and nothing is read from a place that
-somebody else can write to.
+A file is a header, the key and compressed MessagePack; arrays are extensions of type, shape and bytes, the first byte
+of every element first, because those are similar and compress well. A state contains no code. A file that another user
+can write is refused.
 """
 
 import os
@@ -23,12 +23,12 @@ from estimator.output_files import create
 
 MAGIC = b"roadload"
 SCHEMA = 4  # of what is inside; raise it when older states must not be read
-LARGEST = 256 * 2**20  # bytes of a file: a window of a million samples, and room
-FASTEST = 1  # level of compression: a third smaller, in 50 ms for an hour of driving
+MAX_BYTES = 256 * 2**20  # bytes of a file: a window of a million samples, and room
+COMPRESSION_LEVEL = 1  # of zlib: a third smaller, in 50 ms for an hour of driving
 HEADER = struct.Struct("<8sHHI16s")  # magic, schema, bytes of the key, bytes of the payload, checksum of all the rest
 ARRAY = 1  # MessagePack extension
 DTYPES = {np.dtype(code).str for code in "?bBhHiIqQefd"}  # of arrays: booleans, integers, floating-point numbers
-LONGEST_NAME = 20  # characters of an unknown type that are shown
+MAX_NAME_CHARACTERS = 20  # characters of an unknown type that are shown
 CURRENT, PREVIOUS = "state", "state.previous"
 PART = ".part"
 
@@ -111,12 +111,12 @@ def pack(state: Mapping[str, Any], key: str) -> bytes:
     Raises
     ------
     RoadloadError
-        It would be larger than LARGEST.
+        It would be larger than MAX_BYTES.
     """
     name, content = key.encode(), msgspec.msgpack.encode(state, enc_hook=_encode)
-    if HEADER.size + len(name) + len(content) > LARGEST:
+    if HEADER.size + len(name) + len(content) > MAX_BYTES:
         raise RoadloadError(f"a state of {len(content)} bytes is too large to keep: make window.samples smaller")
-    payload = zlib.compress(content, FASTEST)
+    payload = zlib.compress(content, COMPRESSION_LEVEL)
     front = HEADER.pack(MAGIC, SCHEMA, len(name), len(payload), bytes(16))
     digest = _digest(front, name, payload)
     return b"".join([HEADER.pack(MAGIC, SCHEMA, len(name), len(payload), digest), name, payload])
@@ -145,7 +145,7 @@ def unpack(content: bytes, key: str) -> dict[str, Any]:
     if name != key.encode():
         raise StateError("belongs to another vehicle, database or configuration")
     try:
-        inflated = zlib.decompressobj().decompress(payload, LARGEST)
+        inflated = zlib.decompressobj().decompress(payload, MAX_BYTES)
         state: dict[str, Any] = msgspec.msgpack.decode(inflated, type=dict[str, Any], ext_hook=_decode)
     except (zlib.error, msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
         raise StateError(f"is not readable: {error}") from error
@@ -171,7 +171,7 @@ def _decode(code: int, data: memoryview) -> Any:
         raise ValueError(f"unknown extension {code}")
     name, shape, planes = msgspec.msgpack.decode(data, type=tuple[str, tuple[int, ...], bytes])
     if name not in DTYPES:
-        raise ValueError(f"an array of the unknown type {name[:LONGEST_NAME]!r}")
+        raise ValueError(f"an array of the unknown type {name[:MAX_NAME_CHARACTERS]!r}")
     if any(length < 0 for length in shape):
         raise ValueError(f"an array of the shape {shape}")
     dtype = np.dtype(name)
@@ -193,9 +193,9 @@ def _read(path: Path) -> bytes:
     with open(descriptor, "rb") as file:
         status = os.fstat(descriptor)
         _check_owner(status)
-        if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST:
+        if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_BYTES:
             raise StateError("is no file, or too large for a state")
-        return file.read(LARGEST + 1)
+        return file.read(MAX_BYTES + 1)
 
 
 def _check_owner(status: os.stat_result) -> None:

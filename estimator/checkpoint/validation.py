@@ -1,4 +1,4 @@
-"""Reading saved state back: nothing is believed before its type, shape and range are checked.
+"""Reading saved state back: type, shape and range of every value are checked before it is used.
 
 A state is made of dictionaries, numbers, strings, lists and numpy arrays, so that it can be stored without code in it.
 """

@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _hear(spec: BusSpec, settings: Config, seconds: float) -> InspectionAnswer:
-    """Inspect a bus for some seconds, all of its traffic."""
+    """Inspection of all traffic on a bus for some seconds."""
     try:
         bus = open_bus(spec, None)
     except NotThereError as error:

@@ -12,7 +12,7 @@ from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Shift
 from estimator.printable import printable
 from estimator.report import number_format, wording
 
-RANKED, PLACES, NAMED = 6, 5, 4  # rows of the ranking, of the places, names in a line
+RANKING_ROWS, PLACE_ROWS, NAMES_IN_LINE = 6, 5, 4  # rows of the ranking, of the places, names in a line
 STYLES = {Verdict.EFFECT: "cyan", Verdict.NO_GAP: "green", Verdict.UNKNOWN: "magenta", Verdict.CANNOT_TELL: "yellow"}
 
 
@@ -72,7 +72,7 @@ def _found(effect: Finding, several: bool) -> str:
 
 def _ranking(d: Diagnosis) -> Table:
     table = _table("effect", "probability", "log Bayes", "size", "gap closed", right=(1, 2))
-    for f in d.candidates[:RANKED]:
+    for f in d.candidates[:RANKING_ROWS]:
         row = (wording.percent(f.probability), wording.bayes(f.log_bayes_factor), wording.size(f.magnitude))
         table.add_row(*map(Text, (wording.label(f.name), *row, wording.interval(f.gap_closed))))
     return table
@@ -89,7 +89,7 @@ def _budget(budget: Budget) -> Table:
 
 def _places(d: Diagnosis) -> Table:
     table = _table("where", "from", "to", "mean residual", "of the gap", right=(1, 2, 3, 4))
-    for p in d.where[:PLACES]:
+    for p in d.where[:PLACE_ROWS]:
         ends = [f"{number_format.number(at)} {p.unit}" for at in (p.start, p.end)]
         row = (wording.label(p.axis), *ends, wording.kilowatts(p.bias), wording.percent(p.share))
         table.add_row(*map(Text, row))
@@ -113,5 +113,5 @@ def _lines(console: Console, lines: Iterable[tuple[str, str]]) -> None:
 
 def _some(items: Iterable[str]) -> str:
     shown = list(items)
-    more = f"; and {len(shown) - NAMED} more" if len(shown) > NAMED else ""
-    return "; ".join(shown[:NAMED]) + more
+    more = f"; and {len(shown) - NAMES_IN_LINE} more" if len(shown) > NAMES_IN_LINE else ""
+    return "; ".join(shown[:NAMES_IN_LINE]) + more

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
         complain(f"no daemon is running: there is no {' nor '.join(map(str, places))}")
         return 1
     status = status_file.read(path)
-    reason = status_file.verdict(status)
+    reason = status_file.obstacle_to_status(status)
     if options.json:
         print_json(msgspec.structs.replace(status, running=not reason, why_not=reason))
     elif reason:

@@ -15,8 +15,8 @@ from estimator.report import number_format
 from estimator.report.next_step import next_step
 from estimator.streaming.replay import Run
 
-FLAT = 1e-3  # sd of slopes below which a road counts as flat
-SHORTEST_GAP = 1.0  # s, worth a line of its own
+MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
+MIN_GAP = 1.0  # s, worth a line of its own
 ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C", "N s²/m²", "{:.3f}"))
 
 
@@ -75,7 +75,7 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
         if end < start:
             times = f"from {start - run.start:.1f} s to {end - run.start:.1f} s"
             say(console, f"step      time steps back {times}: another drive")
-        if end - start >= SHORTEST_GAP:
+        if end - start >= MIN_GAP:
             times = f"{start - run.start:.1f} s to {end - run.start:.1f} s"
             say(console, f"gap       no speed or no power from {times}: not bridged")
     if run.broadcast:
@@ -85,8 +85,8 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
 def _road(road: Road) -> str:
     """The slopes in one line."""
     shown = f"shown by {', '.join(road.shown_by)}" if road.shown_by else "shown by no signal"
-    if road.slope_sd < FLAT:
-        return f"flat (slopes below {100 * FLAT:.1f} %), {shown}"
+    if road.slope_sd < MIN_SLOPE_SD:
+        return f"flat (slopes below {100 * MIN_SLOPE_SD:.1f} %), {shown}"
     climbed = "" if road.climbed is None else f"; {road.climbed:,.0f} m climbed"
     return (
         f"slopes with a standard deviation of {100 * road.slope_sd:.1f} % over {road.length:,.0f} m, {shown}{climbed}"

@@ -1,6 +1,6 @@
-"""The only room that sends: as a node with an address, nothing that others send, never more than is allowed.
+"""The only module that sends: as a node with an address, no group that others send, at a bounded rate.
 
-Whatever keeps a frame back is counted by name; a frame that was kept back is not sent later, for then it would be old.
+Frames that are withheld are counted by reason. They are not sent later, because their values would be old.
 """
 
 import logging
@@ -11,7 +11,7 @@ from enum import StrEnum
 import can
 import numpy as np
 
-from estimator.can_io.foreign_senders import CVW, Neighbours
+from estimator.can_io.foreign_senders import CVW, ForeignSenders
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
 from estimator.can_io.j1939_name import Name
@@ -22,10 +22,10 @@ from estimator.settings import Publish, Transmit
 
 log = logging.getLogger(__name__)
 
-BURST = 3.0  # seconds' worth of frames that may go out at once
-NEW_CLAIM = 1.0  # s after a claim that could not be sent
-SHORTEST_RETRY, LONGEST_RETRY = 10.0, 300.0  # s without an address, before it is claimed anew
-CALM = 600.0  # s with an address, after which the pause is the shortest again
+BURST_DURATION = 3.0  # seconds' worth of frames that may go out at once
+CLAIM_RETRY = 1.0  # s after a claim that could not be sent
+MIN_RETRY, MAX_RETRY = 10.0, 300.0  # s without an address, before it is claimed anew
+RETRY_RESET = 600.0  # s with an address, after which the pause is the shortest again
 
 
 class Withheld(StrEnum):
@@ -59,14 +59,16 @@ class Transmitter:
         self._preferred = publish.source_address
         self._name = _name_of(transmit)
         self._publisher = Publisher(publish)
-        self._neighbours = Neighbours(output_groups())
-        self._bucket = TokenBucket(transmit.frames_per_second, max(1, round(BURST * transmit.frames_per_second)))
+        self._neighbours = ForeignSenders(output_groups())
+        self._bucket = TokenBucket(
+            transmit.frames_per_second, max(1, round(BURST_DURATION * transmit.frames_per_second))
+        )
         self._estimate: Estimate | None = None
         self._t = 0.0  # message time [s] of the latest turn
         self._foreign: list[int] = []
         self._quiet_until = -np.inf
         self._past: Counter[str] = Counter()  # events of earlier nodes
-        self._pause = SHORTEST_RETRY
+        self._pause = MIN_RETRY
         self._lost_at: float | None = None  # [s]
         self._gained_at: float | None = None  # [s]
         self.node = self._new_node()
@@ -121,7 +123,7 @@ class Transmitter:
     def turn(self, now: float, t: float, estimate: Estimate | None, is_receiving: bool) -> None:
         """Send what is due at monotonic time ``now`` and message time ``t`` [s].
 
-        Unless ``is_receiving``, nothing is: a vehicle asleep is not to be woken, and values of then are not of now.
+        Unless ``is_receiving``, nothing is sent: a sending node would wake the bus, and the values would be old.
         """
         self._estimate, self._t = estimate, t
         self._foreign = self._neighbours.senders(CVW, t)
@@ -137,23 +139,23 @@ class Transmitter:
             self._broadcast(message, now, t)
 
     def _retry(self, now: float) -> None:
-        """Claim anew some time after the address was lost, ever later if it is lost again and again."""
+        """Claim an address again after a pause, which doubles each time the address is lost."""
         if not self.node.lost:
             if self.address is not None:
                 self._gained_at = now if self._gained_at is None else self._gained_at
-                if now - self._gained_at > CALM:
-                    self._pause = SHORTEST_RETRY
+                if now - self._gained_at > RETRY_RESET:
+                    self._pause = MIN_RETRY
             return
         if self._lost_at is None:
             self._lost_at = now
             why = self.node.fault or "others have all addresses that we may take"
             log.warning("no address: %s; claimed anew in %g s", why, self._pause)
         elif now - self._lost_at >= self._pause:
-            self._pause = min(2 * self._pause, LONGEST_RETRY)
+            self._pause = min(2 * self._pause, MAX_RETRY)
             self.restart()
 
-    def bid_farewell(self, now: float, t: float) -> None:
-        """Tell receivers that from now on nothing is known."""
+    def send_not_available(self, now: float, t: float) -> None:
+        """Send all values as "not available", at the end of the transmission."""
         if self.node.address is not None:
             for message in self._publisher.poll(t, None):
                 self._broadcast(message, now, t)
@@ -187,7 +189,7 @@ class Transmitter:
         return Withheld.FOREIGN_CVW if group == CVW else Withheld.COLLISION
 
     def _put(self, messages: list[can.Message], now: float) -> None:
-        """Send what the node says; a claim that nobody heard is none."""
+        """Send the messages of the node; a claim that could not be sent is repeated after CLAIM_RETRY."""
         for message in messages:
             try:
                 self._send(message)
@@ -195,7 +197,7 @@ class Transmitter:
                 self.failed += 1
                 log.warning("sending failed: %s", error)
                 if message.arbitration_id >> 8 & 0x3FF00 == ADDRESS_CLAIMED:
-                    self._quiet_until = now + NEW_CLAIM
+                    self._quiet_until = now + CLAIM_RETRY
                     self.restart()
                     return
 

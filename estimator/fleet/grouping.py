@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from estimator.fleet.survey import Survey
-from estimator.streaming.row_stream import CLOCK_SET
+from estimator.streaming.row_stream import MIN_SET_CLOCK
 
 JOIN_GAP = 10.0  # s between two files, up to which the second continues the first
 OVERLAP = 10.0  # s by which drives of one vehicle must overlap to be doubted
@@ -46,7 +46,7 @@ class Grouped:
 
     def overlapping(self, vehicle: str) -> int:
         """The number of drives of a vehicle that begin before another one has ended."""
-        spans = sorted((d.start, d.end) for d in self.drives if d.vehicle == vehicle and d.start >= CLOCK_SET)
+        spans = sorted((d.start, d.end) for d in self.drives if d.vehicle == vehicle and d.start >= MIN_SET_CLOCK)
         return sum(start < end - OVERLAP for (_, end), (start, _) in pairwise(spans))
 
 
@@ -77,7 +77,7 @@ def _joined(surveys: list[Survey]) -> list[Drive]:
     chains: list[list[Survey]] = []
     for one in sorted(surveys, key=lambda each: (each.start, each.log.source)):
         last = chains[-1][-1] if chains else None
-        continues = last is not None and last.end >= CLOCK_SET and 0 <= one.start - last.end <= JOIN_GAP
+        continues = last is not None and last.end >= MIN_SET_CLOCK and 0 <= one.start - last.end <= JOIN_GAP
         chains[-1].append(one) if continues else chains.append([one])
     return [
         Drive(
@@ -96,13 +96,13 @@ def _notes(drives: list[Drive]) -> dict[str, str]:
     notes: dict[str, str] = {}
     starts: dict[str, list[float]] = defaultdict(list)
     for drive in drives:
-        if drive.start >= CLOCK_SET:
+        if drive.start >= MIN_SET_CLOCK:
             starts[drive.vehicle].append(drive.start)
         else:
             notes[drive.sources[0]] = "the clock was not set: the times count from its start"
     for drive in drives:
         known = sorted(starts[drive.vehicle])
-        if drive.start >= CLOCK_SET and len(known) > 2:
+        if drive.start >= MIN_SET_CLOCK and len(known) > 2:
             years = (drive.start - known[len(known) // 2]) / YEAR
             if abs(years) > CLOCK_YEARS:
                 notes[drive.sources[0]] = f"the clock is {years:+.1f} years from that of most drives of {drive.vehicle}"

@@ -15,7 +15,7 @@ from estimator.report.page import figures, tables
 
 FORMATS = (".html",)
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"  # the page may not load anything, whatever a log is called
-LEFT = {
+REMAINDER_SENTENCES = {
     Verdict.NO_GAP: "Nothing beyond noise is left.",
     Verdict.EFFECT: "Another effect of the catalogue may still act, but not clearly enough to be added.",
     Verdict.UNKNOWN: "Something is left that no effect of the catalogue explains.",
@@ -169,8 +169,8 @@ def _left(d: Diagnosis) -> str:
         strength = f" Log Bayes factor of the best further explanation: {wording.bayes(d.remaining_log_bayes_factor)}."
     final = d.rms_base if d.rms_final is None else d.rms_final
     return (
-        f"<p>{LEFT[d.remaining_verdict]}{strength} The residual is {wording.kilowatts(final)}; the noise floor is "
-        f"{wording.kilowatts(d.noise_floor)}.</p>"
+        f"<p>{REMAINDER_SENTENCES[d.remaining_verdict]}{strength} The residual is {wording.kilowatts(final)}; "
+        f"the noise floor is {wording.kilowatts(d.noise_floor)}.</p>"
     )
 
 

@@ -1,7 +1,7 @@
 """Draws of the posterior in a file: CSV and JSON always, NetCDF in ArviZ's layout where arviz-base is installed.
 
-The JSON also says what is told of a posterior beside its draws: quantiles, correlation, convergence of each
-parameter, the paper's eigen-metrics raw and scaled by the posterior, and the drag coefficient in reference air.
+The JSON also has quantiles, correlation, the convergence of each parameter, the paper's eigen-metrics raw and scaled by
+the posterior, and the drag coefficient in reference air.
 """
 
 import csv

@@ -1,4 +1,4 @@
-"""Numbers as a person reads them: shares in per cent, as many digits as the uncertainty deserves, no long zeros."""
+"""Numbers for people: shares in per cent, as many digits as the uncertainty supports, no long zeros."""
 
 import math
 
@@ -7,8 +7,8 @@ NOTHING = "\N{EN DASH}"
 TIMES = "\N{MULTIPLICATION SIGN}"
 SHARES = {"1": "%", "1/h": "%/h"}  # units of what is relative, and what they are called in per cent
 PREFIXED = frozenset({"W"})  # units that are read in thousands
-LARGE, SMALL = 1e3, 1e-3  # beyond which a value is read in powers of a thousand
-SMALLEST_POWER, MOST_DECIMALS = -24, 12  # smaller than that is nothing
+MAX_PLAIN, MIN_PLAIN = 1e3, 1e-3  # beyond which a value is read in powers of a thousand
+MIN_POWER, MAX_DECIMALS = -24, 12  # smaller than that is nothing
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -16,10 +16,10 @@ def in_unit(size: float, unit: str) -> tuple[float, str]:
     """Factor by which a value of about this ``size`` [unit] is read easily, and the unit it then has."""
     if unit in SHARES:
         return 100.0, SHARES[unit]
-    if unit in PREFIXED and abs(size) >= LARGE:
+    if unit in PREFIXED and abs(size) >= MAX_PLAIN:
         return 1e-3, f"k{unit}"
-    if 0 < abs(size) < SMALL:
-        power = max(3 * math.floor(math.log10(abs(size)) / 3), SMALLEST_POWER)
+    if 0 < abs(size) < MIN_PLAIN:
+        power = max(3 * math.floor(math.log10(abs(size)) / 3), MIN_POWER)
         return 10.0**-power, f"{TIMES}10{str(power).translate(SUPERSCRIPTS)} {unit}".strip()
     return 1.0, unit
 
@@ -58,7 +58,7 @@ def number(x: float) -> str:
 
 def rounded(x: float, decimals: int) -> str:
     """To so many decimals, or to tens, hundreds where they are negative."""
-    return signed(f"{round(x, decimals):,.{min(max(decimals, 0), MOST_DECIMALS)}f}")
+    return signed(f"{round(x, decimals):,.{min(max(decimals, 0), MAX_DECIMALS)}f}")
 
 
 def signed(text: str) -> str:

@@ -7,7 +7,7 @@ from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Finding, GapClos
 from estimator.report import number_format
 from estimator.report.number_format import NOTHING, exponent, signed
 
-SPANS = 3  # times that are told
+MAX_SPANS = 3  # times that are told
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
 
 
@@ -184,10 +184,10 @@ def times(spans: tuple[Span, ...], several: bool = False) -> str:
     if not spans:
         return ""
     parts = []
-    for i, (start, end, log) in enumerate(spans[:SPANS]):
+    for i, (start, end, log) in enumerate(spans[:MAX_SPANS]):
         named = several and (i == 0 or log != spans[i - 1].log)
         parts.append(f"{f'log {log + 1} ' if named else ''}{_clock(start)} to {_clock(end)}")
-    return f"{', '.join(parts)} min" + (f" and {len(spans) - SPANS} more" if len(spans) > SPANS else "")
+    return f"{', '.join(parts)} min" + (f" and {len(spans) - MAX_SPANS} more" if len(spans) > MAX_SPANS else "")
 
 
 def action(finding: Finding, several: bool = False) -> str:

@@ -17,7 +17,7 @@ LAP_TIME = 1200.0  # s, of a loop
 TURN_LENGTH, TURN_SPEED, TURN_DWELL = 40.0, 4.0, 20.0  # m, m/s, s: a U-turn on a yard
 HALF_WAY = 0.48  # of the time when to turn round: hills and loads make a drive longer than planned
 MOVING_OFF = 20.0  # s lost by gaining speed after a stop
-NEAR = 1500.0  # m, a stop this close will do
+MAX_STOP_DISTANCE = 1500.0  # m, a stop this close will do
 
 
 def plan_route(kind: RoadKind, duration: float, rng: np.random.Generator, shape: Shape = "one-way") -> Route:
@@ -102,7 +102,7 @@ def with_stop(route: Route, time: float, dwell: float) -> tuple[Route, float]:
     wanted = GRID * round(place_at(route, time) / GRID)
     stops, dwells = route.stop_position, route.stop_dwell.copy()
     nearest = int(np.argmin(np.abs(stops[:-1] - wanted))) if len(stops) > 1 else -1
-    if nearest >= 0 and abs(stops[nearest] - wanted) < NEAR:
+    if nearest >= 0 and abs(stops[nearest] - wanted) < MAX_STOP_DISTANCE:
         dwells[nearest] = dwell
         return replace(route, stop_dwell=dwells), float(stops[nearest])
     i = int(np.searchsorted(stops, wanted))

@@ -1,8 +1,8 @@
-"""Readings at their senders' own times become rows of one time grid.
+"""Readings at the times of their senders, resampled to rows of one time grid.
 
-A row stands for the interval of STEP around its time. Speed and power are means of the straight lines between
-readings over that interval: both sides of the model get the same low-pass, whatever their senders' rates and phases.
-Other roles are held from their last reading.
+A row is the interval of STEP around its time. Speed and power are means over that interval of the straight lines
+between readings, so both sides of the model have the same low-pass, at all rates and phases of the senders. Other roles
+are held from their last reading.
 """
 
 from collections.abc import Iterator, Mapping
@@ -47,7 +47,7 @@ class Aligner:
         self._next: int | None = None
 
     def forget(self) -> None:
-        """Forget what the engine has shown of itself: it may be another one."""
+        """Discard the constants of the engine: it may be another one."""
         self._engine.forget()
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
@@ -69,18 +69,18 @@ class Aligner:
                 track.forget(horizon * STEP - SETTLE)
 
     def finish(self, now: float) -> Iterator[Rows]:
-        """The rows still waiting at time ``now`` [s] when nothing more comes; only the engine is remembered then."""
+        """The rows still waiting at time ``now`` [s], at the end of the traffic; keeps the constants of the engine."""
         yield from self.feed({}, now + SETTLE)
         self._engine.finish()
         self._tracks.clear()
         self._next = None
 
     def state(self) -> dict[str, Any]:
-        """What the engine has shown of itself; not the readings of the last seconds."""
+        """The constants of the engine, without the readings of the last seconds."""
         return self._engine.state()
 
     def restore(self, state: State) -> None:
-        """Know of the engine what another aligner knew; for one that has not been fed.
+        """Take the constants of the engine from another aligner, before the first batch.
 
         Raises
         ------

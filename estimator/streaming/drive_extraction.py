@@ -18,7 +18,7 @@ from estimator.samples import Rows
 from estimator.streaming.log_frames import Progress, no_progress, read_frames
 from estimator.streaming.row_stream import Block, Interruption, RowStream
 
-READING = 0.9  # of the work
+READING_SHARE = 0.9  # of the work
 
 
 @one_blas_thread()
@@ -52,7 +52,7 @@ def diagnose_logs(
 
 
 def _part(progress: Progress, done: int, of: int, share: float) -> None:
-    progress((done + READING * share) / of)
+    progress((done + READING_SHARE * share) / of)
 
 
 def drives(path: Path, config: Config, progress: Progress = no_progress) -> list[Record]:

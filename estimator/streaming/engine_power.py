@@ -16,10 +16,10 @@ from estimator.signals import Floats, Role, Series
 from estimator.streaming.friction import FrictionCurve
 from estimator.streaming.resampling import Track
 
-FOR_EVER = np.inf
+NO_LIMIT = np.inf
 SPIKE_WINDOW = 5  # readings, for the running median
-SPIKE_SDS = 8.0
-SMALLEST_SPREAD = 0.02  # of the usual power: below, one quantum of the sender would pass for a spike
+MIN_SPIKE_SDS = 8.0  # robust sd of the differences from the running median, from which a reading is an error
+MIN_SPREAD_SHARE = 0.02  # sd over the usual power: with a smaller one, a step of resolution would count as a spike
 MAD_TO_SD = 1.4826  # of a Gaussian
 
 
@@ -40,7 +40,7 @@ def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:
 
 
 class EnginePower:
-    """Extends a `track` of power [W] by what has come, and remembers what the engine has shown of itself.
+    """Extends a `track` of power [W] by new readings, and keeps the constants of the engine.
 
     Parameters
     ----------
@@ -62,21 +62,21 @@ class EnginePower:
         self._powered_to = -np.inf  # [s]
 
     def forget(self) -> None:
-        """Forget what the engine has shown of itself: it may be another one."""
+        """Discard the constants of the engine: it may be another one."""
         self._friction = FrictionCurve()
         self._reference: float | None = None  # [N m] from before the start, until the bus sends it
 
     def finish(self) -> None:
-        """Start a new track, as nothing more comes; what the engine has shown of itself is kept."""
+        """Start a new track at the end of the traffic; the constants of the engine are kept."""
         self._reference = self._newest_reference()
         self._restart()
 
     def state(self) -> dict[str, Any]:
-        """What the engine has shown of itself; not the readings of the last seconds."""
+        """The constants of the engine, without the readings of the last seconds."""
         return {"friction": self._friction.state(), "reference": self._newest_reference()}
 
     def restore(self, state: State) -> None:
-        """Know of the engine what another one's state knew.
+        """Take the constants of the engine from another one's state.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class EnginePower:
             return np.full(len(t), self._vehicle.reference_torque_Nm)
         # A constant of the engine, sent every few seconds: once heard it holds.
         heard = self._of(Role.REFERENCE_TORQUE)
-        held = heard.held(t, FOR_EVER)
+        held = heard.held(t, NO_LIMIT)
         if self._reference is None:
             return held
         return np.where(np.isnan(heard.time_of_held(t)), self._reference, held)
@@ -143,7 +143,7 @@ class EnginePower:
 def despike(value: Floats) -> Floats:
     """Readings (n,) with gross errors replaced by the median of their neighbours (Hampel 1974).
 
-    A reading is grossly wrong when it is off that median by SPIKE_SDS robust standard deviations of such
+    A reading is grossly wrong when it is off that median by MIN_SPIKE_SDS robust standard deviations of such
     differences in the batch. The running median follows ramps and steps, so only lone readings can be.
     """
     known = np.flatnonzero(np.isfinite(value))
@@ -153,7 +153,7 @@ def despike(value: Floats) -> Floats:
     around = sliding_window_view(np.pad(x, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)
     local: Floats = np.median(around, axis=1)
     off = np.abs(x - local)
-    limit = SPIKE_SDS * MAD_TO_SD * max(float(np.median(off)), SMALLEST_SPREAD * float(np.median(np.abs(x))))
+    limit = MIN_SPIKE_SDS * MAD_TO_SD * max(float(np.median(off)), MIN_SPREAD_SHARE * float(np.median(np.abs(x))))
     cleaned = value.copy()
     cleaned[known[off > limit]] = local[off > limit]
     return cleaned

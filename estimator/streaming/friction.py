@@ -1,13 +1,13 @@
 """Engine friction torque between the steps in which it is sent.
 
-SPN 514 comes in steps of 1 % of the reference torque, often 25 N.m: half a step, lasting as long as the engine speed
-does, is several per cent of the rolling resistance. But a reading of k steps says more than "k": friction lies within
-half a step of it, and it follows the engine speed smoothly. A curve through all readings so far, held inside each
-reading's own interval, is never worse than the interval and mostly far better than its middle.
+SPN 514 comes in steps of 1 % of the reference torque, often 25 N.m. An error of half a step, constant at a constant
+engine speed, is several per cent of the rolling resistance. Friction is a smooth function of engine speed, and lies
+within half a step of each reading. A curve through all readings so far, clipped to the interval of each reading, has at
+most the error of the interval, and mostly a much smaller one than its middle.
 
-Every engine speed counts alike, however long it was driven at: an hour of cruising repeats one rounded reading,
-which would otherwise draw the curve to itself just where it is needed. And a reading speaks for the engine speed it
-was sent at: what is held until the next one, a quarter of a second later, is by how much the curve misses its interval.
+All engine speeds have the same weight, for any duration: an hour of cruising repeats one rounded reading, which would
+bias the curve at that speed. A reading belongs to the engine speed at which it was sent; until the next one, a quarter
+of a second later, the distance of the curve from the interval is held.
 """
 
 from typing import Any
@@ -20,12 +20,12 @@ from estimator.signals import Floats
 
 DEGREE = 3  # of the curve in engine speed
 SPEED_SCALE = 150.0  # rad/s, to keep powers of the speed near one
-BIN = 3.0  # rad/s, engine speeds that count as one
+BIN_WIDTH = 3.0  # rad/s, engine speeds that count as one
 BINS = 400  # up to 1200 rad/s
-MOST_LEVELS = 256  # a sender with more is not one of whole per cents, and needs no curve
-ENOUGH = 50.0  # readings after which more in the same bin add no weight
-RIDGE = 1e-3  # readings' worth of prior at zero slope: keeps a drive at one speed solvable
-FORGET = 36_000.0  # readings after which old ones fade, as oil warms: 12 min at 50 Hz
+MAX_LEVELS = 256  # a sender with more is not one of whole per cents, and needs no curve
+MAX_BIN_WEIGHT = 50.0  # readings: more in the same bin add no weight
+RIDGE = 1e-3  # weight, in readings, of a prior with zero slope: makes a drive at one speed solvable
+MEMORY_READINGS = 36_000.0  # readings after which old ones fade, as oil warms: 12 min at 50 Hz
 
 
 class FrictionCurve:
@@ -43,12 +43,12 @@ class FrictionCurve:
         """
         known = np.isfinite(engine_speed) & np.isfinite(reading) & np.isfinite(speed_then)
         speed, value = speed_then[known], reading[known]
-        if len(self._levels) <= MOST_LEVELS:
+        if len(self._levels) <= MAX_LEVELS:
             self._levels = np.union1d(self._levels, np.round(value, 6))
-        cell = np.clip(speed / BIN, 0, BINS - 1).astype(np.int64)
+        cell = np.clip(speed / BIN_WIDTH, 0, BINS - 1).astype(np.int64)
         new = [np.bincount(cell, weights, BINS) for weights in (np.ones(len(cell)), speed, value)]
-        self._sums = np.exp(-len(value) / FORGET) * self._sums + new
-        if not 2 <= len(self._levels) <= MOST_LEVELS:
+        self._sums = np.exp(-len(value) / MEMORY_READINGS) * self._sums + new
+        if not 2 <= len(self._levels) <= MAX_LEVELS:
             return np.where(known, reading, np.nan)
         half_step = float(np.diff(self._levels).min()) / 2
         refined = np.full(len(reading), np.nan)
@@ -77,7 +77,7 @@ class FrictionCurve:
     def _curve(self, engine_speed: Floats) -> Floats:
         count, speeds, values = self._sums[:, self._sums[0] > 0]
         powers = _powers(speeds / count)
-        weighted = powers.T * np.minimum(count, ENOUGH)
+        weighted = powers.T * np.minimum(count, MAX_BIN_WEIGHT)
         ridge = np.diag([0.0] + [RIDGE] * DEGREE)
         curve: Floats = _powers(engine_speed) @ np.linalg.solve(weighted @ powers + ridge, weighted @ (values / count))
         return curve

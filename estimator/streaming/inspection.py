@@ -1,4 +1,4 @@
-"""What is in a log or on a bus: inputs found and missing, their rates and gaps, and how much was not available."""
+"""Inspection of a log or bus: inputs found and missing, their rates and gaps, shares not available."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -20,8 +20,8 @@ from estimator.streaming.log_frames import Progress, no_progress, read_frames
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block, Interruption
 
-GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
-SHORTEST_GAP = 1.0  # s
+MIN_GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
+MIN_GAP = 1.0  # s
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Input:
         period = float(np.median(np.diff(t))) if len(t) > 1 else float("inf")
         known = value[np.isfinite(value)]
         edges = np.append(t, end)
-        long = np.diff(edges) > max(GAP_PERIODS * period, SHORTEST_GAP)
+        long = np.diff(edges) > max(MIN_GAP_PERIODS * period, MIN_GAP)
         return InputAnswer(
             signal=self.name,
             readings=len(t),
@@ -53,7 +53,7 @@ class Input:
 
 
 class Inspection:
-    """Looks at traffic, batch by batch; `report` tells what was found."""
+    """Collects the inputs in traffic, batch by batch; `report` returns them."""
 
     def __init__(self, config: Config) -> None:
         messages = bind(config, load_database(config.bus.dbc))

@@ -1,4 +1,4 @@
-"""The loop on a bus: messages in, broadcasts out, in message time. Daemon, replay and `can.Notifier` turn it."""
+"""The loop on a bus: messages in, broadcasts out, in message time; used by daemon, replay and `can.Notifier`."""
 
 from collections import Counter, deque
 from collections.abc import Callable

@@ -40,7 +40,7 @@ class Pipeline:
 
     @property
     def latest(self) -> Estimate | None:
-        """The newest conclusion that may be used: without its values while an input is contested."""
+        """The newest estimate; without its values while an input is contested."""
         latest = self.estimator.latest
         return None if latest is None else self._withheld(latest)
 
@@ -72,10 +72,10 @@ class Pipeline:
         return {**self.traffic.state(), "estimator": self.estimator.state()}
 
     def restore(self, state: State, same_clock: bool = True) -> None:
-        """Go on where another pipeline with the same configuration was; before the first frame.
+        """Take the state of another pipeline with the same configuration, before the first frame.
 
-        The next frame shows the length of the downtime. If it begins a new drive (see `RowStream.restore`), the
-        knowledge of the vehicle is carried over as after a long stop. Until then there is no estimate.
+        The length of the downtime follows from the next frame. If it begins a new drive (see `RowStream.restore`), the
+        parameters of the vehicle are carried over as after a long stop. Until then there is no estimate.
 
         Raises
         ------

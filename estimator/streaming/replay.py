@@ -23,7 +23,7 @@ BATCH = 1000  # frames put on the virtual bus before the listener's side is drai
 
 @dataclass
 class Run:
-    """What a log, or several, came to."""
+    """The result of one log, or of several in order."""
 
     pipeline: Pipeline
     updates: list[Estimate]
@@ -37,7 +37,7 @@ class Run:
 
     @property
     def final(self) -> Estimate:
-        """The last conclusion."""
+        """The last estimate."""
         return self.updates[-1]
 
 

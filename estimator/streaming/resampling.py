@@ -9,12 +9,12 @@ import numpy as np
 from estimator.signals import Floats, Mask, Series
 
 FRESH_PERIODS = 3.0  # sender periods after which a reading is stale
-SHORTEST_FRESH = 0.3  # s, for senders whose rate follows the engine speed
-LONGEST_FRESH = 15.0  # s, for slow senders
+MIN_FRESH = 0.3  # s, for senders whose rate follows the engine speed
+MAX_FRESH = 15.0  # s, for slow senders
 
 
 class Track:
-    """Recent readings of one signal, and how long one of them counts."""
+    """Recent readings of one signal, and the time for which one of them is valid."""
 
     def __init__(self) -> None:
         self.t = np.empty(0)
@@ -22,7 +22,7 @@ class Track:
         self.fresh = np.nan
 
     def add(self, series: Series) -> None:
-        """Take what is later than all before it; a time that comes twice or steps back is dropped."""
+        """Add the readings later than all before them; a repeated time or a step back is dropped."""
         later = series.t > (self.t[-1] if len(self.t) else -np.inf)
         t, value = series.t[later], series.value[later]
         ascending = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]]) if len(t) else later[:0]
@@ -30,12 +30,12 @@ class Track:
         self.value = np.concatenate([self.value, value[ascending]])
         if np.isnan(self.fresh) and len(self.t) > 4:
             period = float(np.median(np.diff(self.t)))
-            self.fresh = min(max(FRESH_PERIODS * period, SHORTEST_FRESH), LONGEST_FRESH)
+            self.fresh = min(max(FRESH_PERIODS * period, MIN_FRESH), MAX_FRESH)
 
     @property
     def limit(self) -> float:
         """How long [s] a reading counts."""
-        return LONGEST_FRESH if np.isnan(self.fresh) else self.fresh
+        return MAX_FRESH if np.isnan(self.fresh) else self.fresh
 
     def forget(self, before: float) -> None:
         """Drop what is older than ``before`` [s]."""

@@ -26,9 +26,11 @@ from estimator.streaming.missing_inputs import remedy
 
 BLOCK = 5.0  # s of traffic decoded at a time
 MAX_SILENCE = 30.0  # s without a frame; the signals before and after a longer silence are not joined
-NEW_DRIVE = 900.0  # s without a frame after which the load may be another one
+MIN_NEW_DRIVE_SILENCE = 900.0  # s without a frame after which the load may be another one
 MAX_GAPS = 1000  # remembered
-CLOCK_SET = 1_577_836_800.0  # s, start of 2020: timestamps before it mean an unset clock, so the downtime is unknown
+MIN_SET_CLOCK = (
+    1_577_836_800.0  # s, start of 2020: timestamps before it mean an unset clock, so the downtime is unknown
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ class RowStream:
     gaps : collections.deque[tuple[float, float]]
         Times without speed or power, from and to [s].
     replacements : int
-        Senders given up for others, and with them all that was learnt.
+        Senders replaced by others; all that was learnt is discarded then.
     """
 
     def __init__(self, config: Config) -> None:
@@ -186,11 +188,11 @@ class RowStream:
         }
 
     def restore(self, state: State, same_clock: bool = True) -> None:
-        """Go on where another stream with the same configuration was; before the first frame.
+        """Take the state of another stream with the same configuration, before the first frame.
 
-        The first item that `feed` then yields is an interruption. It is a new drive after more than NEW_DRIVE, when
-        the clock was set back or never set, and when it is not the ``same_clock`` that has run on since the state was
-        saved; the sources of signals are then found anew.
+        The first item that `feed` then yields is an interruption. It is a new drive after a downtime of more than
+        MIN_NEW_DRIVE_SILENCE, or of unknown length: the clock was set back, was never set, or is not the ``same_clock``
+        that has run since the state was saved. The senders of signals are then chosen again.
 
         Raises
         ------
@@ -261,7 +263,7 @@ class RowStream:
         yield self._block(frames, readings, rows)
 
     def _replace(self, start: float, end: float) -> Interruption:
-        """Drop the rows still waiting, and what the engine has shown of itself: a wrong sender may have sent it."""
+        """Drop the rows still waiting and the engine's constants: they may come from a wrong sender."""
         self.replacements += 1
         for _ in self._aligner.finish(end):
             pass
@@ -304,7 +306,7 @@ class RowStream:
         assert last is not None
         yield from self._end()
         self.gaps.append((last, t))
-        interruption = Interruption(last, t, is_new_drive=not 0 <= t - last <= NEW_DRIVE)
+        interruption = Interruption(last, t, is_new_drive=not 0 <= t - last <= MIN_NEW_DRIVE_SILENCE)
         if interruption.is_step_back:
             self._aligner.forget()
         yield interruption
@@ -316,7 +318,7 @@ class RowStream:
         if last is None:
             return Interruption(None, t, is_new_drive=True)
         self.gaps.append((last, t))
-        same_load = self._same_clock and last >= CLOCK_SET and 0 <= t - last <= NEW_DRIVE
+        same_load = self._same_clock and last >= MIN_SET_CLOCK and 0 <= t - last <= MIN_NEW_DRIVE_SILENCE
         if not same_load:
             self._decoder.release()
         return Interruption(last, t, is_new_drive=not same_load)

@@ -9,7 +9,7 @@ import re
 from itertools import pairwise
 
 from estimator.can_io.frames import FD_BYTES
-from estimator.can_io.logs.line_layout import LARGEST_EXTENDED, LARGEST_STANDARD, NOTHING, Layout
+from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Layout
 
 _TIME = rb"\s*(?P<seconds>\d{1,12})\.(?P<fraction>\d{1,9})\s+"
 _ID = rb"(?P<id>[0-9A-Fa-f]{1,8})(?P<x>[xX]?)\s+"
@@ -30,7 +30,7 @@ def layout(line: bytes) -> Layout | None:
     columns = [first + found.start() for found in re.finditer(rb"\S\S", match["data"])][:length]
     steps = {b - a for a, b in pairwise(columns)} or {3}
     extended = bool(match["x"])
-    largest = LARGEST_EXTENDED if extended else LARGEST_STANDARD
+    largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID
     usual = len(columns) == length <= FD_BYTES and len(steps) == 1 and int(match["id"], 16) <= largest
     if not usual or (length == 0 and match.re is _FD):
         return None

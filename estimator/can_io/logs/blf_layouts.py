@@ -113,4 +113,4 @@ KINDS = tuple(
         (101, FD64, _fd64),  # CAN_FD_MESSAGE_64
     )
 )
-LONGEST_RECORD = max(kind.record.itemsize for kind in KINDS)  # bytes
+MAX_RECORD_BYTES = max(kind.record.itemsize for kind in KINDS)  # bytes

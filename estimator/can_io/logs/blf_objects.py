@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES, Frames
-from estimator.can_io.logs.blf_layouts import KINDS, LONGEST_RECORD, PAYLOAD_AT, Columns, Kind
+from estimator.can_io.logs.blf_layouts import KINDS, MAX_RECORD_BYTES, PAYLOAD_AT, Columns, Kind
 from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
 from estimator.signals import Mask
 
@@ -20,7 +20,7 @@ SIGNATURE = b"LOBJ"
 BASE = 16  # bytes of the header that every object has: signature, sizes, version and type
 MAX_PADDING = 4  # bytes between objects, at most
 MAX_OBJECT = 1 << 22  # bytes; a larger size is taken for damage
-SHORTEST_RUN = 64  # objects that are worth to be read as a run
+MIN_RUN = 64  # objects that are worth to be read as a run
 STRETCH = 1 << 17  # bytes in which objects are located at once where kinds are mixed
 ERROR_TYPES = (2, 73, 104)  # CAN_ERROR, CAN_ERROR_EXT, CAN_FD_ERROR_64
 HEAD = np.dtype([("signature", "<u4"), ("header_size", "<u2"), ("version", "<u2"), ("size", "<u4"), ("type", "<u4")])
@@ -96,7 +96,7 @@ def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
     same = ((heads[:, 0] == heads[0, 0]) & (heads[:, 1] == heads[0, 1])) if count else np.ones(0, np.bool_)
     if not same.all():
         count = int(np.argmin(same))
-    if count < SHORTEST_RUN:
+    if count < MIN_RUN:
         return None
     columns = kind.read(np.ndarray(count, kind.record, buffer, at, (size,)), start)
     if columns.wrong.any():
@@ -121,7 +121,7 @@ def _mixed(buffer: bytes, at: int, start: float) -> Decoded:
     if not len(located.positions) and not located.fault and at + STRETCH < len(buffer):  # a large object
         stretch = buffer[at:]
         located = locate(stretch)
-    window = np.frombuffer(stretch + bytes(LONGEST_RECORD), np.uint8)
+    window = np.frombuffer(stretch + bytes(MAX_RECORD_BYTES), np.uint8)
     heads = _gathered(window, located.positions, HEAD)
     columns = _blank(len(heads), bool(np.isin(heads["type"], (100, 101)).any()))
     is_frame = np.zeros(len(heads), np.bool_)

@@ -10,8 +10,8 @@ import re
 from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES
 from estimator.can_io.logs.line_layout import (
     ERROR_FLAG,
-    LARGEST_EXTENDED,
-    LARGEST_STANDARD,
+    MAX_EXTENDED_ID,
+    MAX_STANDARD_ID,
     NOTHING,
     BadLineError,
     Layout,
@@ -65,7 +65,7 @@ def layout(line: bytes) -> Layout:
     if len(data) > (FD_BYTES if fd else CLASSIC_BYTES):
         raise BadLineError(f"expected at most {FD_BYTES if fd else CLASSIC_BYTES} data bytes, found {len(data)}")
     extended = len(match["id"]) == 8
-    largest = LARGEST_EXTENDED | ERROR_FLAG if extended else LARGEST_STANDARD
+    largest = MAX_EXTENDED_ID | ERROR_FLAG if extended else MAX_STANDARD_ID
     if int(match["id"], 16) > largest:
         raise BadLineError(f"expected a CAN id, found {match['id'].decode()}, which is too large")
     return Layout(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import can
 
 from estimator.can_io.frames import CLASSIC_BYTES
-from estimator.can_io.logs.line_layout import LARGEST_EXTENDED, LARGEST_STANDARD, NOTHING, Coding, Layout, shown
+from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Coding, Layout, shown
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.tap import Tap
@@ -46,7 +46,7 @@ class CsvLog(LineLog):
         first, end = match.span("data")
         length = (end - first) // 4 * 3 - line.count(b"=", first)
         extended = match["extended"] == b"1"
-        largest = LARGEST_EXTENDED if extended else LARGEST_STANDARD
+        largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID
         if length != int(match["length"]) or length > CLASSIC_BYTES or int(match["id"], 16) > largest:
             return None
         return Layout(

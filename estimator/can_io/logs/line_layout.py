@@ -3,8 +3,8 @@
 from enum import Enum
 from typing import NamedTuple
 
-LARGEST_STANDARD = 0x7FF
-LARGEST_EXTENDED = 0x1FFFFFFF
+MAX_STANDARD_ID = 0x7FF
+MAX_EXTENDED_ID = 0x1FFFFFFF
 ERROR_FLAG = 0x20000000  # in an id, as SocketCAN writes those of error frames
 SHOWN = 60  # characters of a wrong line that a message quotes
 

@@ -19,11 +19,11 @@ from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.messages import check_message, kind_of
 from estimator.can_io.logs.source import Source
 from estimator.can_io.logs.tap import MAX_IDLE, MAX_LINE, Tap
-from estimator.can_io.logs.text import CUT, READER_ERRORS, lacks_a_digit
+from estimator.can_io.logs.text import CUT, READER_ERRORS, is_digit_missing
 from estimator.errors import LogError
 
 CHUNK = 1 << 21  # bytes read at once
-MOST_LINES = 1 << 16  # parsed at once: more of them in a chunk are no traffic, but would take memory
+MAX_LINES = 1 << 16  # parsed at once: more of them in a chunk are no traffic, but would take memory
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
@@ -126,7 +126,7 @@ class LineLog(Log):
         with Tap(BufferedReader(BytesIO(text)), lambda line: [line], self._unread) as tap:
             try:
                 for message in self._reader(tap):
-                    if lacks_a_digit(tap.line, message.data, self.byte_digits, self.byte_base):
+                    if is_digit_missing(tap.line, message.data, self.byte_digits, self.byte_base):
                         raise ValueError(CUT)
                     tap.answered()
                     kind = kind_of(message)
@@ -145,11 +145,11 @@ def line_from(text: bytes, start: int) -> tuple[bytes, int]:
 
 
 def _parts(text: bytes) -> Iterator[bytes]:
-    """Whole lines, at most MOST_LINES at a time."""
-    if text.count(b"\n") <= MOST_LINES:
+    """Whole lines, at most MAX_LINES at a time."""
+    if text.count(b"\n") <= MAX_LINES:
         yield text
         return
-    ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))[MOST_LINES - 1 :: MOST_LINES] + 1
+    ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))[MAX_LINES - 1 :: MAX_LINES] + 1
     start = 0
     for end in (*ends.tolist(), len(text)):
         yield text[start:end]

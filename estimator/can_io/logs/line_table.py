@@ -29,7 +29,7 @@ BASE64[list(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")
 PAD = ord("=")
 MAX_LAYOUTS = 64  # among lines of one length; where there are more, the rest is taken line by line
 EXACT_DIGITS, EXACT_BITS = 15, 53  # of a number that a float holds exactly
-LARGEST_ERROR = 2.0**-53  # of a fraction that is rounded once, and more
+MAX_ROUNDING_ERROR = 2.0**-53  # of a fraction that is rounded once, and more
 SKIP, DATA, ERROR, REMOTE = range(4)  # what a line is
 
 
@@ -193,7 +193,7 @@ def _times(table: Bytes, layout: Layout, seconds: NDArray[np.int64], parts: NDAr
     t = seconds + fraction
     # A second rounding, which is wrong only where the first one decided it.
     lost, unit = np.abs(fraction - (t - seconds)), np.spacing(t)
-    close = (np.abs(lost - unit / 2) <= LARGEST_ERROR) | (np.abs(lost - unit / 4) <= LARGEST_ERROR)
+    close = (np.abs(lost - unit / 2) <= MAX_ROUNDING_ERROR) | (np.abs(lost - unit / 4) <= MAX_ROUNDING_ERROR)
     doubtful = np.flatnonzero(close)
     if len(doubtful):
         t[doubtful] = _parsed(table[doubtful], layout)

@@ -9,8 +9,8 @@ from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES, Frames
 from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME, Log
 
 CHUNK = 8192  # messages packed at once
-LARGEST_STANDARD = 0x7FF
-LARGEST_EXTENDED = 0x1FFFFFFF
+MAX_STANDARD_ID = 0x7FF
+MAX_EXTENDED_ID = 0x1FFFFFFF
 
 
 class MessageLog(Log):
@@ -47,7 +47,7 @@ def kind_of(message: can.Message) -> str:
 
 def check_message(message: can.Message) -> None:
     """Raise ValueError if a data message is none that a bus can carry, e.g. because its line was cut short."""
-    if not 0 <= message.arbitration_id <= (LARGEST_EXTENDED if message.is_extended_id else LARGEST_STANDARD):
+    if not 0 <= message.arbitration_id <= (MAX_EXTENDED_ID if message.is_extended_id else MAX_STANDARD_ID):
         raise ValueError(f"expected a CAN id, found {message.arbitration_id:X}")
     found, expected = len(message.data), message.dlc
     if message.is_fd and found != expected:

@@ -33,7 +33,7 @@ class TextLog(MessageLog):
 
     def _messages(self, tap: Tap) -> Iterator[can.Message]:
         for message in self._reader(tap):
-            if lacks_a_digit(tap.line, message.data):
+            if is_digit_missing(tap.line, message.data):
                 raise ValueError(CUT)
             tap.answered()
             yield message
@@ -51,7 +51,7 @@ class TextLog(MessageLog):
         raise ValueError(f"expected a frame, found {line.strip()[:60]!r}")
 
 
-def lacks_a_digit(line: str, data: bytearray, digits: int = 2, base: int = 16) -> bool:
+def is_digit_missing(line: str, data: bytearray, digits: int = 2, base: int = 16) -> bool:
     """Whether a line has no line break and ends in its last payload byte, with fewer digits than bytes have."""
     last = line.split()[-1]
     short = not line.endswith("\n") and len(last) < digits and all(digit in hexdigits for digit in last)

@@ -1,4 +1,4 @@
-"""Opening a bus as python-can users know it, and telling what waiting can mend from what it cannot."""
+"""Opening a bus with the options of python-can; errors that may pass are separated from permanent ones."""
 
 import argparse
 import errno
@@ -15,7 +15,7 @@ from estimator.settings import BusOptions
 
 CONFIGURABLE = ("interface", "channel", "bitrate")
 OPTIONS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")  # of `can.cli.add_bus_arguments`
-NEVER = {  # errors of opening a socket that no waiting mends
+PERMANENT_ERRORS = {  # errors of opening a socket that do not pass by waiting, with the remedy
     errno.EPERM: "no permission; let the service run as a user who may open it",
     errno.EACCES: "no permission; let the service run as a user who may open it",
     errno.EAFNOSUPPORT: "this kernel has no SocketCAN; load the module can",
@@ -24,7 +24,7 @@ NEVER = {  # errors of opening a socket that no waiting mends
 INTERFACES = Path("/sys/class/net")
 ARPHRD_CAN = 280  # type of a CAN network device (linux/if_arp.h)
 B = TypeVar("B", bound=BusOptions)
-LONGEST_NAME = 15  # characters of a network device's name (IFNAMSIZ - 1)
+MAX_NAME_CHARACTERS = 15  # characters of a network device's name (IFNAMSIZ - 1)
 
 
 class NotThereError(RoadloadError):
@@ -55,7 +55,7 @@ class BusSpec:
             raise ConfigError(f"bus: no channel of {found['interface']}; give -c CHANNEL, or write it in can.conf")
         if found["interface"] == "socketcan":
             name = str(found["channel"])
-            if not 0 < len(name) <= LONGEST_NAME or "/" in name or any(c.isspace() for c in name) or name in ".":
+            if not 0 < len(name) <= MAX_NAME_CHARACTERS or "/" in name or any(c.isspace() for c in name) or name in ".":
                 raise ConfigError(f"bus: {name!r} cannot be the name of an interface; give one such as can0")
         return found
 
@@ -88,9 +88,9 @@ def open_bus(spec: BusSpec, filters: list[CanFilter] | None) -> can.BusABC:
     Raises
     ------
     NotThereError
-        Now it cannot be opened; waiting can help.
+        It cannot be opened now; the error may pass.
     ConfigError
-        It never will be.
+        It cannot be opened with this configuration.
     """
     found = spec.resolved()
     if found["interface"] == "socketcan":
@@ -100,8 +100,8 @@ def open_bus(spec: BusSpec, filters: list[CanFilter] | None) -> can.BusABC:
     except can.CanInterfaceNotImplementedError as error:
         raise ConfigError(f"{spec.label}: {error}") from error
     except OSError as error:
-        if error.errno in NEVER:
-            raise ConfigError(f"{spec.label}: {NEVER[error.errno]}") from error
+        if error.errno in PERMANENT_ERRORS:
+            raise ConfigError(f"{spec.label}: {PERMANENT_ERRORS[error.errno]}") from error
         raise NotThereError(error.strerror or str(error)) from error
     except can.CanError as error:
         raise NotThereError(str(error)) from error

@@ -1,4 +1,4 @@
-"""What a link has met since the start."""
+"""Counts of a link since the start."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from estimator.daemon.reception.reader import Batch
 
 @dataclass(kw_only=True)
 class Counts:
-    """Frames by what they were or what became of them, and how often the bus was opened."""
+    """Frames by kind and by loss, and how often the bus was opened."""
 
     frames: int = 0
     errors: int = 0

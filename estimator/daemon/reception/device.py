@@ -42,7 +42,7 @@ def probe_of(spec: BusSpec) -> Probe:
 
 
 class DeviceWatch:
-    """What looking again and again shows of a device.
+    """Repeated probes of a device.
 
     ``device`` is what was seen last: a `Device`, None while it is gone, True where there is none to look at.
     """
@@ -63,18 +63,18 @@ class DeviceWatch:
         return now >= self._next
 
     def look(self, now: float) -> None:
-        """See what there is at the time ``now`` [s]."""
+        """Probe the device at the time ``now`` [s]."""
         self._next = now + PROBE_PERIOD
         self.device = self._probe()
 
-    def sees_it_come_up(self, now: float) -> bool:
-        """Look, and tell whether the device has come up since the last look."""
+    def has_come_up(self, now: float) -> bool:
+        """Probe the device; returns whether it has come up since the last probe."""
         then = self.device
         self.look(now)
         return isinstance(self.device, Device) and self.device.is_up and not (isinstance(then, Device) and then.is_up)
 
     def keep(self) -> None:
-        """Take the device as it is for that of the bus."""
+        """Take the device as probed last for the one of the open bus."""
         self._opened = self.device
 
     @property

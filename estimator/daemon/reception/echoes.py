@@ -8,14 +8,14 @@ import numpy as np
 
 from estimator.can_io.frames import EXTENDED, Frames
 
-MOST_ECHOES = 100  # frames that may still come back
+MAX_ECHOES = 100  # frames that may still come back
 
 
 class Echoes:
     """Remembers what was sent, in one thread, and takes it out of what is heard, in another."""
 
     def __init__(self) -> None:
-        self._sent: deque[tuple[int, bytes]] = deque(maxlen=MOST_ECHOES)
+        self._sent: deque[tuple[int, bytes]] = deque(maxlen=MAX_ECHOES)
         self._lock = threading.Lock()
 
     def expect(self, message: can.Message) -> None:

@@ -1,4 +1,4 @@
-"""What waits between two threads of the daemon, and how much of it may."""
+"""A bounded queue of frames between two threads of the daemon."""
 
 import threading
 from collections import deque
@@ -43,7 +43,7 @@ class Inbox(Generic[T]):
             return not self._closed
 
     def close(self) -> None:
-        """Nobody need wait any longer."""
+        """End all waiting."""
         with self._condition:
             self._closed = True
             self._condition.notify()

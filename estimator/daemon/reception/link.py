@@ -1,6 +1,6 @@
-"""One bus, for years: opened when it is there, drained by a thread of its own, opened anew when it has gone.
+"""One bus: opened when its device is there, drained by a thread, opened again after it was lost.
 
-The thread does nothing but drain, into an `Inbox`, so that nothing which computes can make the kernel drop frames.
+The thread only drains the bus into an `Inbox`, so no computation delays it until the kernel drops frames.
 """
 
 import logging
@@ -24,13 +24,13 @@ from estimator.settings import Reception
 
 log = logging.getLogger(__name__)
 
-SHORTEST_WAIT, LONGEST_WAIT = 1.0, 30.0  # s between attempts to open a bus
+MIN_WAIT, MAX_WAIT = 1.0, 30.0  # s between attempts to open a bus
 READ_TIMEOUT = 0.2  # s
 BUS_OFF_WAIT = 2.0  # s without a data frame after "bus off" before the bus is opened anew
 
 
 class Link:
-    """A bus that comes and goes.
+    """A bus whose device may appear and disappear.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Link:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._drops_before = 0  # of the sockets that were open before this one
-        self._wait = SHORTEST_WAIT
+        self._wait = MIN_WAIT
         self._next_attempt = -float("inf")
         self._bus_off_at: float | None = None
         self.beat = self.last_frame = self.last_error = self.opened_at = -float("inf")  # [s] monotonic
@@ -137,7 +137,7 @@ class Link:
             self._inbox.offer((self._clock(), Batch(own=Frames.from_messages([message]))), 1)
 
     def step(self, timeout: float = READ_TIMEOUT) -> bool:
-        """Open, look, drain, whichever is due; False when there is nothing to do but wait.
+        """Open, probe or drain, whichever is due; False when there is nothing to do but wait.
 
         Raises
         ------
@@ -186,9 +186,9 @@ class Link:
     def _is_time(self, now: float) -> bool:
         """Whether to try and open: after a pause that grows, or at once when the device has come up."""
         if now < self._next_attempt:
-            if not self._watch.is_due(now) or not self._watch.sees_it_come_up(now):
+            if not self._watch.is_due(now) or not self._watch.has_come_up(now):
                 return False
-            self._wait = SHORTEST_WAIT
+            self._wait = MIN_WAIT
         return True
 
     def _open(self, now: float) -> bool:
@@ -219,11 +219,11 @@ class Link:
             return self._watch.trouble
         if self._bus_off_at is not None and now - self._bus_off_at > BUS_OFF_WAIT:
             return "bus off"
-        self._wait = SHORTEST_WAIT
+        self._wait = MIN_WAIT
         return ""
 
     def _is_stale(self, now: float) -> bool:
-        """Whether a bus is silent for so long that its device may be another by now, and nobody can tell."""
+        """Whether a bus without a network device is silent for so long that it is opened again."""
         patience = self._settings.reopen_s
         return self.device is True and 0 < patience < now - max(self.last_frame, self.opened_at)
 
@@ -247,7 +247,7 @@ class Link:
         self.problem = why
         log.warning("%s: %s; next attempt in at most %g s", self.label, why, self._wait)
         self._next_attempt = now + self._wait
-        self._wait = min(2 * self._wait, LONGEST_WAIT)
+        self._wait = min(2 * self._wait, MAX_WAIT)
         self._shut()
 
     def _shut(self) -> None:

@@ -1,20 +1,19 @@
-"""Message times that never step: the stamps of a bus follow a wall clock, which GNSS or NTP may set at any moment.
+"""Message times without steps: the stamps of a bus follow a wall clock, which GNSS or NTP may set at any moment.
 
-The wall clock is held against a monotonic one. A stamp may come late, by as long as its frame lay in a buffer, but
-never early, and of two frames the later has the later stamp. What contradicts this by more than `SMALL_STEP` was a step
-of the wall clock: it is taken out again, so that time passes for the estimator as it does on the road. Lateness alone
-contradicts nothing until it exceeds `STEP` for `LATENESS`.
+The wall clock is compared with a monotonic clock. A stamp may be late, by the time that its frame lay in a buffer, but
+never early, and stamps ascend. A contradiction of more than `MIN_STEP` is a step of the wall clock, which is subtracted
+from the stamps. Late stamps alone mean a step only if they are late by `MIN_LATENESS` for `MAX_LATE_DURATION`.
 """
 
 import numpy as np
 
 from estimator.signals import Floats, Mask
 
-STEP = 1.0  # s by which stamps must be late one after another to mean a clock that was set back
-SMALL_STEP = 0.1  # s by which stamps must be early, or step back, to mean a clock that was set
-LATENESS = 5.0  # s for which frames may be late one after another; beyond, the clock was set back
-LATEST = 1e11  # s; a stamp beyond is none
-TRACKING = 1e-3  # s per second by which the clocks' difference is followed: they drift by parts per million
+MIN_LATENESS = 1.0  # s by which stamps must be late one after another to mean a clock that was set back
+MIN_STEP = 0.1  # s by which stamps must be early, or step back, to mean a clock that was set
+MAX_LATE_DURATION = 5.0  # s for which frames may be late one after another; beyond, the clock was set back
+MAX_STAMP = 1e11  # s; a stamp beyond is none
+DRIFT_RATE = 1e-3  # s per second by which the clocks' difference is followed: they drift by parts per million
 SETTLING = 2.0  # s after the first frame, in which stamps that are early mean that the first came late
 
 
@@ -45,12 +44,12 @@ class MessageClock:
         """Message times (n,) [s], not descending, of frames stamped ``stamps`` (n,) [s] and drained at ``now`` [s]."""
         if not len(stamps):
             return stamps
-        dated = (stamps > 0) & (stamps < LATEST)
+        dated = (stamps > 0) & (stamps < MAX_STAMP)
         t = np.where(dated, stamps - self._correction, now + self._ahead)
         if dated.any():
             self._follow(stamps, dated, t, now)
         t = np.maximum.accumulate(np.maximum(t, self._last))
-        t = np.minimum(t, max(now + self._ahead + STEP, self._last))
+        t = np.minimum(t, max(now + self._ahead + MIN_LATENESS, self._last))
         self._last = float(t[-1])
         return t
 
@@ -71,26 +70,26 @@ class MessageClock:
             self._correction += disagreement
             first = int(np.argmin(np.abs(seen - before - disagreement)))
             t[known[first:]] -= disagreement
-        elif disagreement > SMALL_STEP:
+        elif disagreement > MIN_STEP:
             self._ahead += disagreement  # all stamps before were late
         else:
-            most = TRACKING * (now - self._followed)
+            most = DRIFT_RATE * (now - self._followed)
             self._ahead += min(max(disagreement, -most), most)
         self._followed = now
 
     def _is_step(self, disagreement: float, gaps: Floats, now: float) -> bool:
         """Whether the clock was set, given the time [s] by which the newest stamp is early and the ``gaps`` (n,)."""
-        if disagreement > SMALL_STEP:
+        if disagreement > MIN_STEP:
             self._late_since = None
-            settling = self._began is not None and now - self._began < SETTLING and disagreement < STEP
-            return not settling and bool(gaps.max() > disagreement - SMALL_STEP / 2)
-        if disagreement > -SMALL_STEP:
+            settling = self._began is not None and now - self._began < SETTLING and disagreement < MIN_LATENESS
+            return not settling and bool(gaps.max() > disagreement - MIN_STEP / 2)
+        if disagreement > -MIN_STEP:
             self._late_since = None
             return False
-        if gaps.min() < -SMALL_STEP:
+        if gaps.min() < -MIN_STEP:
             return True
-        if disagreement > -STEP:
+        if disagreement > -MIN_LATENESS:
             self._late_since = None
             return False
         self._late_since = now if self._late_since is None else self._late_since
-        return now - self._late_since > LATENESS
+        return now - self._late_since > MAX_LATE_DURATION

@@ -20,8 +20,8 @@ from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES, Frames
 from estimator.can_io.logs.messages import check_message
 from estimator.signals import Floats, Mask
 
-GATHER = 0.01  # s for which frames gather in the kernel after the first: 100 wake-ups a second at most
-LARGEST_BATCH = 4096  # frames
+GATHER_TIME = 0.01  # s for which frames gather in the kernel after the first: 100 wake-ups a second at most
+MAX_BATCH = 4096  # frames
 CLASSIC_FRAME, FD_FRAME = 16, 72  # bytes of struct can_frame and struct canfd_frame (linux/can.h)
 REMOTE, ERROR = 1 << 30, 1 << 29  # bits of the id (linux/can.h)
 CONFIRM = 0x800  # flag of a message that this very socket sent (MSG_CONFIRM)
@@ -100,13 +100,13 @@ class SocketReader:
             raise self._failure
         if not self._poll.poll(timeout * 1000):
             return Batch()
-        time.sleep(GATHER)
+        time.sleep(GATHER_TIME)
         raw: list[bytes] = []
         stamps: list[bytes] = []
         flags: list[int] = []
         receive = self._socket.recvmsg
         try:
-            while len(raw) < LARGEST_BATCH:
+            while len(raw) < MAX_BATCH:
                 data, ancillary, flag, _ = receive(FD_FRAME, ANCILLARY, socket.MSG_DONTWAIT)
                 raw.append(data)
                 flags.append(flag)
@@ -172,9 +172,9 @@ class MessageReader:
         message, malformed = self._receive(timeout)
         if message is None:
             return Batch(malformed=malformed)
-        time.sleep(GATHER)
+        time.sleep(GATHER_TIME)
         messages: list[can.Message] = []
-        while message is not None and len(messages) + malformed < LARGEST_BATCH:
+        while message is not None and len(messages) + malformed < MAX_BATCH:
             messages.append(message)
             message, more = self._receive(0)
             malformed += more
@@ -183,7 +183,7 @@ class MessageReader:
         return replace(batch := pack(messages), malformed=batch.malformed + malformed)
 
     def kernel_drops(self) -> int:
-        """None that anybody knows of."""
+        """0: python-can does not report them."""
         return 0
 
     def buffer_bytes(self) -> int | None:
@@ -197,7 +197,7 @@ class MessageReader:
     def _receive(self, timeout: float) -> tuple[can.Message | None, int]:
         """The next message, and how many datagrams before it were none: anybody in the network can send those."""
         malformed = 0
-        while malformed < LARGEST_BATCH:
+        while malformed < MAX_BATCH:
             try:
                 return self._bus.recv(timeout), malformed
             except can.CanOperationError as error:

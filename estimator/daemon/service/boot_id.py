@@ -1,6 +1,6 @@
-"""Which start of the machine this is: a clock tells time away only as long as the machine has not been off.
+"""Identity of the machine's start: the clock measures a downtime only if the machine was not switched off in it.
 
-A gateway without a battery for its clock goes on from the time at which it was switched off, as if no time had passed.
+A gateway without a battery for its clock continues from the time at which it was switched off.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")  # random(4): made anew at eve
 
 
 def boot_id() -> str:
-    """A name of this start; empty where the kernel does not tell, for then no two are known to be the same."""
+    """Identifier of this start; empty where the kernel has none, and two starts are then never equal."""
     try:
         return BOOT_ID.read_text().strip()
     except OSError:

@@ -1,4 +1,4 @@
-"""Files that anybody may write are not believed."""
+"""Files that every user may write are refused."""
 
 import os
 import stat

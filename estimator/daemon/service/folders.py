@@ -15,14 +15,19 @@ from estimator.settings import Service
 log = logging.getLogger(__name__)
 
 NAME = "roadload"
-PASSING = (errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of a file system; it may be mended while we run
+TEMPORARY_ERRORS = (
+    errno.EROFS,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EIO,
+)  # of a file system; it may be mended while we run
 STATUS_FILE = "status.json"
 LOCK_FILE = "lock"
 SYSTEM_RUNTIME = Path("/run") / NAME
 
 
 def state_directory(service: Service) -> Path:
-    """Folder of what outlives the power."""
+    """Folder of the saved state."""
     if service.state_directory:
         return Path(service.state_directory)
     if given := os.environ.get("STATE_DIRECTORY"):
@@ -33,7 +38,7 @@ def state_directory(service: Service) -> Path:
 
 
 def runtime_directory(service: Service) -> Path:
-    """Folder of what a running daemon shows."""
+    """Folder of the status of a running daemon."""
     if service.runtime_directory:
         return Path(service.runtime_directory)
     if given := os.environ.get("RUNTIME_DIRECTORY"):
@@ -63,7 +68,7 @@ def make(folder: Path, mode: int) -> Path:
         if os.statvfs(folder).f_flag & os.ST_RDONLY:
             raise OSError(errno.EROFS, os.strerror(errno.EROFS))
     except OSError as error:
-        if error.errno not in PASSING:
+        if error.errno not in TEMPORARY_ERRORS:
             raise ConfigError(f"{folder}: {error.strerror}; choose another folder in [service]") from error
         log.warning("%s: %s; nothing is kept there until it can be written", folder, error.strerror)
         return folder
@@ -75,7 +80,7 @@ def make(folder: Path, mode: int) -> Path:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Keep a folder for this process: two daemons would undo each other's state.
+    """Lock a folder for this process: two daemons would overwrite each other's state.
 
     Raises
     ------
@@ -87,7 +92,7 @@ def alone(folder: Path) -> Iterator[None]:
             make(folder, 0o700) / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
         )
     except OSError as error:
-        if error.errno not in (*PASSING, errno.ENOENT):
+        if error.errno not in (*TEMPORARY_ERRORS, errno.ENOENT):
             raise ConfigError(f"{folder / LOCK_FILE}: {error.strerror}") from error
         yield  # nothing can be written there, so no other daemon is disturbed
         return

@@ -1,4 +1,4 @@
-"""Log lines for the journal: on standard error, with a priority, and not the same one over and over."""
+"""Log lines for the journal: on standard error, with a priority, repeated lines at most once a minute."""
 
 import logging
 import os
@@ -9,13 +9,13 @@ from contextlib import contextmanager
 
 from estimator.printable import printable
 
-REPEAT = 60.0  # s within which the same message is not said again
-MOST_REMEMBERED = 1000  # messages
+REPEAT_INTERVAL = 60.0  # s within which the same message is not said again
+MAX_REMEMBERED = 1000  # messages
 PRIORITY = {logging.CRITICAL: 2, logging.ERROR: 3, logging.WARNING: 4, logging.INFO: 6, logging.DEBUG: 7}  # syslog(3)
 
 
 class Once(logging.Filter):
-    """Holds back what was said less than REPEAT ago, and says how often when it is said again."""
+    """Suppresses a message logged less than REPEAT_INTERVAL ago; the next one gives the number suppressed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -27,11 +27,11 @@ class Once(logging.Filter):
         # The place counts, not the numbers in the message; the first argument is what it is about.
         about = str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
         key = (str(record.msg), about)
-        at, held = self._said.get(key, (-REPEAT, 0))
-        if now - at < REPEAT and record.levelno < logging.ERROR:
+        at, held = self._said.get(key, (-REPEAT_INTERVAL, 0))
+        if now - at < REPEAT_INTERVAL and record.levelno < logging.ERROR:
             self._said[key] = (at, held + 1)
             return False
-        if len(self._said) >= MOST_REMEMBERED:
+        if len(self._said) >= MAX_REMEMBERED:
             self._said.clear()
         self._said[key] = (now, 0)
         if held:

@@ -1,6 +1,6 @@
-"""The daemon's own loop: hands frames from the bus to the estimator, its conclusions to the transmitter, and reports.
+"""The daemon's loop: frames from the bus to the estimator, estimates to the transmitter, and the status.
 
-It never computes for long, so that requests on the bus are answered in time while the sampler runs in its thread.
+The sampler runs in another thread, so that the loop answers requests on the bus in time.
 """
 
 import logging
@@ -29,10 +29,10 @@ log = logging.getLogger(__name__)
 
 PERIOD = 0.05  # s between turns: a request is answered within 200 ms (J1939-21)
 REPORT_PERIOD = 1.0  # s
-LONGEST_WORK = 20.0  # s that a conclusion may take before the estimator counts as hung
-LONGEST_PAUSE = 10.0  # s without a sign of life of a draining thread
-UNWANTED, UNWANTED_FRAMES = 60.0, 600  # s, and frames in it, of traffic with nothing wanted in it
-ERRORS_ONLY = 2.0  # s without a data frame while error frames come
+MAX_WORK = 20.0  # s for one update: beyond, the estimator counts as hung
+MAX_PAUSE = 10.0  # s between two rounds of a draining thread: beyond, it counts as hung
+MIN_UNWANTED_DURATION, MIN_UNWANTED_FRAMES = 60.0, 600  # s, and frames in it, of traffic with nothing wanted in it
+MIN_ERRORS_DURATION = 2.0  # s without a data frame while error frames come
 
 
 class Daemon:
@@ -92,10 +92,10 @@ class Daemon:
         self.worker.start()
 
     def close(self) -> None:
-        """Tell receivers, stop the threads, save."""
+        """Send "not available", stop the threads, save."""
         now = self._clock()
         if self.transmitter is not None and self._is_receiving:
-            self.transmitter.bid_farewell(now, self._time(self.source).at(now))
+            self.transmitter.send_not_available(now, self._time(self.source).at(now))
         self._pass_on()
         for link in self._links():
             link.close()
@@ -167,9 +167,9 @@ class Daemon:
         )
 
     def is_healthy(self, now: float) -> bool:
-        """Whether the draining threads turn and the estimator is not hung: only then the watchdog is fed."""
-        draining = all(now - link.beat < LONGEST_PAUSE for link in self._links())
-        return draining and self.worker.stuck_for(now) < LONGEST_WORK
+        """Whether no draining thread and no estimator is hung: only then the watchdog is notified."""
+        draining = all(now - link.beat < MAX_PAUSE for link in self._links())
+        return draining and self.worker.stuck_for(now) < MAX_WORK
 
     def _broadcast(self, t: float, estimate: Estimate | None) -> None:
         if self.transmitter is not None:
@@ -182,7 +182,7 @@ class Daemon:
         return self._times[id(link)]
 
     def _pass_on(self) -> None:
-        """Hand what was drained to those who wait for it."""
+        """Hand the drained frames to estimator and transmitter."""
         for link in self._links():
             clock = self._time(link)
             for drained_at, batch in link.take():
@@ -193,10 +193,10 @@ class Daemon:
                     self.listener.hear(frames)
 
     def _judge(self, now: float) -> None:
-        """Name the state of the bus."""
+        """Set ``state`` and ``detail`` of the bus."""
         before, link = self.state, self.source
         silent = now - max(link.last_frame, link.opened_at)
-        erring = now - link.last_error < ERRORS_ONLY and silent > ERRORS_ONLY
+        erring = now - link.last_error < MIN_ERRORS_DURATION and silent > MIN_ERRORS_DURATION
         self._is_receiving = link.is_open and link.is_up and not erring and now - link.last_frame <= self._silence
         if not link.is_open:
             self.state, self.detail = State.WAITING, link.problem
@@ -229,8 +229,8 @@ class Daemon:
         if self._device_frames is None or self._device_frames[1] < quiet_since:
             self._device_frames, self._unwanted = (received, now), False
         count, since = self._device_frames
-        if now - since > UNWANTED:
-            self._device_frames, self._unwanted = (received, now), received - count > UNWANTED_FRAMES
+        if now - since > MIN_UNWANTED_DURATION:
+            self._device_frames, self._unwanted = (received, now), received - count > MIN_UNWANTED_FRAMES
         return self._unwanted
 
     def _rate(self, now: float) -> float | None:

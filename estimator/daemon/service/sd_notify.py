@@ -1,4 +1,4 @@
-"""Talking to systemd: `sd_notify(3)` over its datagram socket; without systemd, nothing happens."""
+"""Notifications to systemd: `sd_notify(3)` over its datagram socket; without systemd, none are sent."""
 
 import os
 import socket
@@ -14,7 +14,7 @@ class Notifier:
         self._address = "\0" + path[1:] if path.startswith("@") else path
 
     def send(self, *states: str) -> None:
-        """Send assignments such as ``READY=1``; a manager that does not listen is no reason to stop."""
+        """Send assignments such as ``READY=1``; errors of the socket are ignored."""
         if not self._address:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as manager, suppress(OSError):

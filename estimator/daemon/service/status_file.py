@@ -11,7 +11,7 @@ from estimator.answers.status import StatusAnswer
 from estimator.errors import InputError
 from estimator.output_files import whole
 
-OLD = 10.0  # s after which a status is no longer that of a living daemon
+MAX_AGE = 10.0  # s after which a status is no longer that of a living daemon
 
 
 def write(path: Path, status: StatusAnswer) -> None:
@@ -45,12 +45,12 @@ def read(path: Path) -> StatusAnswer:
         raise InputError(f"{path}: is not a status file; delete it") from None
 
 
-def verdict(status: StatusAnswer, now: float | None = None) -> str:
-    """Why a status is not that of a running daemon; empty when it is."""
+def obstacle_to_status(status: StatusAnswer, now: float | None = None) -> str:
+    """Reason why a status is not that of a running daemon; empty where it is."""
     age = (time.monotonic() if now is None else now) - status.written_monotonic_s
     if not is_alive(status.pid):
         return f"its process {status.pid} has ended"
-    if not 0 <= age <= OLD:
+    if not 0 <= age <= MAX_AGE:
         return f"last heard of {age:.0f} s ago" if age > 0 else "left over from before the last start of the machine"
     return ""
 

@@ -64,7 +64,7 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
             following = _serve(daemon, plan, make_plan, signals, notifier)
         if following is None:
             return
-        # The same vehicle and settings: what is known stays known, to the last frame.
+        # The same vehicle and settings: the pipeline is kept, to the last frame.
         pipeline = daemon.worker.pipeline if following.key == plan.key else None
         plan = following
 

@@ -1,7 +1,7 @@
-"""The thread that estimates: it takes what the loop hands over, and keeps what it has learnt through a power loss.
+"""The thread that estimates from the frames of the loop, and saves its state.
 
-Only this thread touches the pipeline; others read the `Knowledge` it leaves. A slow conclusion delays what waits
-here, not the reception of what follows.
+Only this thread uses the pipeline; others read the `Knowledge` that it makes. A slow update delays the frames that wait
+here, not the reception of further ones.
 """
 
 import logging
@@ -23,11 +23,11 @@ log = logging.getLogger(__name__)
 
 BOOT = "boot"  # in a saved state: which start of the machine it is from
 SURVEY_PERIOD = 1.0  # s between refreshed `Knowledge`
-IDLE = 0.05  # s
+IDLE_WAIT = 0.05  # s
 
 
 class Store(Protocol):
-    """What outlives the power; see `estimator.checkpoint.store`."""
+    """Store of saved states; see `estimator.checkpoint.store`."""
 
     def save(self, state: Mapping[str, Any], key: str) -> None:
         """Keep a state."""
@@ -35,7 +35,7 @@ class Store(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Knowledge:
-    """What the pipeline knew at message time ``t`` [s]; counts are since the start."""
+    """Copy of the pipeline's results at message time ``t`` [s]; counts are since the start."""
 
     t: float | None = None
     estimate: Estimate | None = None
@@ -147,7 +147,7 @@ class Worker:
         now = self._clock()
         if now >= self._save_due:
             self._save_due = now + self._interval
-            # Flash memory wears: what a vehicle at rest could add is not worth a write.
+            # Writing wears flash memory: a vehicle at rest adds too little for a save.
             if self.pipeline.estimator.progress != self._kept:
                 self.save()
         if now >= self._survey_due:
@@ -176,8 +176,8 @@ class Worker:
         try:
             while self._inbox.wait(SURVEY_PERIOD):
                 self.turn()
-                time.sleep(IDLE)  # so that little batches gather into larger ones
-        except Exception as error:  # whatever it is: the main thread is told, and ends the process
+                time.sleep(IDLE_WAIT)  # so that little batches gather into larger ones
+        except Exception as error:  # of any kind: the main thread reads it, and ends the process
             self.failure = error
 
     def _feed(self, frames: Frames, began: float) -> None:

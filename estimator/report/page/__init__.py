@@ -1,1 +1,1 @@
-"""The rooms of the page: plots, figures, tables, and its style sheet."""
+"""The parts of the page: plots, figures, tables, and its style sheet."""

@@ -16,9 +16,9 @@ from estimator.signals import Floats
 CAUSES = 8  # colours of the budget; further causes share the last
 BINS = 600  # of an overview: each shows its least, greatest and, in blocks, its mean residual
 BLOCKS = 200  # of the mean line
-LONGEST_BREAK = 900.0  # s; longer ones, as between two logs, are cut out of the overview
-CUT = 60.0  # s, what is left of them
-DETAIL = 300.0  # s of the power trace shown
+MAX_BREAK = 900.0  # s; longer ones, as between two logs, are cut out of the overview
+CUT_BREAK = 60.0  # s, what is left of them
+DETAIL_DURATION = 300.0  # s of the power trace shown
 
 
 def gap_map(cells: GapMap, changed: bool) -> str:
@@ -87,9 +87,9 @@ def _several(traces: Traces) -> bool:
 
 
 def _clock(traces: Traces) -> Floats:
-    """Time [s] (n,) that only goes forward: long breaks, and what lies between two logs, become CUT."""
+    """Time [s] (n,) that only goes forward: long breaks, and what lies between two logs, become CUT_BREAK."""
     steps = np.diff(traces.t, prepend=traces.t[:1])
-    steps[(steps > LONGEST_BREAK) | (steps < 0) | (np.diff(traces.log, prepend=traces.log[:1]) > 0)] = CUT
+    steps[(steps > MAX_BREAK) | (steps < 0) | (np.diff(traces.log, prepend=traces.log[:1]) > 0)] = CUT_BREAK
     running: Floats = float(traces.t[0]) + np.cumsum(steps)
     return running
 
@@ -145,7 +145,8 @@ def power(traces: Traces, changed: bool) -> str:
     worth = np.nan_to_num(squared - (traces.measured - traces.extended) ** 2 if changed else squared)
     clock = _clock(traces)
     ends = np.minimum(
-        np.searchsorted(clock, clock + DETAIL, side="right"), np.searchsorted(traces.log, traces.log, side="right")
+        np.searchsorted(clock, clock + DETAIL_DURATION, side="right"),
+        np.searchsorted(traces.log, traces.log, side="right"),
     )
     total = np.concatenate([[0.0], np.cumsum(worth)])
     start = int(np.argmax(total[ends] - total[:-1]))

@@ -9,7 +9,7 @@ from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Invisible,
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.report import number_format, wording
 
-SHOWN = 8  # candidates; the others are folded away
+MAX_ROWS = 8  # candidates; the others are folded away
 THRESHOLDS = Thresholds()
 
 
@@ -28,7 +28,7 @@ def ranking(candidates: Sequence[Finding], several: bool) -> str:
         )
         for f in candidates
     ]
-    first, rest = table(headings, rows[:SHOWN], "ranking"), rows[SHOWN:]
+    first, rest = table(headings, rows[:MAX_ROWS], "ranking"), rows[MAX_ROWS:]
     if not rest:
         return first
     folded = f"<summary>{len(rest)} less probable</summary>{table(headings, rest, 'ranking')}"
