@@ -69,7 +69,7 @@ class Rows:
 
     @property
     def t(self) -> Floats:
-        """Grid times [s]."""
+        """Grid times [s] (n,)."""
         return self.index * STEP
 
     @property
@@ -138,7 +138,7 @@ class Samples:
 
     @property
     def own_cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Speed [m/s], acceleration [m/s^2] and rows of each sample, as measured."""
+        """Speed [m/s], acceleration [m/s^2] and rows (n,) of each sample, as measured."""
         return self.v, self.a, np.ones(len(self), dtype=np.int64)
 
     def state(self) -> dict[str, Any]:
@@ -168,7 +168,7 @@ class Samples:
 
     @property
     def relative_density(self) -> Floats:
-        """Density of the air over its mean here, 1 where it is not known."""
+        """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
         known = np.isfinite(self.density)
         mean = self.density[known].mean() if known.any() else 1.0
         return np.where(known, self.density / mean, 1.0)

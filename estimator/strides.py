@@ -58,7 +58,7 @@ class Strides:
 
     @property
     def speed(self) -> Floats:
-        """Mean of the speeds at both ends [m/s]."""
+        """Mean of the speeds at both ends [m/s] (n,)."""
         return 0.5 * (self.v0 + self.v1)
 
     @property
@@ -68,21 +68,21 @@ class Strides:
 
     @property
     def joined(self) -> Mask:
-        """Which known strides begin at the speed at which a known stride before them ended."""
+        """Whether a known stride begins where a known stride before it ended (n,), so that they share that speed."""
         follows = np.zeros(len(self), dtype=bool)
         follows[1:] = (np.abs(np.diff(self.t) - DURATION) < STEP / 2) & self.known[1:] & self.known[:-1]
         return follows
 
     @property
     def cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Speed [m/s], acceleration [m/s^2] and rows of each stride whose force is known."""
+        """Speed [m/s], acceleration [m/s^2] and rows (n,) of each stride whose force is known."""
         return self.speed[self.known], self.a[self.known], self.rows[self.known]
 
     own_cells = cells
 
     @property
     def relative_density(self) -> Floats:
-        """Density of the air over its mean here, 1 where it is not known."""
+        """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
         there = np.isfinite(self.density)
         mean = self.density[there].mean() if there.any() else 1.0
         return np.where(there, self.density / mean, 1.0)

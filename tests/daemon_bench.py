@@ -54,7 +54,7 @@ class FakeBus:
             return Batch(own=own)
         return self.waiting.pop(0) if self.waiting else Batch()
 
-    def confirms(self) -> bool:
+    def is_confirming(self) -> bool:
         return self.busy is not None
 
     def kernel_drops(self) -> int:

@@ -107,7 +107,7 @@ def test_lengths_that_lie(tmp_path):
 
 
 def test_a_state_too_large_is_not_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("estimator.checkpoint.store.LARGEST", 1000)
+    monkeypatch.setattr("estimator.checkpoint.store.MAX_BYTES", 1000)
     with pytest.raises(RoadloadError, match=r"window\.samples"):
         StateStore(tmp_path).save({"a": np.zeros(200)}, "k")
     assert not os.listdir(tmp_path)
@@ -156,7 +156,7 @@ def test_any_array_in_a_file_is_read_or_refused(name, shape, planes):
 def test_what_would_fill_the_memory_is_not_inflated(monkeypatch):
     content = pack({"a": np.zeros(10_000)}, "k")
     assert len(content) < 1000
-    monkeypatch.setattr("estimator.checkpoint.store.LARGEST", 1000)
+    monkeypatch.setattr("estimator.checkpoint.store.MAX_BYTES", 1000)
     with pytest.raises(StateError, match="not readable"):
         unpack(content, "k")
 

@@ -196,7 +196,7 @@ def test_names_and_equivalents_are_sound():
     for effect in CATALOGUE:
         assert all((effect.equation, effect.source, effect.symbol, effect.unit, effect.breaks))
         assert all(effect.name in BY_NAME[other].equivalent for other in effect.equivalent)
-        assert effect.streams or effect.timing is not Timing.ALWAYS or effect.absorbed
+        assert effect.is_streaming or effect.timing is not Timing.ALWAYS or effect.absorbed
 
 
 def test_what_switches_streams_with_a_signal_only():
@@ -204,7 +204,7 @@ def test_what_switches_streams_with_a_signal_only():
     assert fan.streaming_shapes(ALL) == (Quantity.FAN_SPEED,)
     assert fan.streaming_shapes(ALL - {Quantity.FAN_SPEED}) == ()
     for effect in CATALOGUE:
-        assert effect.streams == (not effect.absorbed and bool(effect.streaming_shapes(ALL)))
+        assert effect.is_streaming == (not effect.absorbed and bool(effect.streaming_shapes(ALL)))
 
 
 def test_a_configuration_asks_by_name():

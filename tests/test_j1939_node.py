@@ -494,18 +494,18 @@ def batch(*idents: int, t: float = 100.0, extended: bool = True) -> Frames:
 def test_ids_of_ours_that_others_send_are_learnt():
     neighbours = ForeignSenders([0xFF60, 0xFF61])
     neighbours.watch(batch(0x18FF60FB, 0x0CFF6133, 0x18FEF1FB))
-    assert neighbours.occupied(0xFF60, 0xFB, 101.0)
-    assert not neighbours.occupied(0xFF61, 0xFB, 101.0)
+    assert neighbours.is_occupied(0xFF60, 0xFB, 101.0)
+    assert not neighbours.is_occupied(0xFF61, 0xFB, 101.0)
     assert neighbours.senders(0xFF61, 101.0) == [0x33]
     assert neighbours.senders(0xFEF1, 101.0) == []
-    assert not neighbours.occupied(0xFF60, 0xFB, 101.0 + COLLISION_HOLD)
+    assert not neighbours.is_occupied(0xFF60, 0xFB, 101.0 + COLLISION_HOLD)
 
 
 def test_a_foreign_weight_is_one_too_many_whoever_sends_it():
     neighbours = ForeignSenders([0xFF60])
-    assert not neighbours.occupied(CVW, 0xFB, 100.0)
+    assert not neighbours.is_occupied(CVW, 0xFB, 100.0)
     neighbours.watch(batch(0x18FE7021))
-    assert neighbours.occupied(CVW, 0xFB, 100.0)
+    assert neighbours.is_occupied(CVW, 0xFB, 100.0)
     assert neighbours.senders(CVW, 99.0 + CVW_HOLD) == [0x21]
     assert neighbours.senders(CVW, 101.0 + CVW_HOLD) == []
 

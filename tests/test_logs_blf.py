@@ -118,7 +118,7 @@ def test_equals_python_can(payload: bytes, container: int, pack: bool, run: int,
     objects = "estimator.can_io.logs.blf_objects"
     with (
         tempfile.TemporaryDirectory() as folder,
-        mock.patch(f"{objects}.SHORTEST_RUN", run),
+        mock.patch(f"{objects}.MIN_RUN", run),
         mock.patch(f"{objects}.STRETCH", stretch),
         mock.patch("estimator.can_io.logs.blf.JOINED", joined),
     ):

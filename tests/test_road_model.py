@@ -163,7 +163,7 @@ class Dense:
 
 def observed(model: RoadModel) -> np.ndarray:
     """Which rows of the data are motion or readings: height's links and starts are constraints."""
-    links = len(model.nodes.s) if model.by_altitude else 0
+    links = len(model.nodes.s) if model.has_altitude else 0
     keep = np.ones(sum(model.counts), bool)
     keep[len(model.driven) : len(model.driven) + links] = False
     return keep

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_decoder import LARGE, SPEED, TORQUE, TRUCK, announced, broadcast, cut, pack
 
 from estimator.can_io.binding import bind, load_database
-from estimator.can_io.contradiction import disagree, is_alternating
+from estimator.can_io.contradiction import is_alternating, is_disagreement
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import Frames
 from estimator.can_io.source_selection import Contest, fastest
@@ -352,8 +352,8 @@ def test_a_lie_in_between_alternates_however_often_it_comes(seed, times, lie, st
 @given(lateness=st.floats(-0.3, 0.3), slope=st.floats(-0.2, 0.2), factor=st.floats(0.985, 1.015))
 def test_senders_that_differ_by_lateness_and_calibration_agree(lateness, slope, factor):
     t = np.arange(50) * 0.1
-    assert disagree(t, 1 + slope * t / 5, t, factor * (1 + slope * (t - lateness) / 5), 1.0, 0.0) is False
-    assert disagree(t, np.ones(50), t + 5, np.ones(50), 1.0, 0.0) is None
+    assert is_disagreement(t, 1 + slope * t / 5, t, factor * (1 + slope * (t - lateness) / 5), 1.0, 0.0) is False
+    assert is_disagreement(t, np.ones(50), t + 5, np.ones(50), 1.0, 0.0) is None
 
 
 # Batches

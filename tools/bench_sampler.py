@@ -40,7 +40,7 @@ ONE_THREAD = {
 
 
 def ours(q: Problem, kernel: str, burn_in: int, draws: int, repetitions: int) -> Floats:
-    """One of roadload's kernels, 256 chains."""
+    """Draws (chains, draws, 3) by one of roadload's kernels, 256 chains."""
     starts = overdispersed(q.target, 256, q.rng)
     return q.timed(lambda: KERNELS[kernel](q.target, starts, burn_in, draws, q.rng).draws, repetitions)
 

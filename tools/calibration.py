@@ -97,11 +97,11 @@ class Drive:
         )
 
     def power(self, theta: Floats) -> Floats:
-        """Power at the wheels [W] for this motion and ``theta`` = [A, C, m]."""
+        """Power at the wheels [W] (n,) for this motion and ``theta`` = [A, C, m] (3,)."""
         return np.where(self.driving, self.columns @ theta, 0.0)
 
     def measure(self, power: Floats, rng: np.random.Generator) -> Rows:
-        """Rows with noisy speed and the ``power`` [W] as given."""
+        """Rows with noisy speed and the ``power`` [W] (n,) as given."""
         n = len(self.v)
         speed = np.maximum(self.v + rng.normal(0.0, SPEED_NOISE, n), 0.0)
         speed = np.round(speed / SPEED_RESOLUTION) * SPEED_RESOLUTION
@@ -114,7 +114,7 @@ Measure = Callable[[Drive, Floats, np.random.Generator], Floats]
 
 
 def white(drive: Drive, power: Floats, rng: np.random.Generator) -> Floats:
-    """``power`` [W] with white noise."""
+    """``power`` [W] (n,) with white noise."""
     return power + rng.normal(0.0, POWER_NOISE, len(power))
 
 
@@ -128,18 +128,18 @@ def autoregressive(keep: float) -> Measure:
 
 
 def both(drive: Drive, power: Floats, rng: np.random.Generator) -> Floats:
-    """``power`` [W] with AR(1) noise and white noise of the same size."""
+    """``power`` [W] (n,) with AR(1) noise and white noise of the same size."""
     return white(drive, autoregressive(0.9)(drive, power, rng), rng)
 
 
 def stepped(drive: Drive, power: Floats, rng: np.random.Generator) -> Floats:
-    """``power`` [W] from torque rounded to 1 % of the reference torque, as without SPN 4154, without noise."""
+    """``power`` [W] (n,) from torque rounded to 1 % of the reference torque, as without SPN 4154, without noise."""
     step = PERCENT * drive.reference_torque
     return np.round(power / drive.engine_speed / step) * step * drive.engine_speed
 
 
 def stepped_and_noisy(drive: Drive, power: Floats, rng: np.random.Generator) -> Floats:
-    """``power`` [W] from torque with the noise of the simulated sensors, then rounded to 1 %."""
+    """``power`` [W] (n,) from torque with the noise of the simulated sensors, then rounded to 1 %."""
     sensors, n = Sensors(), len(power)
     share = correlated(n, sensors.torque_noise, sensors.torque_correlation / STEP, rng)
     share += rng.normal(0.0, sensors.torque_white_noise, n)
@@ -165,7 +165,7 @@ class Outcome:
 
 
 def conclude(rows: Rows, theta: Floats, config: Config, rng: np.random.Generator) -> Outcome | None:
-    """Posterior from ``rows``, and the rank of the truth ``theta`` in it; None if there is no fit."""
+    """Posterior from ``rows``, and the rank of the truth ``theta`` = [A, C, m] (3,) in it; None if there is no fit."""
     maker = SampleMaker(config.kinematics, config.admission)
     smoother, _ = maker.calibrate(rows.plausible_speed, rows.power)
     samples = maker.samples(rows, smoother, 0.0, frozenset(), 0.0)  # power and speed are of the same instant

@@ -46,7 +46,7 @@ def simulate_pair(effect: str, minutes: float, seed: int, folder: Path) -> Pair:
 def row(effect: str, pair: Pair) -> dict[str, str]:
     """Predicted share of the first drive and measured share of the second, for the effects named on the first."""
     promise = diagnose(pair.first)
-    able = [name for name in named(promise) if name in BY_NAME and BY_NAME[name].streams]
+    able = [name for name in named(promise) if name in BY_NAME and BY_NAME[name].is_streaming]
     plain = diagnose(pair.second)
     extended = diagnose(pair.second, *(word for name in able for word in ("--effect", name))) if able else plain
     together = diagnose(pair.first, pair.second)

@@ -121,7 +121,7 @@ def page() -> str:
 def _streams(effect: Effect) -> str:
     if effect.absorbed:
         return "no: absorbed by the fit"
-    if not effect.streams:
+    if not effect.is_streaming:
         return "no: its times are unknown"
     return "yes" if effect.timing is Timing.ALWAYS else "with its signal"
 

@@ -24,7 +24,7 @@ PEER_WORK = 1e9  # evaluations of a single sample's residual, about, for each of
 
 
 def drive(n: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
-    """Speed, acceleration and power of ``n`` samples of a drive at 10 Hz with measured power above zero."""
+    """Speed [m/s], acceleration [m/s^2] and power [W] (n,) of a drive at 10 Hz with measured power above zero."""
     v = np.clip(16 + smooth(2 * n, 7.0, 200, rng), 0.5, 30)
     a = np.gradient(v, 0.1)
     P = power(v, a, TRUTH) + NOISE * rng.standard_normal(2 * n)
@@ -33,7 +33,7 @@ def drive(n: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
 
 
 def samples(n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """The same as columns of the model, and power."""
+    """The same as columns (n, 3) of the model, and power (n,) [W]."""
     v, a, P = drive(n, rng)
     return design(v, a), P
 
@@ -64,7 +64,7 @@ class Problem:
         return np.where(in_box(theta, *BOX), density, -np.inf)
 
     def timed(self, work: Callable[[], Floats], repetitions: int = 1) -> Floats:
-        """Draws of ``work``; its median CPU time is recorded."""
+        """Draws (chains, draws, 3) of ``work``; its median CPU time is recorded."""
         times = [time.process_time()]
         for _ in range(repetitions):
             draws = work()

@@ -29,13 +29,27 @@ class Table:
         return len(self.line)
 
     def column(self, name: str) -> list[Any]:
-        """Cells of a column; the error for an unknown name lists the columns."""
+        """Cells of a column.
+
+        Raises
+        ------
+        ConfigError
+            There is no such column; the message lists the columns.
+        """
         if name not in self.cells:
             raise ConfigError(f"{self.path}: no column {name!r}; the columns are {', '.join(map(repr, self.cells))}")
         return self.cells[name]
 
     def numbers(self, name: str) -> Floats:
-        """Values (n,) of a column, NaN where a cell is empty."""
+        """Values (n,) of a column, NaN where a cell is empty.
+
+        Raises
+        ------
+        ConfigError
+            There is no such column.
+        InputError
+            A cell is no number; the message names the row.
+        """
         values = np.full(len(self), np.nan)
         for i, cell in enumerate(self.column(name)):
             if cell is None or (isinstance(cell, str) and cell.strip().lower() in EMPTY):
@@ -61,7 +75,13 @@ class Table:
         return type(self)(self.path, [self.line[i] for i in chosen], cells)
 
     def where(self, condition: str) -> Mask:
-        """Rows (n,) that meet ``column=value``, compared as numbers where both are."""
+        """Whether each row (n,) meets ``column=value``, compared as numbers where both are.
+
+        Raises
+        ------
+        ConfigError
+            The condition has another form, names no column, or no row meets it.
+        """
         name, equals, wanted = condition.rpartition("=")
         if not equals:
             raise ConfigError(f"--select {condition!r}: is not of the form column=value")

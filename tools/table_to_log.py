@@ -168,7 +168,13 @@ def convert(
     rate: float | None,
     select: list[str],
 ) -> tuple[int, float, list[str]]:
-    """Write a log of the selected rows; returns the number of frames, the time they span [s], and remarks."""
+    """Write a log of the selected rows; returns the number of frames, the time they span [s], and remarks.
+
+    Raises
+    ------
+    InputError
+        An option or a cell of the table cannot be used.
+    """
     check_suffix(log, WRITABLE)
     t = times_of(table, time, rate)
     chosen = np.all([np.ones(len(table), bool), *(table.where(condition) for condition in select)], axis=0)

@@ -45,7 +45,7 @@ class Contradiction(StrEnum):
     CHANGED = "a constant changed"
 
 
-def disagree(
+def is_disagreement(
     t: Floats, value: Floats, other_t: Floats, other_value: Floats, magnitude: float, step: float
 ) -> bool | None:
     """Whether two senders differ in the mean by more than lateness, resolution and calibration explain.

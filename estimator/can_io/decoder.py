@@ -282,7 +282,7 @@ def _values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[
     raw = extract(frames.data, signal)
     with np.errstate(over="ignore", invalid="ignore"):  # floating-point signals may hold anything
         value = _number(raw, signal)
-        if _all_usual(message, bound, value):
+        if _are_all_usual(message, bound, value):
             return _scaled(value, conversion.scale, conversion.offset), {}
         si = _scaled(value.copy(), conversion.scale, conversion.offset)
         if bound.tangent:
@@ -293,7 +293,7 @@ def _values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[
     return si, masks
 
 
-def _all_usual(message: BoundMessage, bound: BoundSignal, value: Floats) -> bool:
+def _are_all_usual(message: BoundMessage, bound: BoundSignal, value: Floats) -> bool:
     """Whether the extremes show that every scaled value (n,) of a linear signal is one."""
     signal, conversion = bound.signal, bound.conversion
     if signal.is_float or bound.tangent or signal.length > EXACT_BITS or not len(value):

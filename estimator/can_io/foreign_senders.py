@@ -33,7 +33,7 @@ class ForeignSenders:
             source for (group, source), heard in self._heard.items() if group == pgn and abs(t - heard) < hold
         )
 
-    def occupied(self, pgn: int, source: int, t: float) -> bool:
+    def is_occupied(self, pgn: int, source: int, t: float) -> bool:
         """Whether we may not send a group from address ``source`` at time ``t`` [s]: that id is another's.
 
         For the CVW, a sender at any address is enough: a vehicle has one weight.

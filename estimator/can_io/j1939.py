@@ -40,7 +40,7 @@ def highest_valid(length: int) -> int:
 
 
 def classify(raw: NDArray[np.uint64], length: int) -> tuple[Mask, Mask, Mask]:
-    """Which raw values of ``length`` bits mean "not available", "error", or are reserved.
+    """Which raw values (n,) of ``length`` bits mean "not available", "error", or are reserved; three masks (n,).
 
     Numbers of a byte and more are valid while their top byte is at most 0xFA; 4-bit and 2-bit fields have the
     last two codes. Other widths carry no special values.

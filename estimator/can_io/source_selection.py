@@ -22,7 +22,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from estimator.can_io.binding import BoundMessage, BoundSignal
-from estimator.can_io.contradiction import MAGNITUDE, Contradiction, disagree, is_alternating, is_flickering
+from estimator.can_io.contradiction import MAGNITUDE, Contradiction, is_alternating, is_disagreement, is_flickering
 from estimator.checkpoint.validation import State, read, substate
 from estimator.settings import Bus
 from estimator.signals import DIMENSION, STATE, Floats, Mask, Role
@@ -80,7 +80,7 @@ class Heard:
     end: float
 
     def of(self, chosen: Mask) -> "Heard":
-        """A part of the readings."""
+        """The readings that ``chosen`` (n,) selects."""
         return Heard(self.t[chosen], self.source[chosen], self.value[chosen], self.end)
 
     @property
@@ -260,7 +260,7 @@ class SenderChoice:
         for address, other in senders.items():
             if address == chosen or len(other.t) < MIN_RIVAL_READINGS <= len(own.t):
                 continue
-            differ = disagree(own.t, own.value, other.t, other.value, self._magnitude, self._step)
+            differ = is_disagreement(own.t, own.value, other.t, other.value, self._magnitude, self._step)
             if differ:
                 return False
             if differ is not None:

@@ -24,7 +24,7 @@ def add_seed(parser: argparse.ArgumentParser, use: str) -> None:
 
 def add_effects(parser: argparse.ArgumentParser) -> None:
     """Add --effect."""
-    names = ", ".join(effect.name for effect in CATALOGUE if effect.streams)
+    names = ", ".join(effect.name for effect in CATALOGUE if effect.is_streaming)
     text = f"add an effect to the model, again and again: {names}"
     parser.add_argument("--effect", action="append", default=[], metavar="NAME", help=text)
 

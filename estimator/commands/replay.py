@@ -26,7 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay, and print the answer."""
+    """Replay, and print the answer.
+
+    Raises
+    ------
+    ConfigError
+        ``--speed`` is neither "max" nor a positive factor.
+    """
     check_outputs(options.log, {options.output: WRITABLE})
     speed = None
     if options.speed != "max":

@@ -34,7 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the status; exit status 1 if no daemon is running."""
+    """Print the status; exit status 1 if no daemon is running.
+
+    Raises
+    ------
+    InputError
+        The status file cannot be read, or is none.
+    """
     places = folders.status_places(config.load(options.config).service)
     path = next((place for place in places if place.is_file()), None)
     if path is None:

@@ -87,7 +87,7 @@ class Transmitter:
     def colliding_groups(self) -> list[int]:
         """PGNs that others send from our address."""
         own = -1 if self.address is None else self.address
-        return [pgn for pgn in sorted(output_groups(cvw=False)) if self._neighbours.occupied(pgn, own, self._t)]
+        return [pgn for pgn in sorted(output_groups(cvw=False)) if self._neighbours.is_occupied(pgn, own, self._t)]
 
     @property
     def events(self) -> Counter[str]:
@@ -184,7 +184,7 @@ class Transmitter:
 
     def _reason_to_withhold(self, message: can.Message, t: float) -> Withheld | None:
         group, source = message.arbitration_id >> 8 & 0x3FFFF, message.arbitration_id & 0xFF
-        if not self._neighbours.occupied(group, source, t):
+        if not self._neighbours.is_occupied(group, source, t):
             return None
         return Withheld.FOREIGN_CVW if group == CVW else Withheld.COLLISION
 

@@ -54,7 +54,7 @@ class Averages:
 
     @cached_property
     def factors(self) -> list[Floats]:
-        """Lower Cholesky factors of `noises`."""
+        """Lower Cholesky factors (n, n) of `noises`."""
         return [np.linalg.cholesky(noise) for noise in self.noises]
 
     def off_base(self, x: Floats) -> Floats:

@@ -179,7 +179,7 @@ def beside_road(outcome: Outcome) -> BesideRoad | None:
     if len(states) < len(plain):
         return None
     effects = [effect for effect in outcome.effects if not effect.absorbed and not effect.is_gravity]
-    if outcome.on_hills:
+    if outcome.is_on_hills:
         explained = search(states, effects, outcome.thresholds.min_log_bf_beside_road)
     else:
         known = tuple(map(_with_terms, states, outcome.final))

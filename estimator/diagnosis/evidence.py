@@ -50,7 +50,7 @@ class Base:
 
 
 def fit_base(X: Floats, Z: Floats, P: Floats, block: Blocks) -> Base | None:
-    """Instrumental-variable fit of the base model; None where its columns are not independent on this drive."""
+    """Instrumental-variable fit of ``P`` (n,) on ``X`` by ``Z`` (n, p); None where columns are not independent."""
     scale = np.sqrt(np.mean(X**2, axis=0))
     if not np.all(scale > 0):
         return None
@@ -71,7 +71,7 @@ class Score:
 
     @property
     def t(self) -> Floats:
-        """Value in standard deviations."""
+        """Value in standard deviations (k,)."""
         return self.value / self.sd
 
 

@@ -36,5 +36,5 @@ def advice(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> tu
 def streaming_effects(named: tuple[Finding, ...], given: tuple[Term, ...]) -> tuple[str, ...]:
     """The ``given`` effects of the streaming model and those found that it can take; empty if it can take none."""
     found = [f.name for f in named if f.name in BY_NAME and f.magnitude.name == BY_NAME[f.name].symbol and not f.span]
-    names = dict.fromkeys([*(term.effect.name for term in given), *(n for n in found if BY_NAME[n].streams)])
+    names = dict.fromkeys([*(term.effect.name for term in given), *(n for n in found if BY_NAME[n].is_streaming)])
     return tuple(names) if found else ()

@@ -10,7 +10,7 @@ from estimator.diagnosis.excess_lag import excess_lag
 from estimator.diagnosis.held_out import gap_closed
 from estimator.diagnosis.hidden_grade import grade_sd
 from estimator.diagnosis.model import Model, fit
-from estimator.diagnosis.multi_drive import Drive, same_class
+from estimator.diagnosis.multi_drive import Drive, is_same_class
 from estimator.diagnosis.outcome import Outcome, alike, ties
 from estimator.diagnosis.processes import Leftover
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
@@ -155,7 +155,7 @@ def ranking(outcome: Outcome, late: Finding | None) -> tuple[Finding, ...]:
         term = candidate.term
         same = tuple(
             sorted(
-                other.name for other in joints if other is not joint and same_class(joint, other, outcome.thresholds)
+                other.name for other in joints if other is not joint and is_same_class(joint, other, outcome.thresholds)
             )
         )
         size = Magnitude(term.effect.symbol, candidate.value, candidate.sd, term.effect.unit)

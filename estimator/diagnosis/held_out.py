@@ -38,7 +38,10 @@ class HeldOut:
 
 
 def held_out(samples: Samples, terms: tuple[Term, ...], road_load: Floats, lagged: bool = True) -> HeldOut:
-    """Residuals of the model with ``terms``, each from a fit to the other folds; without the lag if not ``lagged``."""
+    """Residuals of the model with ``terms``, each from a fit to the other folds; without the lag if not ``lagged``.
+
+    ``road_load`` = [A, C, m] (3,) scales the terms.
+    """
     X, Z = columns(samples, terms, road_load)
     if not lagged:
         X, Z = np.delete(X, PLAIN - 1, axis=1), np.delete(Z, PLAIN - 1, axis=1)

@@ -82,7 +82,10 @@ class Joint:
 def ranked(
     drives: tuple[Drive, ...], effects: Sequence[Effect], beside: Sequence[Floats] | None = None
 ) -> tuple[Joint, ...]:
-    """All effects that some drive can test, most evidence first; ``beside`` a process with these covariances."""
+    """All effects that some drive can test, most evidence first.
+
+    They are judged ``beside`` a process with these covariances (n, n), one for each drive; None: without one.
+    """
     judged = []
     for i, drive in enumerate(drives):
         averages = averages_of(drive.model)
@@ -95,7 +98,7 @@ def ranked(
     return tuple(sorted(tested, key=lambda joint: -joint.log_bayes_factor))
 
 
-def same_class(one: Joint, other: Joint, thresholds: Thresholds) -> bool:
+def is_same_class(one: Joint, other: Joint, thresholds: Thresholds) -> bool:
     """Whether the drives cannot separate the two effects."""
     if other.name in one.effect.equivalent or one.name in other.effect.equivalent:
         return True

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.held_out import HeldOut
 from estimator.diagnosis.hidden_grade import hidden_grade
-from estimator.diagnosis.multi_drive import Drive, Joint, pooled, same_class
+from estimator.diagnosis.multi_drive import Drive, Joint, is_same_class, pooled
 from estimator.diagnosis.processes import FORCE_OVER_TIME, POWER_OVER_TIME, UNMEASURED_GRADE, Leftover
 from estimator.diagnosis.search import Found, Search
 from estimator.diagnosis.thresholds import Thresholds
@@ -68,7 +68,7 @@ class Outcome:
         return max(after - hidden, MIN_FLOOR_SHARE * after)
 
     @property
-    def rough_hills(self) -> bool:
+    def is_altimeter_error(self) -> bool:
         """Whether the residual may be the error of an altimeter in the model: it varies with place or time."""
         wanders = (UNMEASURED_GRADE, POWER_OVER_TIME, FORCE_OVER_TIME)
         altimeter = [other for other in self.result.at_last if other.name in wanders]
@@ -77,7 +77,7 @@ class Outcome:
         return near and any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
 
     @property
-    def on_hills(self) -> bool:
+    def is_on_hills(self) -> bool:
         """Whether the road has grades: one is in the model by a signal, or missing in it."""
         shown = any(term.effect.is_gravity for drive in self.final for term in drive.model.terms)
         return shown or self.grade is not None
@@ -93,10 +93,10 @@ class Outcome:
     def verdict(self) -> Verdict:
         """The verdict by the evidence, without a lag."""
         chosen, left, limits = self.result.chosen, self.left.log_bayes_factor, self.thresholds
-        if self.grade is not None or (chosen and self.rough_hills):
+        if self.grade is not None or (chosen and self.is_altimeter_error):
             return Verdict.EFFECT
         if not chosen:
-            if left > limits.min_log_bf_process and not self.rough_hills:
+            if left > limits.min_log_bf_process and not self.is_altimeter_error:
                 return Verdict.UNKNOWN
             best = self.result.ranking[0].log_bayes_factor if self.result.ranking else 0.0
             return Verdict.CANNOT_TELL if best > limits.max_log_bf_no_gap else Verdict.NO_GAP
@@ -117,12 +117,12 @@ def _rivals(found: Found, thresholds: Thresholds) -> list[Joint]:
 
 def ties(found: Found, thresholds: Thresholds) -> list[str]:
     """Names of rivals of the chosen effect that are of another class: a different drive can separate them."""
-    return [joint.name for joint in _rivals(found, thresholds) if not same_class(found.joint, joint, thresholds)]
+    return [joint.name for joint in _rivals(found, thresholds) if not is_same_class(found.joint, joint, thresholds)]
 
 
 def alike(found: Found, thresholds: Thresholds) -> list[str]:
     """Names of the same class that have enough evidence as well, and those declared equivalent."""
     least = thresholds.min_log_bf_effect
     others = (joint for joint in found.ranking if joint is not found.joint and joint.log_bayes_factor > least)
-    near = {joint.name for joint in others if same_class(found.joint, joint, thresholds)}
+    near = {joint.name for joint in others if is_same_class(found.joint, joint, thresholds)}
     return sorted(near | set(found.joint.effect.equivalent))

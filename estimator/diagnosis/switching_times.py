@@ -35,7 +35,7 @@ class Beats:
 
 
 def beats(model: Model, profile: Floats) -> Beats:
-    """Average over BEAT."""
+    """Average the residual of ``model`` and a ``profile`` (samples,) [W] over BEAT."""
     number = np.floor((model.samples.t - model.samples.t[0]) / BEAT).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(np.append(starts, len(number)))

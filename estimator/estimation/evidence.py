@@ -27,7 +27,7 @@ class Trace:
 
     @property
     def relative_density(self) -> Floats:
-        """Density of the air over its mean here, 1 where it is not known."""
+        """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
         known = np.isfinite(self.density)
         mean = self.density[known].mean() if known.any() else 1.0
         return np.where(known, self.density / mean, 1.0)

@@ -29,7 +29,7 @@ class Fitted(Protocol):
 
     @property
     def sd(self) -> Floats:
-        """Their standard deviations."""
+        """Their standard deviations (p,)."""
         ...
 
 
@@ -41,7 +41,9 @@ class Gate:
         self._speed, self._acceleration = grid.centres()
 
     def coverage(self, counts: "np.ndarray[tuple[int], np.dtype[np.int64]]", theta: Floats, power: Floats) -> Coverage:
-        """Occupied cells among those reachable with parameters ``theta`` [A, C, m] and the ``power`` [W] seen.
+        """Occupied cells among those reachable with ``theta`` = [A, C, m] (3,) and the measured ``power`` (n,) [W].
+
+        ``counts`` (cells,) are rows of each cell of the grid.
 
         A cell is reachable when holding it takes more than no power and no more than the vehicle has shown, and
         its speed is not beyond the fastest that was driven.
@@ -57,7 +59,10 @@ class Gate:
         return Coverage(int((occupied & reachable).sum()), int(reachable.sum()))
 
     def obstacle_to_fit(self, fit: Fitted | None, usable: int, box: tuple[Floats, Floats]) -> str:
-        """Reason why the parameters cannot be computed from ``usable`` samples; empty where they can."""
+        """Reason why the parameters cannot be computed from ``usable`` samples; empty where they can.
+
+        ``box`` holds lower and upper bounds (p,) of the parameters.
+        """
         if usable < self._config.minimum_samples:
             return f"{usable} usable samples of the {self._config.minimum_samples} needed"
         if fit is None:

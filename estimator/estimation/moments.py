@@ -54,7 +54,7 @@ class Belief:
         return Belief(self.precision + other.precision, self.moment + other.moment)
 
     def beside(self, terms: tuple[Term, ...], road_load: Floats) -> "Belief":
-        """The same, and that each term with a magnitude of its own is of the usual order."""
+        """The same with a prior of each term's own magnitude, scaled by ``road_load`` = [A, C, m] (3,)."""
         own = [term.effect for term in terms if not term.joins_mass]
         n = len(self.moment)
         precision = np.zeros((n + len(own), n + len(own)))
@@ -87,7 +87,7 @@ class Fit:
     road_load: Floats | None = None  # A, C, m with which their columns were scaled
 
     def columns(self, samples: Samples) -> tuple[Floats, Floats]:
-        """Regressors and instruments of this model for ``samples``."""
+        """Regressors and instruments (n, p) of this model for ``samples``."""
         return columns(samples, self.terms, self.road_load)
 
     @property
@@ -102,7 +102,7 @@ class Fit:
 
 
 def autocorrelation_time(x: Floats) -> float:
-    """Integrated autocorrelation time [samples], at least 1, with Sokal's window of 5 times itself."""
+    """Integrated autocorrelation time [samples] of ``x`` (n,), at least 1, with Sokal's window of 5 times itself."""
     n = len(x)
     size = next_fast_len(2 * n)
     spectrum = np.fft.rfft(x - x.mean(), size)
@@ -115,7 +115,7 @@ def autocorrelation_time(x: Floats) -> float:
 
 
 def block_means(x: Floats, size: int) -> Floats:
-    """Means of each ``size`` values in a row; what is left over at the end is not used."""
+    """Means (n // size,) of each ``size`` consecutive values of ``x`` (n,); the rest at the end is not used."""
     means: Floats = x[: len(x) // size * size].reshape(-1, size).mean(axis=1)
     return means
 

@@ -39,7 +39,7 @@ class Posterior:
 
 
 def box(prior: Prior) -> tuple[Floats, Floats]:
-    """Lower and upper bounds of A [N], C [N s^2/m^2], m [kg] and the lag [s]."""
+    """Lower and upper bounds (4,) of A [N], C [N s^2/m^2], m [kg] and the lag [s]."""
     ranges = (prior.A_N, prior.C_N_s2_m2, prior.mass_kg, LAG_BOX)
     return np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
 

@@ -87,7 +87,7 @@ class RoadFit:
 
     @property
     def theta(self) -> Floats:
-        """A [N], C [N s^2/m^2], m [kg], lag [s] and then the effects' magnitudes, at beta."""
+        """A [N], C [N s^2/m^2], m [kg], lag [s] and then the effects' magnitudes (4 + effects,), at beta."""
         return theta_of(self.beta, len(self.terms))
 
     @property
@@ -96,7 +96,7 @@ class RoadFit:
         return float(LAGS[self.scales.lag] + self.beta[LAG] / self.beta[0])
 
     def theta_covariance(self) -> Floats:
-        """Covariance of `theta`, to first order."""
+        """Covariance (4 + effects, 4 + effects) of `theta`, to first order."""
         jacobian = theta_jacobian(self.beta, len(self.terms))
         spread: Floats = jacobian @ self.covariance @ jacobian.T
         return spread
@@ -111,7 +111,7 @@ class RoadFit:
 
     @property
     def residual_power(self) -> Floats:
-        """What the model with the road leaves of the power [W], at the strides."""
+        """Residual power [W] (n,) of the model with the road, at the strides."""
         left: Floats = (self.fitted - self.strides.a) / float(self.beta[0]) * self.strides.speed
         return left
 
@@ -189,13 +189,13 @@ class Likelihood:
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
 
     def solve(self, gram: Floats) -> tuple[Floats, Floats, float]:
-        """Coefficients, their information and minus twice the log likelihood but for log|K|; in own units."""
+        """Coefficients (p,), their information (p, p) and -2 log likelihood without log|K|; in own units."""
         information = gram[1:, 1:] + self.prior
         beta = np.linalg.solve(information, gram[1:, 0])
         return beta, information, float(gram[0, 0] - gram[1:, 0] @ beta)
 
     def log_evidence(self, scales: Floats) -> float:
-        """Log marginal likelihood, coefficients integrated over their priors, up to a constant of the model."""
+        """Log marginal likelihood of ``scales`` (k,), coefficients integrated out, up to a constant of the model."""
         try:
             conditioned = self.model.condition(scales)
         except NotPositiveDefiniteError:
@@ -250,7 +250,7 @@ class Likelihood:
 
 
 def with_doubt_of_form(beta: Floats, covariance: Floats, slope_sd: float, hidden: bool) -> Floats:
-    """The covariance of beta, wider by what the form of the model leaves in doubt.
+    """The covariance (p, p) of beta (p,), with the uncertainty from the form of the model added.
 
     A / m and C / m are proportional to 1 / m, so an error of the form changes the mass alone. Over hidden hills their
     sd is larger by ROAD_DOUBT, in proportion to the slopes up to an sd of 0.4 %.
@@ -291,7 +291,7 @@ def force_errors(
 
 
 def ou_at_ends(model: RoadModel, keep: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """An Ornstein-Uhlenbeck process of variance 1 at the beginning and at the end of each driven stride."""
+    """An Ornstein-Uhlenbeck process of variance 1 at the beginning (n,) and the end (n,) of each driven stride."""
     n = len(model.driven)
     shocks = rng.standard_normal((2, n))
     before, after = np.empty(n), np.empty(n)
@@ -304,7 +304,7 @@ def ou_at_ends(model: RoadModel, keep: float, rng: np.random.Generator) -> tuple
 
 
 def first_guess(strides: Strides) -> Floats:
-    """Rough [A, C, m] by least squares of the acceleration: enough to scale priors with."""
+    """Rough [A, C, m] (3,) by least squares of the acceleration, to scale priors with."""
     X = columns(strides, len(LAGS) // 2, (), np.array([1e3, 1.0, 1e4]))[:, :ROAD_LOAD]
     unit = np.sqrt(np.mean(X**2, axis=0))
     beta = np.linalg.lstsq(X / unit, strides.a, rcond=None)[0] / unit

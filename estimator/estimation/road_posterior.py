@@ -39,7 +39,7 @@ class RoadTarget:
 
     @classmethod
     def of(cls, fit: RoadFit, belief: Belief, lower: Floats, upper: Floats) -> "RoadTarget":
-        """From a fit; ``belief`` about [A, C, m, lag] loses the lag."""
+        """From a fit, a ``belief`` about [A, C, m, lag], whose lag is dropped, and bounds (p,) of the box."""
         effects = len(fit.terms)
         places = [*range(ROAD_LOAD), *range(len(fit.beta) - effects, len(fit.beta))]
         assert len(fit.beta) - effects >= PLAIN

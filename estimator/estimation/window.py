@@ -58,12 +58,12 @@ class Content(Protocol):
 
     @property
     def t(self) -> Floats:
-        """Times [s], ascending."""
+        """Times [s] (n,), ascending."""
         ...
 
     @property
     def cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Speed [m/s], acceleration [m/s^2] and rows of what lies in cells of the grid."""
+        """Speed [m/s], acceleration [m/s^2] and number of rows (n,) of each element, by which cells are counted."""
         ...
 
     @property

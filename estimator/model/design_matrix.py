@@ -59,7 +59,7 @@ def union(one: Spans, other: Spans) -> Spans:
 def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> tuple[View, View]:
     """``samples`` as measured, and as their instruments see them.
 
-    Some effects scale with ``road_load`` = [A, C, m], and with the climb that other ``terms`` of the model know of.
+    Some effects scale with ``road_load`` = [A, C, m] (3,), and with the climb by a signal among ``terms``.
     """
     density, context = samples.relative_density, samples.context
     # An effect missing in the model can make A or C negative; effects proportional to them need a positive scale.
@@ -128,7 +128,10 @@ def wanted_by(effects: tuple[Effect, ...], known: Set[Quantity]) -> frozenset[Qu
 
 
 def best_terms(effects: tuple[Effect, ...], samples: Samples, road_load: Floats) -> tuple[Term, ...]:
-    """Each effect with the shape, of those that can be computed, that explains most on top of the plain road load."""
+    """Each effect with the shape, of those that can be computed, that explains most beside the plain road load.
+
+    ``road_load`` = [A, C, m] (3,) scales the effects.
+    """
     known = frozenset(samples.context)
     X, Z = columns(samples)
     project = np.linalg.pinv(Z.T @ X)

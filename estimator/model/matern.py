@@ -71,7 +71,10 @@ class MaternField:
         return kappa, float(gamma(nu)) / (float(gamma(self.alpha)) * sqrt(4 * pi) * kappa ** (2 * nu) * sd**2)
 
     def add_precision(self, target: Floats, sd: float, length: float) -> float:
-        """Add the precision for a standard deviation ``sd`` and a correlation ``length`` to a band; returns log|Q|."""
+        """Add the precision for ``sd`` and correlation ``length`` to a band ``target`` (bandwidth + 1, size).
+
+        Returns log|Q|.
+        """
         kappa, tau = self._kappa_tau(sd, length)
         factors = tau * kappa ** (2.0 * (self.alpha - np.arange(self.alpha + 1)))
         target.ravel()[self._touched] += factors @ self._powers

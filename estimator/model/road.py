@@ -112,7 +112,7 @@ class Nodes:
         return cls(s, joined, np.maximum.accumulate(np.interp(s, along, times) - least) + least)
 
     def between(self, s: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """The node at or before each distance, and the share of the way to the next."""
+        """For each distance ``s`` (n,) [m] the node at or before it (n,), and the share of the way to the next (n,)."""
         before = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2).astype(np.int64)
         return before, (s - self.s[before]) / (self.s[before + 1] - self.s[before])
 
@@ -172,7 +172,7 @@ class RoadModel:
         return tuple(reading.name for reading in self.readings)
 
     @property
-    def by_altitude(self) -> bool:
+    def has_altitude(self) -> bool:
         """Whether height is among the unknowns."""
         return any(reading.name == "altitude" for reading in self.readings)
 
@@ -192,7 +192,7 @@ class RoadModel:
         linked[self._before] = True
         self._linked = linked
         groups = [self._ends_t, self._ends_t + 1e-7, nodes.t]
-        groups += [nodes.t + 1e-7] if self.by_altitude else []
+        groups += [nodes.t + 1e-7] if self.has_altitude else []
         groups += [nodes.t + 2e-7 for _ in self.readings]  # at every node: a signal's gaps must not widen the band
         times = np.concatenate(groups)
         order = np.argsort(times, kind="stable")
@@ -201,7 +201,7 @@ class RoadModel:
         cut = np.cumsum([len(group) for group in groups])[:-1]
         parts = iter(np.split(rank, cut))
         self._speed_error, self._force_error, self._slope = next(parts), next(parts), next(parts)
-        self._height = next(parts) if self.by_altitude else np.empty(0, np.int64)
+        self._height = next(parts) if self.has_altitude else np.empty(0, np.int64)
         self._wander = [next(parts) for _ in self.readings]
         self.size = len(order)
 
@@ -224,7 +224,7 @@ class RoadModel:
         weights = np.hstack([np.tile([-1 / DURATION, 1 / DURATION], (n, 1)), halves, -STANDARD_GRAVITY * hats])
 
         maps: list[tuple[NDArray[np.int64], Floats]] = [(places, weights)]
-        if self.by_altitude:
+        if self.has_altitude:
             on = np.flatnonzero(nodes.joined)
             half = 0.5 * (nodes.s[on] - nodes.s[on - 1])
             link = np.column_stack([self._height[on - 1], self._height[on], self._slope[on - 1], self._slope[on]])
@@ -242,9 +242,9 @@ class RoadModel:
         self._maps = [Observations(p, w, shape) for p, w in maps]
         self._shape = shape
         # Height's links and starts have known variances: their part of the precision is always the same.
-        self._is_fixed = [False, *([True, True] if self.by_altitude else []), *([False] * len(self.readings))]
+        self._is_fixed = [False, *([True, True] if self.has_altitude else []), *([False] * len(self.readings))]
         self._fixed = np.zeros(shape)
-        if self.by_altitude:
+        if self.has_altitude:
             self._fixed += self._maps[1].information(np.full(len(maps[1][0]), HEIGHT_SD**2))
             self._fixed += self._maps[2].information(np.full(len(maps[2][0]), START_HEIGHT_SD**2))
         self._field = MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
@@ -261,7 +261,7 @@ class RoadModel:
     def counts(self) -> tuple[int, ...]:
         """Number of observations of each kind: motion, height's links and starts, each reading."""
         joined = int(self.nodes.joined.sum())
-        link = (joined, len(self.nodes.s) - joined) if self.by_altitude else ()
+        link = (joined, len(self.nodes.s) - joined) if self.has_altitude else ()
         return (len(self.driven), *link, *(len(reading.values) for reading in self.readings))
 
     def given(self, columns: Floats) -> Floats:
@@ -286,19 +286,19 @@ class RoadModel:
         return data
 
     def noise_of(self, scales: Floats) -> tuple[list[Floats], float, float]:
-        """Variances of all observations, and standard deviation and correlation time of the force's error."""
+        """Variances of all observations, sd and correlation time [s] of the force's error, for ``scales`` (k,)."""
         torque, time, _, disturbance = scales[:4]
         weight, own = mean_given_ends(DURATION, time)
         variances = [torque**2 * own * self.weight**2 + disturbance**2]
         counts = list(self.counts[1:])
-        if self.by_altitude:
+        if self.has_altitude:
             variances += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
         for i, reading in enumerate(self.readings):
             variances.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0))
         return variances, 2 * weight * torque, time
 
     def condition(self, scales: Floats) -> "Conditioned":
-        """The model with its ``scales``, in the order of `scales`.
+        """The model with its ``scales`` (k,), in the order of `scales`.
 
         Raises
         ------

@@ -107,21 +107,21 @@ def is_coasting(rows: Rows, margin: int) -> Mask:
 
 
 def admit(samples: Samples, codes: NDArray[np.int8], rejected: Counter[str]) -> Samples:
-    """Samples whose rows have no reason against them and whose surroundings are complete; counts the others."""
+    """Samples whose rows have no reason (``codes`` (n,)) and whose surroundings are complete; counts the others."""
     codes = np.where((codes == ADMITTED) & ~samples.complete, _ORDER.index(Reason.INCOMPLETE), codes)
     count_reasons(codes[codes != ADMITTED], rejected)
     return samples[codes == ADMITTED]
 
 
 def count_reasons(codes: NDArray[np.int8], rejected: Counter[str]) -> None:
-    """Count rows that are left out; those without a reason of their own lack complete surroundings."""
+    """Count the rows that are left out by their ``codes`` (n,); ADMITTED ones lack complete surroundings."""
     codes = np.where(codes == ADMITTED, _ORDER.index(Reason.INCOMPLETE), codes)
     for code, count in zip(*(x.tolist() for x in np.unique(codes, return_counts=True)), strict=True):
         rejected[_ORDER[code]] += count
 
 
 def near(mask: Mask, reach: int) -> Mask:
-    """True within ``reach`` rows of a true row."""
+    """Whether each row of ``mask`` (n,) is within ``reach`` rows of a true one (n,)."""
     count = np.concatenate([[0], np.cumsum(mask)])
     n = len(mask)
     i = np.arange(n)

@@ -118,7 +118,7 @@ def instrument_kernels(dt: float) -> Kernels:
 
 @lru_cache(maxsize=8)
 def slow_kernel(dt: float) -> Floats:
-    """Raised-cosine low-pass as wide as the ring, for gravity along the grade."""
+    """Weights (2 K + 1,) of a raised-cosine low-pass as wide as the ring, for gravity along the grade."""
     half = round(REACH / dt)
     weights = 1 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))
     kernel: Floats = weights / weights.sum()
@@ -126,7 +126,7 @@ def slow_kernel(dt: float) -> Floats:
 
 
 def convolve(signal: Floats, kernel: Floats) -> Floats:
-    """Apply a kernel of 2 K + 1 weights; the first and last K values, and those near a gap, are NaN."""
+    """``signal`` (n,) through a ``kernel`` (2 K + 1,): (n,), NaN in the first and last K values and near gaps."""
     half = len(kernel) // 2
     out = np.full(len(signal), np.nan)
     if len(signal) >= len(kernel):

@@ -29,7 +29,7 @@ def next_step(run: Run) -> str:
             "check signals and units with `roadload inspect`, and the boxes of [prior] where the vehicle is no truck; "
             "then give a longer log with more speeds and accelerations"
         )
-    if _shows_little(final, gate):
+    if _is_coverage_low(final, gate):
         return "give a longer log, or several of one load in their order, with more speeds and accelerations"
     felt = [role.value for role in FEEL_GRADE if pipeline.traffic.seen[role]]
     if felt and "grade" not in pipeline.effects:
@@ -37,5 +37,5 @@ def next_step(run: Run) -> str:
     return f"give a longer log, or several of one load in their order; in hills or where more is amiss {DIAGNOSE}"
 
 
-def _shows_little(final: Estimate, gate: Gate) -> bool:
+def _is_coverage_low(final: Estimate, gate: Gate) -> bool:
     return final.coverage.occupied < gate.minimum_cells or final.coverage.fraction < gate.coverage

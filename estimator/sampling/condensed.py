@@ -29,7 +29,7 @@ class Sums:
 
     @classmethod
     def of(cls, X: Floats, y: Floats) -> "Sums":
-        """Of samples."""
+        """Of samples ``X`` (n, p), ``y`` (n,)."""
         return cls(X.T @ X, X.T @ y, float(y @ y), len(y))
 
     @classmethod
@@ -50,12 +50,12 @@ class Sums:
         return Sums(self.G - other.G, self.b - other.b, self.s - other.s, self.n - other.n)
 
     def about(self, theta: Floats) -> "Sums":
-        """With y - X theta in place of y."""
+        """With y - X theta in place of y, for ``theta`` (p,)."""
         b = self.b - self.G @ theta
         return Sums(self.G, b, float(self.s - theta @ (self.b + b)), self.n)
 
     def through(self, M: Floats, unit: float = 1.0) -> "Sums":
-        """With X M in place of X, and y in another unit."""
+        """With X M in place of X, for ``M`` (p, q), and y in another unit."""
         return Sums(M.T @ self.G @ M, M.T @ self.b / unit, self.s / unit**2, self.n)
 
     @cached_property
@@ -82,7 +82,7 @@ class Region:
 
     @classmethod
     def around(cls, origin: Floats, covariance: Floats) -> "Region":
-        """One sd of a Gaussian."""
+        """One sd of a Gaussian of mean ``origin`` (q,) and ``covariance`` (q, q)."""
         return cls(origin, np.tril(np.linalg.inv(factor(covariance))))
 
     @cached_property
@@ -127,7 +127,7 @@ class Condensed:
 
     @classmethod
     def of(cls, X: Floats, P: Floats) -> "Condensed":
-        """Samples about which nothing is decided, anywhere."""
+        """Samples ``X`` (n, q), ``P`` (n,) [W], all undecided, for all coefficients."""
         q = X.shape[1]
         return cls(
             region=Region.everywhere(q), active=Sums.empty(q), clipped=0.0, X=X, P=P, n=len(P), squares=float(P @ P)

@@ -52,7 +52,7 @@ def run(target: Target, kernel: str, chains: int, burn_in: int, draws: int, rng:
     if kernel == "independence":
         made = KERNELS[kernel](target, starts, burn_in, draws, rng)
         judged = _judged(kernel, made)
-        if made.heaviest <= MAX_IMPORTANCE_WEIGHT and _resembles(judged):
+        if made.heaviest <= MAX_IMPORTANCE_WEIGHT and _is_like_target(judged):
             return judged
     burn_in, draws = max(burn_in, WALK_BURN_IN), max(draws, WALK_DRAWS)
     return _judged("random_walk", KERNELS["random_walk"](target, starts, burn_in, draws, rng))
@@ -63,7 +63,7 @@ def _judged(kernel: str, chains: Chains) -> Run:
     return Run(chains.draws, kernel, chains.acceptance, diagnoses)
 
 
-def _resembles(run: Run) -> bool:
+def _is_like_target(run: Run) -> bool:
     """Whether the proposals of an independence run were like its target."""
     draws = run.draws.shape[0] * run.draws.shape[1]
     worst = float(np.min([diagnosis.ess_bulk for diagnosis in run.diagnoses]))

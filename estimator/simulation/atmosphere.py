@@ -11,12 +11,12 @@ LAPSE = 2.25577e-5, 5.25588  # 1/m and exponent
 
 
 def pressure_at(altitude: Floats) -> Floats:
-    """Pressure [Pa] at altitudes [m]."""
+    """Pressure [Pa] (n,) at altitudes [m] (n,)."""
     lapse, exponent = LAPSE
     pressure: Floats = SEA_LEVEL_PRESSURE * (1.0 - lapse * altitude) ** exponent
     return pressure
 
 
 def relative_density(pressure: Floats, temperature: Floats) -> Floats:
-    """Density over that of the air a truck's C holds for, at sea level and 15 degrees Celsius [1]."""
+    """Density (n,) over that at sea level and 15 degrees Celsius, for which a truck's C holds [1]."""
     return pressure / SEA_LEVEL_PRESSURE * STANDARD_TEMPERATURE / temperature

@@ -106,7 +106,7 @@ class Driver:
 
 
 def speeds_ahead(route: Route, easing: float, stopping: float) -> Floats:
-    """Highest speed [m/s] every ``GRID`` metres from which all that follows is reached gently.
+    """Highest speed [m/s] (n,) every ``GRID`` metres from which the limits ahead are reached by gentle braking.
 
     Parameters
     ----------

@@ -111,7 +111,7 @@ def with_stop(route: Route, time: float, dwell: float) -> tuple[Route, float]:
 
 
 def on_the_ground(route: Route, profile: Floats) -> tuple[Floats, Floats]:
-    """A profile every ``GRADE_SPACING`` of the ground, as met on the way; and the sense of driving there (+-1)."""
+    """A ``profile`` (n,) every ``GRADE_SPACING`` of the ground, in the order of driving; and its sense (+-1)."""
     if route.place is None:
         return profile[: len(route.grade)], np.ones(len(route.grade))
     met = profile[np.round(route.place / GRADE_SPACING).astype(int)]

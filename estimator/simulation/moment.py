@@ -106,7 +106,7 @@ class Action:
 
 
 def along(values: Floats, spacing: float) -> Callable[[float], float]:
-    """Linear interpolation in ``values``, equally spaced from 0, as a quick function; the last value holds on."""
+    """Linear interpolation in ``values`` (n,), equally spaced from 0, as a quick function; constant beyond the last."""
     table: list[float] = [*values.tolist(), float(values[-1])]
     last = len(values) - 1
 

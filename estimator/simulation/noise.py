@@ -9,7 +9,7 @@ from estimator.signals import Floats
 
 
 def correlated(steps: int, sd: float, correlation_steps: float, rng: np.random.Generator) -> Floats:
-    """Stationary first-order autoregressive noise.
+    """Stationary first-order autoregressive noise (steps,).
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def correlated(steps: int, sd: float, correlation_steps: float, rng: np.random.G
 
 
 def smooth(steps: int, sd: float, correlation_steps: float, rng: np.random.Generator) -> Floats:
-    """Noise of standard deviation ``sd`` without corners: first-order noise through a first-order low-pass."""
+    """Smooth noise (steps,) of standard deviation ``sd``: first-order noise through a first-order low-pass."""
     rough = correlated(steps, sd * sqrt(2.0), correlation_steps, rng)
     gain = 1.0 - exp(-1.0 / correlation_steps)
     return np.array(list(accumulate(rough.tolist(), lambda value, target: value + gain * (target - value))))

@@ -46,13 +46,13 @@ class Route:
 
     @property
     def altitude(self) -> Floats:
-        """Altitude [m] above the start, at the points of ``grade``."""
+        """Altitude [m] (n,) above the start, at the points of ``grade``."""
         sine = self.grade / np.hypot(1.0, self.grade)
         return np.concatenate([[0.0], np.cumsum(0.5 * GRADE_SPACING * (sine[1:] + sine[:-1]))])
 
     @property
     def heading(self) -> Floats:
-        """Heading [rad], clockwise from north and not wrapped, at the points of ``curvature``."""
+        """Heading [rad] (n,), clockwise from north and not wrapped, at the points of ``curvature``."""
         turned = np.cumsum(0.5 * CURVE_SPACING * (self.curvature[1:] + self.curvature[:-1]))
         return self.start_heading - np.concatenate([[0.0], turned])
 

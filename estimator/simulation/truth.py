@@ -63,12 +63,12 @@ class Truth:
 
     @property
     def power(self) -> Floats:
-        """Net power at the crank [W]."""
+        """Net power at the crank [W] (n,)."""
         return self.torque * self.engine_speed
 
     @property
     def driven(self) -> Mask:
-        """Where the engine alone, by a closed clutch, moves or holds back the rolling truck."""
+        """Whether the engine alone moves or holds back the rolling truck (n,): clutch closed, no brake."""
         free: Mask = self.engaged & ~self.shifting & (self.brake < 1.0) & (self.v > 0.0)
         return free
 

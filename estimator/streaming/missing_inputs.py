@@ -26,7 +26,7 @@ def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[s
     """
     signals = [role for role in missing if role not in SETTINGS]
     chosen = _shortest(seen) if signals else list(missing)
-    lines = [SETTINGS[role] for role in missing if role in SETTINGS and _matters(role, chosen)]
+    lines = [SETTINGS[role] for role in missing if role in SETTINGS and _is_needed(role, chosen)]
     if signals:
         table = ", ".join(f"{role} = {_bound(role, seen, binding)}" for role in chosen)
         lines.append(
@@ -37,7 +37,7 @@ def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[s
     return f"start the configuration (--config FILE.toml) with {' and '.join(lines)}{note}"
 
 
-def _matters(role: Role, chosen: list[Role]) -> bool:
+def _is_needed(role: Role, chosen: list[Role]) -> bool:
     """Whether a setting instead of ``role`` is needed where the ``chosen`` roles are bound."""
     return role == Role.LONGITUDINAL_ACCELERATION or role in chosen or Role.TORQUE_FRACTION in chosen
 

@@ -44,12 +44,12 @@ class Track:
         self.t, self.value = self.t[first:], self.value[first:]
 
     def time_of_held(self, at: Floats) -> Floats:
-        """When the last reading at or before each time came, NaN where there is none."""
+        """Time [s] (n,) of the last reading at or before each of the times ``at`` (n,) [s], NaN where there is none."""
         last = np.searchsorted(self.t, at, side="right") - 1
         return np.where(last >= 0, self.t[np.maximum(last, 0)], np.nan) if len(self.t) else np.full(len(at), np.nan)
 
     def held(self, at: Floats, limit: float | None = None) -> Floats:
-        """The last reading at or before each time, NaN once it is stale."""
+        """The last reading (n,) at or before each of the times ``at`` (n,) [s], NaN once it is stale."""
         if not len(self.t):
             return np.full(len(at), np.nan)
         last = np.searchsorted(self.t, at, side="right") - 1
@@ -58,7 +58,7 @@ class Track:
         return np.where((last >= 0) & (age <= limit), self.value[np.maximum(last, 0)], np.nan)
 
     def means(self, edges: Floats) -> tuple[Floats, Mask]:
-        """`cell_means` of these readings."""
+        """`cell_means` (n,) of these readings between ``edges`` (n + 1,) [s]."""
         return cell_means(self.t, self.value, edges, self.limit)
 
 

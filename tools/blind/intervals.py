@@ -32,7 +32,7 @@ def share(hits: int, n: int) -> Estimate:
 
 
 def bootstrap(statistic: Callable[..., float], *columns: Floats, seed: int = 1) -> Estimate:
-    """Percentile bootstrap of a statistic of equally long columns, rows drawn together."""
+    """Percentile bootstrap of a statistic of equally long ``columns`` (n,), rows drawn together."""
     n = len(columns[0])
     if n == 0:
         return Estimate(np.nan, np.nan, np.nan, 0)
@@ -44,7 +44,7 @@ def bootstrap(statistic: Callable[..., float], *columns: Floats, seed: int = 1) 
 
 
 def calibration_error(confidence: Floats, right: Floats, bins: int = 10) -> float:
-    """Expected calibration error: mean gap between confidence and share right, over ``bins`` equal in width.
+    """Expected calibration error: mean gap between ``confidence`` (n,) and share ``right`` (n,) over equal ``bins``.
 
     Guo, Pleiss, Sun, Weinberger 2017, "On Calibration of Modern Neural Networks".
     """

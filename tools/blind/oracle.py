@@ -95,7 +95,7 @@ class Driven:
         mass: float,
         noise: Noise,
     ) -> "Driven":
-        """Blocks of a drive given every ``step`` [s]; ``free``: brake released and clutch closed."""
+        """Blocks of a drive, arrays (n,) every ``step`` [s]; ``free``: brake released and clutch closed."""
         size = round(BLOCK / step)
         n = len(v) // size
 
@@ -123,7 +123,7 @@ class Driven:
 
 
 def covariance(engine_speed: Floats, momentum: Floats, used: Mask, noise: Noise) -> Floats:
-    """Lower band (width, n) of the noise's covariance [W^2]."""
+    """Lower band (width, n) of the noise's covariance [W^2] over the blocks (n,)."""
     n = len(engine_speed)
     width = min(n, 2 + round(REACH * noise.torque_time / BLOCK))
     band = np.zeros((width, n))

@@ -40,7 +40,7 @@ def from_address(frames: Frames, source: int) -> Frames:
 
 
 def later(frames: Frames, by: float | NDArray[np.float64]) -> Frames:
-    """The same frames, later by so much [s]."""
+    """The same frames, each ``by`` [s] later: one number, or one for each (n,)."""
     return replace(frames, t=frames.t + by)
 
 

@@ -72,7 +72,7 @@ class Day:
         """There is no buffer."""
         return None
 
-    def confirms(self) -> bool:
+    def is_confirming(self) -> bool:
         """Nothing is sent."""
         return False
 

@@ -29,7 +29,7 @@ class Cycle:
 
     @classmethod
     def of(cls, name: str, *speeds: Floats) -> "Cycle":
-        """Join parts; accelerations are central differences inside each part."""
+        """Join parts, speeds (n,) [m/s] each; accelerations are central differences inside each part."""
         return cls(name, np.concatenate(speeds), np.concatenate([np.gradient(v) for v in speeds]))
 
     @classmethod
@@ -77,7 +77,7 @@ def _commut() -> Floats:
 
 
 def shipped_parts() -> dict[str, tuple[Floats, ...]]:
-    """Speeds [m/s] of the cycles that come with the project, as uninterrupted parts: HWFET and COMMUT.
+    """Speeds [m/s] (n,) of the cycles that come with the project, as uninterrupted parts: HWFET and COMMUT.
 
     HWFET is the EPA Highway Fuel Economy driving schedule, 40 CFR part 600, appendix I.
     """
@@ -85,7 +85,7 @@ def shipped_parts() -> dict[str, tuple[Floats, ...]]:
 
 
 def all_parts() -> dict[str, tuple[Floats, ...]]:
-    """Speeds [m/s] of all three cycles, as uninterrupted parts.
+    """Speeds [m/s] (n,) of all three cycles, as uninterrupted parts.
 
     Raises
     ------
@@ -101,5 +101,5 @@ def cycles_of(parts: dict[str, tuple[Floats, ...]]) -> dict[str, Cycle]:
 
 
 def tabulated_commut() -> Floats:
-    """COMMUT as a published table [m/s], to compare with."""
+    """COMMUT as a published table [m/s] (n,), to compare with."""
     return _table(RECORDED / "sae_j1376_commut.csv")

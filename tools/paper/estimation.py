@@ -32,7 +32,7 @@ class Drive:
 
     @classmethod
     def of(cls, cycle: Cycle, theta: Floats, noise: float = 0.0, seed: tuple[int, ...] = (0,)) -> "Drive":
-        """Power of the model with ``theta``, and Gaussian noise of sd ``noise`` [W]."""
+        """Power of the model with ``theta`` = [A, C, m] (3,), and Gaussian noise of sd ``noise`` [W]."""
         P = power(cycle.v, cycle.a, theta)
         return cls(cycle.v, cycle.a, P + noise * np.random.default_rng(seed).standard_normal(len(P)))
 
@@ -173,7 +173,7 @@ class Availability:
         return cls(reach & (speed <= cycle.v.max()) & (acceleration <= cycle.a.max()))
 
     def occupied(self, kept: Drive | Cycle) -> Mask:
-        """Available cells with at least one sample."""
+        """Available cells (n,) with at least one sample."""
         return self.cells & (np.bincount(GRID.cell(kept.v, kept.a), minlength=GRID.size) > 0)
 
     def coverage(self, kept: Drive | Cycle) -> float:

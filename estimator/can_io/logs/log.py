@@ -68,7 +68,13 @@ class Log(ABC):
 
 
 def regroup(parts: Iterable[Frames], size: int) -> Iterator[Frames]:
-    """Join and cut batches to ``size`` frames; before a LogError is passed on, the frames at hand are yielded."""
+    """Join and cut batches to ``size`` frames.
+
+    Raises
+    ------
+    LogError
+        Of ``parts``, after the frames before it were yielded.
+    """
     held: list[Frames] = []
     count = 0
     damage: LogError | None = None

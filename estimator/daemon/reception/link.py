@@ -133,7 +133,7 @@ class Link:
                 bus.send(message)
         except ValueError as error:  # of a socket that was closed in the same instant
             raise can.CanOperationError(f"{self.label} was closed: {error}") from error
-        if self._echoes is None and not reader.confirms():
+        if self._echoes is None and not reader.is_confirming():
             self._inbox.offer((self._clock(), Batch(own=Frames.from_messages([message]))), 1)
 
     def step(self, timeout: float = READ_TIMEOUT) -> bool:

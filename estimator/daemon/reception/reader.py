@@ -64,7 +64,7 @@ class Reader(Protocol):
     def buffer_bytes(self) -> int | None:
         """Size of the receive buffer, None where there is none to speak of."""
 
-    def confirms(self) -> bool:
+    def is_confirming(self) -> bool:
         """Whether frames that we send come back as ``own`` once they have been on the bus."""
 
 
@@ -95,7 +95,13 @@ class SocketReader:
             self._confirms = False
 
     def read(self, timeout: float) -> Batch:
-        """Wait up to ``timeout`` [s] for a frame, then take all there are."""
+        """Wait up to ``timeout`` [s] for a frame, then take all there are.
+
+        Raises
+        ------
+        OSError
+            The socket failed; frames read before the failure were returned by the call before.
+        """
         if self._failure is not None:
             raise self._failure
         if not self._poll.poll(timeout * 1000):
@@ -130,7 +136,7 @@ class SocketReader:
         """Size of the receive buffer, as the kernel counts it."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
-    def confirms(self) -> bool:
+    def is_confirming(self) -> bool:
         """Whether this is a CAN socket, which tells our own frames from those of others."""
         return self._confirms
 
@@ -190,7 +196,7 @@ class MessageReader:
         """Not known."""
         return None
 
-    def confirms(self) -> bool:
+    def is_confirming(self) -> bool:
         """Not known of most interfaces, so never."""
         return False
 

@@ -46,7 +46,7 @@ def named(names: Sequence[str]) -> tuple[Effect, ...]:
     for name in names:
         if name not in BY_NAME:
             raise ConfigError(f"effects: {name!r} is not known; there are {', '.join(BY_NAME)}")
-        if not BY_NAME[name].streams:
-            able = ", ".join(effect.name for effect in CATALOGUE if effect.streams)
+        if not BY_NAME[name].is_streaming:
+            able = ", ".join(effect.name for effect in CATALOGUE if effect.is_streaming)
             raise ConfigError(f"effects: {name!r} cannot be part of the model, only diagnosed; those that can: {able}")
     return tuple(BY_NAME[name] for name in dict.fromkeys(names))

@@ -163,7 +163,7 @@ class Effect:
         return tuple(role for quantity in quantities for role in SOURCES.get(quantity, ()))
 
     @property
-    def streams(self) -> bool:
+    def is_streaming(self) -> bool:
         """Whether it can be in the streaming model: its times need no search, and A, C and m do not absorb it."""
         signalled = any(isinstance(shape, Quantity) for shape in self.shapes)
         return not self.absorbed and (self.timing is Timing.ALWAYS or signalled)

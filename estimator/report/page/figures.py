@@ -68,7 +68,7 @@ def in_time(traces: Traces, d: Diagnosis) -> str:
     spans = np.array([_placed(span, traces, clock) for span in acting]).reshape(-1, 2)
     cut = clock[-1] < (traces.t[-1] - traces.t[0]) - 1
     label = "driving time [min], long breaks left out" if cut else "time since the first frame [min]"
-    if _several(traces):
+    if _has_several_logs(traces):
         label = "driving time [min], log after log"
     note = '<p class="soft">Shaded: when an effect acts.</p>' if len(spans) else ""
     return note + _residuals(clock / 60, traces, bool(d.effects), label, spans / 60)
@@ -82,7 +82,7 @@ def along_the_road(traces: Traces, d: Diagnosis) -> str:
     return _residuals(distance / 1e3, traces, bool(d.effects), "distance [km]", np.empty((0, 2)))
 
 
-def _several(traces: Traces) -> bool:
+def _has_several_logs(traces: Traces) -> bool:
     return bool(traces.log[0] != traces.log[-1])
 
 
@@ -153,7 +153,7 @@ def power(traces: Traces, changed: bool) -> str:
     window = slice(start, int(ends[start]))
     t = traces.t[window]
     late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(clock))  # no line across a stop
-    frame = f"the first frame of log {traces.log[start] + 1:.0f}" if _several(traces) else "the first frame"
+    frame = f"the first frame of log {traces.log[start] + 1:.0f}" if _has_several_logs(traces) else "the first frame"
     x = axis((t / 60).tolist(), f"time since {frame} [min]")
     curves = [("measured", traces.measured), ("before", traces.base)] + (
         [("after", traces.extended)] if changed else []

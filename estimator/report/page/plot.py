@@ -27,11 +27,11 @@ class Axis:
     label: str
 
     def at(self, values: Floats) -> Floats:
-        """Positions in the drawing, 0 at the low end."""
+        """Positions (n,) of ``values`` (n,) in the drawing, 0 at the low end."""
         return SIDE * (values - self.low) / (self.high - self.low)
 
     def ticks(self, most: int) -> Floats:
-        """Round values inside the axis, ``most`` at most."""
+        """At most ``most`` round values (k,) inside the axis."""
         rough = (self.high - self.low) / most
         power = 10.0 ** math.floor(math.log10(rough))
         step = next(power * s for s in STEPS if power * s >= rough * (1 - 1e-9))
@@ -50,12 +50,12 @@ def axis(values: Iterable[float], label: str, *, zero: bool = False, margin: flo
 
 
 def line(x: Axis, y: Axis, xs: Floats, ys: Floats, kind: str) -> str:
-    """A line of CSS class ``kind``, broken where either coordinate is NaN."""
+    """A line through ``xs``, ``ys`` (n,) of CSS class ``kind``, broken where either is NaN."""
     return f'<path class="{kind}" d="{_path(x.at(xs), SIDE - y.at(ys))}"/>'
 
 
 def band(x: Axis, y: Axis, xs: Floats, low: Floats, high: Floats, kind: str) -> str:
-    """The area between two lines, broken where they are NaN."""
+    """The area between the lines ``low`` and ``high`` over ``xs``, all (n,), broken where they are NaN."""
     px, top, bottom = x.at(xs), SIDE - y.at(high), SIDE - y.at(low)
     areas = []
     for run in _runs(np.isfinite(px) & np.isfinite(top) & np.isfinite(bottom)):
