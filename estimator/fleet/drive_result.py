@@ -34,7 +34,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """What a drive says under one load.
+    """The likelihood of a drive under one load.
 
     ``start`` and ``minutes`` of the rows; the parameters m [kg], A [N] and C [N s^2/m^2]; ``mean`` (3,) and
     ``covariance`` (3, 3) of the likelihood of [1/m, A/m, C/m], empty where the mass is not estimated.
@@ -69,7 +69,7 @@ class FoundEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class DriveResult:
-    """What one drive says; ``fault`` is empty, or the reason why it says nothing."""
+    """The result of one drive; ``fault`` is the reason why there is none, or empty."""
 
     segments: tuple[Segment, ...] = ()
     fault: str = ""

@@ -1,9 +1,9 @@
-"""The vehicles of a fleet: what a new one should have, and which one is out of line.
+"""The population of the vehicles of a fleet: its mean and spread, and outliers.
 
-A parameter of vehicle ``v`` is z_v with sd s_v. Most vehicles are drawn from N(mu, tau^2); a few may be anything, which
-a second, wide component takes up (Tukey's contaminated normal), so that they neither move mu nor widen tau. mu and
-tau are summed over a grid. Each vehicle is compared with the prediction from the others; the false-discovery rate over
-all comparisons is that of Benjamini and Hochberg (1995).
+A parameter of vehicle ``v`` is z_v with sd s_v. Most vehicles are drawn from N(mu, tau^2), a few from a second, wide
+component (Tukey's contaminated normal), so that outliers change mu and tau little. mu and tau are summed over a grid.
+Each vehicle is compared with the prediction from the others; the false-discovery rate over all comparisons is that of
+Benjamini and Hochberg (1995).
 """
 
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from estimator.fleet.pooling import Mixture
 from estimator.signals import Floats
 
 SCALE = 0.05  # sd of the half-normal prior of tau, as a share of the median
-OUTLIERS = 0.1  # share of vehicles that may be anything
-OUTLIER_SCALE = 0.5  # sd of those, as a share of the median
+OUTLIERS = 0.1  # prior share of outliers
+OUTLIER_SCALE = 0.5  # sd of outliers, as a share of the median
 MEANS, SPREADS = 161, 24  # nodes of the grids
 SPREAD_WIDEST = 5.0  # largest node of tau, in sd of its prior
 FEWEST = 4  # vehicles; among fewer, none is compared

@@ -1,4 +1,4 @@
-"""What a fleet has learnt, as configurations: beliefs with which a gateway begins its first drive."""
+"""The population of a fleet as configurations: beliefs with which a gateway begins its first drive."""
 
 from collections.abc import Sequence
 from math import sqrt
@@ -67,7 +67,7 @@ def _widened(new: Mixture, scatter: Sequence[float]) -> Normal:
 def _allowed(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Config | None:
     try:
         return with_beliefs(config, load, rolling, drag)
-    except ConfigError:  # the user's boxes exclude what was found: there is nothing to hand on
+    except ConfigError:  # the configured boxes exclude the population: no belief is possible
         return None
 
 

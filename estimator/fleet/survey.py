@@ -1,4 +1,4 @@
-"""What a log is and when it was recorded: read once, before anything is estimated."""
+"""Hash and times of a log, read once before the estimates."""
 
 from collections import Counter
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ OTHER_LOAD = 0.5  # sd of the mass under a load to come, as a share of it, by on
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleResult:
-    """What the drives of a vehicle say together.
+    """The pooled result of the drives of a vehicle.
 
     ``rolling`` A/m [N/kg] and ``drag`` C [N s^2/m^2], None where they are not estimated, with the ``reasons``; their
     ``scatter`` between drives (2,) in their units; ``next_drive`` is what to expect of A/m and C on a drive to come;
@@ -118,7 +118,7 @@ def _first_order(loads: Sequence[Coefficients]) -> tuple[Floats, Floats, Floats,
 def _masses(
     m: Floats, z: Floats, V: Floats, with_mass: Floats, m_variance: Floats, pooled: Pooled
 ) -> tuple[Marginal, ...]:
-    """Posteriors of the masses: each drive's own, corrected by what the others say of A/m and C."""
+    """Posteriors of the masses: each drive's own, updated with A/m and C of the other drives."""
     gain = np.linalg.solve(V, with_mass[:, :, None])[:, :, 0]
     rest = m_variance - np.einsum("ni,ni->n", gain, with_mass)
     means = m + np.einsum("ni,kni->kn", gain, pooled.drive_mean - z)

@@ -1,6 +1,6 @@
-"""A truck simulated forward in time, and the world it drives in, as its control units would tell of them.
+"""A simulated truck on a simulated road, and the signals that its control units send.
 
-A drive obeys ``P = A v + C v^3 + m v a`` exactly until something is asked to go differently::
+A drive obeys ``P = A v + C v^3 + m v a`` exactly, except for the effects that are asked for::
 
     from estimator.simulation.recording import simulate
     from estimator.simulation.sensors import Sensors
@@ -17,6 +17,6 @@ A drive obeys ``P = A v + C v^3 + m v a`` exactly until something is asked to go
 
 `effects.catalogue.KINDS` lists the effects with unit, usual magnitude, plausible range, and the name a right diagnosis
 gives them (``known_as``; None: outside every catalogue). `effects.effect.Effect` also says when, or from where.
-`truth.Truth` says what really happened, and how the effects add up. `sensors.Sensors` holds the nuisances, and
+`truth.Truth` holds the true quantities, and the power of each effect. `sensors.Sensors` holds the nuisances, and
 `sensors.OPTIONAL` the signals a bus may lack. Nothing here uses the formulas of the model under test.
 """

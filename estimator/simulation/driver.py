@@ -1,7 +1,7 @@
 """The driver: keeps to the speed of the road, looks ahead to slower sections and stops, and works the pedals.
 
-The driver feels speed and acceleration only. The force asked of the wheels is moved until the felt acceleration ``a``
-is the wanted one, ``dF/dt = m (a_wanted - a) / reaction time``; so it needs no model of the road load.
+The driver reacts to speed and acceleration only. The force at the wheels is changed until the acceleration ``a`` is the
+wanted one, ``dF/dt = m (a_wanted - a) / reaction time``; so the driver needs no model of the road load.
 """
 
 from dataclasses import dataclass

@@ -17,7 +17,7 @@ LAP_TIME = 1200.0  # s, of a loop
 TURN_LENGTH, TURN_SPEED, TURN_DWELL = 40.0, 4.0, 20.0  # m, m/s, s: a U-turn on a yard
 HALF_WAY = 0.48  # of the time when to turn round: hills and loads make a drive longer than planned
 MOVING_OFF = 20.0  # s lost by gaining speed after a stop
-MAX_STOP_DISTANCE = 1500.0  # m, a stop this close will do
+MAX_STOP_DISTANCE = 1500.0  # m, between a wanted stop and one of the road that is used for it
 
 
 def plan_route(kind: RoadKind, duration: float, rng: np.random.Generator, shape: Shape = "one-way") -> Route:

@@ -1,4 +1,4 @@
-"""A recorded drive: what the bus would tell, beside what really happened."""
+"""A recorded drive: the signals on the bus, and the true quantities."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What really happened on a drive, and what each effect adds to the power that is read."""
+"""The true quantities of a drive, and the power that each effect adds to the measured one."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""One attack on one drive: what a receiver was told meanwhile and after, and how wrong that was."""
+"""One attack on one drive: the broadcast parameters during and after it, and their errors."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ BIASED_SD = 4.0  # posterior standard deviations off the truth that count as bia
 
 @dataclass(frozen=True)
 class Look:
-    """What a receiver of the broadcasts knows at time ``t`` [s]."""
+    """The parameters broadcast at time ``t`` [s]."""
 
     t: float
     estimate: Estimate | None
@@ -33,7 +33,7 @@ class Look:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of the estimate; times in seconds, None where it did not happen."""
+    """Times [s] at which the estimate was withheld and came back, None where it was not, and its largest errors."""
 
     looks: int  # with an estimate, from the begin of the attack on
     worst_sd: float  # largest deviation from the truth of mass, A and C, in posterior standard deviations
@@ -51,7 +51,7 @@ class Outcome:
 
 
 def look_at(frames: Frames, config: Config) -> list[Look]:
-    """What a receiver knows every PIECE, at multiples of it."""
+    """The broadcast parameters at all multiples of PIECE."""
     pipeline, seen = Pipeline(config), []
     edges = PIECE * np.arange(ceil(float(frames.t[0]) / PIECE), ceil(float(frames.t[-1]) / PIECE) + 1)
     bounds = [0, *np.searchsorted(frames.t, edges).tolist()]
@@ -74,7 +74,7 @@ def deviations(looks: list[Look], truck: Truck) -> list[float]:
 
 
 def attempt(attack: Attack, drive: Frames, clean: list[Look], truck: Truck, config: Config) -> Outcome:
-    """Attack the drive of a truck that is known; ``clean`` is what a receiver knows without the attack."""
+    """Attack the drive of a known truck; ``clean`` are the broadcast parameters without the attack."""
     frames, start, stop = attack.on(drive)
     after = [look for look in look_at(frames, config) if look.t > start]
     known = [look.estimate.mass for look in after if look.is_estimated and look.estimate and look.estimate.mass]
