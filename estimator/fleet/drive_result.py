@@ -1,7 +1,6 @@
 """One drive: its estimate for each load, with the statistics that a joint estimate needs."""
 
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from estimator.fleet.sources import local_copy
 from estimator.streaming.drive_extraction import diagnose_logs
 from estimator.streaming.log_frames import no_progress, read_frames
 from estimator.streaming.pipeline import Pipeline
-from estimator.streaming.row_stream import Block, Interruption, RowStream
+from estimator.streaming.row_stream import Block
 
 MINUTE = 60.0  # s
 
@@ -133,7 +132,7 @@ class _Loads:
 def _segments(paths: list[Path], config: Config) -> tuple[Segment, ...]:
     pipeline = Pipeline(config)
     loads = _Loads(pipeline)
-    for item in _items(pipeline.traffic, paths):
+    for item in pipeline.traffic.feed_all(read_frames(paths, no_progress, Counter())):
         for update in pipeline.take(item):
             loads.take(update)
         if isinstance(item, Block) and item.rows:
@@ -142,12 +141,6 @@ def _segments(paths: list[Path], config: Config) -> tuple[Segment, ...]:
         loads.take(update)
     pipeline.traffic.require_inputs(", ".join(map(str, paths)))
     return loads.segments
-
-
-def _items(traffic: RowStream, paths: list[Path]) -> Iterator[Block | Interruption]:
-    for frames in read_frames(paths, no_progress, Counter()):
-        yield from traffic.feed(frames)
-    yield from traffic.finish()
 
 
 def _segment(update: Estimate, coefficients: Coefficients | None, start: float, end: float) -> Segment:

@@ -1,7 +1,7 @@
 """Recorded traffic to a diagnosis: each log is a drive of the same vehicle, or several."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.model.effects import CATALOGUE, Effect, named
 from estimator.samples import Rows
 from estimator.streaming.log_frames import Progress, no_progress, read_frames
-from estimator.streaming.row_stream import Block, Interruption, RowStream
+from estimator.streaming.row_stream import Block, RowStream
 
 READING_SHARE = 0.9  # of the work
 
@@ -72,7 +72,7 @@ def drive_rows(path: Path, config: Config, progress: Progress = no_progress) -> 
     """Rows of the drives in a log, each drive as its pieces between interruptions; see `drives`."""
     stream = RowStream(config)
     found: list[list[list[Rows]]] = [[[]]]
-    for item in _items(stream, path, progress):
+    for item in stream.feed_all(read_frames([path], progress, Counter())):
         if isinstance(item, Block):
             found[-1][-1] += item.rows
         elif item.is_new_drive:
@@ -82,9 +82,3 @@ def drive_rows(path: Path, config: Config, progress: Progress = no_progress) -> 
     stream.require_inputs(str(path))
     pieces = [[Rows.concatenate(*parts) for parts in drive if parts] for drive in found]
     return [drive for drive in pieces if drive]
-
-
-def _items(stream: RowStream, path: Path, progress: Progress) -> Iterator[Block | Interruption]:
-    for frames in read_frames([path], progress, Counter()):
-        yield from stream.feed(frames)
-    yield from stream.finish()

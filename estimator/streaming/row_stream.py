@@ -5,7 +5,7 @@ arrived, one by one or a million at once.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -150,6 +150,12 @@ class RowStream:
         """Turn the waiting frames into rows, at the end of the traffic."""
         yield from self._take(self.order.finish())
         yield from self._end()
+
+    def feed_all(self, batches: Iterable[Frames]) -> Iterator[Block | Interruption]:
+        """Take all ``batches`` of frames, and finish."""
+        for frames in batches:
+            yield from self.feed(frames)
+        yield from self.finish()
 
     def require_inputs(self, place: str) -> None:
         """Complain if the traffic so far cannot feed the model.
