@@ -31,13 +31,13 @@ class Vehicle(Section, frozen=True):
 
 
 class Bus(Section, frozen=True):
-    """How traffic is decoded: databases, and which source address may speak for a message."""
+    """How traffic is decoded: databases, and the source address of a message."""
 
     dbc: list[str] = []  # paths relative to the configuration file; empty: the shipped j1939.dbc
     match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC says J1939
     source_addresses: dict[str, Address] = {}  # MESSAGE = address; others are found, and contested if they disagree
     release_s: Positive = 10.0  # of silence after which a signal may be taken from another address
-    contest_s: Annotated[float, Meta(ge=10)] = 30.0  # without a contradiction after which a signal is believed again
+    contest_s: Annotated[float, Meta(ge=10)] = 30.0  # without a contradiction after which a signal is used again
 
 
 class Kinematics(Section, frozen=True):
@@ -139,7 +139,7 @@ class Reception(BusOptions, frozen=True):
 
 
 class Transmit(BusOptions, frozen=True):
-    """Whether and how the daemon sends; without a bus of its own it sends on the one it hears."""
+    """Whether and how the daemon sends; by default on the bus that it receives from."""
 
     enabled: bool = False
     frames_per_second: Positive = 10.0  # on average; three times as many at once

@@ -91,14 +91,13 @@ def test_the_slopes_of_the_hidden_road_are_told(hidden):
 
 def test_the_summary_has_a_status_and_a_reason_for_every_parameter(hidden):
     told = summary.parameters(hidden)
-    assert told["mass_kg"]["status"] == "estimated"
-    assert told["mass_kg"]["mean"] == hidden.mass.mean
-    for key, name in summary.NAMES.items():
-        is_known = hidden.marginals[name] is not None
-        assert told[key]["status"] == ("estimated" if is_known else "unestimated")
-        assert told[key]["reason"] == hidden.withheld.get(name, "")
-        assert (told[key]["q95"] is None) == (not is_known)
-    assert summary.road(hidden)["shown_by"] == []
+    assert told.mass_kg.status == "estimated"
+    assert told.mass_kg.mean == hidden.mass.mean
+    for key, name in {"mass_kg": "m", "A_N": "A", "C_N_s2_m2": "C"}.items():
+        parameter, is_known = getattr(told, key), hidden.marginals[name] is not None
+        assert parameter.status == ("estimated" if is_known else "unestimated")
+        assert parameter.reason == hidden.withheld.get(name, "")
+        assert (parameter.q95 is None) == (not is_known)
 
 
 def test_live_and_from_a_log_the_estimate_is_the_same_to_the_bit(drive):

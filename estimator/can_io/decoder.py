@@ -217,7 +217,7 @@ class Decoder:
         end: float,
         out: dict[Role, list[Series]],
     ) -> Mask:
-        """Add the readings of one signal that may be used, NaN where it is contested; tells which they are."""
+        """Add the readings of one signal that may be used, NaN where it is contested; returns their mask (n,)."""
         path = _path(message, bound)
         value, masks = _values(message, bound, part) if len(part) else (np.empty(0), {})
         verdict = self._choices[path].judge(Heard(part.t, source, value, end))

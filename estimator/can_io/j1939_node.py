@@ -22,7 +22,7 @@ NULL, GLOBAL = 0xFE, 0xFF  # addresses: of a node without one, and of everybody
 FREE = range(128, 248)  # addresses that a node may give itself
 STANDS_AFTER = 0.25  # s on the bus without a better claim (J1939-81)
 CONFIRMED_WITHIN = 1.0  # s, after which a claim that has not been on the bus is sent again
-LONGEST_DELAY = 0.153  # s before "cannot claim", so that nodes that lost together do not speak together
+MAX_CLAIM_DELAY = 0.153  # s before "cannot claim": the random delay separates nodes that lost at once (J1939-81)
 PRIORITY = 6
 CLAIM_RATE, CLAIM_BURST = 4.0, 4  # claims per second, and at once
 ANSWER_RATE, ANSWER_BURST = 10.0, 10  # of all other answers
@@ -64,10 +64,10 @@ class Node:
         Gives the frame of a requested parameter group, sent from our address, or None when we do not have it. Asked
         only while we have an address.
 
-    Times are seconds that never decrease; a smaller one counts as the largest so far. What `poll` and `hear` return is
-    to be sent, and to be heard again, with ``is_rx`` False, when it has been on the bus: a driver may hold a claim back
-    for as long as the bus is busy. A node that has ``lost`` stays so: build another to try again, as after the bus was
-    opened anew.
+    Times are seconds that never decrease; a smaller one counts as the largest so far. Messages that `poll` and `hear`
+    return must be sent, and passed to `hear` with ``is_rx`` False once they have been on the bus: a driver may hold a
+    claim back for as long as the bus is busy. A node that has ``lost`` stays so: build another to try again, as after
+    the bus was opened anew.
 
     Raises
     ------
@@ -185,7 +185,7 @@ class Node:
             self._give_way()
 
     def _give_way(self) -> None:
-        """Lose the address to a lower NAME: take the next free one, or tell that there is none."""
+        """Lose the address to a lower NAME: claim the next free one, or send "cannot claim" where there is none."""
         self.counts["address lost"] += 1
         self._claimed = self._since = self._owed = None
         following = [*range(self._wanted + 1, FREE.stop), *FREE] if self._wanted in FREE else FREE
@@ -193,7 +193,7 @@ class Node:
         found = next(free, None) if self._name.arbitrary_address_capable else None
         if found is None:
             self.lost = True
-            self._owe(self._now + self._rng.uniform(0, LONGEST_DELAY))
+            self._owe(self._now + self._rng.uniform(0, MAX_CLAIM_DELAY))
         else:
             self._wanted = found
             self._owe(self._now)
@@ -204,7 +204,7 @@ class Node:
 
     def _hear_request(self, pgn: int, source: int, everybody: bool) -> list[can.Message]:
         if pgn == ADDRESS_CLAIMED:
-            self._owe(self._now + (self._rng.uniform(0, LONGEST_DELAY) if self.lost else 0.0))
+            self._owe(self._now + (self._rng.uniform(0, MAX_CLAIM_DELAY) if self.lost else 0.0))
             return []
         if self.address is None or source >= NULL:
             return []

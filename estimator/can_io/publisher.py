@@ -119,7 +119,7 @@ class Publisher:
         return nan if age < -self._slack else age
 
     def _advance(self, t: float, estimate: Estimate | None) -> bool:
-        """Move to ``t`` and tell whether the clock was set back."""
+        """Move to ``t``; returns whether the clock was set back."""
         stepped_back = t < self._now - self._slack
         if stepped_back:
             self._lost += self._now - t

@@ -144,7 +144,7 @@ class Contest:
 
     def __init__(self, shortest: float) -> None:
         self.reason = ""
-        self.before: float | None = None  # what was believed when it began
+        self.before: float | None = None  # address or value in use when it began
         self._shortest = self._duration = shortest
         self._until = -np.inf  # [s]
 
@@ -240,7 +240,7 @@ class SenderChoice:
         self._contest.restore(substate(state, "contest"))
 
     def _contradiction(self, senders: dict[int, Heard], end: float) -> str:
-        """Why the readings of a block cannot be believed, empty if they can."""
+        """Reason why the readings of a block are not used; empty where they are."""
         if self._kind is Kind.AUXILIARY:
             return ""
         chosen = self.source if self.source in senders else next(iter(senders))
@@ -256,7 +256,7 @@ class SenderChoice:
         return ""
 
     def _agree(self, own: Heard, senders: dict[int, Heard], chosen: int) -> bool:
-        """Whether no other address contradicts the chosen one; remembers those that agree with it."""
+        """Whether no other address contradicts the chosen one; stores those that agree with it."""
         for address, other in senders.items():
             if address == chosen or len(other.t) < MIN_RIVAL_READINGS <= len(own.t):
                 continue
@@ -340,7 +340,7 @@ class ConstantChoice:
 
     def __init__(self, step: float, configured: int | None, settings: Bus) -> None:
         self.source = configured
-        self._value: float | None = None  # believed
+        self._value: float | None = None  # in use
         self._step, self._configured, self._patience = step, configured, settings.contest_s
         self._contest = Contest(settings.contest_s)
         self._heard: dict[float, tuple[float, int]] = {}  # time [s] and address of the newest reading, by value
@@ -404,7 +404,7 @@ class ConstantChoice:
 
 
 def choice(message: BoundMessage, bound: BoundSignal, settings: Bus) -> Choice:
-    """How to choose the sender of a signal; where no id tells senders apart, all readings count as from address 0."""
+    """How to choose the sender of a signal; where ids hold no address, all readings count as from address 0."""
     configured = message.source if message.by_pgn else NO_ADDRESS
     step = 0.0 if bound.signal.is_float else abs(float(bound.signal.scale) * bound.conversion.scale)
     if KIND.get(bound.role) is Kind.CONSTANT:

@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _plots() -> ModuleType:
-    """The module that draws, which needs matplotlib: imported only when a picture is asked for."""
+    """The module that draws; it needs matplotlib, so it is imported for ``--plot`` only."""
     try:
         return importlib.import_module("estimator.report.plots")
     except ImportError as error:

@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
         show_traceback() if options.debug else complain(f"error: {error}")
         return error.exit_status
     except BrokenPipeError:
-        # Whoever read our output has gone; keep the interpreter from complaining about it at exit.
+        # The reader of the output has closed it; without this the interpreter reports an error at exit.
         sys.stderr.close()
         return 1
     except OSError as error:

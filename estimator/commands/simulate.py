@@ -23,7 +23,7 @@ from estimator.simulation.route import RoadKind, generate_route
 from estimator.simulation.sensors import OPTIONAL, Sensors
 from estimator.simulation.truck import draw_truck
 
-METRES_PER_MINUTE = 2000.0  # of simulated road: nobody drives a truck faster, so the road never ends
+METRES_PER_MINUTE = 2000.0  # of simulated road, 120 km/h: longer than any drive
 MINUTES = number(0.5, 10_000.0, "a number of minutes from 0.5 to 10000")
 
 

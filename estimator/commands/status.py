@@ -1,6 +1,6 @@
 """The subcommand `status`: the state of a running daemon, from its status file.
 
-It is asked every few seconds by other programs, so it imports nothing that computes.
+Other programs call it every few seconds, so it imports no numerical package.
 """
 
 import argparse

@@ -55,7 +55,7 @@ class Estimator:
         self._at_last = 0
         self._latest: Estimate | None = None
         self._scale = SpeedScale()
-        self._resting = False  # restored, and nobody knows yet for how long it was away
+        self._resting = False  # restored, and the length of the downtime is not known yet
 
     @property
     def latest(self) -> Estimate | None:

@@ -62,7 +62,7 @@ class PaperLikelihood:
     def target(self, blocks: Mapping[int, Samples], lower: Floats, upper: Floats) -> ClippedGaussianTarget:
         """Of A [N], C [N s^2/m^2] and m [kg] in the box (3,), given the ``blocks`` that are held now.
 
-        The key of a block tells it from all others, past and future.
+        The key of a block is unique among all blocks, past and future.
         """
         self._blocks = {key: self._blocks.get(key) or _Block.of(samples) for key, samples in blocks.items()}
         held = list(self._blocks.values())

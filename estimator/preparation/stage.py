@@ -47,7 +47,7 @@ class Stage(Protocol[B]):
     """Turns rows into pieces; see the module."""
 
     rejected: Counter[str]
-    moving: int  # rows heard in motion
+    moving: int  # rows in motion
     lag: float  # by which power was moved [s]
     wanted: frozenset[Quantity] | None  # context of the pieces, None before it is known
 

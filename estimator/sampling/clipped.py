@@ -5,7 +5,7 @@
 Without the clip, chi2 would be a quadratic form of a few sums over the samples. With theta = theta0 + L z, where
 theta0 is the clipped least-squares point and L L' = sigma^2 (J' J)^-1, a sample can only change sign inside the
 ellipsoid |z| <= r if |x . theta0| <= r |L' x|: a few dozen out of any number. So each of a nest of ellipsoids keeps
-the sums of the samples that are surely active in it, forgets those that are surely clipped, and evaluates the
+the sums of the samples that are surely active in it, drops those that are surely clipped, and evaluates the
 undecided ones one by one; in the outermost, which has no end, all samples are undecided.
 
 Everything is relative to theta0 and in units of sigma, so hardly anything cancels: with u = x . theta0, w = L' x and

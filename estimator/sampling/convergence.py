@@ -1,4 +1,4 @@
-"""Has the sampler converged, and how many independent draws are its draws worth.
+"""Convergence of a sampler, and its effective number of independent draws.
 
 Rank-normalised split R-hat, bulk and tail effective sample size: Vehtari, Gelman, Simpson, Carpenter, Buerkner,
 "Rank-normalization, folding, and localization: an improved R-hat", Bayesian Analysis 16 (2021).
@@ -18,8 +18,8 @@ class Diagnosis:
     """Of the draws of one parameter; NaN where it cannot be computed, which never counts as converged."""
 
     r_hat: float  # the larger of the rank-normalised and the folded one
-    ess_bulk: float  # independent draws that tell as much about the centre
-    ess_tail: float  # and about the 5 % and 95 % quantiles, the smaller of the two
+    ess_bulk: float  # effective number of independent draws, for the centre
+    ess_tail: float  # the same for the 5 % and 95 % quantiles, the smaller of the two
 
 
 def diagnose(draws: Floats) -> Diagnosis:

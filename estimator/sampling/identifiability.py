@@ -1,4 +1,4 @@
-"""Which combinations of parameters the samples tell apart: the paper's eigen-metrics.
+"""Which combinations of parameters the samples determine: the paper's eigen-metrics.
 
 The information of the samples is J' J, with J = dP / d theta the Jacobian of the model power. It is singular where
 v, v^3 and v a are not independent. Its eigenvalues say how much is known along each eigenvector, and the angles

@@ -12,7 +12,7 @@ from estimator.simulation.route import GRADE_SPACING, RoadKind, Route, generate_
 
 Shape = Literal["one-way", "out-and-back", "loop"]
 
-METRES_PER_SECOND = 2000.0 / 60.0  # nobody drives a truck faster, so a road of this length per time never ends
+METRES_PER_SECOND = 2000.0 / 60.0  # of road, 120 km/h: longer than any drive
 LAP_TIME = 1200.0  # s, of a loop
 TURN_LENGTH, TURN_SPEED, TURN_DWELL = 40.0, 4.0, 20.0  # m, m/s, s: a U-turn on a yard
 HALF_WAY = 0.48  # of the time when to turn round: hills and loads make a drive longer than planned

@@ -42,7 +42,7 @@ OPTIONAL = (
     Role.LONGITUDINAL_ACCELERATION,
     Role.RETARDER_FRACTION,
     Role.GEAR,
-)  # what a bus may lack and still tell speed and power
+)  # signals that a bus may lack: speed and power need none of them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

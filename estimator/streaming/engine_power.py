@@ -47,7 +47,7 @@ class EnginePower:
     vehicle, bound, despike
         As of an `Aligner`.
     tracks
-        Recent readings by role and place; whoever adds to them calls `extend`.
+        Recent readings by role and place; call `extend` after adding to them.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class EnginePower:
     def _reference_torque(self, t: Floats) -> Floats:
         if self._vehicle.reference_torque_Nm is not None:
             return np.full(len(t), self._vehicle.reference_torque_Nm)
-        # A constant of the engine, sent every few seconds: once heard it holds.
+        # A constant of the engine, sent every few seconds: the last value is held.
         heard = self._of(Role.REFERENCE_TORQUE)
         held = heard.held(t, NO_LIMIT)
         if self._reference is None:

@@ -119,7 +119,7 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
         self._broadcast(t, self.latest)
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Take one message; every TICK of message time, hear those that waited and broadcast."""
+        """Take one message; every TICK of message time, process those that waited and broadcast."""
         if msg.is_error_frame or msg.is_remote_frame:
             self.skipped["error frame" if msg.is_error_frame else "remote frame"] += 1
             return

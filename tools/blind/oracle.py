@@ -27,7 +27,7 @@ from scipy.linalg import solveh_banded
 
 BLOCK = 0.5  # s
 MARGIN = 1.5  # s left out on either side of brake use and shifts
-SLOWEST = 1.0  # m/s
+MIN_SPEED = 1.0  # m/s
 REACH = 10.0  # width of the covariance in correlation times of the torque noise
 UNUSED = 1e6  # times the largest variance, for blocks without driving
 
@@ -109,7 +109,7 @@ class Driven:
 
         reach = round(MARGIN / BLOCK)
         near = np.convolve(~throughout(free), np.ones(2 * reach + 1), mode="same") > 0
-        used = ~near & throughout((power > 0.0) & (v > SLOWEST))
+        used = ~near & throughout((power > 0.0) & (v > MIN_SPEED))
         X = np.column_stack([mean(v), mean(v**3), mean(v * a)])
         rate = mean(np.gradient(power, step))
         d = np.column_stack([mean(effect) for effect in effects]) if effects else np.empty((n, 0))

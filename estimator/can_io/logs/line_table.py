@@ -1,6 +1,6 @@
 """Many lines of a text log at once.
 
-Lines of one layout differ in digits only. The grammar is asked about one line; all lines of the same length that equal
+Lines of one layout differ in digits only. The grammar parses one line; all lines of the same length that equal
 it outside its values, and have digits where it has them, are then converted together by columns.
 """
 

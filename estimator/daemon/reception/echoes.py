@@ -12,7 +12,7 @@ MAX_ECHOES = 100  # frames that may still come back
 
 
 class Echoes:
-    """Remembers what was sent, in one thread, and takes it out of what is heard, in another."""
+    """Stores the sent messages, in one thread, and separates them from the received ones, in another."""
 
     def __init__(self) -> None:
         self._sent: deque[tuple[int, bytes]] = deque(maxlen=MAX_ECHOES)

@@ -24,7 +24,7 @@ def input_filters(messages: list[BoundMessage]) -> list[CanFilter]:
 
 
 def node_filters(address: int) -> list[CanFilter]:
-    """What a node that wants ``address`` must hear: claims, requests, and others with its groups or its address.
+    """Filters of a node that wants ``address``: claims, requests, and frames with its groups or its address.
 
     Its address may also be any of those that a node gives itself when it has lost the one it wants.
     """

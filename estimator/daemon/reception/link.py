@@ -76,7 +76,7 @@ class Link:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a bus to hear and send on."""
+        """Whether the bus is open."""
         return self._bus is not None
 
     @property

@@ -62,7 +62,7 @@ class Reader(Protocol):
         """Frames lost in the kernel since the bus was opened."""
 
     def buffer_bytes(self) -> int | None:
-        """Size of the receive buffer, None where there is none to speak of."""
+        """Size of the receive buffer [bytes], None where it is not known."""
 
     def is_confirming(self) -> bool:
         """Whether frames that we send come back as ``own`` once they have been on the bus."""
@@ -137,7 +137,7 @@ class SocketReader:
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def is_confirming(self) -> bool:
-        """Whether this is a CAN socket, which tells our own frames from those of others."""
+        """Whether this is a CAN socket, which marks our own frames."""
         return self._confirms
 
 
@@ -201,7 +201,7 @@ class MessageReader:
         return False
 
     def _receive(self, timeout: float) -> tuple[can.Message | None, int]:
-        """The next message, and how many datagrams before it were none: anybody in the network can send those."""
+        """The next message, and the number of datagrams before it that were no CAN messages."""
         malformed = 0
         while malformed < MAX_BATCH:
             try:

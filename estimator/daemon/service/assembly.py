@@ -45,7 +45,7 @@ def settle(path: Path | None, dbc: list[str] | None, options: argparse.Namespace
     Raises
     ------
     ConfigError
-        The file is wrong, or anybody may write it.
+        The file is wrong, or every user may write it.
     """
     settings = configuration.load(path)
     if dbc:

@@ -14,7 +14,7 @@ def refuse_if_writable_by_all(path: Path) -> None:
     Raises
     ------
     ConfigError
-        Anybody may write it; or it cannot be looked at.
+        Every user may write it, or its permissions cannot be read.
     """
     for place in (path, path.resolve().parent):
         try:
@@ -27,7 +27,7 @@ def refuse_if_writable_by_all(path: Path) -> None:
 
 
 def check_files(path: Path | None, config: Config) -> None:
-    """Refuse a configuration, or databases it names, that anybody may write.
+    """Refuse a configuration, or databases it names, that every user may write.
 
     Raises
     ------

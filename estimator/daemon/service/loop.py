@@ -41,7 +41,7 @@ class Daemon:
     Parameters
     ----------
     source, target
-        The bus that is heard, and the one that is sent on where that is another.
+        The bus to receive from, and the bus to send on where it is another.
     worker
         The estimator.
     transmitter

@@ -99,7 +99,7 @@ def where(places: Sequence[Place]) -> str:
 
 
 def not_testable(effects: Sequence[NotTestable]) -> str:
-    """Effects that the log cannot speak about."""
+    """Effects that the log cannot test."""
     rows = [(_name(n.name), html.escape(n.needs)) for n in effects]
     return table(("effect", "needs"), rows, "needs")
 

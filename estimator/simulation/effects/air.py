@@ -14,7 +14,7 @@ from estimator.simulation.route import GRADE_SPACING
 
 STEEPEST_YAW = 0.26  # rad, beyond which the air's side force on the drag grows no more
 TEN_DEGREES = pi / 18
-DRAFTING_SPEED = 15.0  # m/s, below which nobody follows so close
+DRAFTING_SPEED = 15.0  # m/s, below which there is no drafting
 
 
 def headwind(scene: Scene, effect: Effect) -> Action:
