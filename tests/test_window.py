@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.config import from_dict
-from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS, Grid, Window
+from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, SPEED_CELLS, Grid, Window
 from estimator.preparation.admission import ADMITTED, Reason, admit, row_reasons
 from estimator.samples import STEP, Rows, Samples
 from estimator.settings import Admission
@@ -104,7 +104,7 @@ def test_cells_and_centres_agree():
     grid = Grid(2.5, 0.1)
     np.testing.assert_array_equal(grid.cell(*grid.centres()), np.arange(grid.size))
     assert grid.size == SPEED_CELLS * ACCELERATION_CELLS
-    assert grid.centres()[1].min() > LOWEST_ACCELERATION
+    assert grid.centres()[1].min() > MIN_ACCELERATION
 
 
 # Admission

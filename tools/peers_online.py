@@ -29,10 +29,10 @@ from estimator.signals import Floats, Mask
 
 START = np.array([1800.0, 4.0, 25e3])  # N, N s^2/m^2, kg: initial values for any class-8 truck
 START_SD = np.array([1000.0, 2.0, 10e3])  # N, N s^2/m^2, kg
-LEAST = np.array([0.1, *START / 20])  # lowest v, A, C, m of the filter, which diverges below
+MIN_STATE = np.array([0.1, *START / 20])  # lowest v, A, C, m of the filter, which diverges below
 MEASURED = np.array([[1.0, 0.0, 0.0, 0.0]])  # of the states v, A, C, m
 HOUR = 3600.0  # s
-SHORTEST = 20  # rows: stretches of less than 2 s are left out
+MIN_ROWS = 20  # rows: stretches of less than 2 s are left out
 FORCE_NOISE = 300.0  # N, weighs the start of the recursion against data
 Z90 = 1.6449  # standard deviations to either end of a 90 % interval
 
@@ -84,7 +84,7 @@ def stretches(rows: Rows, admission: Admission, lag: float) -> list[Stretch]:
     power = np.interp(rows.t + lag, rows.t, rows.power)
     usable = (row_reasons(rows, admission) == ADMITTED) & np.isfinite(power)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]))).reshape(-1, 2)
-    return [Stretch(rows.speed[i:j], power[i:j]) for i, j in edges if j - i >= SHORTEST]
+    return [Stretch(rows.speed[i:j], power[i:j]) for i, j in edges if j - i >= MIN_ROWS]
 
 
 def regression(stretch: Stretch, cutoff: float) -> tuple[Floats, Floats]:
@@ -150,7 +150,7 @@ class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ha
     def see(self, speed: float) -> None:
         """Take a measured ``speed`` [m/s]; states stay where the equations make sense."""
         self.update(np.array([speed]), lambda x: MEASURED, lambda x: x[:1])
-        self.x = np.maximum(self.x, LEAST)
+        self.x = np.maximum(self.x, MIN_STATE)
 
 
 def extended_kalman(data: Sequence[Stretch], settings: ProcessNoise) -> Estimate:

@@ -34,8 +34,8 @@ TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KEY = "power loss"
 PIECE = 1.0  # s of driving fed at a time
 INTERVAL = 5.0  # s of driving between saves
-LONGEST_LIFE = 0.06  # s until a child is killed
-LONGEST_OUTAGE = 20.0  # s of driving between two children, not recorded
+MAX_LIFE = 0.06  # s until a child is killed
+MAX_OUTAGE = 20.0  # s of driving between two children, not recorded
 BREAK = 60.0  # s between two laps of the same drive
 LAST = 1500.0  # s driven after the last cut, for a last estimate
 COUNTS = ("failed", "while_saving", "leftovers", "previous_used", "lost", "corrupt")
@@ -107,7 +107,7 @@ def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.rando
                 live(drive, directory, config, witness, begin)
             finally:
                 os._exit(70)  # reached only after an error: a child runs until it is killed
-        time.sleep(rng.uniform(0, LONGEST_LIFE))
+        time.sleep(rng.uniform(0, MAX_LIFE))
         os.kill(child, signal.SIGKILL)
         counts["failed"] += os.WIFEXITED(os.waitpid(child, 0)[1])
         counts["while_saving"] += witness[SAVING] > witness[SAVED]
@@ -128,7 +128,7 @@ def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.rando
             losses.append(witness[DRIVEN] - max(state["at"], begin))
             frames = pipeline.traffic.frames
             witness[SAVING] = witness[SAVED] = state["at"]
-        begin = max(witness[DRIVEN], begin) + rng.uniform(0, LONGEST_OUTAGE)
+        begin = max(witness[DRIVEN], begin) + rng.uniform(0, MAX_OUTAGE)
     if state is not None:
         *_, estimate = pipeline.feed(drive.between(begin, begin + LAST))
         mass = estimate.mass.mean if estimate.mass else mass

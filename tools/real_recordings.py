@@ -37,7 +37,7 @@ from estimator.answers.run import RunAnswer
 from estimator.errors import InputError, RoadloadError
 
 ROOT = Path(__file__).parents[1]
-LEAST_ROWS = 480  # of a recording of the truck, one a second
+MIN_ROWS = 480  # of a recording of the truck, one a second
 SEED = 1  # of the surrogates
 WIDE = 180  # columns, where the output is no terminal
 Answers = TypeVar("Answers", bound=Answer)
@@ -197,7 +197,7 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
     withheld: tuple[str | Path, ...] = ("--config", hidden, "--dbc", vt_truck.DBC)
     revealed: tuple[str | Path, ...] = ("--config", shown, "--effect", "grade")
     for name, recording in vt_truck.recordings(table):
-        if len(recording) < LEAST_ROWS:
+        if len(recording) < MIN_ROWS:
             continue
         log = work / f"vt_{name}.blf"
         vt_truck.write(recording, log)

@@ -30,8 +30,8 @@ MAP = [
     f"ENGINE.Speed={ENGINE}",
     f"ROAD.Elevation={ELEVATION}",
 ]
-LARGEST_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # from one row to the next: 2.5 m/s^2, and more than the steepest road
-SHORTEST = 30  # rows between jumps
+MAX_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # from one row to the next: 2.5 m/s^2, and more than the steepest road
+MIN_ROWS = 30  # rows between jumps
 PAUSE = 60.0  # s inserted at a jump, so that no signal is held across it
 LOW_PASS = 4.0  # s, sd of the Gaussian
 
@@ -51,8 +51,8 @@ def recordings(table: Table, low_pass: float = LOW_PASS) -> Iterator[tuple[str, 
 def _smoothed(recording: Table, low_pass: float) -> Table:
     """The recording between its jumps, each column low-passed there."""
     columns = {name: recording.numbers(name) for name in (SPEED, FUEL, ENGINE, ELEVATION)}
-    jumps = np.any([np.abs(np.diff(columns[name])) > most for name, most in LARGEST_STEPS.items()], axis=0)
-    pieces = [(i, rows) for i, rows in enumerate(_runs(jumps)) if len(rows) >= SHORTEST]
+    jumps = np.any([np.abs(np.diff(columns[name])) > most for name, most in MAX_STEPS.items()], axis=0)
+    pieces = [(i, rows) for i, rows in enumerate(_runs(jumps)) if len(rows) >= MIN_ROWS]
     chosen = np.concatenate([rows for _, rows in pieces]) if pieces else np.empty(0, np.int64)
     cells = {TIME: [float(row + PAUSE * i) for i, rows in pieces for row in rows.tolist()]}
     for name, values in columns.items():

@@ -12,7 +12,7 @@ from estimator.config import Config
 from estimator.errors import StateError
 from estimator.signals import Floats
 
-LOWEST_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins
+MIN_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins
 SPEED_CELLS = 64
 ACCELERATION_CELLS = 64
 
@@ -29,7 +29,7 @@ class Grid:
     def cell(self, v: Floats, a: Floats) -> NDArray[np.int64]:
         """Cell number (n,) of each speed [m/s] and acceleration [m/s^2]."""
         row = np.clip(np.floor(v / self.speed_step), 0, SPEED_CELLS - 1)
-        column = np.floor((a - LOWEST_ACCELERATION) / self.acceleration_step)
+        column = np.floor((a - MIN_ACCELERATION) / self.acceleration_step)
         cell: NDArray[np.int64] = (row * ACCELERATION_CELLS + np.clip(column, 0, ACCELERATION_CELLS - 1)).astype(
             np.int64
         )
@@ -38,7 +38,7 @@ class Grid:
     def centres(self) -> tuple[Floats, Floats]:
         """Speed [m/s] and acceleration [m/s^2] in the middle of every cell (size,)."""
         row, column = np.divmod(np.arange(self.size), ACCELERATION_CELLS)
-        return (row + 0.5) * self.speed_step, LOWEST_ACCELERATION + (column + 0.5) * self.acceleration_step
+        return (row + 0.5) * self.speed_step, MIN_ACCELERATION + (column + 0.5) * self.acceleration_step
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from estimator.fleet.drive_result import DriveResult, estimate_drive
 from estimator.fleet.engine import Engine, Failure
 from estimator.fleet.grouping import Drive, Grouped, group
 from estimator.fleet.pooling import Mixture
-from estimator.fleet.population import FEWEST, population, q_values
+from estimator.fleet.population import MIN_VEHICLES, population, q_values
 from estimator.fleet.sources import LogFile
 from estimator.fleet.survey import Survey, survey
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult, join
@@ -24,7 +24,7 @@ from estimator.signals import Floats
 
 Progress = Callable[[float], None]
 SURVEYING = 0.05  # share of the work
-SMALLEST_SCALE = 1e-3  # of the scatter between drives, where the configuration allows none
+MIN_SCALE = 1e-3  # of the scatter between drives, where the configuration allows none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,7 @@ def _vehicles(
     for drive, result in zip(grouped.drives, results, strict=True):
         loads[drive.vehicle] += [one for segment in result.segments if (one := segment.coefficients) is not None]
     vehicles = [_Vehicle(name, loads[name], _doubt(grouped.overlapping(name))) for name in sorted(loads)]
-    gate, scale = config.gate, max(config.load.change_sd, SMALLEST_SCALE)
+    gate, scale = config.gate, max(config.load.change_sd, MIN_SCALE)
     found: dict[int, VehicleResult] = {}
     for i, answer in engine.map(partial(_joined, gate=gate, scale=scale), vehicles):
         found[i] = join(vehicles[i].name, (), gate, scale, answer.reason) if isinstance(answer, Failure) else answer
@@ -141,7 +141,7 @@ def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture,
     new: list[Mixture] = []
     for i in (ROLLING, DRAG):
         known = [(v, found) for v, one in enumerate(vehicles) if (found := (one.rolling, one.drag)[i]) is not None]
-        if len(known) < FEWEST:
+        if len(known) < MIN_VEHICLES:
             continue
         means, sds = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "sd"))
         compared = population(means, sds)

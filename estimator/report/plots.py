@@ -14,7 +14,7 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import MaxNLocator
 
 from estimator.estimation.evidence import Evidence
-from estimator.estimation.window import ACCELERATION_CELLS, LOWEST_ACCELERATION, SPEED_CELLS
+from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, SPEED_CELLS
 from estimator.output_files import check_suffix, whole
 
 NAMES = ("A [N]", "C [N s²/m²]", "m [kg]")
@@ -97,8 +97,8 @@ def _coverage(axes: Axes, evidence: Evidence) -> None:
     extent = (
         0.0,
         top * evidence.grid.speed_step,
-        LOWEST_ACCELERATION + low * evidence.grid.acceleration_step,
-        LOWEST_ACCELERATION + high * evidence.grid.acceleration_step,
+        MIN_ACCELERATION + low * evidence.grid.acceleration_step,
+        MIN_ACCELERATION + high * evidence.grid.acceleration_step,
     )
     shown = np.log10(counts[:top, low:high].T)
     image = axes.imshow(shown, origin="lower", aspect="auto", extent=extent, cmap="Blues", vmin=0)

@@ -16,7 +16,7 @@ from estimator.simulation.route import GRADE_SPACING, Route
 
 COLUMNS = "t_s,v_mps or s_m,v_mps, and grade"
 STANDSTILL = 0.1  # m/s
-SLOWEST = 2.0  # m/s between stops: a limit of nearly nothing would never be left again
+MIN_SPEED = 2.0  # m/s between stops: a limit of nearly nothing would never be left again
 SECOND = 1.0  # s, grid of a table by time
 DWELL = 10.0  # s, at a standstill of a table by distance
 
@@ -41,7 +41,7 @@ def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
         raise InputError(f"{path}: the cycle is {around:.0f} m long; give one of some hundred metres at least")
     stop, dwell = _stops(s, v, t)
     rolling = (v >= STANDSTILL) & (np.diff(s, append=np.inf) > 0.0)
-    start, speed = s[rolling], np.maximum(v[rolling], SLOWEST)
+    start, speed = s[rolling], np.maximum(v[rolling], MIN_SPEED)
     rounds = int(np.ceil(length / around))
     shift = around * np.arange(rounds)[:, None]
     starts, speeds = (start + shift).ravel(), np.tile(speed, rounds)

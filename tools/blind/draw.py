@@ -25,7 +25,7 @@ TORQUE_NOISE = 5.0, 15.0  # N.m
 TORQUE_CORRELATION = 0.90, 0.98  # from one tenth of a second to the next
 MISALIGNMENT = 0.03, 0.10  # s
 LAG = 0.15  # s, shortest that counts as an effect; every drive has a smaller misalignment
-HEAVIEST_UNLOADING = 0.4  # share of the mass: more would leave less than the empty truck
+MAX_UNLOADING = 0.4  # share of the mass: more would leave less than the empty truck
 PRESENT = 0.7  # probability that an optional signal is on the bus
 
 CATALOGUE = tuple(name for name, kind in KINDS.items() if kind.known_as is not None and name != "quantisation")
@@ -131,7 +131,7 @@ def magnitude(name: str, rng: np.random.Generator) -> float:
     low = LAG if name in ("time_lag", "speed_filter") else kind.low
     size = exp(rng.uniform(log(low), log(kind.high)))
     if name in SIGNED and rng.random() < 0.5:
-        return -min(size, HEAVIEST_UNLOADING) if name == "mass_step" else -size
+        return -min(size, MAX_UNLOADING) if name == "mass_step" else -size
     return size
 
 

@@ -14,7 +14,7 @@ RPM = 2 * np.pi / 60  # rad/s
 IDLE, UPSHIFT, DOWNSHIFT = 600 * RPM, 1500 * RPM, 1050 * RPM  # rad/s
 GEARING = 5.0 * 1.28 ** np.arange(11, -1, -1)  # rad/m, engine rotation per distance, lowest gear first
 REFERENCE_TORQUE = 3200.0  # N.m
-MOST = 1.25  # of the reference torque, SPN 513
+MAX_TORQUE_SHARE = 1.25  # of the reference torque, SPN 513
 PERCENT, FINE = 0.01, 0.00125  # of the reference torque, per bit
 AIR_TEMPERATURE = 295.15  # K, fastsim's
 SEA_LEVEL = 101_325.0  # Pa
@@ -57,7 +57,7 @@ def signals_of(
     error = lfilter([sqrt(1 - keep**2)], [1, -keep], rng.normal(0.0, 0.01, len(fast)))
     torque = np.interp(fast, drive.t_power, drive.power) / engine / REFERENCE_TORQUE + friction + error
     torque = np.maximum(np.round(torque / torque_resolution) * torque_resolution, 0.0)
-    if torque.max() > MOST:
+    if torque.max() > MAX_TORQUE_SHARE:
         raise RoadloadError(f"the engine gives {100 * torque.max():.0f} % of its reference torque; a bus says 125 %")
     whole = torque if torque_resolution >= PERCENT else np.floor(torque / PERCENT + 1e-6) * PERCENT
     late, second, rare = np.arange(0.0, span, 0.25), np.arange(0.0, span, 1.0), np.arange(0.0, span, 5.0)

@@ -7,7 +7,7 @@ from paper.results import Results, listed, table
 from paper.table_five import WOBBLES, Match, Processing, ScatterDirection, Units
 from paper.vehicles import NAMES
 
-FARTHEST = 0.5  # rms in log10 of the combinations of units that are listed
+MAX_RMS = 0.5  # rms in log10 of the combinations of units that are listed
 NATURAL = Units(mass="slug", power="lbf ft/s", factor="JᵀJ")
 
 
@@ -42,7 +42,7 @@ def _units(matches: list[Match]) -> str:
     rows = [
         [u.mass, u.power, u.factor, f"{m.rms:.3f}", f"{np.abs(m.differences).max():.3f}", describe(m.processing)]
         for u, m in nearest.items()
-        if m.rms < FARTHEST
+        if m.rms < MAX_RMS
     ]
     best, second = list(nearest.values())[:2]
     largest = {m.units.power: np.abs(m.differences[:, 0]).max() for m in (best, second)}
@@ -58,7 +58,7 @@ samples a second), 3 choices of samples with 2 sets of parameters, 3 formulas fo
 smoothed, or driven with a limited power) and 4 levels of noise in the speed. "P > 0 at the estimates" means that the
 power which selects the samples is computed with the parameters estimated on the cycle. The distance of a combination is
 the rms of 12 differences in log10: three eigenvalues and the tangent of A's angle, on three cycles. The best of each
-combination of units, up to a distance of {FARTHEST}:
+combination of units, up to a distance of {MAX_RMS}:
 
 {table(["m in", "P in", "matrix", "rms", "largest", "with"], rows)}
 

@@ -14,11 +14,11 @@ from paper.experiments import NOISE, PAPER_RULE, PROGRAM_RULE
 from paper.vehicles import DUMMY, HP
 
 PARTS = 60  # random stretches of each cycle, for coverage against error
-SHORTEST = 60  # s
-FEWEST = 20  # samples that a stretch must keep
+MIN_STRETCH = 60  # s
+MIN_SAMPLES = 20  # samples that a stretch must keep
 NOISE_LEVELS = np.array([0.5, 1, 2, 5, 10, 20, 40]) * HP  # W
 NOISE_REPEATS = 40
-DURATIONS = 6  # from SHORTEST to the whole cycle
+DURATIONS = 6  # from MIN_STRETCH to the whole cycle
 COPIES = (2, 4, 8)  # of the whole cycle, beyond that
 DURATION_REPEATS = 30
 
@@ -37,16 +37,16 @@ class CoverageStudy:
 
 
 def coverage_and_error(cycle: Cycle, reach: Availability, seed: int) -> CoverageStudy:
-    """Estimate from PARTS random stretches of ``cycle``, of lengths between SHORTEST and all of it."""
+    """Estimate from PARTS random stretches of ``cycle``, of lengths between MIN_STRETCH and all of it."""
     rng = np.random.default_rng((6, seed))
     looped = cycle.repeated(2)
     coverage: list[float] = []
     errors: list[Floats] = []
     while len(coverage) < PARTS:
-        length = round(np.exp(rng.uniform(np.log(SHORTEST), np.log(cycle.duration))))
+        length = round(np.exp(rng.uniform(np.log(MIN_STRETCH), np.log(cycle.duration))))
         start = int(rng.integers(cycle.duration))
         kept = Drive.of(looped[start : start + length], DUMMY, NOISE, (7, seed, start, length)).positive()
-        if len(kept.P) >= FEWEST:
+        if len(kept.P) >= MIN_SAMPLES:
             coverage.append(reach.coverage(kept))
             errors.append(_errors(kept, (8, seed, start, length)))
     return CoverageStudy(np.array(coverage), np.array(errors))
@@ -100,7 +100,7 @@ class DurationStudy:
 
 def duration_and_error(cycle: Cycle) -> DurationStudy:
     """Estimate from the first seconds of a cycle, from all of it, and from COPIES of it with fresh noise."""
-    lengths = np.geomspace(SHORTEST, cycle.duration, DURATIONS).round()
+    lengths = np.geomspace(MIN_STRETCH, cycle.duration, DURATIONS).round()
     pieces = [cycle[: int(s)] for s in lengths] + [cycle.repeated(n) for n in COPIES]
     errors = []
     for piece in pieces:

@@ -35,7 +35,7 @@ DERIVATIVES: dict[str, Callable[[Floats], Floats]] = {
 SELECTIONS = ("all", "model P > 0", "measured P > 0")
 PARAMETERS = ("estimates", "nominal")  # with which the power is computed that selects samples
 SEED = 5
-SLOWEST = 2.0  # m/s, below which the power limit allows no more acceleration
+MIN_LIMITED_SPEED = 2.0  # m/s, below which the power limit allows no more acceleration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ def _driven(v: Floats, trace: str) -> Floats:
     driven = v.copy()
     for i in range(1, len(v)):
         before = driven[i - 1]
-        most = (watts / max(before, SLOWEST) - A - C * before**2) / m
+        most = (watts / max(before, MIN_LIMITED_SPEED) - A - C * before**2) / m
         driven[i] = min(v[i], before + most)
     return driven
 
