@@ -14,7 +14,7 @@ from estimator.answers.diagnosis import GapClosed, Verdict
 from estimator.diagnosis.result import Diagnosis
 from estimator.report.diagnosis_summary import of_diagnosis
 
-DRIVES = int(os.environ.get("BLIND_DRIVES", "30"))  # of the fixed set
+DRIVES = int(os.environ.get("BLIND_DRIVES", "16"))  # of the fixed set
 MINUTES = float(os.environ.get("BLIND_MINUTES", "40"))
 SEED = 7
 

@@ -62,7 +62,7 @@ class DriveState:
         """With other components; scales of road and noise are found again beside them."""
         terms = tuple(component.term for component in chosen if component.term is not None)
         rng = np.random.default_rng(PROBE_SEED)
-        found = fit(self.strides, rng, terms, self.fit.scales)
+        found = fit(self.strides, rng, terms, self.fit.scales, orders=False)
         return self if found is None else replace(self, fit=found, chosen=chosen)
 
     def joint(self, candidates: Sequence[Component] = ()) -> JointLikelihood:

@@ -319,6 +319,7 @@ def fit(
     known: RoadScales | None = None,
     refit: bool = True,
     longest_lag: float = float(LAGS.max()),
+    orders: bool = True,
 ) -> RoadFit | None:
     """Fit strides; None where too few have a known force.
 
@@ -336,6 +337,8 @@ def fit(
         Whether to look for the best scales and smoothness of the road.
     longest_lag
         Largest lag of power behind speed that is tried [s].
+    orders
+        Whether road and wander of other orders than the ``known`` are tried.
     """
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES:
@@ -347,7 +350,7 @@ def fit(
         known = None
     if known is not None and not refit:
         return _concluded(*search.likelihood(known), 0.0, rng)
-    return _concluded(*search.best(known), rng)
+    return _concluded(*search.best(known, orders), rng)
 
 
 def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term]]) -> tuple[Term, ...]:
@@ -390,8 +393,8 @@ class _Search:
         """The likelihood that belongs to scales."""
         return Likelihood(self.model(scales.alpha, scales.wander), self._terms, self._road_load, scales.lag), scales
 
-    def best(self, known: RoadScales | None) -> tuple[Likelihood, RoadScales, float]:
-        """From scales ``known`` before, or from the centres of their priors."""
+    def best(self, known: RoadScales | None, orders: bool) -> tuple[Likelihood, RoadScales, float]:
+        """From scales ``known`` before, or from the centres of their priors; without ``orders``, of the same orders."""
         if known is None:
             model = self.model(ALPHAS[0], ROUGH)
             values = np.array([scale.centre for scale in model.scales])
@@ -401,6 +404,8 @@ class _Search:
             scales, evidence = self._lagged(start, UNKNOWN_SCALE_STEP)
         else:
             scales, evidence = self._lagged(known, KNOWN_SCALE_STEP)
+            if not orders:
+                return *self.likelihood(scales), evidence
         if scales.readings:
             others = [i for i in range(len(scales.values)) if i not in VEHICLE_SCALES]
             order = SMOOTH if scales.wander == ROUGH else ROUGH
