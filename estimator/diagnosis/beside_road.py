@@ -19,11 +19,12 @@ from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.diagnosis.thresholds import Thresholds
-from estimator.estimation.road_fit import ROAD_LOAD
+from estimator.estimation.road_fit import ROAD_LOAD, log_bayes_factor_of_road
 from estimator.model.effects import Effect
 from estimator.signals import Quantity
 
 MIN_LOG_BF_POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen is part of the budget
+MIN_HILLY = 2e-3  # slope sd from which a road that signals show is hilly; up to 0.9e-3 on level roads, 5e-3 on natural
 SLOPE_LENGTH = 300.0  # m, after which a road has another slope
 
 
@@ -36,6 +37,7 @@ class BesideRoad:
     budget: Budget
     plain: tuple[Drive, ...]
     thresholds: Thresholds
+    is_on_hills: bool  # whether the effects were searched beside the road
 
     @property
     def longest(self) -> DriveState:
@@ -101,8 +103,17 @@ class BesideRoad:
 
     def findings(self, before: Sequence[Finding | None]) -> tuple[Finding, ...]:
         """The road, as it was found ``before``, and the effects that were chosen beside it."""
-        road = [found for found in before if found is not None and found.name == "grade"]
-        return (*map(self._road, road[:1]), *(self._finding(choice) for choice in self.explained.choices))
+        found = [finding for finding in before if finding is not None and finding.name == "grade"]
+        road = [self._road(found[0])] if found else [] if self.is_given else [self._shown_hills()]
+        return (*road, *(self._finding(choice) for choice in self.explained.choices))
+
+    def _shown_hills(self) -> Finding:
+        """The finding of a road that signals show too poorly for the search on the level road."""
+        fits = [(drive.strides, drive.fit) for drive in self.explained.drives]
+        found = self.hills(sum(log_bayes_factor_of_road(strides, fit) for strides, fit in fits))
+        size = replace(found.magnitude, name="slope")
+        signals = ", ".join(name.replace("_", " ") for name in self.longest.fit.scales.readings)
+        return self._road(replace(found, magnitude=size, detail=f"goes with the place; shown in part by {signals}"))
 
     def _road(self, found: Finding) -> Finding:
         if found.magnitude.name == HIDDEN_GRADE:
@@ -173,16 +184,22 @@ def _detail(shape: object, effect: Effect) -> str:
 
 
 def beside_road(outcome: Outcome) -> BesideRoad | None:
-    """Explain the drives of an outcome with the road as a state; None where it cannot be fitted."""
+    """Explain the drives of an outcome with the road as a state; None where it cannot be fitted.
+
+    The search on the level road may miss hills that an altimeter shows poorly; the road's own slope tells.
+    """
     plain = [_state(drive) for drive in outcome.plain]
     states = tuple(state for state in plain if state is not None)
     if len(states) < len(plain):
         return None
     effects = [effect for effect in outcome.effects if not effect.absorbed and not effect.is_gravity]
-    if outcome.is_on_hills:
+    known = () if outcome.is_on_hills else tuple(map(_with_terms, states, outcome.final))
+    is_on_hills = outcome.is_on_hills or any(
+        state.fit.scales.readings and state.fit.slope_sd > MIN_HILLY for state in known
+    )
+    if is_on_hills:
         explained = search(states, effects, outcome.thresholds.min_log_bf_beside_road)
     else:
-        known = tuple(map(_with_terms, states, outcome.final))
         explained = Explained(known, (), ranked(known, effects))
     unnamed = [drive.unnamed() for drive in explained.drives]
     left = max(found[1] for found in unnamed if found is not None)
@@ -191,7 +208,12 @@ def beside_road(outcome: Outcome) -> BesideRoad | None:
     possible = [_possible(explained, i) for i in range(len(states))]
     split = budget(explained.drives, possible, counted, outcome.rng)
     return BesideRoad(
-        explained=explained, left_over=left, budget=split, plain=outcome.plain, thresholds=outcome.thresholds
+        explained=explained,
+        left_over=left,
+        budget=split,
+        plain=outcome.plain,
+        thresholds=outcome.thresholds,
+        is_on_hills=is_on_hills,
     )
 
 

@@ -107,7 +107,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
         verdict = Verdict.EFFECT
     beside = beside_road(outcome)
     found = (hills, *findings.chosen(outcome), late)
-    if beside is not None and outcome.is_on_hills:
+    if beside is not None and beside.is_on_hills:
         verdict, found = beside.verdict(), (*beside.findings(found), late)
     named = tuple(f for f in found if f is not None) if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
     drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
@@ -133,7 +133,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
         gap_map=gap_map(before, after),
         traces=_traces(outcome),
     )
-    if beside is not None and outcome.is_on_hills:
+    if beside is not None and beside.is_on_hills:
         return _with_road(diagnosis, beside, outcome.thresholds.min_log_bf_left_process)
     return _with_known_road(diagnosis, outcome, hills is not None)
 

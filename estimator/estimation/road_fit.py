@@ -376,6 +376,18 @@ def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term
     return tuple(chosen)
 
 
+def log_bayes_factor_of_road(strides: Strides, found: RoadFit) -> float:
+    """Of the road that was ``found`` under strides against a level one, the other scales found again without it."""
+    model = RoadModel(strides, found.scales.alpha, found.scales.wander)
+    likelihood = Likelihood(model, found.terms, found.theta[:ROAD_LOAD], found.scales.lag)
+    slope = next(i for i, scale in enumerate(model.scales) if scale.name == "slope")
+    flat = found.scales.values.copy()
+    flat[slope] = model.scales[slope].low
+    others = [i for i in range(len(flat)) if model.scales[i].name not in ("slope", "slope length")]
+    level, _ = likelihood.best_scales(flat, others, UNKNOWN_SCALE_STEP)
+    return likelihood.log_evidence(found.scales.values) - likelihood.log_evidence(level)
+
+
 class _Search:
     """The search for the scales, the smoothness of the road and the nearest of LAGS."""
 
