@@ -1,5 +1,7 @@
 """A grade that no signal shows, where an altimeter is there: what its silence is worth."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from simulated_logs import ask, drive, named, written
@@ -70,3 +72,19 @@ def test_grade_in_the_model_does_no_harm_where_the_road_is_flat():
     assert model is not None
     assert model.road_load == pytest.approx(truth)
     assert model.magnitudes == pytest.approx([27e3])
+
+
+def test_a_load_taken_on_is_found_beside_hills_that_a_poor_altimeter_shows(tmp_path, monkeypatch):
+    """To the search on a level road the altimeter, which wanders by 3 m, shows no grade; the road's own slope does."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
+    import natural_world
+
+    world = natural_world.draw(7, seed=20261122, minutes=40.0)
+    assert (world.shown, world.extra) == ("poor", "mass_step")
+    answer = ask("diagnose", written(world.recording, tmp_path / "log.blf"))
+    grade, load = answer["effects"][:2]
+    assert (grade["name"], load["name"]) == ("grade", "mass_step")
+    assert grade["detail"] == "goes with the place; shown in part by altitude"
+    assert grade["log_bayes_factor"] > 15
+    (share,) = [part["share"] for part in answer["budget"] if part["cause"] == "mass_step"]
+    assert share == pytest.approx(0.4, abs=0.1)

@@ -13,13 +13,14 @@ import numpy as np
 from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import ROAD, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_term
-from estimator.components.search import AtRest, Choice, DriveState, Explained, ranked, search
+from estimator.components.search import AtRest, Choice, DriveState, Explained, Ranked, ranked, search
 from estimator.diagnosis.candidates import IDLE_POWER_SD, IDLE_POWER_SHARE
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_fit import ROAD_LOAD, log_bayes_factor_of_road
+from estimator.model.design_matrix import Spans
 from estimator.model.effects import Effect
 from estimator.signals import Quantity
 
@@ -107,6 +108,37 @@ class BesideRoad:
         road = [self._road(found[0])] if found else [] if self.is_given else [self._shown_hills()]
         return (*road, *(self._finding(choice) for choice in self.explained.choices))
 
+    def candidates(self, named: Sequence[Finding]) -> tuple[Finding, ...]:
+        """Road and lag, if they are ``named``, and all effects as they were judged beside them before any was chosen."""
+        choices = self.explained.choices
+        ranking = choices[0].ranking if choices else self.explained.ranking
+        shares = self.thresholds.probabilities([one.gain for one in ranking])
+        others = [finding for finding in named if finding.name not in {one.name for one in ranking}]
+        beside = [self._candidate(one, share) for one, share in zip(ranking, shares, strict=False)]
+        return tuple(sorted((*others, *beside), key=lambda finding: -finding.log_bayes_factor))
+
+    def _candidate(self, one: Ranked, probability: float) -> Finding:
+        which, form = one.best
+        term, effect = form.component.term, one.effect
+        return Finding(
+            name=one.name,
+            probability=probability,
+            log_bayes_factor=one.gain,
+            equivalent=(),
+            magnitude=Magnitude(effect.symbol, form.value, form.sd, effect.unit),
+            gap_closed=None,
+            rms_before=self.budget.total,
+            rms_after=self.budget.total,
+            shift=None,
+            span=() if term is None else self._clock(which, term.spans or ()),
+            detail="" if term is None else _detail(term.shape, effect),
+        )
+
+    def _clock(self, which: int, spans: Spans) -> tuple[Span, ...]:
+        """Times of a drive as its log counts them."""
+        record = self.plain[which].record
+        return tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in spans)
+
     def _shown_hills(self) -> Finding:
         """The finding of a road that signals show too poorly for the search on the level road."""
         fits = [(drive.strides, drive.fit) for drive in self.explained.drives]
@@ -143,7 +175,6 @@ class BesideRoad:
             if other.gain > limits.min_log_bf_effect
             and _correlation(other.best[1].trace, form.trace) > limits.min_class_correlation
         ]
-        record = self.plain[which].record
         return Finding(
             name=best.name,
             probability=limits.probabilities([best.gain, *(other.gain for other in others)])[0],
@@ -156,7 +187,7 @@ class BesideRoad:
             rms_before=self.rms_base,
             rms_after=left,
             shift=None,
-            span=tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in term.spans or ()),
+            span=self._clock(which, term.spans or ()),
             detail=_detail(term.shape, effect),
         )
 

@@ -107,8 +107,10 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
         verdict = Verdict.EFFECT
     beside = beside_road(outcome)
     found = (hills, *findings.chosen(outcome), late)
+    ranking = findings.ranking(outcome, late)
     if beside is not None and beside.is_on_hills:
         verdict, found = beside.verdict(), (*beside.findings(found), late)
+        ranking = beside.candidates([finding for finding in found if finding is not None])
     named = tuple(f for f in found if f is not None) if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
     drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
     before, after = plain.model, drive.model
@@ -118,7 +120,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     diagnosis = Diagnosis(
         verdict=verdict,
         effects=named,
-        candidates=findings.ranking(outcome, late),
+        candidates=ranking,
         remainder=facts.remainder(outcome),
         doubtful=facts.doubtful(outcome, verdict, named),
         base=_road_load(before.road_load),
