@@ -14,7 +14,7 @@ from estimator.components.component import Component, Frame, hats, of_effect, pr
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.search import AtRest, DriveState, search
 from estimator.diagnosis.thresholds import Thresholds
-from estimator.estimation.road_fit import best_shapes, fit
+from estimator.estimation.road_fit import best_shapes, fit, log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.road import RoadModel
@@ -310,6 +310,16 @@ def test_what_was_climbed_counts_the_road_between_strides_too(strides):
     rise = np.diff(altitude_of(strides))
     assert whole.climbed == pytest.approx(rise[rise > 0].sum(), rel=0.05)
     assert gappy.climbed == pytest.approx(whole.climbed, rel=0.05)
+
+
+def test_signals_of_the_road_are_told_from_those_of_another_one(strides):
+    noise = np.random.default_rng(2).normal(0.0, 0.5, len(strides))
+    own = replace(strides, altitude=altitude_of(strides) + noise)
+    other = replace(strides, altitude=altitude_of(strides)[::-1] + noise)
+    for shown, is_own in ((own, True), (other, False)):
+        found = fit(shown, np.random.default_rng(1))
+        assert (log_bayes_factor_of_signals(shown, found) > 0) == is_own
+        assert log_bayes_factor_of_road(shown, found) > 100
 
 
 def altitude_of(strides):

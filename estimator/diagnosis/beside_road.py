@@ -19,7 +19,7 @@ from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.diagnosis.thresholds import Thresholds
-from estimator.estimation.road_fit import ROAD_LOAD, log_bayes_factor_of_road
+from estimator.estimation.road_fit import ROAD_LOAD, log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.model.design_matrix import Spans
 from estimator.model.effects import Effect
 from estimator.signals import Quantity
@@ -109,7 +109,7 @@ class BesideRoad:
         return (*road, *(self._finding(choice) for choice in self.explained.choices))
 
     def candidates(self, named: Sequence[Finding]) -> tuple[Finding, ...]:
-        """Road and lag, if they are ``named``, and all effects as they were judged beside them before any was chosen."""
+        """Road and lag, if they are ``named``, and all effects as they were judged beside them at first."""
         choices = self.explained.choices
         ranking = choices[0].ranking if choices else self.explained.ranking
         shares = self.thresholds.probabilities([one.gain for one in ranking])
@@ -215,23 +215,13 @@ def _detail(shape: object, effect: Effect) -> str:
 
 
 def beside_road(outcome: Outcome) -> BesideRoad | None:
-    """Explain the drives of an outcome with the road as a state; None where it cannot be fitted.
-
-    The search on the level road may miss hills that an altimeter shows poorly; the road's own slope tells.
-    """
+    """Explain the drives of an outcome with the road as a state; None where it cannot be fitted."""
     plain = [_state(drive) for drive in outcome.plain]
     states = tuple(state for state in plain if state is not None)
     if len(states) < len(plain):
         return None
     effects = [effect for effect in outcome.effects if not effect.absorbed and not effect.is_gravity]
-    known = () if outcome.is_on_hills else tuple(map(_with_terms, states, outcome.final))
-    is_on_hills = outcome.is_on_hills or any(
-        state.fit.scales.readings and state.fit.slope_sd > MIN_HILLY for state in known
-    )
-    if is_on_hills:
-        explained = search(states, effects, outcome.thresholds.min_log_bf_beside_road)
-    else:
-        explained = Explained(known, (), ranked(known, effects))
+    explained, is_on_hills = _explained(outcome, states, effects)
     unnamed = [drive.unnamed() for drive in explained.drives]
     left = max(found[1] for found in unnamed if found is not None)
     least = outcome.thresholds.min_log_bf_left_process
@@ -246,6 +236,24 @@ def beside_road(outcome: Outcome) -> BesideRoad | None:
         thresholds=outcome.thresholds,
         is_on_hills=is_on_hills,
     )
+
+
+def _explained(outcome: Outcome, states: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Explained, bool]:
+    """The drives with what acts beside the road, and whether it was searched there: on hills.
+
+    The search on the level road may miss hills that a signal shows poorly, and effects with them. An unmodelled force
+    may look like hills as well, but signals of the road do not follow it.
+    """
+    limits = outcome.thresholds
+    if outcome.is_on_hills:
+        return search(states, effects, limits.min_log_bf_beside_road), True
+    known = tuple(map(_with_terms, states, outcome.final))
+    if any(state.fit.scales.readings and state.fit.slope_sd > MIN_HILLY for state in known):
+        beside = search(states, effects, limits.min_log_bf_beside_road)
+        shown = [drive for drive in beside.drives if drive.fit.scales.readings]
+        if sum(log_bayes_factor_of_signals(drive.strides, drive.fit) for drive in shown) > limits.min_log_bf_effect:
+            return beside, True
+    return Explained(known, (), ranked(known, effects)), False
 
 
 def _state(drive: Drive) -> DriveState | None:
