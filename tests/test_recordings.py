@@ -30,14 +30,14 @@ def test_kenworth_is_read_whole_and_not_over_interpreted(recordings: Path, name:
 
 
 def test_kenworth_inputs_and_reference_torque(recordings: Path) -> None:
-    content = inspection.inspect(recordings / "j1939_trucks/kenworth_t270/normal.log", Config(), silent)
-    inputs = content["inputs"]
-    assert inputs["reference_torque"]["minimum"] == inputs["reference_torque"]["maximum"] == 1109
-    assert inputs["speed"]["minimum"] * 3.6 == pytest.approx(23.6, abs=0.5)
-    assert inputs["speed"]["maximum"] * 3.6 == pytest.approx(54.9, abs=0.1)
+    found = inspection.inspect(recordings / "j1939_trucks/kenworth_t270/normal.log", Config(), silent)
+    torque, speed = found.inputs["reference_torque"], found.inputs["speed"]
+    assert torque.minimum == torque.maximum == 1109
+    assert speed.minimum * 3.6 == pytest.approx(23.6, abs=0.5)
+    assert speed.maximum * 3.6 == pytest.approx(54.9, abs=0.1)
     # Engine and cab controller both send CCVS1; each signal comes from the node that knows it.
-    assert content["sources"]["CCVS1.WheelBasedVehicleSpeed"] == 0x00
-    assert content["sources"]["CCVS1.BrakeSwitch"] == 0x31
+    assert found.sources["CCVS1.WheelBasedVehicleSpeed"] == 0x00
+    assert found.sources["CCVS1.BrakeSwitch"] == 0x31
 
 
 def test_kenworth_drop_out_is_a_gap(recordings: Path) -> None:
