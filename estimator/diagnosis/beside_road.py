@@ -25,7 +25,6 @@ from estimator.model.effects import Effect
 from estimator.signals import Quantity
 
 MIN_LOG_BF_POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen is part of the budget
-MIN_HILLY = 2e-3  # slope sd from which a road that signals show is hilly; up to 0.9e-3 on level roads, 5e-3 on natural
 SLOPE_LENGTH = 300.0  # m, after which a road has another slope
 
 
@@ -248,7 +247,7 @@ def _explained(outcome: Outcome, states: Sequence[DriveState], effects: Sequence
     if outcome.is_on_hills:
         return search(states, effects, limits.min_log_bf_beside_road), True
     known = tuple(map(_with_terms, states, outcome.final))
-    if any(state.fit.scales.readings and state.fit.slope_sd > MIN_HILLY for state in known):
+    if any(state.fit.scales.readings and state.fit.slope_sd > limits.min_grade_sd for state in known):
         beside = search(states, effects, limits.min_log_bf_beside_road)
         shown = [drive for drive in beside.drives if drive.fit.scales.readings]
         if sum(log_bayes_factor_of_signals(drive.strides, drive.fit) for drive in shown) > limits.min_log_bf_effect:
