@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
 PROGRAM = ".venv/bin/roadload "
-RANKED = 1  # rows of the ranking that are shown: further ones are about nothing
+RANKED = 1  # rows of the ranking that are shown: further ones have no evidence
 BLOCK = re.compile(r"(?<=<!-- output of )(\w+)( -->\n+```\n)(.*?)(?=```)", re.DOTALL)
 
 

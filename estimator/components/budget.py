@@ -27,7 +27,8 @@ from estimator.signals import Floats
 from estimator.strides import DURATION
 from estimator.units import STANDARD_GRAVITY
 
-ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", "unknown: white force", "other effects"
+UNKNOWN = "unknown: "  # before the name of a nameless process
+ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", f"{UNKNOWN}white force", "other effects"
 DRAWS = 200
 MAX_TRIES = 50  # draws of the amplitudes for each that is kept: draws with wrong signs are rejected
 FORM_DOUBT = 0.5  # sd of a share s from wrong forms of the model, over s (1 - s): measured on simulated drives
@@ -182,7 +183,7 @@ def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np
 
 
 def _name(component: Component) -> str:
-    return component.name if component.term is not None else f"unknown: {component.name}"
+    return component.name if component.term is not None else f"{UNKNOWN}{component.name}"
 
 
 class Projection:

@@ -17,7 +17,7 @@ from estimator.components.likelihood import JointLikelihood
 from estimator.model.design_matrix import Spans, Term
 from estimator.signals import Floats, Mask
 
-MAX_BLOCK = 30.0  # s, of strides that share a state
+BLOCK_DURATION = 30.0  # s, of strides that share a state
 PROBED_STEPS = 150  # steps whose strength is computed; that of the others is interpolated
 MIN_STEP_DISTANCE = 5  # strides between two steps of the state
 MAX_STEPS = 200  # of the state that are considered: bounds the cost of the exchanges
@@ -35,7 +35,7 @@ def best_times(joint: JointLikelihood, chosen: list[int], term: Term, single: bo
     column, t = joint.frame.column(term), joint.frame.strides.t
     steps = np.zeros(len(t), dtype=bool)
     steps[likely_steps(joint, chosen, column)] = True
-    block = max(MAX_BLOCK, float(t[-1] - t[0]) / MAX_STEPS)
+    block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
     labels = np.cumsum(steps | np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False))
     on = _states(joint, chosen, term, single, labels)
     if not on.any() or on.mean() > MAX_ON_SHARE:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.answers.diagnosis import Verdict
-from estimator.components.budget import ROAD, Budget, Part, budget
+from estimator.components.budget import ROAD, UNKNOWN, WHITE, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_term
 from estimator.components.search import AtRest, Choice, DriveState, Explained, Ranked, ranked, search
 from estimator.diagnosis.candidates import IDLE_POWER_SD, IDLE_POWER_SHARE
@@ -108,22 +108,51 @@ class BesideRoad:
         return (*road, *(self._finding(choice) for choice in self.explained.choices))
 
     def candidates(self, named: Sequence[Finding]) -> tuple[Finding, ...]:
-        """Road and lag, if they are ``named``, and all effects as they were judged beside them at first."""
+        """Road and lag, if they are ``named``, all effects as they were judged beside them at first, and what is left.
+
+        The road does not exclude an effect: the probabilities of effects compare them with one another, and with what
+        is left when all that were chosen are in the model.
+        """
         choices = self.explained.choices
         ranking = choices[0].ranking if choices else self.explained.ranking
-        shares = self.thresholds.probabilities([one.gain for one in ranking])
+        *shares, unknown, _ = self.thresholds.probabilities([*(one.gain for one in ranking), self.left_over])
         others = [finding for finding in named if finding.name not in {one.name for one in ranking}]
-        beside = [self._candidate(one, share) for one, share in zip(ranking, shares, strict=False)]
-        return tuple(sorted((*others, *beside), key=lambda finding: -finding.log_bayes_factor))
+        beside = [self._candidate(one, share, ranking) for one, share in zip(ranking, shares, strict=True)]
+        left = self._left(unknown)
+        return tuple(sorted((*others, *beside, left), key=lambda finding: -finding.log_bayes_factor))
 
-    def _candidate(self, one: Ranked, probability: float) -> Finding:
+    def _left(self, probability: float) -> Finding:
+        """The nameless process with most evidence in what the chosen effects leave."""
+        parts = [part for part in self.budget.parts if part.cause.startswith(UNKNOWN) and part.cause != WHITE]
+        rms = float(np.sqrt(sum(part.rms**2 for part in parts))) if parts else float("nan")
+        return Finding(
+            name=Verdict.UNKNOWN.value,
+            probability=probability,
+            log_bayes_factor=self.left_over,
+            equivalent=(),
+            magnitude=Magnitude("rms", rms, float("nan"), "W"),
+            gap_closed=None,
+            rms_before=self.budget.reached,
+            rms_after=self.budget.reached,
+            shift=None,
+            detail=", ".join(part.cause.removeprefix(UNKNOWN) for part in parts),
+        )
+
+    def _alike(self, one: Ranked, ranking: Sequence[Ranked]) -> set[str]:
+        """Names that the drives speak for as well, with a column of the same course, and those declared equivalent."""
+        limits, trace = self.thresholds, one.best[1].trace
+        others = [other for other in ranking if other is not one and other.gain > limits.min_log_bf_effect]
+        near = [o.name for o in others if _correlation(o.best[1].trace, trace) > limits.min_class_correlation]
+        return {*near, *one.effect.equivalent}
+
+    def _candidate(self, one: Ranked, probability: float, ranking: Sequence[Ranked]) -> Finding:
         which, form = one.best
         term, effect = form.component.term, one.effect
         return Finding(
             name=one.name,
             probability=probability,
             log_bayes_factor=one.gain,
-            equivalent=(),
+            equivalent=tuple(sorted(self._alike(one, ranking))),
             magnitude=Magnitude(effect.symbol, form.value, form.sd, effect.unit),
             gap_closed=None,
             rms_before=self.budget.total,
@@ -156,7 +185,7 @@ class BesideRoad:
 
     def _finding(self, choice: Choice) -> Finding:
         best, ranking = choice.ranked, choice.ranking
-        which, form = best.best
+        which, _ = best.best
         drive = self.explained.drives[which]
         place = next(i for i, component in enumerate(drive.chosen) if component.name == best.name)
         joint = drive.joint()
@@ -167,18 +196,12 @@ class BesideRoad:
         alone = self.budget.total if part is None or part.reached is None else part.reached
         left = self.budget.reached if self.is_given else alone
         limits, others = self.thresholds, [other for other in ranking if other is not best]
-        close = [other for other in others if other.gain > best.gain - limits.min_log_bf_lead]
-        alike = [
-            other
-            for other in others
-            if other.gain > limits.min_log_bf_effect
-            and _correlation(other.best[1].trace, form.trace) > limits.min_class_correlation
-        ]
+        close = {other.name for other in others if other.gain > best.gain - limits.min_log_bf_lead}
         return Finding(
             name=best.name,
             probability=limits.probabilities([best.gain, *(other.gain for other in others)])[0],
             log_bayes_factor=best.gain,
-            equivalent=tuple(sorted({other.name for other in (*close, *alike)} | set(effect.equivalent))),
+            equivalent=tuple(sorted(close | self._alike(best, ranking))),
             magnitude=Magnitude(
                 effect.symbol, posterior.mean[at], float(np.sqrt(posterior.covariance[at, at])), effect.unit
             ),

@@ -20,7 +20,7 @@ class Thresholds:
     """
 
     max_log_bf_no_gap: float = 3.0  # of the best effect, where the verdict is "no gap"
-    min_log_bf_effect: float = 5.0  # of the first effect
+    min_log_bf_effect: float = 5.0  # of the first effect, any beside the road, a lag, a rival; of signals of the road
     min_log_bf_timed: float = 11.0  # of the first effect, if it is timed
     min_log_bf_further: float = 8.0  # of an effect beside others
     min_log_bf_further_timed: float = 20.0  # of a timed effect beside others
@@ -33,7 +33,7 @@ class Thresholds:
     min_reduction: float = 0.001  # of the squared residual, over the largest reduction by another effect
     min_reduction_timed: float = 0.01  # the same for a timed effect
     min_grade_log_bf_share: float = 0.5  # of a hidden grade's log BF over that of the best process
-    min_grade_sd: float = 0.002  # of hills [1]: on level roads the slope comes out at 0.0001 .. 0.0009
+    min_grade_sd: float = 0.002  # of hills [1]: level ones without other effects come out at 0.0001 .. 0.0009
     min_lift_deficit_sd: float = 2.0  # sd by which the mass lifted with a signal of the climb is below the vehicle's
     min_expected_log_bf: float = 5.0  # of an effect of usual size: the drive would show it
     log_bf_temper: float = 1.5  # divisor of log BF in probabilities: the model of the noise is never exact

@@ -14,7 +14,6 @@ from estimator.errors import ConfigError
 from estimator.fleet.pooling import Mixture
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
 
-BELIEFS = ("mass_belief_kg", "A_belief_N", "C_belief_N_s2_m2")
 Normal = tuple[float, float]  # mean and sd
 
 

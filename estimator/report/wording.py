@@ -168,7 +168,7 @@ def shift(change: Shift | None, sd: Shift | None = None) -> str:
 
 
 def _change(value: float, step: float, sd: float) -> str:
-    if not (math.isfinite(value) and sd > step):
+    if not (math.isfinite(value) and step < sd < math.inf):
         return parameter(value, step, "+")
     decimals = -exponent(sd)
     return signed(f"{round(value, decimals):+,.{max(decimals, 0)}f}")

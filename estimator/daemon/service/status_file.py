@@ -40,7 +40,9 @@ def read(path: Path) -> StatusAnswer:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except msgspec.ValidationError as error:
-        raise InputError(f"{path}: is of another version; restart the daemon, or delete the file: {error}") from None
+        raise InputError(
+            f"{path}: is no status of this version ({error}); restart the daemon, or delete the file"
+        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError):
         raise InputError(f"{path}: is not a status file; delete it") from None
 
