@@ -425,7 +425,7 @@ def test_a_status_of_another_version_is_refused_with_the_reason(tmp_path: Path) 
     path = tmp_path / "status.json"
     newer = path.read_text().replace('"schema":1', '"schema":2')
     path.write_text(newer)
-    with pytest.raises(InputError, match=r"status\.json: is of another version.*schema"):
+    with pytest.raises(InputError, match=r"status\.json: is no status of this version .*schema"):
         status_file.read(path)
     path.write_text("{broken")
     with pytest.raises(InputError, match="not a status file"):
