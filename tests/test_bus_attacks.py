@@ -22,6 +22,8 @@ from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
 
+pytestmark = pytest.mark.slow
+
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 MINUTES = 18.0
 ATTACKS = {attack.name: attack for attack in attacks()}

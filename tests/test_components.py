@@ -199,6 +199,7 @@ def test_hats_are_a_partition_of_one():
     assert_allclose(hats(axis, 7.0).sum(axis=1), 1.0)
 
 
+@pytest.mark.slow
 def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     n = 2400
     effects = [effect for effect in CATALOGUE if not effect.absorbed and not effect.is_gravity]
@@ -249,6 +250,7 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     assert whole.part(NOISE).reached is None
 
 
+@pytest.mark.slow
 def test_a_cause_of_one_drive_only_counts_among_several():
     n = 1200
     load = Component(
@@ -286,6 +288,7 @@ def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
         assert changed == component.is_noisy, component.name
 
 
+@pytest.mark.slow
 def test_of_several_shapes_the_one_that_the_drive_shows_is_taken():
     n = 2400
     t = np.arange(n) + 0.5
@@ -312,6 +315,7 @@ def test_what_was_climbed_counts_the_road_between_strides_too(strides):
     assert gappy.climbed == pytest.approx(whole.climbed, rel=0.05)
 
 
+@pytest.mark.slow
 def test_signals_of_the_road_are_told_from_those_of_another_one(strides):
     noise = np.random.default_rng(2).normal(0.0, 0.5, len(strides))
     own = replace(strides, altitude=altitude_of(strides) + noise)
