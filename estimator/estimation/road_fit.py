@@ -345,8 +345,7 @@ def fit(
         return None
     road_load = first_guess(driven)
     search = _Search(strides, terms, road_load, longest_lag)
-    readings = search.model(ALPHAS[0], ROUGH).reading_names
-    if known is not None and known.readings != readings:
+    if known is not None and known.readings != search.model(known.alpha, known.wander).reading_names:
         known = None
     if known is not None and not refit:
         return _concluded(*search.likelihood(known), 0.0, rng)
