@@ -100,13 +100,10 @@ class Inference:
         if reason := self._contradicted(samples):
             return Estimate(t=t, status=Status.INVALID, reason=reason, coverage=NOTHING_COVERED, admitted=len(samples))
         belief = self._given + self._loads.carried_over(t, self._config.load)
-        for effect in self._effects:
-            if not effect.streaming_shapes(context):
-                needs = " or ".join(role.value for role in effect.wanted)
-                reason = f"the effect {effect.name} needs {needs}, which the bus does not carry"
-                return Estimate(
-                    t=t, status=Status.UNESTIMATED, reason=reason, coverage=NOTHING_COVERED, admitted=len(samples)
-                )
+        if reason := self._missing(context):
+            return Estimate(
+                t=t, status=Status.UNESTIMATED, reason=reason, coverage=NOTHING_COVERED, admitted=len(samples)
+            )
         fit = moments.fit(samples, self._config.admission.power_sigmas, belief, self._effects)
         held = int(fit.kept.sum()) if fit else len(samples)
         self.below = len(samples) - held
@@ -131,7 +128,14 @@ class Inference:
         if not draws.has_converged:
             c = draws.convergence
             return unestimated(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
-        used = samples[fit.kept]
+        return self._published(t, fit, draws, coverage, lag)
+
+    def _published(
+        self, t: float, fit: moments.Fit, draws: posterior.Posterior, coverage: Coverage, lag: float
+    ) -> Estimate:
+        """The estimate of converged draws; keeps its evidence and its load."""
+        window = self._window
+        used = window.samples[fit.kept]
         theta = draws.draws.mean(axis=(0, 1))[: moments.ROAD_LOAD]
         self.evidence = Evidence(
             trace=Trace(
@@ -145,7 +149,7 @@ class Inference:
             posterior=draws,
             lag=lag + float(fit.theta[moments.ROAD_LOAD]),
             grid=window.grid,
-            counts=counts,
+            counts=window.counts,
             rms=fit.rms,
             effective=fit.effective,
         )
@@ -159,7 +163,7 @@ class Inference:
             status=Status.ESTIMATED,
             reason="",
             coverage=coverage,
-            admitted=held,
+            admitted=len(used),
             mass=m,
             A=A,
             C=C,
@@ -168,6 +172,14 @@ class Inference:
             effects=effects,
             load=change,
         )
+
+    def _missing(self, context: frozenset[Quantity]) -> str:
+        """Reason why an effect of the configuration cannot be computed; empty where all can."""
+        for effect in self._effects:
+            if not effect.streaming_shapes(context):
+                needs = " or ".join(role.value for role in effect.wanted)
+                return f"the effect {effect.name} needs {needs}, which the bus does not carry"
+        return ""
 
     def _contradicted(self, samples: Samples) -> str:
         """Belief of the configuration that the drive contradicts; empty where there is none."""
