@@ -14,7 +14,8 @@ from estimator.components.component import Component, Frame, hats, of_effect, pr
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.search import AtRest, DriveState, search
 from estimator.diagnosis.thresholds import Thresholds
-from estimator.estimation.road_fit import best_shapes, fit, log_bayes_factor_of_road, log_bayes_factor_of_signals
+from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
+from estimator.estimation.road_fit import best_shapes, fit
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.road import RoadModel

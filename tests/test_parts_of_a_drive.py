@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.estimation.road_fit import ROAD_LOAD, RoadFit, RoadScales
+from estimator.estimation.road_fit import RoadFit, RoadScales
 from estimator.estimation.road_inference import Change
+from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.model.road import ALPHAS
 from estimator.strides import Strides
 

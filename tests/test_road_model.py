@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimator.estimation import road_fit
-from estimator.estimation.road_fit import DRAG, LAG, PLAIN, Likelihood
+from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import (

@@ -21,7 +21,7 @@ import numpy as np
 from estimator.components.component import Component, Frame
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.search import DriveState
-from estimator.estimation.road_fit import PLAIN, columns
+from estimator.estimation.road_likelihood import PLAIN, columns
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.signals import Floats
 from estimator.strides import DURATION

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from estimator.components.component import Component, Frame
-from estimator.estimation.road_fit import DRAG, LAG, PROBES, Likelihood, RoadFit, force_errors, limited
+from estimator.estimation.road_fit import RoadFit
+from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
 from estimator.model.road import Conditioned, RoadModel
 from estimator.signals import Floats
 from estimator.strides import Strides

@@ -19,7 +19,8 @@ from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.diagnosis.thresholds import Thresholds
-from estimator.estimation.road_fit import ROAD_LOAD, log_bayes_factor_of_road, log_bayes_factor_of_signals
+from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
+from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.model.design_matrix import Spans
 from estimator.model.effects import Effect
 from estimator.signals import Quantity

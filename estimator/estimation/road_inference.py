@@ -29,7 +29,8 @@ from estimator.estimation.gate import NAMES, Gate
 from estimator.estimation.load_segments import Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
-from estimator.estimation.road_fit import ROAD_LOAD, RoadFit, RoadScales, best_shapes, fit
+from estimator.estimation.road_fit import RoadFit, RoadScales, best_shapes, fit
+from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term

@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from estimator.estimation.moments import Belief
-from estimator.estimation.road_fit import PLAIN, ROAD_LOAD, RoadFit
+from estimator.estimation.road_fit import RoadFit
+from estimator.estimation.road_likelihood import PLAIN, ROAD_LOAD
 from estimator.sampling.likelihood import bound_precision, factor, highest_in_box, in_box
 from estimator.signals import Floats
 

@@ -1,0 +1,39 @@
+"""Evidence of the road itself: whether there are hills, and whether the signals of the road show them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.estimation.road_fit import UNKNOWN_SCALE_STEP, RoadFit
+from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
+from estimator.model.road import RoadModel
+from estimator.strides import Strides
+
+
+def log_bayes_factor_of_road(strides: Strides, found: RoadFit) -> float:
+    """Of the road that was ``found`` under strides against a level one, the other scales found again without it."""
+    return _log_evidence(strides, found, is_level=False) - _log_evidence(strides, found, is_level=True)
+
+
+def log_bayes_factor_of_signals(strides: Strides, found: RoadFit) -> float:
+    """Of one road that moves force and signals, against a road that moves the force and signals that show none.
+
+    Where an unmodelled force is taken for a road, its signals do not follow.
+    """
+    blank = np.full(len(strides), np.nan)
+    hidden = replace(strides, altitude=blank, grade=blank, gravity=blank)
+    return log_bayes_factor_of_road(strides, found) - log_bayes_factor_of_road(hidden, found)
+
+
+def _log_evidence(strides: Strides, found: RoadFit, is_level: bool) -> float:
+    """Of strides with the orders, effects and lag that were found; the scales are found again."""
+    model = RoadModel(strides, found.scales.alpha, found.scales.wander)
+    likelihood = Likelihood(model, found.terms, found.theta[:ROAD_LOAD], found.scales.lag)
+    names = [scale.name for scale in model.scales]
+    start, free = found.scales.values[: len(names)].copy(), list(range(len(names)))  # those of signals come last
+    if is_level:
+        slope = names.index("slope")
+        start[slope] = model.scales[slope].low
+        free = [i for i in free if names[i] not in ("slope", "slope length")]
+    values, _ = likelihood.best_scales(start, free, UNKNOWN_SCALE_STEP)
+    return likelihood.log_evidence(values)

@@ -1,0 +1,188 @@
+"""Likelihood of strides with the road as a state, for given scales of road and noise.
+
+The response is the acceleration, the regressors are the columns of `columns`, and the coefficients
+
+    beta = [1/m, A/m, C/m, lag/m, drag/m, offsets ..., -b/m ...]
+
+enter linearly; they are integrated over their priors. Noise of the measured force sits in the regressors too:
+`Likelihood.noise_information` says by how much it raises their products.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from estimator.model.design_matrix import Term
+from estimator.model.effects.effect import View
+from estimator.model.linear_gaussian import NotPositiveDefiniteError
+from estimator.model.ornstein_uhlenbeck import mean_given_ends
+from estimator.model.road import Conditioned, RoadModel, Scale
+from estimator.signals import Floats
+from estimator.strides import DURATION, LAGS, Strides
+
+ROAD_LOAD = 3  # the first coefficients
+LAG, DRAG = 3, 4  # places of the nuisances
+PLAIN = 5  # coefficients without offsets and effects
+LAG_SD = 0.15  # s, prior of what is left of the lag after the nearest of LAGS
+DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from what the bus says (gearbox losses)
+USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
+VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
+PROBES = 8  # simulated noises that the correction is averaged over
+MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
+SCALE_TOLERANCE = 0.1  # of the logarithms of the scales, at which the search stops
+MAX_EVALUATIONS = 120  # of the likelihood in one search
+
+
+def columns(strides: Strides, lag: int, terms: Sequence[Term], road_load: Floats) -> Floats:
+    """Regressors (n, PLAIN + terms) of the acceleration, for force at the lag with number ``lag`` of LAGS."""
+    force = strides.force[:, lag]
+    low, high = max(lag - 1, 0), min(lag + 1, len(LAGS) - 1)
+    rate = (strides.force[:, high] - strides.force[:, low]) / (LAGS[high] - LAGS[low])
+    density = strides.relative_density
+    plain = [force, -np.ones(len(strides)), -density * strides.speed_squared, rate, np.minimum(force, 0.0)]
+    A, C, m = road_load.tolist()
+    level = (force - A - C * density * strides.speed_squared) / m  # the measured acceleration has the road in it
+    view = View(
+        t=strides.t,
+        v=strides.speed,
+        a=level,
+        P=force * strides.speed,
+        density=density,
+        context=strides.context,
+        road_load=road_load,
+        climb=np.zeros(len(strides)),
+    )
+    return np.column_stack([*plain, *(term.column(view) / strides.speed for term in terms)])
+
+
+class Likelihood:
+    """Likelihood of one set of strides as a function of the scales.
+
+    Parameters
+    ----------
+    model
+        The strides' model.
+    terms
+        Effects beyond the road load.
+    road_load
+        [A, C, m] roughly: effects scale with it, and the nuisances' priors are in proportion to 1/m.
+    lag
+        Place in LAGS.
+    """
+
+    def __init__(self, model: RoadModel, terms: Sequence[Term], road_load: Floats, lag: int) -> None:
+        self.model, self.lag, self.terms = model, lag, tuple(terms)
+        self._road_load = road_load
+        X = columns(model.driven, lag, terms, road_load)
+        data = model.given(np.column_stack([model.driven.a, X]))
+        inside = data.shape[1] - 1 - X.shape[1]  # offsets of the road's signals stand behind
+        self.order = [*range(1, 1 + PLAIN), *range(1 + X.shape[1], data.shape[1]), *range(1 + PLAIN, 1 + X.shape[1])]
+        self.data = data[:, [0, *self.order]]
+        self.unit = np.maximum(np.sqrt(np.mean(self.data[: len(X), 1:] ** 2, axis=0)), 1e-12)
+        self.unit[PLAIN : PLAIN + inside] = 1.0
+        self.data[:, 1:] /= self.unit
+        m = float(road_load[2])
+        sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([1.0] * inside)]
+        sds += [USUAL_SDS * term.effect.usual(road_load) / m for term in terms]
+        self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
+
+    def solve(self, gram: Floats) -> tuple[Floats, Floats, float]:
+        """Coefficients (p,), their information (p, p) and -2 log likelihood without log|K|; in own units."""
+        information = gram[1:, 1:] + self.prior
+        beta = np.linalg.solve(information, gram[1:, 0])
+        return beta, information, float(gram[0, 0] - gram[1:, 0] @ beta)
+
+    def log_evidence(self, scales: Floats) -> float:
+        """Log marginal likelihood of ``scales`` (k,), coefficients integrated out, up to a constant of the model."""
+        try:
+            conditioned = self.model.condition(scales)
+        except NotPositiveDefiniteError:
+            return -1e10
+        _, information, misfit = self.solve(conditioned.gram(self.data))
+        volume = float(np.linalg.slogdet(information)[1] - np.log(np.diag(self.prior)).sum())
+        return -0.5 * (conditioned.log_determinant + volume + misfit)
+
+    def best_scales(self, start: Floats, free: Sequence[int], reach: float) -> tuple[Floats, float]:
+        """Scales (k,) at the mode of their posterior, from ``start``, and the log evidence there with their prior.
+
+        Those with numbers in ``free`` are varied, at first by a factor of exp(``reach``).
+        """
+        scales: Sequence[Scale] = self.model.scales
+        centre, spread = np.log([s.centre for s in scales]), np.array([s.spread for s in scales])
+
+        place, origin = list(free), np.log(start)
+
+        def loss(varied: Floats) -> float:
+            logarithms = origin.copy()
+            logarithms[place] = varied
+            prior = float(np.sum(((logarithms - centre) / spread) ** 2))
+            return 0.5 * prior - self.log_evidence(np.exp(logarithms))
+
+        bounds = [(np.log(scales[i].low), np.log(scales[i].high)) for i in place]
+        found = minimize(
+            loss,
+            origin[place],
+            method="COBYQA",
+            bounds=bounds,
+            options={"initial_tr_radius": reach, "final_tr_radius": SCALE_TOLERANCE, "maxfev": MAX_EVALUATIONS},
+        )
+        best = start.copy()
+        best[place] = np.exp(found.x)
+        return best, -float(found.fun)
+
+    def noise_information(
+        self, scales: Floats, conditioned: Conditioned, beta: Floats, rng: np.random.Generator
+    ) -> Floats:
+        """Mean of dX' K^-1 dX (p, p) over simulated errors of the measured force; in own units."""
+        driven, total = self.model.driven, np.zeros((len(beta), len(beta)))
+        clean = columns(driven, self.lag, self.terms, self._road_load)
+        places = np.array([*range(PLAIN), *range(len(beta) - len(self.terms), len(beta))])
+        for error, rate in force_errors(self.model, scales, float(self.unit[0] / beta[0]), PROBES, rng):
+            disturbed = replace(driven, force=driven.force + error[:, None])
+            change = columns(disturbed, self.lag, self.terms, self._road_load) - clean
+            change[:, LAG] = rate
+            data = np.zeros((len(self.data), len(places)))
+            data[: len(driven)] = change / self.unit[places]
+            total[np.ix_(places, places)] += conditioned.gram(data) / PROBES
+        return total
+
+
+def limited(noise: Floats, information: Floats) -> Floats:
+    """The noise (p, p) in an information matrix, at most MAX_CORRECTED_SHARE of it in any direction.
+
+    A direction with noise alone (the lag, where the force hardly changes) keeps some information.
+    """
+    unit = 1 / np.sqrt(np.diag(information))
+    root = np.linalg.cholesky(information * np.outer(unit, unit))
+    inverse = np.linalg.inv(root)
+    shares, directions = np.linalg.eigh(inverse @ (noise * np.outer(unit, unit)) @ inverse.T)
+    back = root @ directions
+    kept: Floats = (back * np.minimum(shares, MAX_CORRECTED_SHARE)) @ back.T / np.outer(unit, unit)
+    return kept
+
+
+def force_errors(
+    model: RoadModel, scales: Floats, mass: float, number: int, rng: np.random.Generator
+) -> Iterator[tuple[Floats, Floats]]:
+    """Simulated errors [N] (n,) of the measured force of each driven stride, and their rates [N/s] (n,)."""
+    weight, own = mean_given_ends(DURATION, scales[1])
+    keep, size = np.exp(-DURATION / scales[1]), scales[0] * mass
+    for _ in range(number):
+        before, after = (size * ends for ends in ou_at_ends(model, keep, rng))
+        white = np.sqrt(own) * size * rng.standard_normal(len(model.driven))
+        yield model.weight * (weight * (before + after) + white), model.weight * (after - before) / DURATION
+
+
+def ou_at_ends(model: RoadModel, keep: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """An Ornstein-Uhlenbeck process of variance 1 at the beginning (n,) and the end (n,) of each driven stride."""
+    n = len(model.driven)
+    shocks = rng.standard_normal((2, n))
+    before, after = np.empty(n), np.empty(n)
+    last, gain = 0.0, np.sqrt(1 - keep**2)
+    for k, joined in enumerate(model.joined.tolist()):
+        start = last if joined else shocks[0, k]
+        last = keep * start + gain * shocks[1, k]
+        before[k], after[k] = start, last
+    return before, after
