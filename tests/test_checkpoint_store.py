@@ -36,6 +36,7 @@ def same(a, b) -> bool:
     return type(a) is type(b) and (a == b or (a != a and b != b))
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.text(), values, max_size=4), st.text(st.characters(exclude_categories=["Cs"])))
 def test_what_goes_in_comes_out(state, key):
     assert same(unpack(pack(state, key), key), state)

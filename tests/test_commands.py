@@ -175,6 +175,7 @@ def test_inputs_missing_are_named_beside_those_found(cli: Cli, tmp_path: Path, l
     fails(cli("replay", tmp_path / "deaf.blf"), "EEC1.EngSpeed", "CCVS1.WheelBasedVehicleSpeed", "missing")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["estimate", "replay"])
 def test_frames_out_of_order_are_counted(cli: Cli, tmp_path: Path, log: Path, command: str) -> None:
     with can.LogReader(log) as reader:

@@ -225,6 +225,7 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     assert choice.ranked.best[1].value == pytest.approx(60e3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     n = 2400
     on = (np.arange(n) % 800) > 500
@@ -306,6 +307,7 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken():
         assert term.shape == pytest.approx(tau, rel=0.7)
 
 
+@pytest.mark.slow
 def test_what_was_climbed_counts_the_road_between_strides_too(strides):
     whole = fit(replace(strides, altitude=altitude_of(strides)), np.random.default_rng(1))
     known = np.ones(len(strides), bool)

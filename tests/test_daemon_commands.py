@@ -154,6 +154,7 @@ def test_check_tells_whether_a_log_can_feed_the_model(cli: Callable[..., Outcome
     assert "cannot be fed" in out
 
 
+@pytest.mark.slow
 def test_check_hears_a_bus(cli: Callable[..., Outcome], tmp_path: Path) -> None:
     status, out, _ = cli("check", "-i", "virtual", "-c", tmp_path, "--seconds", "1", "--json")
     assert status == 1
@@ -240,6 +241,7 @@ def running(settings: Path) -> Iterator[Running]:
     daemon.stop()
 
 
+@pytest.mark.slow
 def test_a_daemon_hears_reports_reloads_saves_and_stops(
     running: Running, settings: Path, tmp_path: Path, log: Path, cli: Callable[..., Outcome]
 ) -> None:
@@ -273,6 +275,7 @@ def test_a_daemon_hears_reports_reloads_saves_and_stops(
     assert restored.traffic.frames > 300
 
 
+@pytest.mark.slow
 def test_a_bus_that_cannot_be_opened_does_not_take_the_place_of_one_that_can(
     running: Running, settings: Path, tmp_path: Path, log: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -87,6 +87,7 @@ def test_a_log_of_one_speed(urban, log):
     assert "vary too little" in cannot_tell(log(urban, STILL | {Role.SPEED: 20.0, Role.ENGINE_SPEED: 130.0}))
 
 
+@pytest.mark.slow
 def test_a_log_whose_engine_never_pulls(log):
     assert "power is not positive" in cannot_tell(log(drive("mixed", 20, 1), {Role.TORQUE_FRACTION: 0.0}))
 
@@ -128,6 +129,7 @@ def test_an_effect_that_cannot_be_given(urban, log, capsys):
     assert "'mass_step' cannot be part of the model" in error
 
 
+@pytest.mark.slow
 def test_a_given_effect_without_its_signal_is_said(log):
     recording = drive("highway", 15, 1, without=[Role.ALTITUDE, Role.GRADE])
     assert "grade needs" in cannot_tell(log(recording), "--effect", "grade")
@@ -136,6 +138,7 @@ def test_a_given_effect_without_its_signal_is_said(log):
 # Output
 
 
+@pytest.mark.slow
 def test_a_report_is_written_whole_or_not_at_all(urban, log, tmp_path, capsys):
     path, report = log(urban), tmp_path / "report.html"
     report.write_text("of yesterday")

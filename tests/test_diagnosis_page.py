@@ -319,6 +319,7 @@ def browser() -> Iterator[object]:
         running.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 400])
 @pytest.mark.parametrize("name", DIAGNOSES)
 def test_page_opens_in_a_browser(browser: object, tmp_path: Path, name: str, width: int) -> None:

@@ -113,6 +113,7 @@ def test_a_gap_is_not_bridged():
     assert not np.any((t > 299) & (t < 400.5))
 
 
+@pytest.mark.slow
 def test_a_new_drive_forgets():
     estimator = new()
     run(estimator, drive(6000))
@@ -124,6 +125,7 @@ def test_a_new_drive_forgets():
     assert run(estimator, drive(6000, first=-100_000))[-1].status == Status.ESTIMATED
 
 
+@pytest.mark.slow
 def test_updates_come_at_the_interval_and_only_with_news():
     moving = drive(6000)
     standing = Rows(
@@ -155,6 +157,7 @@ def test_a_few_moments_do_not_settle_the_smoother():
     assert estimator._stage.lag == pytest.approx(0.4, abs=0.03)
 
 
+@pytest.mark.slow
 def test_hours_of_standing_are_bounded():
     estimator = new()
     for i in range(150):

@@ -61,6 +61,7 @@ def plain(folder: Path) -> Path:
 # Logs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time", ["100000000000000000.0", "99999999999999999999.0", "1e17", "nan", "inf", "1e300"])
 @pytest.mark.parametrize("suffix", [".log", ".csv", ".asc"])
 def test_a_time_of_no_clock(refused: Refused, tmp_path: Path, time: str, suffix: str) -> None:
@@ -121,6 +122,7 @@ def test_a_gzip_bomb(refused: Refused, tmp_path: Path, suffix: str, content: byt
     assert path.name in refused("estimate", path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc"])
 def test_a_flood_of_blank_lines(refused: Refused, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"

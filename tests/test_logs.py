@@ -70,6 +70,7 @@ def assert_same(frames: Frames, messages: list[can.Message], tolerance: float) -
     assert np.allclose(np.diff(frames.t), np.diff(t), rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "tolerance", "fd", "others"),
     [

@@ -296,6 +296,7 @@ def test_bogus_sizes_reserve_no_memory(tmp_path: Path) -> None:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [True, False])
 def test_flipped_bytes_are_read_or_refused(tmp_path: Path, pack: bool) -> None:
     rng = np.random.default_rng(5)

@@ -161,6 +161,7 @@ def test_a_long_run_of_blanks_takes_no_time(path: Path) -> None:
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
+@pytest.mark.slow
 @given(
     lines=st.lists(line(), min_size=1, max_size=4),
     flips=st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=3),

@@ -114,6 +114,7 @@ def test_a_speed_that_comes_far_too_late_gives_no_number_or_an_honest_one(delay)
         assert final.mass is None
 
 
+@pytest.mark.slow
 def test_torque_of_the_wrong_sign_is_named():
     final = conclude(rescale(Role.TORQUE_FRACTION, -1.0))
     assert final.status == Status.UNESTIMATED

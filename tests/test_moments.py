@@ -197,6 +197,7 @@ def test_long_run_covariance_of_white_and_red_noise():
     np.testing.assert_allclose(np.diag(moments.long_run_covariance(red, 200)) / 20_000, [100, 900], rtol=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_intervals_cover(rho):
     """90 % intervals of 200 drives; the seed is fixed, so this is a check of the code and not of luck."""

@@ -160,6 +160,7 @@ def test_two_halves_with_following_times_are_the_whole(drive):
 # What time does
 
 
+@pytest.mark.slow
 def test_a_silence_is_a_gap_and_not_bridged(short):
     pipeline, updates = run([between(short, 0, 200), moved(between(short, 200, 480), 100)])
     gaps = pipeline.traffic.gaps
@@ -172,6 +173,7 @@ def test_a_silence_is_a_gap_and_not_bridged(short):
     assert any(update.t == pytest.approx(EPOCH + 200, abs=1) for update in updates)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [None, 1000, 1])
 def test_a_silence_at_the_edge_of_a_batch(short, batch):
     parts = [between(short, 0, 60), moved(between(short, 60, 70), 40)]
@@ -181,6 +183,7 @@ def test_a_silence_at_the_edge_of_a_batch(short, batch):
     assert [round(b - a) for a, b in pipeline.traffic.gaps if b - a > 1] == [40]
 
 
+@pytest.mark.slow
 def test_one_signal_missing_for_a_while_is_a_gap(short):
     speed = (short.ident >> 8) & 0xFFFF == 0xFEF1  # CCVS1
     out = (short.t > EPOCH + 100) & (short.t < EPOCH + 110)
@@ -189,6 +192,7 @@ def test_one_signal_missing_for_a_while_is_a_gap(short):
     assert pipeline.estimator.rejected[Reason.SPEED_STALE] >= 98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("silence", "kept"), [(200, True), (MIN_NEW_DRIVE_SILENCE + 60, False)])
 def test_a_long_silence_starts_a_new_window(short, silence, kept):
     pipeline, _ = run([between(short, 0, 300), moved(between(short, 300, 480), silence)])
@@ -198,6 +202,7 @@ def test_a_long_silence_starts_a_new_window(short, silence, kept):
     assert any(b - a == pytest.approx(silence, abs=2) for a, b in pipeline.traffic.gaps)
 
 
+@pytest.mark.slow
 def test_a_step_back_of_an_hour(short):
     parts = [between(short, 0, 300), moved(between(short, 300, 480), -3600)]
     pipeline, updates = run(parts)
@@ -256,6 +261,7 @@ def test_frames_without_a_usable_time_are_counted_and_change_nothing(short, bad)
     assert pipeline.traffic.errors - straight[0].traffic.errors == {NO_TIME: 3}
 
 
+@pytest.mark.slow
 def test_the_pipeline_goes_on_after_its_end(short):
     pipeline = Pipeline(from_dict(EAGER))
     list(pipeline.feed(between(short, 0, 240)))

@@ -34,7 +34,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def long_dataclasses(source: str) -> Iterator[tuple[str, bool]]:
     """Name of each dataclass with more than MAX_POSITIONAL_FIELDS of its own, and whether it is keyword-only."""
-    for node in ast.walk(ast.parse(source)):
+    nodes = ast.walk(ast.parse(source)) if "@dataclass" in source else ()
+    for node in nodes:
         if isinstance(node, ast.ClassDef):
             decorators = [text for each in node.decorator_list if (text := ast.unparse(each)).startswith("dataclass")]
             fields = [each for each in node.body if isinstance(each, ast.AnnAssign)]

@@ -48,6 +48,7 @@ def test_kenworth_drop_out_is_a_gap(recordings: Path) -> None:
     assert run.pipeline.estimator.rejected["speed stale"] > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["css_truck_idle_11111111.MF4", "paccar_mx.trc"])
 def test_standing_trucks(recordings: Path, name: str) -> None:
     run = estimate_logs([recordings / "j1939_trucks/stationary_format_samples" / name], Config(), silent)

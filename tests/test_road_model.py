@@ -348,6 +348,7 @@ def test_the_mass_is_as_far_from_the_truth_as_its_standard_deviation_says():
     assert np.all(np.abs(z.mean(axis=1)) < 4 / np.sqrt(draws))
 
 
+@pytest.mark.slow
 def test_a_fit_finds_the_vehicle_and_the_hills_that_the_strides_were_drawn_with():
     n, rng = 900, np.random.default_rng(13)
     force = np.repeat(rng.normal(3000, 9000, n // 15), 15)

@@ -130,6 +130,7 @@ def test_corner_of_the_box():
     assert result.draws.mean(axis=(0, 1)) == pytest.approx(np.full(3, tail.mean() - 2), rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [1, 2, 3])
 def test_two_modes_are_both_found(p):
     result = run(TwoModes(p, 6.0), "independence", 64, 20, 100, np.random.default_rng(p))

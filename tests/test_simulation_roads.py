@@ -43,6 +43,7 @@ def test_there_and_back_ends_where_it_began_facing_the_other_way():
     assert np.hypot(x, y).max() > 2000.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["urban", "highway"])
 def test_the_truck_is_back_in_time(kind):
     rng = np.random.default_rng(6)

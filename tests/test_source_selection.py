@@ -370,6 +370,7 @@ traffic = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(traffic, st.lists(st.integers(0, 200), max_size=6))
 def test_how_traffic_is_cut_into_batches_changes_nothing(layouts: Path, events: list, places: list[int]):

@@ -193,6 +193,7 @@ def test_parquet_without_its_library_says_what_to_install(tools, files):
         tools.table.read_table(files / "drive.parquet")
 
 
+@pytest.mark.slow
 def test_a_table_at_one_hertz_is_enough_for_the_estimator(tools, tmp_path):
     t = np.arange(3600.0)
     waves = [(5.0, 97.0), (3.0, 41.0), (2.0, 211.0)]
@@ -522,6 +523,7 @@ def test_a_surrogate_has_the_spectrum_of_the_residual(tools, original):
         assert power[band].mean() == pytest.approx(original.spectrum[same].mean(), rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_surrogate_drive_obeys_the_road_load(tools, original, tmp_path):
     (tmp_path / "motor.dbc").write_text(MOTOR_CAR)
     # The residual that was drawn is one of the power, beside a speed without any noise: as the moments see it.
@@ -565,6 +567,7 @@ def test_without_recordings_there_is_one_line(tools, tmp_path, monkeypatch, caps
     assert all("set ROADLOAD_DATA" in line for line in complaints)
 
 
+@pytest.mark.slow
 def test_a_command_that_fails_says_why(tools, tmp_path):
     with pytest.raises(RoadloadError, match=r"none\.blf"):
         tools.recordings.roadload(RunAnswer, "estimate", tmp_path / "none.blf")
