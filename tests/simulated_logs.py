@@ -7,10 +7,9 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from estimator.answers.answer import Answer, encode
+from estimator.answers.answer import Answer, decode, encode
 from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.answers.fleet import FleetAnswer
 from estimator.answers.inspection import InspectionAnswer
@@ -68,7 +67,7 @@ def ask(*arguments: object) -> dict[str, Any]:
         status = main([*map(str, arguments), "--json"])
     assert status == 0
     answer: dict[str, Any] = json.loads(out.getvalue())
-    typed = msgspec.json.decode(out.getvalue(), type=ANSWERS[str(arguments[0])])
+    typed = decode(out.getvalue(), ANSWERS[str(arguments[0])])
     assert json.loads(encode(typed)) == answer  # no key that its type does not have
     return answer
 

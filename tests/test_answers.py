@@ -7,9 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 from daemon_bench import Bench
+from hypothesis import given
+from hypothesis import strategies as st
 from simulated_logs import ask, drive, written
 
-from estimator.answers.answer import Answer, as_text, encode
+from estimator.answers.answer import Answer, as_text, decode, encode
 from estimator.answers.status import StatusAnswer
 
 
@@ -38,7 +40,7 @@ def test_status_adds_whether_a_daemon_runs(tmp_path: Path) -> None:
     Bench(tmp_path).turn()
     told = json.loads((tmp_path / "status.json").read_text())
     assert list(told)[:2] == ["schema", "version"]
-    status = msgspec.json.decode(json.dumps(told), type=StatusAnswer)
+    status = decode(json.dumps(told), StatusAnswer)
     assert json.loads(encode(status)) == told
     shown = json.loads(as_text(msgspec.structs.replace(status, running=True, why_not="")))
     assert list(shown)[:4] == ["schema", "running", "why_not", "version"]
@@ -56,8 +58,19 @@ def test_numbers_are_printed_in_full_or_are_null(value: float, shown: str) -> No
 
 
 def test_an_answer_of_another_schema_is_refused() -> None:
-    with pytest.raises(msgspec.ValidationError, match="schema"):
-        msgspec.json.decode(b'{"schema":2,"x":1.0}', type=Small)
+    with pytest.raises(msgspec.ValidationError, match="answer of schema 2; schema 1 is read here"):
+        decode(b'{"schema":2,"x":1.0}', Small)
+
+
+def test_an_answer_without_a_schema_is_refused() -> None:
+    with pytest.raises(msgspec.ValidationError, match="missing required field `schema`"):
+        decode(b'{"x":1.0}', Small)
+
+
+@given(st.none() | st.floats(allow_nan=False, allow_infinity=False))
+def test_an_answer_decodes_as_it_was_encoded(x: float | None) -> None:
+    assert encode(Small(x=x)).startswith(b'{"schema":1,')
+    assert decode(encode(Small(x=x)), Small) == Small(x=x)
 
 
 def test_schemas_in_the_documents_are_those_of_the_types(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import can
-import msgspec
 import numpy as np
 import pytest
 from daemon_bench import EPOCH, Bench, frame
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from estimator import config
-from estimator.answers.answer import encode
+from estimator.answers.answer import decode, encode
 from estimator.answers.status import State, StatusAnswer
 from estimator.can_io.counter_crc import verify
 from estimator.can_io.frames import Frames
@@ -425,7 +424,7 @@ def test_a_status_of_another_version_is_refused_with_the_reason(tmp_path: Path) 
     path = tmp_path / "status.json"
     newer = path.read_text().replace('"schema":1', '"schema":2')
     path.write_text(newer)
-    with pytest.raises(InputError, match=r"status\.json: is no status of this version .*schema"):
+    with pytest.raises(InputError, match=r"status\.json: is not a status of this version .*schema"):
         status_file.read(path)
     path.write_text("{broken")
     with pytest.raises(InputError, match="not a status file"):
@@ -488,7 +487,7 @@ def test_nothing_on_a_bus_breaks_the_loop(turns: list[tuple[float, list[can.Mess
     assert shown is None or shown.mass is None
     text = encode(bench.daemon.status(bench.now))
     assert len(text) < 50_000
-    assert status.metrics(msgspec.json.decode(text, type=StatusAnswer))
+    assert status.metrics(decode(text, StatusAnswer))
     assert len(bench.bus.sent) <= 40 + 20 * (bench.now - 100.0)
 
 

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from diagnoses import empty, finding, rich, several, unknown
@@ -18,7 +17,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from estimator.answers import diagnosis as answer
-from estimator.answers.answer import encode
+from estimator.answers.answer import decode, encode
 from estimator.answers.diagnosis import Verdict
 from estimator.commands.diagnosis_tables import print_diagnosis
 from estimator.diagnosis.result import (
@@ -86,7 +85,7 @@ def test_json_gives_kilowatts_and_distances() -> None:
 def test_json_says_null_for_what_is_not_known() -> None:
     odd = finding("fan", np.nan, magnitude=Magnitude("x", np.inf, np.nan, ""), gap_closed=GapClosed(np.nan, 0.1, 0.2))
     d = Diagnosis(verdict=Verdict.EFFECT, effects=(odd,), noise_floor=np.nan, rms_base=np.float64(2000.0))
-    said = msgspec.json.decode(encode(of_diagnosis(d)), type=answer.DiagnosisAnswer)
+    said = decode(encode(of_diagnosis(d)), answer.DiagnosisAnswer)
     (effect,) = said.effects
     assert (effect.probability, effect.magnitude.value, effect.gap_closed.fraction) == (None, None, None)
     assert (said.noise_floor_kW, said.rms_base_kW, said.rms_final_kW) == (None, 2.0, None)

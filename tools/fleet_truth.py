@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from resource import RUSAGE_CHILDREN, getrusage
 
-import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 
+from estimator.answers.answer import decode
 from estimator.answers.fleet import FleetAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
@@ -70,7 +70,7 @@ def timed(command: list[str]) -> tuple[FleetAnswer, float, float]:
     answer = subprocess.run(command, capture_output=True, text=True, check=True)
     after = getrusage(RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return msgspec.json.decode(answer.stdout, type=FleetAnswer), time.perf_counter() - began, used
+    return decode(answer.stdout, FleetAnswer), time.perf_counter() - began, used
 
 
 def inside(rows: list[dict[str, float]], name: str, truth: list[float]) -> str:

@@ -28,11 +28,15 @@ ANSWERS: dict[str, type[Answer]] = {
 
 
 def schemas() -> dict[Path, str]:
-    """The text of each file."""
-    return {
-        FOLDER / f"{name}.json": json.dumps(msgspec.json.schema(kind), indent=1) + "\n"
-        for name, kind in ANSWERS.items()
-    }
+    """The text of each file; `decode` refuses an answer without ``schema``, so the key is required."""
+    texts: dict[Path, str] = {}
+    for name, kind in ANSWERS.items():
+        schema = msgspec.json.schema(kind)
+        answer = schema["$defs"][kind.__name__]
+        answer["required"] = ["schema", *answer["required"]]
+        del answer["properties"]["schema"]["default"]
+        texts[FOLDER / f"{name}.json"] = json.dumps(schema, indent=1) + "\n"
+    return texts
 
 
 def main() -> int:

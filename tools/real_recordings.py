@@ -21,7 +21,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeVar
 
-import msgspec
 import numpy as np
 import vt_truck
 from rich.console import Console
@@ -31,7 +30,7 @@ from surrogate_drives import original, write_surrogate
 from table import read_table
 
 from estimator import config
-from estimator.answers.answer import Answer
+from estimator.answers.answer import Answer, decode
 from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.answers.run import RunAnswer
 from estimator.errors import InputError, RoadloadError
@@ -86,7 +85,7 @@ def roadload(kind: type[Answers], *arguments: str | Path) -> Answers:
     if done.returncode:
         lines = done.stderr.strip().splitlines()
         raise RoadloadError(lines[-1].removeprefix("error: ") if lines else f"exit status {done.returncode}")
-    return msgspec.json.decode(done.stdout, type=kind)
+    return decode(done.stdout, kind)
 
 
 def diagnose(*arguments: str | Path) -> DiagnosisAnswer:

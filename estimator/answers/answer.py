@@ -1,9 +1,11 @@
-"""What all answers have in common: the version, and the encoding."""
+"""What all answers have in common: the version, encoding and decoding."""
 
 import json
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
+
+SCHEMA: Literal[1] = 1  # version of the answers that this program writes and reads
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):
@@ -13,12 +15,37 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     meaning changes; not when a key is added.
     """
 
-    schema: Literal[1] = 1
+    schema: Literal[1] = SCHEMA
+
+
+Kind = TypeVar("Kind", bound=Answer)
+
+
+class _Version(msgspec.Struct, frozen=True):
+    """The version of an answer; required, unlike in `Answer`, whose default is for encoding."""
+
+    schema: int
 
 
 def encode(answer: Answer) -> bytes:
     """JSON without spaces, for a file; numbers that are not finite are null."""
     return msgspec.json.encode(answer, enc_hook=_number)
+
+
+def decode(content: bytes | str, kind: type[Kind]) -> Kind:
+    """An answer of the type ``kind`` from JSON.
+
+    Raises
+    ------
+    msgspec.ValidationError
+        The object has no ``schema``, another one, or not the keys of ``kind``.
+    msgspec.DecodeError
+        The content is not JSON.
+    """
+    version = msgspec.json.decode(content, type=_Version).schema
+    if version != SCHEMA:
+        raise msgspec.ValidationError(f"answer of schema {version}; schema {SCHEMA} is read here")
+    return msgspec.json.decode(content, type=kind)
 
 
 def as_text(answer: Answer) -> str:

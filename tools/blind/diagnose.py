@@ -15,6 +15,7 @@ import msgspec
 
 from blind import seal
 from blind.answer import Run
+from estimator.answers.answer import decode
 from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.errors import RoadloadError
 
@@ -49,7 +50,7 @@ def diagnose(folder: Path, drive: str, command: tuple[str, ...] = COMMAND) -> Ru
     answer, error = None, " ".join(said.split())[-300:] or f"exit status {process.returncode}"
     if process.returncode == 0:
         try:
-            answer, error = msgspec.json.decode(text, type=DiagnosisAnswer), ""
+            answer, error = decode(text, DiagnosisAnswer), ""
         except msgspec.DecodeError as wrong:
             error = f"not the JSON of the contract: {wrong}"
     run = Run(drive, seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, answer, error)

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import msgspec
 
-from estimator.answers.answer import encode
+from estimator.answers.answer import decode, encode
 from estimator.answers.status import StatusAnswer
 from estimator.errors import InputError
 from estimator.output_files import whole
 
-MAX_AGE = 10.0  # s after which a status is no longer that of a living daemon
+MAX_AGE = 10.0  # s, of a running daemon's status: ten times the period of writing
 
 
 def write(path: Path, status: StatusAnswer) -> None:
@@ -36,12 +36,12 @@ def read(path: Path) -> StatusAnswer:
         The file cannot be read, or is not a status of this version.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=StatusAnswer)
+        return decode(path.read_bytes(), StatusAnswer)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except msgspec.ValidationError as error:
         raise InputError(
-            f"{path}: is no status of this version ({error}); restart the daemon, or delete the file"
+            f"{path}: is not a status of this version ({error}); restart the daemon, or delete the file"
         ) from None
     except (msgspec.DecodeError, UnicodeDecodeError):
         raise InputError(f"{path}: is not a status file; delete it") from None
@@ -51,9 +51,11 @@ def obstacle_to_status(status: StatusAnswer, now: float | None = None) -> str:
     """Reason why a status is not that of a running daemon; empty where it is."""
     age = (time.monotonic() if now is None else now) - status.written_monotonic_s
     if not is_alive(status.pid):
-        return f"its process {status.pid} has ended"
+        return f"process {status.pid}, which wrote it, has ended"
     if not 0 <= age <= MAX_AGE:
-        return f"last heard of {age:.0f} s ago" if age > 0 else "left over from before the last start of the machine"
+        if age < 0:
+            return "written before the last start of the machine"
+        return f"written {age:.0f} s ago, although a running daemon writes every second"
     return ""
 
 
