@@ -7,6 +7,7 @@ from pathlib import Path
 import can
 import numpy as np
 
+from estimator.can_io.binding import bind, load_database
 from estimator.can_io.frames import Frames
 from estimator.checkpoint.store import StateStore
 from estimator.config import Config
@@ -14,6 +15,7 @@ from estimator.daemon.reception.buses import BusSpec
 from estimator.daemon.reception.device import Device
 from estimator.daemon.reception.link import Link
 from estimator.daemon.reception.reader import Batch
+from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
@@ -109,6 +111,8 @@ class Bench:
             metrics,
             clock=lambda: self.now,
             wall=lambda: self.now + self.ahead,
+            own_faults=Faults(bind(settings, load_database(settings.bus.dbc)), settings.publish.stale_after_s),
+            codes_file=None if folder is None else folder / "codes.json",
         )
 
     @property

@@ -37,8 +37,12 @@ def request(pgn: int, source: int = 0x33, destination: int = 0xFF) -> can.Messag
     return frame(REQUEST, source, pgn.to_bytes(3, "little"), destination)
 
 
-def new(name: Name = OURS, address: int = 0xFB, answer=lambda pgn: None) -> Node:
+def new(name: Name = OURS, address: int = 0xFB, answer=lambda pgn, requester: None) -> Node:
     return Node(name, address, np.random.default_rng(1), answer)
+
+
+def listed(message: can.Message | None) -> list[can.Message] | None:
+    return None if message is None else [message]
 
 
 def echo(message: can.Message) -> can.Message:
@@ -344,7 +348,7 @@ def test_what_we_do_not_have_is_refused_to_one_and_passed_over_for_all():
 
 def test_what_we_publish_is_sent_on_request():
     publisher = Publisher(Publish(cvw=True))
-    node = settled(answer=lambda pgn: publisher.answer(pgn, None))
+    node = settled(answer=lambda pgn, requester: listed(publisher.answer(pgn, None)))
     publisher.poll(0.5, None)
     for pgn, destination in ((0xFF61, 0xFB), (0xFF60, 0xFF), (CVW, 0xFF)):
         (answer,) = node.hear(request(pgn, destination=destination), 1.0)
@@ -354,7 +358,7 @@ def test_what_we_publish_is_sent_on_request():
 
 
 def test_nothing_is_answered_before_the_address_stands():
-    node = new(answer=lambda pgn: pytest.fail("asked too early"))
+    node = new(answer=lambda pgn, requester: pytest.fail("asked too early"))
     node.poll(0.0)
     assert node.hear(request(0xFF61, destination=0xFB), 0.1) == []
 
@@ -404,9 +408,9 @@ steps = st.tuples(st.floats(-2, 5), st.one_of(st.none(), st.tuples(idents, paylo
 def test_any_traffic_at_any_time(sequence, name, address):
     value = 0xFF61
 
-    def answer(pgn: int) -> can.Message | None:
+    def answer(pgn: int, requester: int) -> list[can.Message] | None:
         assert node.address is not None
-        return frame(0xFF, node.address, bytes(8), 0x61) if pgn == value else None
+        return [frame(0xFF, node.address, bytes(8), 0x61)] if pgn == value else None
 
     node = new(name, address, answer)
     t, latest, sent = 0.0, 0.0, []

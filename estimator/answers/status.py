@@ -66,6 +66,7 @@ class Transmit(Struct, frozen=True, kw_only=True):
     foreign_weights: tuple[int, ...] = ()
     colliding_groups: tuple[str, ...] = ()
     events: dict[str, int] = {}
+    trouble_codes: tuple[str, ...] = ()  # active ones
 
 
 class Signal(Struct, frozen=True, kw_only=True):

@@ -17,7 +17,8 @@ from estimator.errors import ConfigError
 ADDRESS_CLAIMED = 0xEE00  # 60928
 REQUEST = 0xEA00  # 59904
 ACKNOWLEDGEMENT = 0xE800  # 59392
-NEGATIVE = 1  # control byte of an acknowledgement
+COMMANDED_ADDRESS = 0xFED8  # 65240: a NAME and the address that it is to take, 9 bytes by BAM
+POSITIVE, NEGATIVE = 0, 1  # control byte of an acknowledgement
 NULL, GLOBAL = 0xFE, 0xFF  # addresses: of a node without one, and of everybody
 FREE = range(128, 248)  # addresses that a node may give itself
 STANDS_AFTER = 0.25  # s on the bus without a better claim (J1939-81)
@@ -27,7 +28,7 @@ PRIORITY = 6
 CLAIM_RATE, CLAIM_BURST = 4.0, 4  # claims per second, and at once
 ANSWER_RATE, ANSWER_BURST = 10.0, 10  # of all other answers
 
-Answer = Callable[[int], can.Message | None]
+Answer = Callable[[int, int], list[can.Message] | None]
 
 
 class TokenBucket:
@@ -38,14 +39,14 @@ class TokenBucket:
         self._tokens = self._burst
         self._t: float | None = None
 
-    def take(self, t: float) -> bool:
-        """Whether one more may be done at time ``t`` [s], which never decreases."""
+    def take(self, t: float, count: int = 1) -> bool:
+        """Whether ``count`` more may be done at time ``t`` [s], which never decreases."""
         elapsed = 0.0 if self._t is None else t - self._t
         self._t = t
         self._tokens = min(self._burst, self._tokens + self._rate * elapsed)
-        if self._tokens < 1:
+        if self._tokens < count:
             return False
-        self._tokens -= 1
+        self._tokens -= count
         return True
 
 
@@ -61,8 +62,10 @@ class Node:
     rng
         Source of the random delay.
     answer
-        Gives the frame of a requested parameter group, sent from our address, or None when we do not have it. Asked
-        only while we have an address.
+        Gives the frames that answer the request for a parameter group from the node at an address, or from everybody
+        where that is GLOBAL; None when we do not have the group. Asked only while we have an address.
+    is_commandable
+        Whether another node may give us another address.
 
     Times are seconds that never decrease; a smaller one counts as the largest so far. Messages that `poll` and `hear`
     return must be sent, and passed to `hear` with ``is_rx`` False once they have been on the bus: a driver may hold a
@@ -75,7 +78,14 @@ class Node:
         The address is out of its range.
     """
 
-    def __init__(self, name: Name, address: int, rng: np.random.Generator, answer: Answer = lambda pgn: None) -> None:
+    def __init__(
+        self,
+        name: Name,
+        address: int,
+        rng: np.random.Generator,
+        answer: Answer = lambda pgn, requester: None,
+        is_commandable: bool = False,
+    ) -> None:
         if not 0 <= address < NULL:
             raise ConfigError(f"J1939 address {address}: give 0..253")
         self.lost = False  # no address to be had; nothing may be sent any more
@@ -83,7 +93,7 @@ class Node:
         self.counts: Counter[str] = Counter()  # what happened, by name
         self._name = name
         self._rng = rng
-        self._answer = answer
+        self._answer, self._is_commandable = answer, is_commandable
         self._wanted = address
         self._others: dict[int, int] = {}  # NAMEs by the address they claim
         self._now = -np.inf
@@ -99,6 +109,23 @@ class Node:
         """Our address once its claim has stood on the bus for 250 ms, None before and when it is lost."""
         stands = not self.lost and self._since is not None and self._now - self._since >= STANDS_AFTER
         return self._wanted if stands else None
+
+    def take_command(self, name: int, address: int, t: float) -> bool:
+        """Take a Commanded Address (J1939-81) at time ``t`` [s]; whether the address is claimed from now on.
+
+        One for our NAME is always answered by a claim: of the new address, or of the present one where the new one is
+        refused, because we are not commandable or another node has claimed it.
+        """
+        self._now = max(self._now, t)
+        if name != int(self._name) or self.fault:
+            return False
+        taken = self._is_commandable and address < NULL and address not in self._others
+        self.counts["commanded address taken" if taken else "commanded address refused"] += 1
+        if taken and (address != self._wanted or self.lost):
+            self._wanted, self.lost = address, False
+            self._claimed = self._since = self._owed = None
+        self._owe(self._now)
+        return taken
 
     def poll(self, t: float) -> list[can.Message]:
         """Messages that are due at time ``t`` [s]; call it at least every 100 ms."""
@@ -211,13 +238,18 @@ class Node:
         if not self._answers.take(self._now):
             self.counts["request not answered"] += 1
             return []
-        if (group := self._answer(pgn)) is not None:
-            return [group]
+        answer = self._answer(pgn, GLOBAL if everybody else source)
+        if answer is not None:
+            return answer
         if everybody:
             return []
         self.counts["request refused"] += 1
-        refusal = bytes([NEGATIVE, 0xFF, 0xFF, 0xFF, source]) + pgn.to_bytes(3, "little")
-        return [_message(ACKNOWLEDGEMENT, GLOBAL, self._wanted, refusal)]
+        return [self.acknowledge(pgn, source, NEGATIVE)]
+
+    def acknowledge(self, pgn: int, requester: int, control: int) -> can.Message:
+        """The acknowledgement, positive or negative, of a request for a group."""
+        data = bytes([control, 0xFF, 0xFF, 0xFF, requester]) + pgn.to_bytes(3, "little")
+        return _message(ACKNOWLEDGEMENT, GLOBAL, self._wanted, data)
 
     def _claim(self, source: int) -> can.Message:
         return _message(ADDRESS_CLAIMED, GLOBAL, source, bytes(self._name))

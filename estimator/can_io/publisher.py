@@ -35,8 +35,8 @@ def output_database() -> Database:
 
 def output_groups(cvw: bool = True) -> frozenset[int]:
     """PGNs that a `Publisher` sends, with or without CVW."""
-    messages = output_database().messages
-    return frozenset((m.frame_id & _PGN_MASK) >> 8 for m in messages if cvw or m.name != _CVW)
+    names = (_STATUS, *_VALUES, *((_CVW,) if cvw else ()))
+    return frozenset((output_database().get_message_by_name(name).frame_id & _PGN_MASK) >> 8 for name in names)
 
 
 class Schedule:

@@ -10,13 +10,16 @@ from enum import StrEnum
 
 import can
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.can_io.foreign_senders import CVW, ForeignSenders
 from estimator.can_io.frames import EXTENDED, Frames
-from estimator.can_io.j1939 import pgn_of
-from estimator.can_io.j1939_name import Name
-from estimator.can_io.j1939_node import ADDRESS_CLAIMED, REQUEST, Node, TokenBucket
+from estimator.can_io.j1939 import TP_CM, Transport, pgn_of
+from estimator.can_io.j1939_name import BYTES, Name
+from estimator.can_io.j1939_node import ADDRESS_CLAIMED, COMMANDED_ADDRESS, REQUEST, Node, TokenBucket
 from estimator.can_io.publisher import Publisher, output_groups
+from estimator.can_io.trouble_codes import DM1
+from estimator.daemon.diagnostics import Diagnostics
 from estimator.estimate import Estimate
 from estimator.settings import Publish, Transmit
 
@@ -59,7 +62,10 @@ class Transmitter:
         self._preferred = publish.source_address
         self._name = _name_of(transmit)
         self._publisher = Publisher(publish)
-        self._neighbours = ForeignSenders(output_groups())
+        self.diagnostics = Diagnostics() if transmit.diagnostics else None
+        self._is_commandable = transmit.commanded_address
+        self._incoming = Transport()
+        self._neighbours = ForeignSenders(output_groups() | {DM1})
         self._bucket = TokenBucket(
             transmit.frames_per_second, max(1, round(BURST_DURATION * transmit.frames_per_second))
         )
@@ -101,7 +107,7 @@ class Transmitter:
 
     def _new_node(self) -> Node:
         self._lost_at = self._gained_at = None
-        return Node(self._name, self._preferred, self._rng, self._answer)
+        return Node(self._name, self._preferred, self._rng, self._answer, self._is_commandable)
 
     def hear(self, frames: Frames, own: Frames, now: float) -> None:
         """Take what others sent, and our ``own`` frames that have been on the bus by monotonic time ``now`` [s].
@@ -119,6 +125,21 @@ class Transmitter:
         concerned = (frames.ident & EXTENDED != 0) & ((pgn == ADDRESS_CLAIMED) | (pgn == REQUEST) | from_ours)
         for message in frames[concerned].messages():
             self._put(self.node.hear(message, now), now)
+        self._hear_transport(frames, pgn, now)
+
+    def _hear_transport(self, frames: Frames, pgn: NDArray[np.uint32], now: float) -> None:
+        """Take the answers of those we send several packets to, and Commanded Address."""
+        if self.diagnostics is not None and self.address is not None:
+            ours = (frames.ident & EXTENDED != 0) & (pgn == TP_CM) & (frames.ident >> 8 & 0xFF == self.address)
+            for message in frames[ours].messages():
+                self.diagnostics.transport.hear(message.arbitration_id & 0xFF, bytes(message.data), now)
+        for whole in self._incoming.feed(frames):
+            if whole.pgn == COMMANDED_ADDRESS and len(whole.payload) == BYTES + 1:
+                name, address = int.from_bytes(whole.payload[:BYTES], "little"), whole.payload[BYTES]
+                if self.node.take_command(name, address, now):
+                    log.info("address %d, as another node commanded", address)
+                    self._preferred = address
+                self._put(self.node.poll(now), now)
 
     def turn(self, now: float, t: float, estimate: Estimate | None, is_receiving: bool) -> None:
         """Send what is due at monotonic time ``now`` and message time ``t`` [s].
@@ -136,7 +157,10 @@ class Transmitter:
             return
         self._publisher.source_address = address
         for message in self._publisher.poll(t, estimate):
-            self._broadcast(message, now, t)
+            self._broadcast(message, now)
+        if self.diagnostics is not None:
+            for message in self.diagnostics.poll(now, address, lambda count: self._may_send(DM1, address, count, now)):
+                self._send_counted(message)
 
     def _retry(self, now: float) -> None:
         """Claim an address again after a pause, which doubles each time the address is lost."""
@@ -158,22 +182,34 @@ class Transmitter:
         """Send all values as "not available", at the end of the transmission."""
         if self.node.address is not None:
             for message in self._publisher.poll(t, None):
-                self._broadcast(message, now, t)
+                self._broadcast(message, now)
 
-    def _answer(self, pgn: int) -> can.Message | None:
+    def _answer(self, pgn: int, requester: int) -> list[can.Message] | None:
+        if self.diagnostics is not None and (answer := self.diagnostics.answer(pgn, requester, self.node)) is not None:
+            return answer
         if self.node.address is not None:
             self._publisher.source_address = self.node.address
         message = self._publisher.answer(pgn, self._estimate)
-        return None if message is None or self._reason_to_withhold(message, self._t) else message
+        if message is None or self._reason_to_withhold(pgn, message.arbitration_id & 0xFF) is not None:
+            return None
+        return [message]
 
-    def _broadcast(self, message: can.Message, now: float, t: float) -> None:
-        reason = self._reason_to_withhold(message, t)
-        if reason is None and not self._bucket.take(now):
+    def _broadcast(self, message: can.Message, now: float) -> None:
+        group, source = message.arbitration_id >> 8 & 0x3FFFF, message.arbitration_id & 0xFF
+        if self._may_send(group, source, 1, now):
+            self._send_counted(message)
+
+    def _may_send(self, group: int, source: int, count: int, now: float) -> bool:
+        """Whether ``count`` frames with a group may be broadcast now; those that may not are counted."""
+        reason = self._reason_to_withhold(group, source)
+        if reason is None and not self._bucket.take(now, count):
             reason = Withheld.TOO_MANY
         if reason is not None:
-            self.withheld[reason] += 1
+            self.withheld[reason] += count
             log.warning("frames withheld: %s", reason.value)
-            return
+        return reason is None
+
+    def _send_counted(self, message: can.Message) -> None:
         try:
             self._send(message)
         except (OSError, can.CanError) as error:
@@ -182,9 +218,8 @@ class Transmitter:
         else:
             self.published += 1
 
-    def _reason_to_withhold(self, message: can.Message, t: float) -> Withheld | None:
-        group, source = message.arbitration_id >> 8 & 0x3FFFF, message.arbitration_id & 0xFF
-        if not self._neighbours.is_occupied(group, source, t):
+    def _reason_to_withhold(self, group: int, source: int) -> Withheld | None:
+        if not self._neighbours.is_occupied(group, source, self._t):
             return None
         return Withheld.FOREIGN_CVW if group == CVW else Withheld.COLLISION
 

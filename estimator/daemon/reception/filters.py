@@ -24,11 +24,12 @@ def input_filters(messages: list[BoundMessage]) -> list[CanFilter]:
 
 
 def node_filters(address: int) -> list[CanFilter]:
-    """Filters of a node that wants ``address``: claims, requests, and frames with its groups or its address.
+    """Filters of a node that wants ``address``: claims, requests, transport, and frames with its groups or its address.
 
     Its address may also be any of those that a node gives itself when it has lost the one it wants.
     """
-    groups = [of_group(pgn) for pgn in (ADDRESS_CLAIMED, REQUEST, *sorted(output_groups()))]
+    groups = [of_group(pgn) for pgn in (ADDRESS_CLAIMED, REQUEST, TP_CM, *sorted(output_groups()))]
+    groups.append(_masked(TP_DT | GLOBAL, PDU2_MASK))  # with TP_CM: Commanded Address
     wanted: CanFilter = {"can_id": address, "can_mask": SOURCE_MASK, "extended": True}
     return [*groups, wanted, {"can_id": FREE.start, "can_mask": FREE.start, "extended": True}]
 

@@ -16,7 +16,7 @@ from estimator.config import Config, estimation_key
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
 from estimator.daemon.reception.filters import input_filters, node_filters
 from estimator.daemon.reception.link import Link
-from estimator.daemon.service import file_permissions, folders
+from estimator.daemon.service import faults, file_permissions, folders
 from estimator.daemon.service.boot_id import boot_id
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.sd_notify import Notifier
@@ -137,7 +137,8 @@ def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | 
     """
     settings = plan.config
     reception, service = settings.reception, settings.service
-    store = StateStore(folders.make(folders.state_directory(service), 0o700))
+    state_folder = folders.make(folders.state_directory(service), 0o700)
+    store = StateStore(state_folder)
     runtime = folders.make(folders.runtime_directory(service), 0o755)
     filters, own = input_filters(plan.messages), node_filters(settings.publish.source_address)
     wanted = [*filters, *own] if settings.transmit.enabled else filters
@@ -147,6 +148,7 @@ def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | 
     if settings.transmit.enabled:
         output = target or source
         transmitter = Transmitter(settings.publish, settings.transmit, output.send, np.random.default_rng())
+        _recall_codes(transmitter, state_folder / faults.FILE)
     worker = Worker(
         pipeline or restored(settings, store, plan.key),
         reception.queue_frames,
@@ -163,4 +165,16 @@ def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | 
         runtime / folders.STATUS_FILE,
         Path(service.metrics) if service.metrics else None,
         notifier,
+        own_faults=faults.Faults(plan.messages, settings.publish.stale_after_s),
+        codes_file=state_folder / faults.FILE,
     )
+
+
+def _recall_codes(transmitter: Transmitter, path: Path) -> None:
+    """Take the trouble codes of an earlier run as previously active."""
+    if transmitter.diagnostics is None:
+        return
+    try:
+        transmitter.diagnostics.memory.remember(faults.load(path))
+    except RoadloadError as error:
+        log.warning("trouble codes of the last run are lost: %s", error)

@@ -16,7 +16,8 @@ from estimator.can_io.frames import Frames
 from estimator.daemon.reception.link import Link
 from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import Batch
-from estimator.daemon.service import status, status_file
+from estimator.daemon.service import faults, status, status_file
+from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.sd_notify import Notifier
 from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
@@ -46,10 +47,14 @@ class Daemon:
         The estimator.
     transmitter
         None to listen only.
+    own_faults
+        Finds what the transmitter is to send as trouble codes.
     silence
         Time without a frame [s] after which the ignition counts as off.
     status_file, metrics_file
         Where the status goes; None for nowhere.
+    codes_file
+        Where trouble codes outlast the power; None for nowhere.
     clock, wall
         Monotonic and wall time [s].
     """
@@ -66,6 +71,8 @@ class Daemon:
         notifier: Notifier | None = None,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
+        own_faults: Faults | None = None,
+        codes_file: Path | None = None,
     ) -> None:
         self.source, self.target, self.worker, self.transmitter = source, target, worker, transmitter
         self.listener = Listener(worker, self._broadcast)
@@ -74,6 +81,7 @@ class Daemon:
         self._is_receiving = False
         self._silence, self._clock, self._wall = silence, clock, wall
         self._status_file, self._metrics_file = status_file, metrics_file
+        self._faults, self._codes_file = own_faults, codes_file
         self._notifier = notifier or Notifier()
         self._is_ready = False
         ahead = wall() - clock()
@@ -136,6 +144,7 @@ class Daemon:
                 self.listener.turn(self._time(self.source).at(now))
         if now >= self._report_due:
             self._report_due = now + REPORT_PERIOD
+            self._observe_faults(now)
             self._report(now)
 
     def status(self, now: float) -> StatusAnswer:
@@ -238,6 +247,22 @@ class Daemon:
         if before is None or now <= before[0]:
             return None
         return round((count - before[1]) / (now - before[0]), 1)
+
+    def _observe_faults(self, now: float) -> None:
+        """Give the faults to the transmitter; without traffic nothing can be said of the inputs."""
+        diagnostics = None if self.transmitter is None else self.transmitter.diagnostics
+        if diagnostics is None or self._faults is None or not self._is_receiving:
+            return
+        lost = self.source.counts.kernel_drops + self.source.counts.queue_drops + self.worker.drops
+        present = self._faults.present(self.worker.knowledge, now, lost, self.worker.save_problem)
+        if not diagnostics.observe(present, now):
+            return
+        log.warning("active trouble codes: %s", ", ".join(map(str, diagnostics.memory.active)) or "none")
+        if self._codes_file is not None:
+            try:
+                faults.save(self._codes_file, diagnostics.memory)
+            except RoadloadError as error:
+                log.warning("trouble codes not saved: %s", error)
 
     def _report(self, now: float) -> None:
         found = self.status(now)

@@ -73,6 +73,7 @@ def of_transmitter(transmitter: Transmitter | None) -> answer.Transmit:
     """What is sent, and what is withheld."""
     if transmitter is None:
         return answer.Transmit(enabled=False)
+    diagnostics = transmitter.diagnostics
     return answer.Transmit(
         enabled=True,
         address=transmitter.address,
@@ -84,6 +85,7 @@ def of_transmitter(transmitter: Transmitter | None) -> answer.Transmit:
         foreign_weights=tuple(transmitter.foreign_weights),
         colliding_groups=tuple(f"{pgn:04X}" for pgn in transmitter.colliding_groups),
         events=dict(transmitter.events),
+        trouble_codes=tuple(map(str, diagnostics.memory.active)) if diagnostics is not None else (),
     )
 
 
