@@ -201,7 +201,7 @@ def test_scores_tell_right_from_wrong():
         ("two effects: both named", 1.0, 0.0),
         ("two effects: at least one named", 1.0, 0.0),
         ("two effects: a wrong name besides", 0.0, 1.0),
-        ("nothing claimed: oracle < 1, or allowed for unasked", 1.0, 0.0),
+        ("nothing claimed: oracle < 1, or modelled by default", 1.0, 0.0),
     ):
         assert (right[name].estimate.value, wrong[name].estimate.value) == (good, bad), name
         assert right[name].estimate.low < 1.0 or right[name].estimate.n == 0

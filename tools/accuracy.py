@@ -29,7 +29,7 @@ OF_THE_ROAD = {Role.ALTITUDE, Role.GRADE, Role.LONGITUDINAL_ACCELERATION}  # sig
 
 
 def drive(seed: int, options: argparse.Namespace) -> dict[str, Any]:
-    """Minutes to the first mass, and of each parameter that is estimated relative error, sd and whether it holds."""
+    """Minutes to the first mass; relative error and sd of each estimated parameter, and whether its interval holds."""
     rng = np.random.default_rng(seed)
     truck = draw_truck(rng)
     route = generate_route(options.route, options.minutes * METRES_PER_MINUTE, rng, options.grade_sd)

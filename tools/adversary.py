@@ -1,7 +1,7 @@
 """Attacks on the bus of a simulated drive, one after the other: python tools/adversary.py [--minutes 25] [--write].
 
-Each attack changes the traffic of a drive of the demo's truck. What a receiver of the broadcasts would know is taken
-every 5 s of traffic and compared with the truth and with the drive without an attack. ``--write`` puts the table into
+Each attack changes the traffic of a drive of the demo's truck. The broadcast parameters are taken every 5 s of
+traffic, and compared with the truth and with the drive without an attack. ``--write`` puts the table into
 docs/adversary.md. Exit status 1 if any attack made a wrong parameter "estimated".
 """
 
@@ -29,7 +29,7 @@ COLUMNS = ("attack", "outcome", "withheld after", "back after", "largest deviati
 
 
 def main() -> int:
-    """Attack, show, judge."""
+    """Run the attacks, print the table, return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=25.0, help="length of the drive (default: 25)")
     parser.add_argument("--seed", type=int, default=1)

@@ -1,10 +1,10 @@
-"""Processor time and memory of the commands: in the default environment, and with BLAS held to one thread by it.
+"""Processor time and memory of the commands, in the default environment and in one that limits BLAS to one thread.
 
     python tools/bench_commands.py [--minutes 75] [--only diagnose]
 
 Each command runs in a process of its own, the two that read a log on a simulated drive in hills of 1 %. The two
-columns of times should agree: the program itself holds BLAS to one thread. Environment variables that set the number
-of threads are taken out for the first.
+columns of times should agree: the program itself limits BLAS to one thread. The first column is measured without
+environment variables that set the number of threads.
 """
 
 import argparse

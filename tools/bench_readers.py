@@ -1,8 +1,8 @@
-"""Readers of CAN logs side by side: frames a second of processor time, in one run, on the same frames.
+"""Frames a second of processor time of several readers of CAN logs, in one run, on the same frames.
 
     python tools/bench_readers.py [--minutes 10] [--only .blf .asc]
 
-"read" gives every frame with its time, id and bytes; "decode" also the signals that the estimate needs. Where a reader
+"read" yields every frame with its time, id and bytes; "decode" also the signals that the estimate needs. Where a reader
 decodes whole messages, it decodes the messages that hold such a signal. Peers that are not installed are left out.
 The best of the repeats counts; docs/readers.md has a table.
 """
@@ -30,7 +30,7 @@ from estimator.simulation.truck import Truck
 
 FORMATS = (".blf", ".asc", ".log", ".csv", ".trc", ".mf4")
 DBC = Path(__file__).resolve().parents[1] / "dbc" / "j1939.dbc"
-EXTENDED_PGN = 0x3FFFF00  # bits of an id that tell the PGN of a broadcast message
+EXTENDED_PGN = 0x3FFFF00  # bits of an id that hold the PGN of a broadcast message
 Reader = Callable[[Path], int]  # gives the number of frames
 
 
@@ -110,13 +110,13 @@ def _messages(path: Path) -> Iterator[can.Message]:
 
 @cache
 def _bound() -> list[BoundMessage]:
-    """The bound signals, made once: the best of the repeats is without the database."""
+    """The bound signals, made once: the best of the repeats does not include reading the database."""
     return bind(Config(), load_database([]))
 
 
 @cache
 def _wanted() -> dict[int, Message]:
-    """Messages with a bound signal, by the bits of an id that tell them."""
+    """Messages with a bound signal, by the PGN bits of their id."""
     names = {bound.name for bound in _bound()}
     return {m.frame_id & EXTENDED_PGN: m for m in load_database([]).messages if m.name in names}
 

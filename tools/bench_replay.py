@@ -37,11 +37,11 @@ METRES_PER_SECOND = 33.0  # of road, more than any truck drives
 
 
 def silent(share: float) -> None:
-    """Show nothing."""
+    """Progress that is not shown."""
 
 
 def by_hand(path: Path) -> int:
-    """The libraries alone: LogReader, a look-up by PGN, cantools decode."""
+    """The plain libraries: LogReader, a look-up by PGN, cantools decode."""
     messages = {message.key: message for message in bind(Config(), load_database([]))}
     database = load_database([])
     layouts = {key: database.get_message_by_name(message.name) for key, message in messages.items()}

@@ -3,10 +3,10 @@
     python tools/bench_sampler.py [--samples 1000 10000 100000]
 
 The others are installed by ``tools/peers.txt``; those that are missing are named and left out. Counted is the CPU
-time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Steps that run
-once are left out for all: fit, compilation, and for NUTS (to its advantage) the warm-up. Means and standard deviations
-show that all rows sample the same posterior. The last rows are the cost of roadload's own fit: from all samples, and
-update by update of a full window.
+time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Steps that
+run once are not counted for any: fit, compilation, and for NUTS (to its advantage) the warm-up. Means and standard
+deviations are printed, so that it can be checked that all rows sample the same posterior. The last rows are the cost
+of roadload's own fit: from all samples, and update by update of a full window.
 """
 
 import argparse
@@ -134,7 +134,7 @@ def main() -> int:
     options = parser.parse_args()
     if not ONE_THREAD.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | ONE_THREAD)
-    warnings.simplefilter("ignore")  # of the others
+    warnings.simplefilter("ignore")  # of the other libraries
     table = Table("samples", "sampler", "ESS/s", "/ best peer", "/ floor", "A [N]", "C [N s²/m²]", "m [kg]")
     for n in options.samples:
         compare(n, table)

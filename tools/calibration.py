@@ -185,7 +185,7 @@ def conclude(rows: Rows, theta: Floats, config: Config, rng: np.random.Generator
 def outcomes(
     drives: Sequence[Drive], measure: Measure, sets: int, seed: Sequence[int], config: Config
 ) -> Iterator[Outcome | None]:
-    """Outcomes of ``sets`` data sets, taking turns through the ``drives``."""
+    """Outcomes of ``sets`` data sets; the ``drives`` are used in turn."""
     for k in range(sets):
         rng = np.random.default_rng([*seed, k])
         drive = drives[k % len(drives)]

@@ -27,13 +27,11 @@ from estimator.can_io.log_writer import write_log
 from estimator.errors import RoadloadError
 from estimator.units import STANDARD_GRAVITY
 
-EFFECTS = frozenset(
-    {"grade", "torque_gain", "auxiliary_load", "rotating_inertia"}
-)  # effects of fastsim beyond the model
+EFFECTS = frozenset({"grade", "torque_gain", "auxiliary_load", "rotating_inertia"})  # of fastsim, beyond the road load
 
 
 def truth_of(vehicle: Vehicle, drive: Drive) -> dict[str, Any]:
-    """The truth: as built, and the three parameters referred to the crank, losses of the driveline included."""
+    """The truth: the vehicle, and the three parameters at the wheel and, with the driveline's losses, at the crank."""
     A = vehicle.mass * STANDARD_GRAVITY * vehicle.rolling_coefficient
     inertia = vehicle.mass + vehicle.wheels * vehicle.wheel_inertia / vehicle.wheel_radius**2
     at_wheel = {"mass_kg": inertia, "A_N": A, "C_N_s2_m2": drive.C}
@@ -118,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_status
     if options.diagnose:
-        print_table("second world", rows)
+        print_table("fastsim", rows)
     return 0
 
 

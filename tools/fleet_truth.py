@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A synthetic fleet through `roadload fleet`: whether intervals hold the truth, and outliers are found.
+"""A synthetic fleet through `roadload fleet`: whether its intervals hold the truth and its outliers are found.
 
 ``python3 tools/fleet_truth.py OUT`` drives every vehicle several times (its C differs between drives, as wind and
 weather make it), writes the logs, runs the command and compares its tables with the truth. The page docs/fleet.md
@@ -85,7 +85,7 @@ def inside(rows: list[dict[str, float]], name: str, truth: list[float]) -> str:
 
 
 def main() -> int:
-    """Make the fleet, estimate it twice (new and cached), and print what was recovered."""
+    """Make the fleet, estimate it twice (new and cached), and compare the estimates with the truth."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--vehicles", type=int, default=8)

@@ -1,9 +1,10 @@
-"""The natural world: hills, wind, cold tyres and auxiliaries at once, something more on every second drive.
+"""Gap budget and names of effects on drives with hills, wind, cold tyres and auxiliaries at once.
 
 python tools/natural_world.py [--drives 24] [--minutes 60] [--seed 1] [--json]
 
-The road is hidden, shown by a poor altimeter (3 m) or by a good one (0.3 m), a third of the drives each. Scored are the
-gap budget of `roadload diagnose` against the powers of the simulated truck, and the names of effects.
+Every second drive has a further effect. The road is hidden, shown by a poor altimeter (3 m) or by a good one (0.3 m),
+on a third of the drives each. The shares in the budget of `roadload diagnose` are compared with the powers of the
+simulated truck, and the names with its effects.
 """
 
 import argparse
@@ -34,6 +35,7 @@ from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
 from estimator.streaming.drive_extraction import diagnose_logs, drives
 
+# Smallest and largest size, in the units of the simulation (`simulation/effects/catalogue.py`).
 NATURAL = {"headwind": (1.0, 5.0), "warm_up": (0.1, 0.3), "auxiliary_load": (2e3, 8e3)}
 EXTRA = {
     "auxiliary_cycling": (15e3, 35e3),
@@ -43,9 +45,9 @@ EXTRA = {
     "sensor_drift": (0.05, 0.2),
 }
 ALTIMETERS = {"hidden": None, "poor": 3.0, "good": 0.3}  # m
-SLOPES = (0.004, 0.014)
-CLOSE = 0.05  # of the gap, within which a share is right
-SEEN = 0.03  # share of the gap from which an extra effect is expected to be named
+SLOPES = (0.004, 0.014)  # sd of the grade, rise over run
+MAX_SHARE_ERROR = 0.05  # of the gap: largest error of a share that counts as right
+MIN_SHARE = 0.03  # share of the gap from which an extra effect is expected to be named
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class World:
 
 
 def draw(number: int, seed: int, minutes: float) -> World:
-    """The drive with a number."""
+    """Drive ``number`` of the set ``seed``, of ``minutes`` [min]."""
     rng = np.random.default_rng([seed, number])
     truck, shown = draw_truck(rng), list(ALTIMETERS)[number % 3]
     effects = {name: float(rng.uniform(*sizes)) for name, sizes in NATURAL.items()}
@@ -74,7 +76,7 @@ def draw(number: int, seed: int, minutes: float) -> World:
 
 
 def true_shares(recording: Recording, drive: Record) -> dict[str, float]:
-    """Share of the plain model's residual that each effect of the truck has, by the name the diagnosis knows it as."""
+    """Share of each effect of the truck in the plain model's residual, by its name in the diagnosis."""
     state = DriveState.of(drive.strides, None)
     assert state is not None
     off, truth = Projection(state), recording.truth
@@ -118,7 +120,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
         "extra_named": any(world.extra in names for names in named),
         "wrong": [names[0] for names in named if not there & set(names)],
         "named": [names[0] for names in named],
-        "within": sum(abs(error) < CLOSE for error in errors.values()),
+        "within": sum(abs(error) < MAX_SHARE_ERROR for error in errors.values()),
         "shares": len(errors),
         "road": [truth[ROAD], road.share, road.q05, road.q95],
         "worst": max(errors.items(), key=lambda item: abs(item[1])),
@@ -126,7 +128,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print a row a drive, and what they come to."""
+    """Print a row for each drive, and the totals."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drives", type=int, default=24)
     parser.add_argument("--minutes", type=float, default=60.0)
@@ -155,11 +157,11 @@ def main() -> int:
             f"{row['worst'][0]} {row['worst'][1]:+.3f}",
         )
     Console(width=None if sys.stdout.isatty() else 200).print(table)
-    seen = [row for row in rows if row["extra"] and row["extra_share"] > SEEN]
+    seen = [row for row in rows if row["extra"] and row["extra_share"] > MIN_SHARE]
     holds = sum(row["road"][2] <= row["road"][0] <= row["road"][3] for row in rows)
-    print(f"shares within {CLOSE:.0%}: {sum(r['within'] for r in rows)} of {sum(r['shares'] for r in rows)}")
+    print(f"shares within {MAX_SHARE_ERROR:.0%}: {sum(r['within'] for r in rows)} of {sum(r['shares'] for r in rows)}")
     print(f"90 % interval of the road's share holds: {holds} of {len(rows)}")
-    print(f"extra effect of more than {SEEN:.0%} named: {sum(r['extra_named'] for r in seen)} of {len(seen)}")
+    print(f"extra effect of more than {MIN_SHARE:.0%} named: {sum(r['extra_named'] for r in seen)} of {len(seen)}")
     print(f"drives with a wrong name: {sum(bool(r['wrong']) for r in rows)} of {len(rows)}")
     return 0
 

@@ -3,10 +3,10 @@
 Force at the wheels F = P / v is modelled as F = A + C v^2 + m dv/dt; A [N], C [N s^2/m^2], m [kg], v [m/s], P [W].
 
 `recursive_least_squares` follows Vahidi, Stefanopoulou, Peng, "Recursive least squares with forgetting for online
-estimation of vehicle mass and road grade", Vehicle System Dynamics 43 (2005) 31-55: mass and resistance are forgotten
-at rates of their own. Their gain treats the two as independent; here the whole covariance is kept and each
-parameter's part of it grows at its rate, D P D with D = diag(lambda^-1/2) (vector forgetting), because v^2 and 1 are
-correlated. Both sides of the equation pass one causal low-pass, so that its delay cancels.
+estimation of vehicle mass and road grade", Vehicle System Dynamics 43 (2005) 31-55: mass and resistance have
+forgetting factors of their own. Their gain treats the two as independent; here the whole covariance is kept, and the
+part of each parameter grows at its own rate, D P D with D = diag(lambda^-1/2) (vector forgetting), because v^2 and 1
+are correlated. Both sides of the equation pass one causal low-pass, so that its delay cancels.
 
 `extended_kalman` has the states v, A, C, m, the latter three as random walks; F drives dv/dt = (F - A - C v^2) / m
 and v is measured (Lingman & Schmidtbauer, Vehicle System Dynamics Supplement 37 (2002) 12-23, estimate mass and slope
@@ -148,7 +148,7 @@ class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ha
         self.x = np.array([start + STEP * a, A, C, m])
 
     def see(self, speed: float) -> None:
-        """Take a measured ``speed`` [m/s]; states stay where the equations make sense."""
+        """Take a measured ``speed`` [m/s]; states are kept above MIN_STATE."""
         self.update(np.array([speed]), lambda x: MEASURED, lambda x: x[:1])
         self.x = np.maximum(self.x, MIN_STATE)
 

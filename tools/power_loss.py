@@ -1,8 +1,8 @@
-"""Kill an estimator at random instants and check its state file: python tools/power_loss.py --kills 1000.
+"""Kill an estimator at random times and check its state file: python tools/power_loss.py --kills 1000.
 
 A child process feeds a simulated drive through the pipeline as fast as it can and saves its state every few seconds
-of driving. It is killed by SIGKILL at a random instant; its state file is read and checked, and the next child
-continues from it, a random time later in the drive. Exit status 1 if a state was older than the interval or damaged.
+of driving. It is killed by SIGKILL at a random time; its state file is read and checked, and the next child continues
+from it, at a random later time of the drive. Exit status 1 if a state was older than the interval or damaged.
 """
 
 import argparse

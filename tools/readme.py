@@ -33,7 +33,7 @@ def blocks(page: str) -> dict[str, str]:
 
 
 def output_of(command: list[str], folder: Path) -> list[str]:
-    """Lines that a command with the present Python prints in ``folder``, without those that are blank."""
+    """Lines that a command with the present Python prints in ``folder``, without blank ones."""
     done = subprocess.run([sys.executable, *command], cwd=folder, check=True, stdout=subprocess.PIPE, text=True)
     return [line.rstrip() for line in done.stdout.splitlines() if line.strip()]
 

@@ -48,7 +48,7 @@ def named(answer: DiagnosisAnswer) -> tuple[str, ...]:
 
 
 def rms_promised(answer: DiagnosisAnswer) -> float | None:
-    """Residual [kW] with all that is named: less than that of the final model where no signal shows an effect yet."""
+    """Residual [kW] with all named effects; below that of the final model if an effect has no signal yet."""
     after = [effect.rms_after_kW for effect in answer.effects if effect.rms_after_kW is not None]
     return min(after, default=answer.rms_final_kW)
 
@@ -218,7 +218,7 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
 
 
 def kenworth(folder: Path) -> Iterator[dict[str, str]]:
-    """Per drive: the verdict, which must be "cannot tell", and its reason."""
+    """Per drive: the verdict, expected to be "cannot tell", and its reason."""
     for log in sorted((folder / "j1939_trucks" / "kenworth_t270").glob("*.log")):
         said = diagnose(log)
         yield {"drive": log.stem, "verdict": said.verdict, "named": _names(said), "why": said.reason}

@@ -1,9 +1,9 @@
-"""Clean drives with the noise of real ones: the speed that was measured, the power of a model, a surrogate residual.
+"""Clean drives with the noise of real ones: the measured speed, the power of a model, and a surrogate residual.
 
 The model is fitted with the accelerometer revealed, so that hills are not in its residual. The surrogate is a
 Gaussian process with that residual's own spectrum (phase randomisation: Theiler et al. 1992, Physica D 58). Its power
-obeys the road load of a flat road, so every effect named on such a drive is a false alarm. Slow swings of the real
-residual are still in it, so "unknown effect" is not.
+obeys the road load of a flat road, so every effect named on such a drive is a false alarm. It keeps the slow
+variations of the real residual, so "unknown effect" is not a false alarm.
 """
 
 from dataclasses import dataclass

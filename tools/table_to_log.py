@@ -4,9 +4,9 @@ python tools/table_to_log.py TABLE.csv LOG.blf --dbc my.dbc --time "t [s]" \
     --map "MOTION.Speed=speed" --map "ENGINE.Power=fuel (g/s)*17.976-2.5" [--select vehicle=7 --select phase=2]
 
 A mapping reads MESSAGE.signal=column[*factor][+offset]; the result is in the unit that the DBC gives the signal. Times
-are seconds, from a column (which may be scaled the same way) or, with --rate, from the place of a row in the table.
+are in seconds, from a column (which may be scaled the same way) or, with --rate, from the number of a row.
 A value that is empty, NaN or outside the range of its signal is sent as "not available" by J1939 messages; other
-messages have no such value; their frame is left out. Both are counted. Parquet tables need pyarrow.
+messages have no such value, so their frame is left out. Both are counted. Parquet tables need pyarrow.
 
 Example, a truck of a public study whose table holds mass flow of fuel: 42.8 kJ/g (lower heating value of diesel) times
 an efficiency of 0.42 give kW at the crank, and `roadload estimate --config tools/vt_truck.toml truck.blf` reads it:

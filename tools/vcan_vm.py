@@ -2,7 +2,7 @@
 
     python tools/vcan_vm.py [--share FOLDER] [--timeout SECONDS] -- COMMAND...
 
-The command can read the host's files and write to FOLDER only; ``ip link add type vcan``, can-utils and the
+The command can read the host's files, and can write to FOLDER only; ``ip link add type vcan``, can-utils and the
 project's Python work in it. The exit status is the command's.
 """
 

@@ -30,7 +30,7 @@ MAP = [
     f"ENGINE.Speed={ENGINE}",
     f"ROAD.Elevation={ELEVATION}",
 ]
-MAX_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # from one row to the next: 2.5 m/s^2, and more than the steepest road
+MAX_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # between two rows: 2.5 m/s^2; more than on the steepest road
 MIN_ROWS = 30  # rows between jumps
 PAUSE = 60.0  # s inserted at a jump, so that no signal is held across it
 LOW_PASS = 4.0  # s, sd of the Gaussian

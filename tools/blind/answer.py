@@ -46,7 +46,7 @@ class Run(msgspec.Struct, frozen=True):
 
 
 def bare(name: str, probability: float | None = None) -> Finding:
-    """A finding of which nothing else is known."""
+    """A finding with a name and a probability only."""
     return Finding(
         name=name,
         probability=probability,
@@ -112,7 +112,7 @@ def credible_set(run: Run) -> tuple[Finding, ...] | None:
 
 
 def overlap(a: Spans, b: Spans, where: Spans) -> float:
-    """Intersection over union of two unions of intervals, within a third; 0 if both are empty there."""
+    """Intersection over union of two unions of intervals, both cut to a third; 0 if both are empty there."""
     edges = np.unique(np.concatenate([np.ravel(x) for x in (a, b, where)]))
     middle, length = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
     in_a, in_b, counts = (_inside(middle, spans) for spans in (a, b, where))

@@ -23,7 +23,7 @@ class Case:
 
     @property
     def said(self) -> str:
-        """The first name, or the verdict where none is named."""
+        """The effect named first, or the verdict where none is named."""
         return self.run.named[0].name if self.run.named else self.run.verdict
 
 
@@ -50,7 +50,7 @@ def share_of(
 
 
 def seen(case: Case) -> bool:
-    """Whether an oracle sees every effect of the drive."""
+    """Whether every effect of the drive is visible to the oracle."""
     return case.plain and case.truth.log_bayes_factor > DETECTABLE
 
 

@@ -30,7 +30,7 @@ PRESENT = 0.7  # probability that an optional signal is on the bus
 
 CATALOGUE = tuple(name for name, kind in KINDS.items() if kind.known_as is not None and name != "quantisation")
 OUTSIDE = tuple(name for name, kind in KINDS.items() if kind.known_as is None)
-PAIRED = (  # effects visible at their usual size; pairs that hide each other are drawn as well
+PAIRED = (  # effects visible at their usual size; pairs with similar traces are drawn as well
     "grade",
     "headwind",
     "warm_up",
@@ -66,7 +66,7 @@ Card = TypeVar("Card")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """One drive to be made; ``given``: the road is hilly, and the configuration says so."""
+    """One drive to be made; ``given``: the road is hilly, and ``grade`` is in the configuration."""
 
     drive: str
     seed: int
@@ -83,7 +83,7 @@ class Plan:
 def draw(drives: int, seed: int, minutes: float, hilly: float = 0.0) -> list[Plan]:
     """Plans of ``drives`` drives of about ``minutes``; a share ``hilly`` has hills that are in the configuration.
 
-    Kinds, effects, noise levels and roads are dealt in turn from shuffled decks, so that all are equally frequent.
+    Kinds, effects, noise levels and roads are taken in turn from shuffled lists, so that all are equally frequent.
     """
     rng = np.random.default_rng(seed)
     kinds = _kinds(drives, rng)
@@ -172,7 +172,7 @@ def _kinds(drives: int, rng: np.random.Generator) -> list[Kind]:
 
 
 def _deck(cards: Sequence[Card], rng: np.random.Generator) -> Iterator[Card]:
-    """Cards in random order without end; each round holds every card once."""
+    """Items in random order without end; each round holds every item once."""
     own = rng.spawn(1)[0]
     for _ in cycle([None]):
         yield from islice((cards[i] for i in own.permutation(len(cards))), len(cards))

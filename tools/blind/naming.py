@@ -26,7 +26,7 @@ def naming(cases: Sequence[Case]) -> list[Measure]:
         share_of("... a wrong name, oracle > 10", "low", clear, wrong, lower=True),
         share_of("named first, or its class: oracle 1..10", "-", middling, right_first),
         share_of("... a wrong name, oracle 1..10", "low", middling, wrong, lower=True),
-        share_of("nothing claimed: oracle < 1, or allowed for unasked", ">= 98 %", hidden, lambda c: c.run.silent),
+        share_of("nothing claimed: oracle < 1, or modelled by default", ">= 98 %", hidden, lambda c: c.run.silent),
         share_of("false alarm on a clean drive", "<= 1 %", kinds["clean"], claimed, lower=True),
         share_of(
             "outside the catalogue: unknown effect", ">= 90 %", outside, lambda c: c.run.verdict == "unknown effect"

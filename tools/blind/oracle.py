@@ -7,9 +7,9 @@ In blocks of BLOCK seconds, measured power is
 with the true v, a, engine speed w and effect powers d_i. The covariance K of the noise is that of the generator:
 first-order autoregressive and white torque errors and the rounding of the bus; and, from white speed noise averaged
 over a block at either edge, differences of neighbours. (The rounding of the friction torque is left out: it is a
-fixed function of engine speed, which the project recovers.) Of an effect with relative size k ~ N(0, 1) beforehand,
-where k = 1 is true and A, C, m, the lag of power (columns X) and all other effects are free, the log Bayes factor
-expected is
+fixed function of engine speed, which the project recovers.) The prior of the relative size k of an effect is N(0, 1),
+its true value is 1, and A, C, m, the lag of power (columns X) and all other effects are free. Then the expected log
+Bayes factor is
 
     (s^4 / (1 + s^2) - ln(1 + s^2)) / 2,        s^2 = d' M d,   M = W - W X (X' W X)^-1 X' W,   W = K^-1
 
@@ -57,7 +57,7 @@ class Noise:
     def torque_block_variance(self) -> float:
         """Variance [(N.m)^2] of the torque error that is independent between blocks.
 
-        Rounding averages out where white noise covers a step; otherwise its error lasts for the block.
+        Rounding averages out where the white noise is larger than a step; otherwise its error is constant in a block.
         """
         readings = BLOCK / self.torque_period
         dithered = self.torque_white_sd > 0.5 * self.torque_step

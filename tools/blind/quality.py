@@ -10,13 +10,13 @@ from blind.intervals import Floats, bootstrap, calibration_error, share
 from blind.truth import HIDDEN, key_of
 from estimator.answers.diagnosis import Finding
 
-LATE = 10.0  # s, limit for a log of 75 minutes
-NINETY = 1.645  # half-width of the central 90 % of a Gaussian, in sd
-CLOSE = 0.03  # of the gap closed
+MAX_SECONDS = 10.0  # s of processor time, the goal for a log of 75 minutes
+SDS_OF_90_PERCENT = 1.645  # half-width of the central 90 % of a Gaussian, in sd
+MAX_SHARE_ERROR = 0.03  # share of the gap: largest error of the share closed that counts as right
 
 
-def honesty(cases: Sequence[Case]) -> list[Measure]:
-    """Probabilities: credible sets and calibration, on clean and single drives."""
+def probabilities(cases: Sequence[Case]) -> list[Measure]:
+    """Credible sets and calibration of the probabilities, on all drives but those with two effects."""
     judged: list[Case] = []
     covered: dict[str, bool] = {}
     sizes, confidence, right = [], [], []
@@ -57,7 +57,7 @@ def _right(case: Case, finding: Finding) -> bool:
     return any(answer.means(finding, effect.name) for effect in truth.effects)
 
 
-def shrinkage(cases: Sequence[Case]) -> list[Measure]:
+def gap_closed_and_times(cases: Sequence[Case]) -> list[Measure]:
     """Gap closed against the oracle's share, and times of bounded effects."""
     promised = []  # case, error of the share
     inside: dict[str, bool] = {}  # whether the interval of a single effect holds the oracle's share
@@ -79,7 +79,7 @@ def shrinkage(cases: Sequence[Case]) -> list[Measure]:
             if effect.spans:
                 finding = next(f for f in run.named if answer.means(f, effect.name))
                 located.append(answer.overlap(finding.span_s, effect.spans, truth.driven))
-    errors = {case.truth.drive: abs(error) <= CLOSE for case, error in promised}
+    errors = {case.truth.drive: abs(error) <= MAX_SHARE_ERROR for case, error in promised}
     judged = [case for case, _ in promised]
     single = [case for case in judged if case.truth.drive in inside]
     return [
@@ -115,7 +115,7 @@ def parameters(cases: Sequence[Case]) -> list[Measure]:
             if value is not None:
                 errors.append(value / case.truth.parameters[key] - 1.0)
             if value is not None and sd is not None:
-                held[case.truth.drive] = abs(value - case.truth.parameters[key]) < NINETY * sd
+                held[case.truth.drive] = abs(value - case.truth.parameters[key]) < SDS_OF_90_PERCENT * sd
         x = 100 * _array(errors)
         lines.append(
             Measure(
@@ -146,7 +146,7 @@ def cost(cases: Sequence[Case]) -> list[Measure]:
     """Time and memory of a diagnosis."""
     seconds = _array([case.run.processor_seconds for case in cases])
     peak = _array([case.run.peak_MB for case in cases])
-    slow = tuple(case.truth.drive for case in cases if case.run.processor_seconds > LATE)
+    slow = tuple(case.truth.drive for case in cases if case.run.processor_seconds > MAX_SECONDS)
     return [
         Measure(
             name="processor time for a log, median",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from blind.answer import Run
 from blind.case import Case, Measure, claimed, right_first, seen, share_of
 from blind.naming import naming
-from blind.quality import cost, honesty, parameters, shrinkage
+from blind.quality import cost, gap_closed_and_times, parameters, probabilities
 from blind.truth import Truth
 
 
@@ -28,9 +28,15 @@ def pair(truths: dict[str, Truth], runs: dict[str, Run]) -> list[Case]:
 
 
 def score(cases: Sequence[Case]) -> Score:
-    """Judge all cases."""
+    """Compute all tables from the cases."""
     return Score(
-        measures=(*naming(cases), *honesty(cases), *shrinkage(cases), *parameters(cases), *cost(cases)),
+        measures=(
+            *naming(cases),
+            *probabilities(cases),
+            *gap_closed_and_times(cases),
+            *parameters(cases),
+            *cost(cases),
+        ),
         by_noise=tuple(_by_noise(cases)),
         by_effect=tuple(_by_effect(cases)),
         confusion=confusion(cases),
@@ -66,7 +72,7 @@ def confusion(cases: Sequence[Case]) -> dict[str, dict[str, int]]:
         if truth.kind == "pair":
             name = "pair: " + name
         elif truth.shown:
-            name += " (allowed for)"
+            name += " (modelled by default)"
         elif truth.effects and truth.stratum != "oracle > 10":
             name += f" ({truth.stratum})"
         said = "+".join(f.name for f in case.run.named) if truth.kind == "pair" and case.run.named else case.said

@@ -1,7 +1,8 @@
-"""The seal: a commitment, not a secret.
+"""The seal: hashes that prove that logs and truths have not changed.
 
 Truths are plain JSON in OUT/sealed, logs are in OUT/logs. The manifest beside the logs holds the SHA-256 of every log
-and of every truth, made when both were written; a truth starts with a random nonce, so that its hash discloses nothing.
+and of every truth, made when both were written; a truth starts with a random nonce, so that it cannot be guessed from
+its hash.
 The diagnosis is a process of its own that is given one log and works in a folder without the truths. Scoring refuses
 truths or logs that differ from the manifest, so nothing can be changed after the answers are known. The seal does not
 prevent reading OUT/sealed; for that, keep the folder on another machine until the score.
@@ -77,12 +78,12 @@ def unseal(folder: Path) -> dict[str, Truth]:
     Raises
     ------
     SealError
-        Something is missing or differs.
+        A log or a truth is missing or differs from the manifest.
     """
     truths = {}
     for drive, entry in drives(folder).items():
         for path, sealed in ((log_of(folder, drive), entry.log), (truth_of(folder, drive), entry.truth)):
             if not path.is_file() or digest(path) != sealed:
-                raise SealError(f"{path}: is not what the manifest sealed")
+                raise SealError(f"{path}: is missing, or differs from the manifest; restore it, or generate anew")
         truths[drive] = msgspec.json.decode(truth_of(folder, drive).read_bytes(), type=Truth)
     return truths

@@ -21,7 +21,7 @@ def show(result: Score, console: Console) -> None:
         for measure in measures:
             table.add_row(*as_row(measure), " ".join(_failures(measure)))
         console.print(table)
-    table = Table("truth", "said first", title="first name by true effect")
+    table = Table("truth", "named first", title="first name by true effect")
     for truth, said in result.confusion.items():
         table.add_row(truth, _said(said))
     console.print(table)
@@ -49,7 +49,7 @@ def as_markdown(result: Score) -> str:
     for title, measures in _sections(result):
         lines += [f"## {title}", "", "| measure | goal | value | 95 % interval | drives |", "|---|---|---|---|---|"]
         lines += [f"| {' | '.join(as_row(measure))} |" for measure in measures] + [""]
-    lines += ["## First name by true effect", "", "| truth | said first |", "|---|---|"]
+    lines += ["## First name by true effect", "", "| truth | named first |", "|---|---|"]
     lines += [f"| {truth} | {_said(said)} |" for truth, said in result.confusion.items()]
     return "\n".join(lines) + "\n"
 

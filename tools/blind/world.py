@@ -41,13 +41,13 @@ def make(plan: Plan, seed: int, folder: Path) -> tuple[str, seal.Entry]:
             effects=effects,
             sensors=plan.sensors,
         )
-        for trip in range(2 if plan.effects else 1)  # the second is the oracle's fresh data
+        for trip in range(2 if plan.effects else 1)  # the oracle measures the gap closed on the second
     ]
     log = seal.log_of(folder, plan.drive)
     write_log(frames_of(drives[0].signals), log)
     if plan.given:
         log.with_suffix(".toml").write_text(GIVEN)
-    return plan.drive, seal.seal(folder, tell(plan, [drive.truth for drive in drives]))
+    return plan.drive, seal.seal(folder, truth_from(plan, [drive.truth for drive in drives]))
 
 
 def make_all(plans: list[Plan], seed: int, folder: Path, workers: int) -> Iterator[tuple[str, seal.Entry]]:
@@ -63,7 +63,7 @@ def make_all(plans: list[Plan], seed: int, folder: Path, workers: int) -> Iterat
     seal.publish(folder, dict(sorted(entries.items())))
 
 
-def tell(plan: Plan, drives: list[Drive]) -> Truth:
+def truth_from(plan: Plan, drives: list[Drive]) -> Truth:
     """The truth of a plan from its drive, and from a second drive if it has effects."""
     first, names = drives[0], tuple(plan.effects)
     known = tuple(name for name in first.effect_power if name not in names)
@@ -98,7 +98,7 @@ def tell(plan: Plan, drives: list[Drive]) -> Truth:
 
 
 def noise_of(sensors: Sensors, truck: Truck) -> oracle.Noise:
-    """The generator's noise in the oracle's terms."""
+    """The noise of the simulated sensors in the terms of the oracle."""
     reference = truck.reference_torque
     return oracle.Noise(
         torque_sd=sensors.torque_noise * reference,

@@ -1,1 +1,1 @@
-"""Attacks on a bus, as changes of recorded traffic, and what becomes of the estimate under them."""
+"""Attacks on a bus, as changes of recorded traffic, and the estimate under them."""

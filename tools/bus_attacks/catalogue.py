@@ -36,7 +36,7 @@ class Attack:
     shares: tuple[float, float]
 
     def on(self, drive: Frames) -> tuple[Frames, float, float]:
-        """The traffic under attack, and from when to when [s] it is."""
+        """The traffic under attack, and the times [s] from which and up to which the attack lasts."""
         first, length = float(drive.t[0]), float(drive.t[-1] - drive.t[0])
         start, stop = (first + share * length for share in self.shares)
         return self.apply(drive, start, stop), start, stop

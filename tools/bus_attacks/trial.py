@@ -35,16 +35,16 @@ class Look:
 class Outcome:
     """Times [s] at which the estimate was withheld and came back, None where it was not, and its largest errors."""
 
-    looks: int  # with an estimate, from the begin of the attack on
+    looks: int  # with an estimate, from the start of the attack on
     worst_sd: float  # largest deviation from the truth of mass, A and C, in posterior standard deviations
     worst_share: float  # largest of the mass, as a share of the truth
-    withheld_after: float | None  # from the begin of the attack
+    withheld_after: float | None  # from the start of the attack
     recovered_after: float | None  # from its end, until there is an estimate again
     reasons: Counter[str]  # of contests, by look
 
     @property
     def verdict(self) -> str:
-        """In two words at most."""
+        """Outcome in one or two words, for the table."""
         if self.worst_sd > BIASED_SD:
             return "silently biased"
         return "unharmed" if self.withheld_after is None else "withheld"
@@ -63,7 +63,7 @@ def look_at(frames: Frames, config: Config) -> list[Look]:
 
 
 def deviations(looks: list[Look], truck: Truck) -> list[float]:
-    """How far mass, A and C of every estimate are off, in posterior standard deviations."""
+    """Errors of mass, A and C of every estimate, in posterior standard deviations."""
     pairs = [
         (marginal, truth)
         for look in looks

@@ -1,4 +1,4 @@
-"""A plain program with python-can and cantools: no estimate, no reconnection, no status."""
+"""A plain program with python-can and cantools, without estimate, reconnection and status."""
 
 import json
 import signal
@@ -15,7 +15,7 @@ from daemon_bench.latency import Delays
 from daemon_bench.loopback import LoopbackBus
 
 DATABASE = Path(__file__).parents[2] / "dbc" / "j1939.dbc"
-CHUNK = 4096  # delays noted between two additions to the histogram
+CHUNK = 4096  # delays collected between two additions to the histogram
 
 
 def main(port: str, folder: str) -> None:

@@ -1,4 +1,4 @@
-"""The figures, all in one quiet style."""
+"""The figures, in one style."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The page's Figures 1 to 6 and the appendix, each with what the paper says of it and what is found here."""
+"""The page's Figures 1 to 6 and the appendix, each with the paper's statement and the result here."""
 
 from dataclasses import dataclass
 
@@ -115,14 +115,14 @@ thirds by coverage, from the least to the best covered, in %:
 
 The paper finds an error that falls about with the logarithm of the coverage and is worst on COMMUT. COMMUT is worst
 here, too: its best covered third, which is nearly all of it, has errors as large as the least covered thirds of the
-other cycles. Its stretches with the least coverage are steady cruising; they say nothing about A and C, which are then
-near the middle of the box, and so near the dummy vehicle's. On the other cycles a straight line explains these shares
-of the variance of the error (R²):
+other cycles. Its stretches with the least coverage are steady cruising; they do not determine A and C, whose means
+are then near the middle of the box, and so near the dummy vehicle's. On the other cycles a straight line explains
+these shares of the variance of the error (R²):
 
 {table(["cycle", "", *NAMES], fits)}
 
 The error on the logarithm of the coverage has the largest share or nearly so, which supports the paper's form; single
-estimates scatter too much to tell more."""
+estimates scatter too much to separate the forms further."""
 
 
 def _five(r: Results) -> str:
@@ -142,8 +142,8 @@ def _five(r: Results) -> str:
 ![Noise and error](paper/fig5_noise_error.png)
 
 HWFET, dummy vehicle, {NOISE_REPEATS} noises at each level. The paper says that the rms error grows with the square of
-the noise magnitude and that A and C suffer first. Powers of the noise with which the rms residual, chi² and the rms
-errors of A, C and m grow up to {LINEAR_UP_TO / HP:.0f} hp:
+the noise magnitude and that A and C have the largest errors. Powers of the noise with which the rms residual, chi²
+and the rms errors of A, C and m grow up to {LINEAR_UP_TO / HP:.0f} hp:
 
 {table(["samples kept", "rms residual", "chi²", *(f"error of {x}" for x in NAMES)], growth)}
 
@@ -179,8 +179,8 @@ Rms error from the first seconds of each cycle, from all of it, and from copies 
 The paper finds that copies of HHDDTNC at noise 5 change nearly nothing. Here the error of A falls, but eight copies do
 not reduce it by √8: the rule P > 0 has a bias on this cycle ({bias} in A on the truck of Tables 2-4), which no amount
 of data averages out. If the noise is copied too, eight copies change the estimate by {change:.2f} % and divide its sd
-by {1 / sd.mean():.2f}, √8, although nothing was learnt. COMMUT gains little from its last minutes or from copies:
-errors of A and C there are set by the box."""
+by {1 / sd.mean():.2f}, √8, although the copies contain no new information. On COMMUT copies change the errors little:
+those of A and C are set by the box."""
 
 
 def _appendix() -> str:

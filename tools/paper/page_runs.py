@@ -53,8 +53,8 @@ runs. The sd has n - 1 in the denominator; the last column is the difference of 
 Table 1 agrees with Tables 2-4 to the printed digits, except in the sd of m (4.86 printed on HWFET,
 {PRINTED["HWFET"].estimates[:, 2].std(ddof=1):.2f} from the runs, whose m are printed without decimals). The paper's
 statement holds: A is about 30 % below nominal and m 1 % above; C is 2 % below. On COMMUT the mean here is not the
-value set, {truth_of("COMMUT")[0] / TO_SI[0]:.1f} lbf: the posterior of A and C fills the box, and its mean is drawn to
-the middle of the box, C = 0.15. The chains of a simulated run deviate
+value set, {truth_of("COMMUT")[0] / TO_SI[0]:.1f} lbf: the posterior of A and C fills the box, so its mean is near the
+middle of the box, C = 0.15. The chains of a simulated run deviate
 from their common mean by {listed(percent(chains, 2, ""))} (A, C, m) on average, where the paper says "< 1 %"; the
 largest R-hat is {worst:.3f}."""
 
@@ -113,7 +113,7 @@ used (see Table 5 for the units). The simulated runs give the same from 1 Hz cyc
 
 {table(["cycle", "", *PARAMETERS], rows)}
 
-{_scatter_verdict(r.scatter)} On COMMUT the simulated posterior is wide because the box decides it: the scheduled cycle
+{_scatter_verdict(r.scatter)} On COMMUT the box determines the width of the simulated posterior: the scheduled cycle
 has one launch and one cruise, which determine m and one combination of A and C. The estimates of simulated runs then
 hardly move. The printed ones move from one end of the range of C to the other, so the real runs contain more
 information than the schedule, and their scatter is about twice what that information allows.

@@ -106,10 +106,10 @@ def _side_by_side(matches: list[Match], cycles: list[str]) -> str:
 The scheduled trace, with nothing assumed, gives λ1 within {off[:, 0].max():.3f}, λ2 within {off[:, 1].max():.2f} and λ3
 of HWFET and HHDDTNC within {off[others, 2].max():.2f}, but not λ3 of COMMUT
 ({scheduled.log10_eigenvalues[commut, 2]:.2f} against {PRINTED["COMMUT"].log10_eigenvalues[2]:.2f}): the scheduled
-COMMUT is so regular that A and m cannot be told apart. A noise of some cm/s in the recorded speed is enough to raise
+COMMUT is so regular that A and m cannot be separated. A noise of some cm/s in the recorded speed is enough to raise
 it, and weaker acceleration than scheduled, as of a truck with 200 kW at the wheels, turns A and m to the printed
-angle. Both are assumptions about the recordings; other assumptions may do as well. No combination gives all printed
-digits, and none can without the recorded traces."""
+angle. Both are assumptions about the recordings; other assumptions may reproduce the numbers as well. No combination
+gives all printed digits, and none can without the recorded traces."""
 
 
 def _logarithms(values: np.ndarray) -> list[str]:
@@ -169,5 +169,6 @@ eigenvalues of 1 (log10 0); the shares say of which parameters a direction is ma
 
 {table(["cycle", "log10 eigenvalue", *NAMES], rows)}
 
-The best known direction is the sum of A and C, the load at cruising speed; the least known is their difference, mixed
-with m. On COMMUT the smallest eigenvalue is more than ten times below 1: the samples know less than the box."""
+The best determined direction is the sum of A and C, the load at cruising speed; the least determined is their
+difference, mixed with m. On COMMUT the smallest eigenvalue is more than ten times below 1: the samples determine this
+direction less than the box does."""

@@ -70,8 +70,8 @@ the scatter.
 
 So the scatter of A and C on HWFET and HHDDTNC, without a scatter of m, is that of a power measurement whose zero moves
 by half a horsepower between runs. A change of the tyres' friction alone would move A and leave C, but the printed A
-and C move against each other. Slow disturbances of the power have the same pattern; the printed numbers cannot tell
-the two apart."""
+and C move against each other. Slow disturbances of the power have the same pattern; the printed numbers cannot
+separate the two."""
 
 
 def _between_cycles(posteriors: dict[float, VehiclePosterior]) -> str:
@@ -81,7 +81,7 @@ def _between_cycles(posteriors: dict[float, VehiclePosterior]) -> str:
         [f"{100 * scale:g} %", *printed_values(p.vehicle.mean(0), p.vehicle.std(0))] for scale, p in posteriors.items()
     ]
     return f"""**Spread between cycles.** β with its 90 % interval is {spread[0]} lbf for A, {spread[1]} lbf/mph² for C
-and {spread[2]} slug for m. Three cycles say little about a spread between cycles, so its prior counts. μ for three
+and {spread[2]} slug for m. Three cycles hardly determine the spread between cycles, so its prior matters. μ for three
 scales of the prior of β:
 
 {table(["prior scale of β", *PARAMETERS], rows)}

@@ -1,4 +1,4 @@
-"""One boot, one command: QEMU runs the kernel, the command runs in the host's own file system.
+"""One command in a virtual machine: QEMU runs the kernel, the command runs in the file system of the host.
 
 The host's root is shared read-only (9p), so the project, its virtual environment and its Python have the
 same paths as on the host; one folder is shared for writing. No root, no KVM, no network.

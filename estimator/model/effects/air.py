@@ -31,7 +31,7 @@ def _winds_near(wind: Shape) -> tuple[Shape, ...]:
 HEADWIND = Effect(
     name="headwind",
     equation="C (2 v w cos d + w^2 (cos^2 d + k sin^2 d)) v",
-    source="drag goes with the square of the air's relative speed (SAE J1263)",
+    source="drag is proportional to the square of the relative speed of the air (SAE J1263)",
     symbol="wind",
     unit="m/s",
     power=_wind,
