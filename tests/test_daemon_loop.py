@@ -22,9 +22,9 @@ from estimator.can_io.j1939_name import Name
 from estimator.can_io.publisher import output_database, output_groups
 from estimator.config import Config
 from estimator.daemon.reception.reader import Batch
-from estimator.daemon.service import status, status_file
+from estimator.daemon.service import metrics, status_file
 from estimator.daemon.service.sd_notify import Notifier
-from estimator.daemon.service.worker import Worker
+from estimator.daemon.service.worker import Knowledge, Worker
 from estimator.errors import InputError, RoadloadError
 from estimator.settings import Reception
 from estimator.simulation.recording import record
@@ -432,10 +432,10 @@ def test_a_status_of_another_version_is_refused_with_the_reason(tmp_path: Path) 
 
 
 def test_metrics_can_be_read_by_prometheus(sending: Bench) -> None:
-    sending.worker.knowledge = status.Knowledge(refused={'odd "name"\nwith \\': 2})
-    text = status.metrics(sending.daemon.status(sending.now))
+    sending.worker.knowledge = Knowledge(refused={'odd "name"\nwith \\': 2})
+    text = metrics.exposition(sending.daemon.status(sending.now))
     for line in text.splitlines():
-        assert line.startswith("# TYPE roadload_") or line.startswith("roadload_")
+        assert line.startswith(("# HELP roadload_", "# TYPE roadload_", "roadload_"))
         if not line.startswith("#"):
             float(line.rsplit(" ", 1)[1])
     assert r'roadload_refused_total{reason="odd \"name\"\nwith \\"} 2' in text
@@ -487,7 +487,7 @@ def test_nothing_on_a_bus_breaks_the_loop(turns: list[tuple[float, list[can.Mess
     assert shown is None or shown.mass is None
     text = encode(bench.daemon.status(bench.now))
     assert len(text) < 50_000
-    assert status.metrics(decode(text, StatusAnswer))
+    assert metrics.exposition(decode(text, StatusAnswer))
     assert len(bench.bus.sent) <= 40 + 20 * (bench.now - 100.0)
 
 

@@ -16,7 +16,7 @@ from estimator.can_io.frames import Frames
 from estimator.daemon.reception.link import Link
 from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import Batch
-from estimator.daemon.service import faults, status, status_file
+from estimator.daemon.service import faults, metrics, status, status_file
 from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.sd_notify import Notifier
 from estimator.daemon.service.worker import Worker
@@ -272,7 +272,7 @@ class Daemon:
                 status_file.write(self._status_file, found)
             if self._metrics_file is not None:
                 with whole(self._metrics_file) as temporary:
-                    temporary.write_text(status.metrics(found), encoding="utf-8")
+                    temporary.write_text(metrics.exposition(found), encoding="utf-8")
                     temporary.chmod(0o644)
         except RoadloadError as error:
             log.warning("status not written: %s", error)
