@@ -32,7 +32,7 @@ from estimator.settings import (
     Window,
 )
 
-MAX_FILE_BYTES = 1 << 20  # bytes
+MAX_FILE_BYTES = 1 << 20  # bytes of a configuration: an endless device or fifo does not fill the memory
 DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
 FREE_TABLES: dict[str, Any] = {"signals": SignalPaths, "bus.source_addresses": Address}  # keys are the user's
 

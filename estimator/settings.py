@@ -6,7 +6,7 @@ import msgspec
 from msgspec import Meta
 
 MAX_VALUE = 1e9  # in any unit used here: larger numbers are mistakes, and their products overflow
-MIN_POSITIVE = 1e-6
+MIN_POSITIVE = 1e-6  # in any unit used here: quotients by it, and their squares, are finite
 Positive = Annotated[float, Meta(ge=MIN_POSITIVE, le=MAX_VALUE)]
 NotNegative = Annotated[float, Meta(ge=0, le=MAX_VALUE)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.estimate import Coverage
-from estimator.estimation.gate import Gate, has_news
+from estimator.estimation.gate import MIN_PULLING_ACCELERATION, Gate, has_news, wrong_sign_of
 from estimator.estimation.moments import Fit
 from estimator.estimation.posterior import box
 from estimator.estimation.window import Grid
@@ -130,3 +130,12 @@ def test_news():
     assert not has_news(GateConfig(new_samples=0.1), 1099, 1000, 1000)
     assert has_news(GateConfig(new_samples=0.1), 1100, 1000, 1000)
     assert not has_news(GateConfig(new_samples=0.0), 1000, 1000, 1000)
+
+
+def test_power_that_is_negative_while_the_vehicle_accelerates_has_the_wrong_sign():
+    pulling, power = np.full(9, 1.1 * MIN_PULLING_ACCELERATION), np.arange(9.0) + 1e3
+    assert wrong_sign_of(power, pulling) == ""
+    assert "sign of the torque" in wrong_sign_of(-power, pulling)
+    assert wrong_sign_of(-power, 0.9 * pulling / 1.1) == ""  # gravity may accelerate it
+    assert wrong_sign_of(np.where(np.arange(9) < 4, -power, power), pulling) == ""  # not most of it
+    assert wrong_sign_of(power[:0], pulling[:0]) == ""

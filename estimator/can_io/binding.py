@@ -12,7 +12,7 @@ import numpy as np
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.frames import EXTENDED
-from estimator.can_io.j1939 import pgn_of
+from estimator.can_io.j1939 import MAX_BYTES, pgn_of
 from estimator.config import Config
 from estimator.errors import ConfigError, DatabaseError
 from estimator.input_files import read_bounded
@@ -21,10 +21,9 @@ from estimator.units import KNOWN_UNITS, Conversion, conversion_of
 
 logging.getLogger("cantools").setLevel(logging.ERROR)
 
-MAX_SIGNAL_BITS = 64  # bits of a signal
+MAX_SIGNAL_BITS = 64  # bits of a signal: the widest word that the decoder extracts
 FLOATS = (16, 32, 64)  # bits of a floating-point signal
-MAX_FILE_BYTES = 32 << 20  # bytes of a database
-MAX_MESSAGE_BYTES = 1785  # bytes: what J1939-21 can transport
+MAX_FILE_BYTES = 32 << 20  # bytes of a database: an endless device or fifo does not fill the memory
 MAX_LAYOUT_BITS = 1 << 19  # bits; cantools lays out every bit of a message, so a larger number fills the memory
 _LAYOUT = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")  # start bit and length of a signal
 
@@ -155,8 +154,8 @@ def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSi
     if signal.length > MAX_SIGNAL_BITS or (signal.is_float and signal.length not in FLOATS):
         kind = "floating-point signal" if signal.is_float else "signal"
         raise DatabaseError(f"{path}: a {kind} of {signal.length} bits is no number; correct the DBC")
-    if signal.start + signal.length > 8 * MAX_MESSAGE_BYTES:
-        raise DatabaseError(f"{path}: lies beyond byte {MAX_MESSAGE_BYTES} of its message; correct the DBC")
+    if signal.start + signal.length > 8 * MAX_BYTES:
+        raise DatabaseError(f"{path}: lies beyond byte {MAX_BYTES} of its message; correct the DBC")
     multiplexers = _multiplexers(signal, message, path)
     dimension = DIMENSION[role]
     if dimension == STATE:

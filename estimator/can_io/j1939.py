@@ -19,11 +19,11 @@ BAM = 0x20  # control byte: broadcast announce message
 ABORT = 0xFF  # control byte: connection abort
 GLOBAL = 0xFF  # destination address of a broadcast
 T1 = 0.75  # s between packets after which a receiver gives up (J1939-21, 5.13.3)
-PACKET_BYTES = 7
+PACKET_BYTES = 7  # payload of a data packet after its sequence number
 GROUP_MASK = EXTENDED | 0x3FFFF00  # of an id: all but priority and source
 ANNOUNCEMENT = EXTENDED | (TP_CM | GLOBAL) << 8
 PACKET = EXTENDED | (TP_DT | GLOBAL) << 8
-MAX_BYTES = 1785
+MAX_BYTES = 255 * PACKET_BYTES  # of a message: its packets are numbered from 1 to 255 (J1939-21)
 
 
 def pgn_of(ident: NDArray[np.uint32]) -> NDArray[np.uint32]:

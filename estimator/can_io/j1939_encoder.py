@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.can_io.binding import load_database
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
+from estimator.can_io.j1939 import PACKET_BYTES
 from estimator.signals import Floats, Role, Series, Signals
 from estimator.units import conversion_of
 
@@ -21,9 +22,8 @@ ENGINE, TRANSMISSION, BRAKES, NAVIGATION = 0x00, 0x03, 0x0B, 0x1C  # source addr
 TP_CM = 0x1CECFF00  # announcement to all; source address in the low byte
 TP_DT = 0x1CEBFF00  # data packet to all
 BAM = 0x20  # control byte: broadcast announce message
-PACKET_BYTES = 7  # payload of a data packet after its sequence number
-PACKET_SPACING = 0.05  # s
-NOT_AVAILABLE = 0xFF
+PACKET_SPACING = 0.05  # s, the least between two packets of a broadcast (J1939-21)
+NOT_AVAILABLE = 0xFF  # of a byte (J1939-71)
 HIGHEST_VALID = {8: 0xFA, 16: 0xFAFF, 32: 0xFAFF_FFFF}  # raw values above mean error or not available
 
 Payload = NDArray[np.uint8]

@@ -31,11 +31,11 @@ Address = Annotated[int, Meta(ge=0, le=255)]
 
 NO_ADDRESS = 0  # of messages that are matched by their whole id
 MAX_RATE_RATIO = 1.5  # times its own rate, at which more than one node sends under an address
-OWN_RATE_BLOCKS = 12  # without a contest, from which a sender's own rate is known
-MIN_RATE_BLOCKS = 3  # of them, before it counts as known
+OWN_RATE_BLOCKS = 12  # newest blocks without a contest, 1 min, whose median is a sender's own rate
+MIN_RATE_BLOCKS = 3  # of them, before that rate counts as known
 MIN_READINGS_FOR_RATE = 6  # readings in a block for a rate
 NEW_RATE_S = 600.0  # s after which a rate that contradicts nothing else counts as the sender's own
-MIN_PERIOD_S = 0.01  # of a J1939 parameter group
+MIN_PERIOD_S = 0.01  # shortest period of a J1939 parameter group
 SLOW_GROUP_HZ = 60.0  # that a group may always reach: EEC3, meant for 4 Hz, is sent with 50 by some
 MAX_NOMINAL_RATES = 4.0  # times the rate of the database that a group may reach, up to the shortest period
 JITTER = 1.2  # times the rate of the shortest period

@@ -16,7 +16,7 @@ from estimator.report.next_step import next_step
 from estimator.streaming.replay import Run
 
 MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
-MIN_GAP = 1.0  # s, worth a line of its own
+MIN_GAP = 1.0  # s: shorter gaps of the rows have no line
 ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C", "N s²/m²", "{:.3f}"))
 
 

@@ -2,7 +2,8 @@
 
 `obstacle_to_fit`: do the moments determine the parameters; `obstacle_to_estimate`: were enough of the reachable
 speed-acceleration cells driven, and is the predicted standard deviation small enough. Both return the reason why not,
-empty where there is none. `has_news`: was enough added since the last estimate.
+empty where there is none. `has_news`: was enough added since the last estimate. `wrong_sign_of`: does the vehicle
+accelerate without power.
 """
 
 from typing import Protocol
@@ -16,6 +17,7 @@ from estimator.settings import Gate as GateConfig
 from estimator.signals import Floats
 
 PEAK_QUANTILE = 0.999  # of the measured power: the power that this vehicle can give
+MIN_PULLING_ACCELERATION = 0.1  # m/s^2, where most power must be positive: gravity alone gives it on a slope of 1 %
 NAMES = ("A", "C", "mass")
 
 
@@ -103,3 +105,11 @@ class Gate:
 def has_news(config: GateConfig, added: int, at_last_estimate: int, held: int) -> bool:
     """Whether enough rows were ``added`` since the last estimate, relative to those ``held``."""
     return added - at_last_estimate >= max(config.new_samples * held, 1)
+
+
+def wrong_sign_of(power: Floats, acceleration: Floats) -> str:
+    """Reason why ``power`` (n,) [W] has the wrong sign for an ``acceleration`` (n,) [m/s^2]; empty if it has not."""
+    pulling = power[acceleration > MIN_PULLING_ACCELERATION]
+    if len(pulling) and np.median(pulling) <= 0:
+        return "power is not positive while the vehicle accelerates: check the sign of the torque"
+    return ""

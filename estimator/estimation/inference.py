@@ -13,7 +13,7 @@ from estimator.config import Config
 from estimator.estimate import Coverage, Estimate, Status
 from estimator.estimation import moments, posterior
 from estimator.estimation.evidence import Evidence, Trace
-from estimator.estimation.gate import Gate
+from estimator.estimation.gate import Gate, wrong_sign_of
 from estimator.estimation.load_segments import Loads, Segment
 from estimator.estimation.model_check import contradiction, misfit
 from estimator.estimation.moments import SMALL_LAG, Fit
@@ -26,7 +26,6 @@ from estimator.samples import STEP, Samples
 from estimator.sampling.likelihood import Target
 from estimator.signals import Quantity
 
-MIN_PULLING_ACCELERATION = 0.1  # m/s^2, from which power must be positive
 NOTHING_COVERED = Coverage(0, 0)
 
 
@@ -112,9 +111,8 @@ class Inference:
             return Estimate(t=t, status=Status.UNESTIMATED, reason=reason, coverage=coverage, admitted=held)
 
         reason = self._gate.obstacle_to_fit(fit, held, posterior.box(self._config.prior))
-        pulling = samples.P[samples.za > MIN_PULLING_ACCELERATION]
-        if fit is None and len(pulling) and np.median(pulling) <= 0:
-            return unestimated("power is not positive while the vehicle accelerates: check the sign of the torque")
+        if fit is None and (wrong := wrong_sign_of(samples.P, samples.za)):
+            return unestimated(wrong)
         if fit is None or reason:
             common = (rejected + Counter({Reason.BELOW_MODEL_POWER.value: self.below})).most_common(1)
             return unestimated(reason + (f"; most others: {common[0][0]}" if common else ""))

@@ -22,7 +22,7 @@ from estimator.settings import Prior
 from estimator.signals import Floats, Role
 
 PARTS = 8  # quantile bins along each axis
-MIN_STANDARD_ERRORS = 5.0  # of the mean residual, from which it is significant
+MIN_STANDARD_ERRORS = 5.0  # of the mean residual: in one of 3 x PARTS, Gaussian noise exceeds it in 1e-5 of fits
 MIN_BIAS_SHARE = 0.15  # mean residual over the mean model power, from which it is large
 MIN_EXPLAINED = 0.5  # share of the variance of power, means over BLOCK_SAMPLES
 BLOCK_SAMPLES = 50  # 5 s
@@ -30,7 +30,7 @@ MAX_LAG_LEFT = 2 * LAG_SD  # s, after alignment
 MAX_BELIEF_SDS = 5.0  # sd by which a belief and the drive may differ
 MAX_SCALE_DIFFERENCE = 0.1  # by which wheel and GPS speed may differ: worn tyres make 3 %, a wrong unit 60 %
 MIN_SCALE_SPEED = 5.0  # m/s, above which they are compared
-MIN_SCALE_ROWS = 600  # 1 min, for a comparison
+MIN_SCALE_ROWS = 600  # 1 min of rows, for a comparison
 
 
 class SpeedScale:

@@ -28,7 +28,7 @@ from estimator.model.effects import Effect
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 
-MAX_PASSES = 8  # passes that settle which samples count
+MAX_PASSES = 8  # alternations of fit and selection of samples; they stop when the selection stays the same
 MIN_COSINES = 12  # degrees of freedom of the covariance: fewer would give a t density without usable tails
 BLOCK_SAMPLES = 20  # samples, 2 s: beyond the reach of the smoother
 TIMES_PER_COSINE = 4.0  # autocorrelation times that one cosine transform must span
@@ -37,7 +37,8 @@ ROAD_LOAD = 3  # the first parameters
 PARAMETERS = 4  # with the lag
 USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 EFFECT_PASSES = 3  # fits: effects scale with the road load of the fit before
-MIN_SAMPLES_FOR_EFFECTS = 600  # samples
+MIN_SAMPLES_FOR_EFFECTS = 600  # 1 min of samples
+MIN_SAMPLES_PER_COLUMN = 20  # samples, 2 s, for each column: with fewer there is no fit
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ def _fit(
     samples: Samples, power_sigmas: float, belief: Belief, terms: tuple[Term, ...], road_load: Floats | None
 ) -> Fit | None:
     X, Z = columns(samples, terms, road_load)
-    if len(X) < 20 * X.shape[1]:
+    if len(X) < MIN_SAMPLES_PER_COLUMN * X.shape[1]:
         return None
     # Columns of order one: v^3 is 10^4 times v, and the equations would look singular for that alone.
     scale = np.sqrt(np.mean(X**2, axis=0))
@@ -179,7 +180,7 @@ def _fit(
     driving = np.arange(X.shape[1]) != ROAD_LOAD  # all but the lag
     spread: Floats | None = None
     for _ in range(MAX_PASSES):
-        if kept.sum() < 20 * X.shape[1]:
+        if kept.sum() < MIN_SAMPLES_PER_COLUMN * X.shape[1]:
             return None
         Xk, Zk, Pk = X[kept], Z[kept], samples.P[kept]
         solution = _solve(Xk, Zk, Pk, spread, prior)

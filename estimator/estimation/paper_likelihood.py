@@ -25,10 +25,10 @@ from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.condensed import Condensed, Region
 from estimator.signals import Floats
 
-COLUMNS = 4
+COLUMNS = 4  # of a block, see the module
 AIR_COLUMN = 2  # proportional to the density
 REGION_SDS = 64.0  # radius of the region when blocks are condensed, in sd of the posterior
-MIN_REGION_SDS, MAX_REGION_SDS = 32.0, 128.0  # radius of the region, in sd of the newest posterior
+MIN_REGION_SDS, MAX_REGION_SDS = 32.0, 128.0  # the same of the newest posterior: outside, blocks are condensed again
 MAX_DENSITY_CHANGE = 0.05  # by which the mean density may change without leaving the region
 
 

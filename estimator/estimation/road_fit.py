@@ -35,11 +35,11 @@ CORRECTION_DOUBT = 0.5  # share of the correction's shift that counts as a stand
 FORM_SD = 0.0025  # of 1/m: what the model's form leaves on any road (friction in steps of 1 %)
 FORM_SLOPE = 0.4  # sd of 1/m per unit of the slopes' sd where no signal shows them: the driver reacts to slopes
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
-MIN_STRIDES = 30  # strides
+MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 UNKNOWN_SCALE_STEP, KNOWN_SCALE_STEP = 0.7, 0.25  # first steps of the logarithms of scales, unknown or known before
 ROAD_SCALES = (0, 4, 5)  # scales that change with the smoothness of the road
 VEHICLE_SCALES = (2, 3)  # scales that do not change with the smoothness of the wander
-LAG_PASSES = 4
+LAG_PASSES = 4  # alternations of scales and lag; they stop when the lag stays the same
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
 

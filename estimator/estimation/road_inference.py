@@ -25,7 +25,7 @@ from estimator.errors import StateError
 from estimator.estimate import PARAMETERS, Coverage, Estimate, Road, Status
 from estimator.estimation import posterior
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
-from estimator.estimation.gate import NAMES, Gate
+from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
 from estimator.estimation.load_segments import Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
@@ -41,13 +41,12 @@ from estimator.strides import DURATION, LAGS, Strides
 
 PROBE_SEED = 20_041  # of the simulated noise in the correction: the same in every update
 MIN_GROWTH = 1.5  # factor by which the window must grow before the scales of road and noise are searched again
-MIN_PULLING_ACCELERATION = 0.1  # m/s^2, from which power must be positive
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road
 MAX_TORQUE_NOISE = 0.3  # m/s^2 of torque noise over mass: ten times that of a poor signal
 PARTS = 4  # of the window, between which the mass may have changed
-MIN_MASS_CHANGE_SDS = 4.0  # difference of the masses of two parts, in its sd, that is a contradiction
-MIN_MASS_CHANGE_SHARE = 0.04  # difference of the masses, as a share, that is a contradiction
+MIN_MASS_CHANGE_SDS = 4.0  # difference of two masses, in its sd: Gaussian noise exceeds it in 6e-5 of comparisons
+MIN_MASS_CHANGE_SHARE = 0.04  # difference of the masses, as a share: smaller ones may come from the form of the model
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
 MAX_LAG = 0.5  # s, between power and speed: beyond, the time stamps are wrong
 MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
@@ -199,9 +198,8 @@ class RoadInference:
             others = f"; most others: {rejected.most_common(1)[0][0]}" if rejected else ""
             return withheld(f"{held} usable samples of the {self._config.gate.minimum_samples} needed{others}")
         driven = strides[strides.known]
-        pulling = driven.power[driven.a > MIN_PULLING_ACCELERATION]
-        if len(pulling) and np.median(pulling) <= 0:
-            return withheld("power is not positive while the vehicle accelerates: check the sign of the torque")
+        if reason := wrong_sign_of(driven.power, driven.a):
+            return withheld(reason)
         found = self._fit(strides, held)
         if found is None:
             return withheld("speed and acceleration varied too little to tell A, C and m apart")

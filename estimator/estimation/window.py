@@ -12,9 +12,9 @@ from estimator.config import Config
 from estimator.errors import StateError
 from estimator.signals import Floats
 
-MIN_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins
-SPEED_CELLS = 64
-ACCELERATION_CELLS = 64
+MIN_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins; lower values fall into its first cells
+SPEED_CELLS = 64  # of `gate.speed_step_m_s`: up to 160 m/s by default
+ACCELERATION_CELLS = 64  # of `gate.acceleration_step_m_s2`: up to 5.4 m/s^2 by default
 
 
 @dataclass(frozen=True)

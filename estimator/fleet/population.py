@@ -20,7 +20,7 @@ OUTLIERS = 0.1  # prior share of outliers
 OUTLIER_SCALE = 0.5  # sd of outliers, as a share of the median
 MEANS, SPREADS = 161, 24  # nodes of the grids
 SPREAD_WIDEST = 5.0  # largest node of tau, in sd of its prior
-MIN_VEHICLES = 4  # vehicles; among fewer, none is compared
+MIN_VEHICLES = 4  # vehicles: each is compared with at least three others
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from estimator.signals import Floats
 
 Progress = Callable[[float], None]
 SURVEYING = 0.05  # share of the work
-MIN_SCALE = 1e-3  # of the scatter between drives, where the configuration allows none
+MIN_SCALE = 1e-3  # of the scatter between drives, where `load.change_sd` is 0: its prior needs a width
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,10 +9,10 @@ from estimator.model.road_load import design
 from estimator.preparation.smoothing import convolve, smoother_kernels
 from estimator.signals import Floats
 
-MAX_LAG = 2.0  # s
-SMOOTHER_RATIO = 100.0  # 1/s^4, of the smoother used here
+MAX_LAG = 2.0  # s, largest value of `kinematics.maximum_lag_s`
+SMOOTHER_RATIO = 100.0  # 1/s^4, of the smoother used here: geometric mean of `smoothing.RATIO_BOUNDS`
 MIN_SPEED = 2.0  # m/s
-MIN_SAMPLES = 300  # samples
+MIN_SAMPLES = 300  # 30 s at 10 Hz: with CORRELATION, 30 independent residuals for 3 coefficients and the lag
 CORRELATION = 1.0  # s, correlation time of the residuals
 MAX_LAG_SD = 0.1  # s: a lag with a larger standard deviation counts as unknown
 

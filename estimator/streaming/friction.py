@@ -21,7 +21,7 @@ from estimator.signals import Floats
 DEGREE = 3  # of the curve in engine speed
 SPEED_SCALE = 150.0  # rad/s, to keep powers of the speed near one
 BIN_WIDTH = 3.0  # rad/s, engine speeds that count as one
-BINS = 400  # up to 1200 rad/s
+BINS = 400  # of BIN_WIDTH: up to 1200 rad/s, 11,460 rpm
 MAX_LEVELS = 256  # a sender with more is not one of whole per cents, and needs no curve
 MAX_BIN_WEIGHT = 50.0  # readings: more in the same bin add no weight
 RIDGE = 1e-3  # weight, in readings, of a prior with zero slope: makes a drive at one speed solvable

@@ -21,7 +21,7 @@ from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block, Interruption
 
 MIN_GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
-MIN_GAP = 1.0  # s
+MIN_GAP = 1.0  # s: shorter gaps are not listed
 
 
 @dataclass

@@ -10,7 +10,7 @@ from estimator.signals import Floats, Mask, Series
 
 FRESH_PERIODS = 3.0  # sender periods after which a reading is stale
 MIN_FRESH = 0.3  # s, for senders whose rate follows the engine speed
-MAX_FRESH = 15.0  # s, for slow senders
+MAX_FRESH = 15.0  # s, for slow senders, and until the period of a sender is known
 
 
 class Track:
