@@ -11,7 +11,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from estimator.components.component import Component, Frame, of_effect, of_term, processes
-from estimator.components.likelihood import JointLikelihood, Judged
+from estimator.components.likelihood import JointLikelihood
+from estimator.components.set_likelihood import Judged
 from estimator.components.switching import best_times
 from estimator.estimation.road_fit import RoadFit, fit
 from estimator.model.design_matrix import Term

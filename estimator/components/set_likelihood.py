@@ -1,0 +1,167 @@
+"""The evidence of any set of components from the products of all their columns, computed once.
+
+Data y = X b + noise of covariance K, with a Gaussian prior of covariance P for the amplitudes b. With the products of
+columns weighted by K^-1,
+
+    log p(y | set) = 1/2 (log|P^-1| - log|X'K^-1 X + P^-1| - y'K^-1 y + b^' (X'K^-1 X + P^-1) b^) + log prior of signs
+
+up to a constant that all sets share, b^ being the posterior mean. The columns of a base are in every set.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
+
+from estimator.signals import Floats
+
+
+class Prior(Protocol):
+    """Of the amplitudes of a component: N(0, ``sd``^2), or half of it; ``cost``: -log probability of its form."""
+
+    @property
+    def sd(self) -> float:
+        """Of each amplitude."""
+
+    @property
+    def positive(self) -> bool:
+        """Whether its one amplitude cannot be negative."""
+
+    @property
+    def cost(self) -> float:
+        """Taken off its evidence."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Amplitudes of a set of components and the base before them: mean (p,) and covariance (p, p), in own units."""
+
+    mean: Floats
+    covariance: Floats
+    base: int  # how many belong to the base
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One-column components added to a set, each alone: gain in log evidence, value and sd, all (c,)."""
+
+    gain: Floats
+    value: Floats
+    sd: Floats
+
+
+def places_of(base_size: int, sizes: Sequence[int]) -> list[NDArray[np.int64]]:
+    """Places of the columns of each component, of ``sizes``, behind those of the base."""
+    ends = base_size + np.cumsum([0, *sizes])
+    return [np.arange(start, end) for start, end in pairwise(ends)]
+
+
+class SetLikelihood:
+    """The likelihood of sets of components.
+
+    Parameters
+    ----------
+    data
+        The data, and the columns of base and components (n, 1 + p).
+    gram
+        Gives the products (c, c) of columns (n, c), weighted by K^-1.
+    base_precision
+        Of the prior of the base's amplitudes (b,); zero where they are free.
+    priors
+        Of the components.
+    places
+        Of their columns among the p.
+    unit
+        What the columns (p,) were divided by.
+    """
+
+    def __init__(
+        self,
+        data: Floats,
+        gram: Callable[[Floats], Floats],
+        base_precision: Floats,
+        priors: Sequence[Prior],
+        places: Sequence[NDArray[np.int64]],
+        unit: Floats,
+    ) -> None:
+        self.priors, self.places, self.unit = list(priors), list(places), unit
+        self.base_size = len(base_precision)
+        self._prior = base_precision
+        self.data, self._gram = data, gram
+        products = gram(data)
+        self._total, self._moment = float(products[0, 0]), products[1:, 0]
+        self._information = products[1:, 1:]
+
+    def observe(self, index: int, weight: float, value: float) -> None:
+        """Add a measurement ``weight`` x amplitude = ``value``, both over its sd, of a component with one column."""
+        place = self.places[index][0]
+        self._information[place, place] += weight**2
+        self._moment[place] += weight * value
+
+    def _precision(self, chosen: Sequence[int]) -> Floats:
+        """Of the prior of base and set."""
+        return np.concatenate([self._prior, *(np.full(len(self.places[i]), self.priors[i].sd ** -2.0) for i in chosen)])
+
+    def _set(self, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats]:
+        """Places of a set, its information with the prior, and the prior's precision."""
+        places = np.concatenate([np.arange(self.base_size), *(self.places[i] for i in chosen)])
+        prior = self._precision(chosen)
+        return places, self._information[np.ix_(places, places)] + np.diag(prior), prior
+
+    def posterior(self, chosen: Sequence[int]) -> Posterior:
+        """Amplitudes and log evidence of the components with numbers in ``chosen``, up to a constant of the data."""
+        places, information, prior = self._set(chosen)
+        unit = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        covariance = np.linalg.inv(information * np.outer(unit, unit)) * np.outer(unit, unit)
+        mean = covariance @ self._moment[places]
+        volume = float(np.linalg.slogdet(information * np.outer(unit, unit))[1] - 2 * np.log(unit).sum())
+        log = -0.5 * (volume - np.log(prior[prior > 0]).sum() + self._total - self._moment[places] @ mean)
+        at = self.base_size
+        for i in chosen:
+            if self.priors[i].positive:
+                log += float(log_ndtr(mean[at] / np.sqrt(covariance[at, at]))) + np.log(2)
+            at += len(self.places[i])
+        own = self.unit[places]
+        return Posterior(mean / own, covariance / np.outer(own, own), self.base_size, float(log))
+
+    def log_evidence(self, chosen: Sequence[int]) -> float:
+        """Of the set with numbers in ``chosen``, less the cost of its times."""
+        return self.posterior(chosen).log_evidence - sum(self.priors[i].cost for i in chosen)
+
+    def gains(self, chosen: Sequence[int], candidates: Sequence[int]) -> Judged:
+        """What each of ``candidates`` with one column adds to a set, costs not counted."""
+        places, information, _ = self._set(chosen)
+        new = np.array([self.places[i][0] for i in candidates], dtype=np.int64)
+        cross = self._information[np.ix_(places, new)]
+        weights = np.linalg.solve(information, np.column_stack([cross, self._moment[places]]))
+        strength = np.diag(self._information)[new] - np.sum(cross * weights[:, :-1], axis=0)
+        score = self._moment[new] - cross.T @ weights[:, -1]
+        usual = np.array([self.priors[i].sd for i in candidates])
+        positive = np.array([self.priors[i].positive for i in candidates])
+        precision = np.maximum(strength, 0.0) + usual**-2.0
+        value, sd = score / precision, precision**-0.5
+        gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * usual**2)
+        return Judged(gain + np.where(positive, log_ndtr(value / sd) + np.log(2), 0.0), value, sd)
+
+    def projected(self, chosen: Sequence[int], columns: Floats) -> tuple[Floats, Floats]:
+        """Products (c, c) and scores (c,) of further ``columns``, off a set of components.
+
+        They have (m, c) elements, m <= n; the other rows are zero.
+        """
+        places, information, _ = self._set(chosen)
+        wide = np.zeros((len(self.data), 1 + len(places) + columns.shape[1]))
+        wide[:, 0] = self.data[:, 0]
+        wide[:, 1 : 1 + len(places)] = self.data[:, 1 + places]
+        wide[: len(columns), 1 + len(places) :] = columns
+        gram = self._gram(wide)
+        split = 1 + len(places)
+        cross = gram[1:split, split:]
+        weights = np.linalg.solve(information, np.column_stack([cross, self._moment[places]]))
+        products = gram[split:, split:] - cross.T @ weights[:, :-1]
+        score: Floats = gram[split:, 0] - cross.T @ weights[:, -1]
+        return products, score
