@@ -11,17 +11,32 @@ if TYPE_CHECKING:
     from estimator.config import load as load_config
     from estimator.fleet.library import estimate_drives
     from estimator.model.effects import Effect
+    from estimator.residual.diagnose import diagnose_residual
+    from estimator.residual.inputs import Axis, Candidate
     from estimator.streaming.drive_extraction import diagnose_logs
     from estimator.streaming.listener import Listener
     from estimator.streaming.replay import estimate_logs
 
 __version__ = "0.1.0"
-__all__ = ["Effect", "Listener", "diagnose_logs", "estimate_drives", "estimate_logs", "load_config"]
+__all__ = [
+    "Axis",
+    "Candidate",
+    "Effect",
+    "Listener",
+    "diagnose_logs",
+    "diagnose_residual",
+    "estimate_drives",
+    "estimate_logs",
+    "load_config",
+]
 
 _HOMES = {  # module and name there
+    "Axis": ("estimator.residual.inputs", "Axis"),
+    "Candidate": ("estimator.residual.inputs", "Candidate"),
     "Effect": ("estimator.model.effects", "Effect"),
     "Listener": ("estimator.streaming.listener", "Listener"),
     "diagnose_logs": ("estimator.streaming.drive_extraction", "diagnose_logs"),
+    "diagnose_residual": ("estimator.residual.diagnose", "diagnose_residual"),
     "estimate_drives": ("estimator.fleet.library", "estimate_drives"),
     "estimate_logs": ("estimator.streaming.replay", "estimate_logs"),
     "load_config": ("estimator.config", "load"),

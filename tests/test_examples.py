@@ -77,6 +77,16 @@ def with_pump(recording: Recording, k: float) -> Recording:
     return replace(recording, signals=signals)
 
 
+def test_pendulum(capsys: pytest.CaptureFixture[str]) -> None:
+    example("pendulum")(["3"])
+    out = capsys.readouterr().out
+    assert out.startswith("effect: dry friction\n")
+    size, sd = map(float, re.findall(r"^dry friction: P = 1.000, ([0-9.]+) ± ([0-9.]+) rad/s\^2$", out, re.M)[0])
+    assert abs(size - 0.04) < 3 * sd
+    left, noise = re.findall(r"left-out stretches ([0-9.]+) once named, noise ([0-9.]+)", out)[0]
+    assert float(left) == pytest.approx(float(noise), rel=0.05)
+
+
 def test_own_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = with_pump(drive("mixed", 60, 5), 1.5)
     example("own_effect")([str(written(recording, tmp_path / "drive.blf"))])

@@ -1,0 +1,147 @@
+"""A formula for what has no name: the product of a few powers of known quantities that explains most.
+
+A factor is x, |x|, x^2, x |x|, x^3, max(x, 0) or 1/x; a formula is a factor, or the product of two of different
+quantities. Its column has the amplitude's prior N(0, 1) in rms of the residual, and all formulas are equally probable.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from estimator.signals import Floats
+
+BATCH = 64  # columns that are judged at once: bounds the memory
+MIN_RELATIVE_DISTANCE = 1e-3  # from zero, of the range of a quantity in a denominator
+
+Project = Callable[[Floats], tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """Values of a quantity (n,), and its unit as a product of powers, as in "m/s^2"."""
+
+    values: Floats
+    unit: str
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A power of a quantity: its text, as in "v^2"; values (n,); exponents by unit."""
+
+    text: str
+    values: Floats
+    unit: Mapping[str, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Formula:
+    """``value`` +- ``sd`` x ``text``; ``unit`` that of the value; ``gain`` in log evidence, all formulas counted."""
+
+    text: str
+    value: float
+    sd: float
+    unit: str
+    gain: float
+    column: Floats  # (n,) at a value of 1
+
+
+def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, project: Project) -> Formula | None:
+    """The formula with most evidence; None where no quantity varies.
+
+    Parameters
+    ----------
+    variables
+        Quantities by name.
+    unit
+        Of the residual.
+    rms
+        Of the residual.
+    project
+        Gives products (c, c) and scores (c,) of columns (n, c), off everything else in the model.
+    """
+    found: list[tuple[float, float, float, Sequence[Factor]]] = []
+    formulas = list(_formulas(variables))
+    for start in range(0, len(formulas), BATCH):
+        batch = formulas[start : start + BATCH]
+        columns = np.column_stack([_column(factors) for factors in batch])
+        size = np.sqrt(np.mean(columns**2, axis=0)) / rms
+        products, score = project(columns / size)
+        precision = np.maximum(np.diag(products), 0.0) + 1.0
+        gains = 0.5 * score**2 / precision - 0.5 * np.log(precision)
+        k = int(np.argmax(gains))
+        unit_size = float(size[k])
+        value, sd = float(score[k] / precision[k]) / unit_size, float(precision[k]) ** -0.5 / unit_size
+        found.append((float(gains[k]), value, sd, batch[k]))
+    if not found:
+        return None
+    gain, value, sd, factors = max(found, key=lambda row: row[0])
+    return Formula(
+        text=" ".join(factor.text for factor in factors),
+        value=value,
+        sd=sd,
+        unit=_quotient(unit, factors),
+        gain=gain - float(np.log(len(formulas))),
+        column=_column(factors),
+    )
+
+
+def _formulas(variables: Mapping[str, Variable]) -> Iterator[tuple[Factor, ...]]:
+    factors = {name: list(_factors(name, variable)) for name, variable in variables.items()}
+    for own in factors.values():
+        yield from ((factor,) for factor in own)
+    for one, other in combinations(factors.values(), 2):
+        yield from ((a, b) for a in one for b in other)
+
+
+def _column(factors: Sequence[Factor]) -> Floats:
+    product: Floats = np.prod([factor.values for factor in factors], axis=0)
+    return product
+
+
+def _factors(name: str, variable: Variable) -> Iterator[Factor]:
+    x, unit = variable.values, units_of(variable.unit)
+    if not np.ptp(x) > 0:
+        return
+
+    def powered(exponent: int) -> dict[str, int]:
+        return {symbol: exponent * power for symbol, power in unit.items()}
+
+    yield Factor(name, x, powered(1))
+    yield Factor(f"{name}^2", x**2, powered(2))
+    yield Factor(f"{name}^3", x**3, powered(3))
+    if x.min() < 0 < x.max():
+        yield Factor(f"|{name}|", np.abs(x), powered(1))
+        yield Factor(f"{name} |{name}|", x * np.abs(x), powered(2))
+        yield Factor(f"max({name}, 0)", np.maximum(x, 0.0), powered(1))
+    elif np.abs(x).min() > MIN_RELATIVE_DISTANCE * np.ptp(x):
+        yield Factor(f"{name}^-1", 1 / x, powered(-1))
+
+
+def units_of(text: str) -> dict[str, int]:
+    """Exponents by unit of a product of powers: "m/s^2" gives m 1, s -2; a second "/" divides again.
+
+    Raises
+    ------
+    ValueError
+        An exponent is not a whole number.
+    """
+    found: dict[str, int] = {}
+    for place, part in enumerate(text.split("/")):
+        for symbol in part.split():
+            base, _, exponent = symbol.partition("^")
+            if base != "1":
+                found[base] = found.get(base, 0) + (int(exponent) if exponent else 1) * (-1 if place else 1)
+    return found
+
+
+def _quotient(unit: str, factors: Sequence[Factor]) -> str:
+    """Unit of a coefficient: that of the residual over those of the factors."""
+    powers = units_of(unit)
+    for factor in factors:
+        for symbol, power in factor.unit.items():
+            powers[symbol] = powers.get(symbol, 0) - power
+    above = [symbol if power == 1 else f"{symbol}^{power}" for symbol, power in powers.items() if power > 0]
+    below = [symbol if power == -1 else f"{symbol}^{-power}" for symbol, power in powers.items() if power < 0]
+    return "/".join([" ".join(above) or "1", *below])

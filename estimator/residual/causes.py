@@ -1,0 +1,86 @@
+"""What may act, with its prior: candidates of one column each, and nameless processes along each axis."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.components.component import hats
+from estimator.components.set_likelihood import SetLikelihood, places_of
+from estimator.residual.inputs import Axis, Record
+from estimator.residual.noise import Noise
+from estimator.signals import Floats
+
+ODDS_OF_CANDIDATES = 0.37  # prior odds of all candidates together: no effect is e times as probable
+ODDS_OF_PROCESSES = 0.1  # the same of all nameless processes
+HATS = (4, 16)  # distances between hats in the range of an axis
+STRENGTHS = (0.1, 0.3, 1.0)  # of a process, in rms of the residual
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """One form of a cause: columns (n, k) whose amplitudes have the prior N(0, ``sd``^2), or half of it."""
+
+    cause: str
+    columns: Floats
+    sd: float
+    positive: bool = False
+    cost: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """A candidate or a nameless process: the numbers of its forms, and the log prior odds that it acts."""
+
+    name: str
+    is_named: bool
+    forms: tuple[int, ...]
+    log_odds: float
+
+    @property
+    def log_prior(self) -> float:
+        """Of each form, against the cause's absence."""
+        return self.log_odds - float(np.log(len(self.forms)))
+
+
+def forms_of(record: Record) -> tuple[list[Form], list[Cause]]:
+    """All forms of all causes."""
+    forms: list[Form] = []
+    causes: list[Cause] = []
+
+    def add(name: str, is_named: bool, odds: float, own: Sequence[Form]) -> None:
+        numbers = tuple(range(len(forms), len(forms) + len(own)))
+        forms.extend(own)
+        causes.append(Cause(name=name, is_named=is_named, forms=numbers, log_odds=float(np.log(odds))))
+
+    for name, c in record.candidates.items():
+        form = Form(cause=name, columns=c.column[:, None], sd=c.sd, positive=c.positive)
+        add(name, True, ODDS_OF_CANDIDATES / len(record.candidates), [form])
+    varying = {name: axis for name, axis in record.axes.items() if np.ptp(axis.values) > 0}
+    for name, axis in varying.items():
+        process = f"unknown over {name}"
+        add(process, False, ODDS_OF_PROCESSES / len(varying), list(_process(process, axis, record.rms)))
+    return forms, causes
+
+
+def _process(name: str, axis: Axis, rms: float) -> Iterator[Form]:
+    for number in HATS:
+        columns = hats(axis.values, float(np.ptp(axis.values)) / number)
+        for strength in STRENGTHS:
+            yield Form(cause=name, columns=columns, sd=strength * rms)
+
+
+class ResidualLikelihood(SetLikelihood):
+    """The likelihood of one record for sets of ``forms``, under a ``noise``; ``rows``: those that it is given (n,)."""
+
+    def __init__(
+        self, record: Record, forms: Sequence[Form], noise: Noise, rows: NDArray[np.int64] | None = None
+    ) -> None:
+        self.forms = list(forms)
+        columns = [record.residual[:, None], record.base, *(form.columns for form in forms)]
+        data = np.hstack(columns)
+        base = record.base.shape[1]
+        places = places_of(base, [form.columns.shape[1] for form in forms])
+        unit = np.ones(data.shape[1] - 1)
+        super().__init__(data if rows is None else data[rows], noise.gram, np.zeros(base), forms, places, unit)

@@ -1,0 +1,200 @@
+"""The diagnosis of a residual that any model leaves: which causes, how far it shrinks with them, and where it is.
+
+The residual is the difference of a measurement and a model, sample by sample. Candidates are columns: the residual that
+a cause of magnitude 1 would leave. Nameless processes along every axis stand for what is no candidate. All sets of them
+are judged by one likelihood, and the verdict is read from their probabilities.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.answers.diagnosis import Verdict
+from estimator.blas_threads import one_blas_thread
+from estimator.components.formula import Variable, best_formula
+from estimator.residual.answer import Description, ResidualDiagnosis, Suspect
+from estimator.residual.causes import Cause, Form, ResidualLikelihood, forms_of
+from estimator.residual.inputs import Axis, Candidate, Record, checked
+from estimator.residual.models import Chosen, ModelTable, weigh
+from estimator.residual.noise import Noise, Scales, fit_noise
+from estimator.residual.places import disagreements
+from estimator.residual.shares import budget, held_out
+from estimator.signals import Floats
+
+LEVEL = 0.95  # probability from which a cause is named
+MIN_PROBABILITY_NO_GAP = 0.5  # of no cause at all, for the verdict "no gap"
+MIN_PROBABILITY = 1e-3  # of a set that a magnitude is averaged over
+MAX_ROUNDS = 4  # of noise and table, each found beside the other
+ONE_SIDED_95 = 1.645  # standard deviations
+
+
+@one_blas_thread()
+def diagnose_residual(
+    residual: Floats,
+    columns: Mapping[str, Candidate],
+    time: Floats,
+    *,
+    rng: np.random.Generator,
+    base: Floats | None = None,
+    along: Mapping[str, Axis] | None = None,
+    unit: str = "",
+    surrogates: int = 0,
+) -> ResidualDiagnosis:
+    """Which causes explain a residual, how far it shrinks with them, and where it is.
+
+    Parameters
+    ----------
+    residual
+        Measurement less model (n,), at least 100 samples, in ``unit``.
+    columns
+        Candidates by name.
+    time
+        Of the samples [s] (n,), ascending; steps may differ.
+    rng
+        Source of the draws for intervals and surrogates.
+    base
+        Columns (n, b) of the parameters that the model would fit anew: derivatives of its prediction. A cause that
+        they can imitate is not visible.
+    along
+        Quantities that something without a name may go with, by name; time is always one of them.
+    unit
+        Of the residual, as a product of powers ("m/s^2"): the unit of a formula's coefficient follows from it.
+    surrogates
+        Records of pure noise that the whole search is run on, for a p-value; 99 give one in steps of 1 %.
+
+    Raises
+    ------
+    InputError
+        Naming the array that cannot be used and why.
+    """
+    record = checked(residual, columns, time, base, along)
+    forms, causes = forms_of(record)
+    scales, likelihood, table = _judged(record, forms, causes)
+    candidates = [cause for cause in causes if cause.is_named]
+    processes = [form for cause in causes if not cause.is_named for form in cause.forms]
+    named = [cause for cause in candidates if table.holding(cause.forms) >= LEVEL]
+    chosen = tuple(form for cause in named for form in cause.forms)
+    unknown = table.holding(processes)
+    verdict = _verdict(bool(named), unknown, table.none)
+    return ResidualDiagnosis(
+        verdict=verdict,
+        named=tuple(cause.name for cause in named),
+        between=_between(table, causes) if verdict is Verdict.CANNOT_TELL else (),
+        suspects=_suspects(record, likelihood, table, candidates),
+        unknown=unknown,
+        budget=budget(record, likelihood, table, causes, chosen, scales, rng),
+        rms=record.rms,
+        reached=held_out(record, [forms[i] for i in chosen], scales),
+        noise=float(np.sqrt(scales.variance)),
+        where=disagreements(record, likelihood),
+        formula=_described(record, likelihood, chosen, scales, unit) if unknown >= LEVEL else None,
+        max_false_alarms=_max_false_alarms(causes),
+        p_value=_p_value(record, table, surrogates, rng) if surrogates else None,
+    )
+
+
+def _judged(record: Record, forms: list[Form], causes: list[Cause]) -> tuple[Scales, ResidualLikelihood, ModelTable]:
+    """The scales of the noise beside the most probable set, and the table under that noise."""
+    chosen: Chosen = ()
+    for _ in range(MAX_ROUNDS):
+        scales = _scales(record, [forms[i] for i in chosen])
+        likelihood = ResidualLikelihood(record, forms, Noise(record.t, scales))
+        table = weigh(likelihood, causes)
+        if table.best == chosen:
+            break
+        chosen = table.best
+    return scales, likelihood, table
+
+
+def _scales(record: Record, beside: list[Form]) -> Scales:
+    def log_evidence(noise: Noise) -> float:
+        likelihood = ResidualLikelihood(record, beside, noise)
+        return likelihood.log_evidence(range(len(beside))) - 0.5 * noise.log_determinant
+
+    return fit_noise(record.t, record.rms, log_evidence)
+
+
+def _verdict(is_named: bool, unknown: float, none: float) -> Verdict:
+    if is_named:
+        return Verdict.EFFECT
+    if unknown >= LEVEL:
+        return Verdict.UNKNOWN
+    return Verdict.NO_GAP if none >= MIN_PROBABILITY_NO_GAP else Verdict.CANNOT_TELL
+
+
+def _between(table: ModelTable, causes: list[Cause]) -> tuple[str, ...]:
+    """The most probable causes, until one of them acts with the probability LEVEL; none where all together do not."""
+    order = sorted(causes, key=lambda cause: -table.holding(cause.forms))
+    for count in range(1, len(order) + 1):
+        if table.holding([form for cause in order[:count] for form in cause.forms]) >= LEVEL:
+            return tuple(cause.name for cause in order[:count])
+    return ()
+
+
+def _suspects(
+    record: Record, likelihood: ResidualLikelihood, table: ModelTable, candidates: list[Cause]
+) -> tuple[Suspect, ...]:
+    found = []
+    for cause in candidates:
+        (form,) = cause.forms
+        alone = likelihood.gains([], [form])
+        value, sd = _magnitude(likelihood, table, form)
+        size = float(np.sqrt(np.mean(record.off(likelihood.forms[form].columns[:, 0]) ** 2)))
+        found.append(
+            Suspect(
+                name=cause.name,
+                probability=table.holding(cause.forms),
+                log_bayes_factor=float(alone.gain[0]),
+                value=value,
+                sd=sd,
+                unit=record.candidates[cause.name].unit,
+                hidden=size * (abs(value) + ONE_SIDED_95 * sd),
+            )
+        )
+    return tuple(sorted(found, key=lambda suspect: -suspect.probability))
+
+
+def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, form: int) -> tuple[float, float]:
+    """Value and sd of the magnitude of a form that acts, averaged over what acts beside it."""
+    likely = [(p, own) for p, own in zip(table.probability.tolist(), table.sets, strict=True) if p > MIN_PROBABILITY]
+    weight = np.array([p for p, _ in likely]) / sum(p for p, _ in likely)
+    each = [likelihood.gains([other for other in own if other != form], [form]) for _, own in likely]
+    values, sds = np.array([one.value[0] for one in each]), np.array([one.sd[0] for one in each])
+    mean = float(weight @ values)
+    return mean, float(np.sqrt(weight @ (sds**2 + (values - mean) ** 2)))
+
+
+def _described(
+    record: Record, likelihood: ResidualLikelihood, chosen: Chosen, scales: Scales, unit: str
+) -> Description | None:
+    """The formula that explains most beside those chosen, if it has evidence."""
+    variables = {name: Variable(axis.values, axis.unit) for name, axis in record.axes.items()}
+    found = best_formula(variables, unit, record.rms, lambda columns: likelihood.projected(chosen, columns))
+    if found is None or found.gain <= 0:
+        return None
+    size = record.rms / float(np.sqrt(np.mean(found.column**2)))
+    form = Form(cause=found.text, columns=found.column[:, None], sd=size)
+    reached = held_out(record, [*(likelihood.forms[i] for i in chosen), form], scales)
+    return Description(
+        text=found.text, value=found.value, sd=found.sd, unit=found.unit, log_bayes_factor=found.gain, reached=reached
+    )
+
+
+def _max_false_alarms(causes: list[Cause]) -> float:
+    """Bound on the probability that noise alone gives a cause the probability LEVEL.
+
+    Under noise the posterior odds have the prior odds as mean, so they exceed x with at most that over x (Markov).
+    """
+    odds = float(np.prod([1 + np.exp(cause.log_odds) for cause in causes])) - 1
+    return float(odds * (1 - LEVEL) / LEVEL)
+
+
+def _p_value(record: Record, table: ModelTable, surrogates: int, rng: np.random.Generator) -> float:
+    """Share of records of noise, this one among them, whose odds of any cause are as large."""
+    noise = Noise(record.t, _scales(record, []))
+    larger = 0
+    for _ in range(surrogates):
+        drawn = replace(record, residual=noise.draw(rng))
+        larger += _judged(drawn, *forms_of(drawn))[2].log_odds >= table.log_odds
+    return (1 + larger) / (1 + surrogates)

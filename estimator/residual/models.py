@@ -1,0 +1,71 @@
+"""The table of models: sets of causes with their posterior probabilities.
+
+Sets grow one form at a time from those within Occam's window of the best (Madigan & Raftery 1994), so the order in
+which causes are found does not matter. Probabilities are sums over the table.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from estimator.components.set_likelihood import SetLikelihood
+from estimator.residual.causes import Cause
+from estimator.signals import Floats
+
+WINDOW = 9.0  # in log probability: sets 8,000 times less probable than the best are not extended
+BEAM = 12  # sets of one size that are extended: bounds the cost
+MAX_CAUSES = 5  # in a set
+
+Chosen = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ModelTable:
+    """Sets of forms and their probabilities (m,), most probable first."""
+
+    sets: tuple[Chosen, ...]
+    probability: Floats
+    log_odds: float  # of any cause against none
+
+    @property
+    def best(self) -> Chosen:
+        """The most probable set."""
+        return self.sets[0]
+
+    @property
+    def none(self) -> float:
+        """Probability of the empty set."""
+        return 1 - self.holding([form for own in self.sets for form in own])
+
+    def holding(self, forms: Sequence[int]) -> float:
+        """Probability that any of ``forms`` acts."""
+        wanted = set(forms)
+        return float(sum(p for p, own in zip(self.probability, self.sets, strict=True) if wanted & set(own)))
+
+
+def weigh(likelihood: SetLikelihood, causes: Sequence[Cause]) -> ModelTable:
+    """Grow the table from the empty set."""
+    of = {form: cause for cause in causes for form in cause.forms}
+    log: dict[Chosen, float] = {(): likelihood.log_evidence([])}
+    frontier: list[Chosen] = [()]
+    for _ in range(MAX_CAUSES):
+        grown: dict[Chosen, float] = {}
+        for own in frontier:
+            present = {of[form].name for form in own}
+            prior = sum(of[form].log_prior for form in own)
+            for form, cause in of.items():
+                larger = tuple(sorted((*own, form)))
+                if cause.name not in present and larger not in grown:
+                    grown[larger] = likelihood.log_evidence(larger) + prior + cause.log_prior
+        log |= grown
+        least = max(log.values()) - WINDOW
+        frontier = [own for own in sorted(grown, key=lambda own: -grown[own]) if grown[own] > least][:BEAM]
+        if not frontier:
+            break
+    order = sorted(log, key=lambda own: -log[own])
+    values = np.array([log[own] for own in order])
+    others = [log[own] for own in order if own]
+    odds = float(logsumexp(others)) - log[()] if others else -np.inf
+    return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)

@@ -1,0 +1,38 @@
+"""Where: parts of each axis in which the residual is not zero, at a rate of false discoveries over all parts."""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import false_discovery_control, norm
+
+from estimator.residual.answer import Disagreement
+from estimator.residual.causes import ResidualLikelihood
+from estimator.residual.inputs import Record
+
+PARTS = 8  # of an axis, of equally many samples
+MAX_FALSE_DISCOVERY_RATE = 0.05  # Benjamini & Hochberg 1995: 1 in 20 of the places listed is expected to be false
+MIN_SHARE = 0.01  # of the samples, in a part
+
+
+def disagreements(record: Record, likelihood: ResidualLikelihood) -> tuple[Disagreement, ...]:
+    """Parts that the base does not explain, by the likelihood's noise; the surest first."""
+    parts, indicators = [], []
+    for name, axis in record.axes.items():
+        edges = np.unique(np.quantile(axis.values, np.linspace(0, 1, PARTS + 1)))
+        for start, end in pairwise(edges.tolist()):
+            inside = (axis.values >= start) & ((axis.values < end) | (end == edges[-1]))
+            if MIN_SHARE < inside.mean() < 1:
+                parts.append((name, start, end, axis.unit))
+                indicators.append(inside.astype(float))
+    if not parts:
+        return ()
+    products, score = likelihood.projected([], np.column_stack(indicators))
+    strength = np.maximum(np.diag(products), 1e-300)
+    bias = score / strength
+    q_values = false_discovery_control(2 * norm.sf(np.abs(score) / np.sqrt(strength)))
+    found = [
+        Disagreement(axis=name, start=start, end=end, unit=unit, bias=float(b), q_value=float(q))
+        for (name, start, end, unit), b, q in zip(parts, bias, q_values, strict=True)
+        if q < MAX_FALSE_DISCOVERY_RATE
+    ]
+    return tuple(sorted(found, key=lambda place: place.q_value))

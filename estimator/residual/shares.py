@@ -1,0 +1,109 @@
+"""How far: the residual's mean square split into its causes, and what is left on stretches that the fit has not seen.
+
+With M the projection off the base's columns, M r = sum of M X b + M noise. For a draw of a set from the table and of
+its amplitudes b, the share of a cause is (M r)'(M X b) / (M r)'(M r), and that of the noise is the rest.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from estimator.components.set_likelihood import Posterior
+from estimator.residual.answer import Part
+from estimator.residual.causes import Cause, Form, ResidualLikelihood
+from estimator.residual.inputs import Record
+from estimator.residual.models import ModelTable
+from estimator.residual.noise import Noise, Scales
+from estimator.signals import Floats
+
+NOISE = "sensor noise"
+DRAWS = 400
+MAX_TRIES = 50  # draws of a positive amplitude, before it is set to zero
+FOLDS, CHUNKS = 5, 4  # each fold is so many stretches of the record
+
+
+def budget(
+    record: Record,
+    likelihood: ResidualLikelihood,
+    table: ModelTable,
+    causes: Sequence[Cause],
+    named: Sequence[int],
+    scales: Scales,
+    rng: np.random.Generator,
+) -> tuple[Part, ...]:
+    """Parts of all causes that any draw holds, and of the noise; ``named``: forms that were chosen."""
+    rest = record.off(record.residual)
+    columns = record.off(likelihood.data[:, 1 + likelihood.base_size :])
+    weights = columns.T @ rest / (rest @ rest)
+    products = columns.T @ columns / len(rest)
+    names = [cause.name for cause in causes]
+    shares, squares = np.zeros((DRAWS, len(names))), np.zeros((DRAWS, len(names)))
+    of = {form: number for number, cause in enumerate(causes) for form in cause.forms}
+    for draw, (own, amplitudes) in enumerate(_draws(likelihood, table, rng)):
+        at = likelihood.base_size
+        for form in own:
+            places = likelihood.places[form] - likelihood.base_size
+            b = amplitudes[at : at + len(places)]
+            at += len(places)
+            shares[draw, of[form]] = weights[places] @ b
+            squares[draw, of[form]] = b @ products[np.ix_(places, places)] @ b
+    square = float(rest @ rest) / len(rest)
+    chosen = {of[form]: form for form in named}
+    parts = []
+    for k, name in enumerate(names):
+        if not np.any(shares[:, k]):
+            continue
+        reached = held_out(record, [likelihood.forms[chosen[k]]], scales) if k in chosen else None
+        left = float(np.mean(square * (1 - 2 * shares[:, k]) + squares[:, k]))
+        parts.append(_part(name, shares[:, k], reached, float(np.sqrt(max(left, 0.0)))))
+    noise = 1 - shares.sum(axis=1)
+    known = float(np.sqrt(max(square * (1 - float(np.mean(noise))), 0.0)))
+    parts.append(_part(NOISE, noise, None, known))
+    return tuple(sorted(parts, key=lambda part: -part.share))
+
+
+def _part(cause: str, shares: Floats, reached: float | None, expected: float) -> Part:
+    low, high = np.quantile(shares, [0.05, 0.95]).tolist()
+    return Part(cause=cause, share=float(shares.mean()), q05=low, q95=high, reached=reached, expected=expected)
+
+
+def _draws(
+    likelihood: ResidualLikelihood, table: ModelTable, rng: np.random.Generator
+) -> Iterator[tuple[tuple[int, ...], Floats]]:
+    """Sets by their probability, each with amplitudes of base and set from its posterior."""
+    posteriors: dict[int, Posterior] = {}
+    for model in rng.choice(len(table.sets), size=DRAWS, p=table.probability).tolist():
+        own = table.sets[model]
+        posterior = posteriors.setdefault(model, likelihood.posterior(own))
+        yield own, _amplitudes(likelihood, own, posterior, rng)
+
+
+def _amplitudes(
+    likelihood: ResidualLikelihood, own: Sequence[int], posterior: Posterior, rng: np.random.Generator
+) -> Floats:
+    """One draw (p,) with signs as they must be."""
+    before = likelihood.base_size + np.cumsum([0, *(len(likelihood.places[form]) for form in own)])
+    positive = [at for at, form in zip(before[:-1], own, strict=True) if likelihood.priors[form].positive]
+    size = np.sqrt(np.diag(posterior.covariance))
+    root = np.linalg.cholesky(posterior.covariance / np.outer(size, size))
+    for _ in range(MAX_TRIES):
+        amplitudes: Floats = posterior.mean + size * (root @ rng.standard_normal(len(root)))
+        if np.all(amplitudes[positive] >= 0):
+            return amplitudes
+    amplitudes[positive] = np.maximum(amplitudes[positive], 0.0)
+    return amplitudes
+
+
+def held_out(record: Record, forms: Sequence[Form], scales: Scales) -> float:
+    """Rms of the residual on stretches left out of the fit, with the base and ``forms`` in the model."""
+    n = len(record.t)
+    fold = (np.arange(n) * FOLDS * CHUNKS // n) % FOLDS
+    left = np.empty(n)
+    for k in range(FOLDS):
+        out = fold == k
+        kept = np.flatnonzero(~out)
+        likelihood = ResidualLikelihood(record, forms, Noise(record.t[kept], scales), kept)
+        mean = likelihood.posterior(range(len(forms))).mean
+        columns = np.hstack([record.base[out], *(form.columns[out] for form in forms)])
+        left[out] = record.residual[out] - columns @ mean
+    return float(np.sqrt(np.mean(left**2)))
