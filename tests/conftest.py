@@ -1,4 +1,4 @@
-"""What several tests share."""
+"""Fixtures and settings of all tests."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ HERE = Path(__file__).parent
 
 def pytest_configure(config: pytest.Config) -> None:
     """Property tests with the same examples in every run, and without limits of time, which a busy machine exceeds."""
-    if config.pluginmanager.hasplugin("hypothesispytest"):  # the machine of tests/socketcan does without
+    if config.pluginmanager.hasplugin("hypothesispytest"):  # it is not installed in the machine of tests/socketcan
         from hypothesis import HealthCheck, settings
 
         settings.register_profile(

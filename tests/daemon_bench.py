@@ -1,4 +1,4 @@
-"""A daemon on a bench: bus, clock and device are played by the test, and every thread is turned by hand."""
+"""A daemon under test: the test provides bus, clock and device, and runs every step of the threads itself."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ SAVE_INTERVAL = 10.0  # s
 
 @dataclass(kw_only=True)
 class FakeBus:
-    """Takes what is sent; keeps what a test puts on it until it is read."""
+    """Keeps the messages that are sent, and those that a test puts on it until they are read."""
 
     sent: list[can.Message] = field(default_factory=list)
     waiting: list[Batch] = field(default_factory=list)
@@ -35,8 +35,8 @@ class FakeBus:
     send_failures: list[Exception] = field(default_factory=list)
     drops: int = 0
     closed: bool = False
-    busy: bool | None = None  # for too long to let our frames through; None on a bus that does not confirm them
-    held: list[can.Message] = field(default_factory=list)  # until the bus is busy no more
+    busy: bool | None = None  # our frames are not sent; None on a bus that does not confirm them
+    held: list[can.Message] = field(default_factory=list)  # while the bus is busy
 
     def send(self, message: can.Message) -> None:
         if self.send_failures:
@@ -67,7 +67,7 @@ class FakeBus:
 
 
 class Bench:
-    """A daemon with one bus. ``now`` [s] is its clock; ``device`` what the probe sees."""
+    """A daemon with one bus. ``now`` [s] is its clock; ``device`` is what the probe reports."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class Bench:
         return self.buses[-1]  # type: ignore[return-value]
 
     def turn(self, seconds: float = 0.0, step: float = 0.1) -> None:
-        """Let time pass, turning link, loop and estimator."""
+        """Advance the clock, and run link, loop and estimator at each step."""
         for _ in range(max(1, round(seconds / step))):
             self.now += step if seconds else 0.0
             self.link.step(0)
@@ -138,13 +138,13 @@ class Bench:
             self.worker.turn()
 
     def put(self, *messages: can.Message) -> None:
-        """Have others put messages on the bus, now."""
+        """Put messages of other nodes on the bus, with the present time."""
         for message in messages:
             message.timestamp = self.now + self.ahead
         self.bus.waiting.append(Batch(frames=Frames.from_messages(messages)))
 
     def traffic(self, seconds: float, *messages: can.Message) -> None:
-        """Have others send some messages every 0.1 s."""
+        """Put messages of other nodes on the bus every 0.1 s."""
         for _ in range(round(seconds / 0.1)):
             self.now += 0.1
             self.put(*(messages or (frame(0x18FEF100),)))

@@ -1,4 +1,4 @@
-"""Diagnoses made by hand, for what shows them."""
+"""Diagnoses made by hand, for the tests of tables, JSON and pages."""
 
 from dataclasses import fields, replace
 
@@ -81,7 +81,7 @@ def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
 
 
 def rich() -> Diagnosis:
-    """Two effects found, everything filled."""
+    """A diagnosis with two effects; every field is filled."""
     traces, maps = drive()
     names = NAMES + MORE
     factors = np.random.default_rng(1).normal(size=(len(names), 6))
@@ -143,7 +143,7 @@ def rich() -> Diagnosis:
 
 
 def several() -> Diagnosis:
-    """Two logs of the same vehicle, days apart; what acts for a time does so in both."""
+    """Two logs of the same vehicle, days apart; an effect of limited duration acts in both."""
     d = rich()
     first, second = d.traces, drive(40, seed=8)[0]
     assert first is not None
@@ -155,7 +155,7 @@ def several() -> Diagnosis:
 
 
 def unknown() -> Diagnosis:
-    """Something outside the catalogue acts: no effect chosen, traces without change."""
+    """An effect outside the catalogue: none is named, and the traces do not change."""
     traces, maps = drive(30, seed=5)
     traces = replace(traces, extended=traces.base)
     return Diagnosis(

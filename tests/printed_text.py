@@ -1,4 +1,4 @@
-"""Printed pages beside what is computed anew."""
+"""Comparison of printed pages with newly computed text."""
 
 import re
 
@@ -7,7 +7,7 @@ NUMBER = re.compile(r"\d[\d,]*\.?\d*(?:e[-+]\d+)?")
 
 
 def assert_same(computed: str, printed: str, rtol: float = 0.0) -> None:
-    """Same words; numbers may differ by one unit of the last printed digit, or by ``rtol`` of the value.
+    """Require the same words; numbers may differ by one unit of the last printed digit, or by ``rtol`` of the value.
 
     With a tolerance a number that is rounded to tens or hundreds may differ by one of them.
     """

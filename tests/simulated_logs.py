@@ -1,4 +1,4 @@
-"""Simulated drives as files, and what the command says of them."""
+"""Simulated drives as log files, and the JSON that the commands print of them."""
 
 import json
 from collections.abc import Iterable

@@ -1,8 +1,8 @@
 """Tests on a real SocketCAN stack. Where this kernel has none, all of them run in one boot of a virtual machine.
 
-Each test runs in a process of its own, with a limit of its own, here and in the machine: one that hangs or dies takes
-no other with it. In the machine an ordinary pytest runs the tests that were chosen here and hands back its reports,
-which are then shown as if the tests had run in place.
+Each test runs in a process of its own, with a limit of its own, here and in the machine, so that one that hangs or is
+killed does not affect the others. In the machine an ordinary pytest runs the tests that were chosen here and writes
+its reports, which are then shown as if the tests had run here.
 """
 
 import faulthandler
@@ -32,8 +32,8 @@ GATEWAY = HERE / "gateway"  # hides what is not installed on a gateway, and is s
 REPORTS = "ROADLOAD_TEST_REPORTS"  # where the pytest in the machine writes them
 LONGEST = 240.0  # s, of one test
 LONGEST_BATCH = 1200.0  # s of this host, which may be busy, for all tests in the machine
-TRACE = 5.0  # s before the end at which a test that hangs says where
-SHOWN = 40  # lines of the console, when something went wrong
+TRACE = 5.0  # s before the end, at which the stacks of a test that hangs are printed
+SHOWN = 40  # last lines of the console, shown where a report is missing
 
 in_place = cache(has_vcan)
 
@@ -46,7 +46,7 @@ class Alone:
         self._reports, self._trace = folder / "reports", folder / "trace"
 
     def run(self) -> list[pytest.TestReport]:
-        """The reports of the test; a failure where it has given none."""
+        """The reports of the test; a failure where it wrote none."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the threads of pytest-xdist
             child = os.fork()
@@ -128,7 +128,7 @@ class Batch:
 
 
 def failure(item: pytest.Item, reason: str) -> pytest.TestReport:
-    """The report of a test that has given none itself."""
+    """The report of a test that wrote none itself."""
     return pytest.TestReport(item.nodeid, item.location, {}, "failed", reason, "call")
 
 
