@@ -148,7 +148,7 @@ def from_dict(tables: dict[str, Any]) -> Config:
 
 
 def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """All values that are neither tables nor lists, and where they stand."""
+    """All values that are neither tables nor lists, with their places."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _leaves(inner, f"{place}.{key}" if place else key)

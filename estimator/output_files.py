@@ -30,7 +30,7 @@ def check_suffix(path: Path, formats: tuple[str, ...]) -> None:
 def whole(path: Path) -> Iterator[Path]:
     """A name to write to, which becomes ``path`` when all went well and vanishes otherwise.
 
-    It names a new, empty file in the same folder. A link that somebody has put there is removed, not followed.
+    It names a new, empty file in the same folder. A symbolic link at its place is removed, not followed.
 
     Raises
     ------

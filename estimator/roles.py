@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Role(StrEnum):
-    """The part a CAN signal plays in the estimate; the value is its name in the configuration."""
+    """The use of a CAN signal in the estimate; the value is its name in the configuration."""
 
     SPEED = "speed"
     WHEEL_SPEEDS = "wheel_speeds"

@@ -34,7 +34,7 @@ class Bus(Section, frozen=True):
     """How traffic is decoded: databases, and the source address of a message."""
 
     dbc: list[str] = []  # paths relative to the configuration file; empty: the shipped j1939.dbc
-    match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC says J1939
+    match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC is of J1939
     source_addresses: dict[str, Address] = {}  # MESSAGE = address; others are found, and contested if they disagree
     release_s: Positive = 10.0  # of silence after which a signal may be taken from another address
     contest_s: Annotated[float, Meta(ge=10)] = 30.0  # without a contradiction after which a signal is used again
@@ -87,7 +87,7 @@ class Load(Section, frozen=True):
 
 
 class Prior(Section, frozen=True):
-    """Box priors: the posterior lives inside; and beliefs as (mean, sd), e.g. from a weigh ticket or data sheet."""
+    """Boxes, outside of which the posterior is zero; beliefs as (mean, sd), e.g. from a weigh ticket or data sheet."""
 
     mass_kg: Range = (500.0, 100_000.0)
     A_N: Range = (0.0, 10_000.0)
@@ -120,7 +120,7 @@ class Publish(Section, frozen=True):
 
 
 class BusOptions(Section, frozen=True):
-    """Which bus, where the command line does not say it; what is missing here is looked up in can.conf."""
+    """The bus, where the command line does not name it; missing keys are taken from can.conf."""
 
     interface: str | None = None  # of python-can: "socketcan", "udp_multicast", ...
     channel: str | None = None

@@ -10,10 +10,10 @@ from estimator.estimate import Status
 
 
 class State(StrEnum):
-    """What the daemon is doing; only a fault needs somebody's attention."""
+    """State of the daemon; only a fault requires an action."""
 
     WAITING = "waiting for interface"
-    LISTENING = "listening"  # open, and nothing heard yet
+    LISTENING = "listening"  # open, and nothing received yet
     SILENT = "ignition off"
     RECEIVING = "receiving"
     FAULT = "fault"

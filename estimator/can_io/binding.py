@@ -53,7 +53,7 @@ class BoundMessage:
     by_pgn: bool
     j1939: bool
     source: int | None  # the only source address that is accepted, if configured
-    cycle: float | None  # s between two of them as the database says, if it does
+    cycle: float | None  # s between two of them by the database; None if it has none
     signals: tuple[BoundSignal, ...]
 
 

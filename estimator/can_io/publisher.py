@@ -80,7 +80,7 @@ class Publisher:
         self._counters: dict[str, int] = {}
         self._status: str | None = None  # as last sent
         self._now = -inf  # [s]
-        self._lost = 0.0  # [s] by which the clock was set back since the current estimate was seen
+        self._lost = 0.0  # [s] by which the clock was set back since the current estimate
         self._estimate_t: float | None = None  # [s]
 
     def poll(self, t: float, estimate: Estimate | None) -> list[can.Message]:

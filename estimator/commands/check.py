@@ -27,9 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add_output(parser)
     add_settings(parser)
-    parser.add_argument("log", nargs="?", type=Path, metavar="LOG", help="a log; without one, the bus is heard")
+    parser.add_argument("log", nargs="?", type=Path, metavar="LOG", help="a log; without one, the bus is read")
     can.cli.add_bus_arguments(parser, group_title="bus")
-    parser.add_argument("--seconds", type=SECONDS, default=10.0, help="how long to hear the bus (default: 10)")
+    parser.add_argument("--seconds", type=SECONDS, default=10.0, help="how long to read the bus (default: 10)")
     add_print_config(parser)
 
 

@@ -1,4 +1,4 @@
-"""What a person reads of a diagnosis on the terminal: the verdict first, then what it rests on, in some 25 lines."""
+"""A diagnosis on the terminal: the verdict, then its evidence, in some 25 lines."""
 
 from collections.abc import Iterable, Iterator
 
@@ -17,7 +17,7 @@ STYLES = {Verdict.EFFECT: "cyan", Verdict.NO_GAP: "green", Verdict.UNKNOWN: "mag
 
 
 def print_diagnosis(console: Console, d: Diagnosis) -> None:
-    """Verdict, what was found and how far the gap shrinks, where, what cannot be seen, and the line to add."""
+    """Print verdict, effects, budget, places, invisible effects, and the line for the configuration."""
     console.print(Text(wording.headline(d), f"bold {STYLES[d.verdict]}"))
     console.print(Text(printable(wording.reason(d))))
     _lines(console, _results(d))

@@ -17,16 +17,16 @@ COMMANDS = {  # module of this package, and its use
     "diagnose": "where the model is wrong, why, and by how much",
     "inspect": "what is in a log",
     "simulate": "drive a simulated truck and write a log",
-    "run": "estimate on a live bus until told to stop",
+    "run": "estimate on a live bus until stopped",
     "check": "dry run: can this log or bus feed the estimate?",
-    "status": "what a running daemon knows",
+    "status": "status of a running daemon",
 }
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one subcommand; returns the exit status: 0, 2 for bad input, 1 for a run that could not finish."""
     options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
-    # python-can logs what it cannot parse; the log readers raise or count it themselves.
+    # python-can logs frames that it cannot parse; the log readers raise or count them.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     try:
         status: int = options.run(options)
@@ -53,7 +53,7 @@ class Parser(argparse.ArgumentParser):
     """Argument parser whose complaints are one line too."""
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong with the command line and where to read on; exit status 2."""
+        """Print what is wrong with the command line, and the command for help; exit status 2."""
         complain(f"error: {message}; see {self.prog} --help")
         raise SystemExit(2)
 

@@ -1,6 +1,6 @@
 """The streaming estimator: rows in, an estimate at regular intervals of message time.
 
-Its only state is the window and what was concluded from it: no clock, no bus, no thread. The same rows give the same
+Its only state is the window and the conclusions from it: no clock, no bus, no thread. The same rows give the same
 estimates.
 """
 
@@ -64,7 +64,7 @@ class Estimator:
 
     @property
     def progress(self) -> tuple[int, int, int]:
-        """Rows in motion, samples admitted, and those at the last estimate: equal while nothing new was learnt."""
+        """Rows in motion, samples admitted, and those at the last estimate: equal while there is nothing new."""
         return self._stage.moving, self.window.added, self._at_last
 
     @property

@@ -65,7 +65,7 @@ class SpeedScale:
         self._wheel, self._gps = read(state, "wheel", float), read(state, "gps", float)
 
     def verdict(self) -> str:
-        """Empty while they agree or cannot be compared, else by how much they differ."""
+        """Their difference in words; empty while they agree or cannot be compared."""
         if self._rows < MIN_SCALE_ROWS or abs(self._wheel - self._gps) <= MAX_SCALE_DIFFERENCE * self._gps:
             return ""
         ratio = self._wheel / self._gps if self._gps > 0 else np.inf
@@ -73,7 +73,7 @@ class SpeedScale:
 
 
 def contradiction(prior: Prior, drive: Fitted) -> str:
-    """Empty when the beliefs of the configuration fit what the drive alone says, else the worst contradiction."""
+    """The worst contradiction of the drive alone with a belief of the configuration; empty if there is none."""
     beliefs = {"A": prior.A_belief_N, "C": prior.C_belief_N_s2_m2, "mass": prior.mass_belief_kg}
     worst, found = MAX_BELIEF_SDS, ""
     for i, (name, belief) in enumerate(beliefs.items()):
@@ -87,7 +87,7 @@ def contradiction(prior: Prior, drive: Fitted) -> str:
 
 
 def misfit(samples: Samples, fit: Fit) -> str:
-    """Empty when the fitted model describes ``samples``, else what it misses."""
+    """Reason why the fitted model does not describe ``samples``; empty if it does."""
     kept = samples[fit.kept]
     X, Z = (part[fit.kept] for part in fit.columns(samples))
     residual = kept.P - X @ fit.theta

@@ -45,7 +45,7 @@ def box(prior: Prior) -> tuple[Floats, Floats]:
 
 
 def belief_of(prior: Prior) -> Belief:
-    """What the configuration says beforehand, as one Gaussian; parameters in the order A, C, m, lag."""
+    """The beliefs of the configuration as one Gaussian; parameters in the order A, C, m, lag."""
     belief = SMALL_LAG
     for i, known in enumerate((prior.A_belief_N, prior.C_belief_N_s2_m2, prior.mass_belief_kg)):
         if known is not None:

@@ -32,7 +32,7 @@ from estimator.units import STANDARD_GRAVITY
 
 MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction counts as sd
 CORRECTION_DOUBT = 0.5  # share of the correction's shift that counts as a standard deviation
-FORM_SD = 0.0025  # of 1/m: what the model's form leaves on any road (friction in steps of 1 %)
+FORM_SD = 0.0025  # relative sd of 1/m from the form of the model on any road (friction in steps of 1 %)
 FORM_SLOPE = 0.4  # sd of 1/m per unit of the slopes' sd where no signal shows them: the driver reacts to slopes
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
@@ -292,7 +292,7 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
     gram = conditioned.gram(likelihood.data)
     plain, information, _ = likelihood.solve(gram)
     noise = likelihood.noise_information(scales.values, conditioned, plain, rng)
-    direction = np.linalg.solve(information, np.eye(len(plain))[0])  # of what the data say of 1/m
+    direction = np.linalg.solve(information, np.eye(len(plain))[0])  # of the information on 1/m
     share = float(direction @ noise @ direction / (direction @ information @ direction))
     noise = limited(noise, information)
     corrected = np.linalg.inv(information - noise)

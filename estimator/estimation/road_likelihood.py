@@ -5,7 +5,7 @@ The response is the acceleration, the regressors are the columns of `columns`, a
     beta = [1/m, A/m, C/m, lag/m, drag/m, offsets ..., -b/m ...]
 
 enter linearly; they are integrated over their priors. Noise of the measured force sits in the regressors too:
-`Likelihood.noise_information` says by how much it raises their products.
+`Likelihood.noise_information` gives the rise of their products.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ from estimator.strides import DURATION, LAGS, Strides
 ROAD_LOAD = 3  # the first coefficients
 LAG, DRAG = 3, 4  # places of the nuisances
 PLAIN = 5  # coefficients without offsets and effects
-LAG_SD = 0.15  # s, prior of what is left of the lag after the nearest of LAGS
+LAG_SD = 0.15  # s, sd of the prior of the lag that the nearest of LAGS leaves
 DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from what the bus says (gearbox losses)
 USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
@@ -77,7 +77,7 @@ class Likelihood:
         self._road_load = road_load
         X = columns(model.driven, lag, terms, road_load)
         data = model.given(np.column_stack([model.driven.a, X]))
-        inside = data.shape[1] - 1 - X.shape[1]  # offsets of the road's signals stand behind
+        inside = data.shape[1] - 1 - X.shape[1]  # offsets of the road's signals follow them
         self.order = [*range(1, 1 + PLAIN), *range(1 + X.shape[1], data.shape[1]), *range(1 + PLAIN, 1 + X.shape[1])]
         self.data = data[:, [0, *self.order]]
         self.unit = np.maximum(np.sqrt(np.mean(self.data[: len(X), 1:] ** 2, axis=0)), 1e-12)

@@ -100,7 +100,7 @@ class Window(Generic[C]):
     config
         All settings.
     kind
-        Class of what it holds.
+        Class of its content.
     """
 
     def __init__(self, config: Config, kind: type[C]) -> None:

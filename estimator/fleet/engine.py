@@ -39,7 +39,7 @@ class Serial:
         for i, item in enumerate(items):
             try:
                 result: Result | Failure = work(item)
-            except Exception as error:  # one item is lost, and says why
+            except Exception as error:  # one item fails, with the reason
                 result = _failure(error)
             yield i, result
 

@@ -34,7 +34,7 @@ def prepare(out: Path) -> None:
 
 
 def write_fleet(found: Fleet, config: Config, out: Path, rate: float, with_diagnosis: bool) -> list[Path]:
-    """Write tables and learnt beliefs: all files, or none; gives their names.
+    """Write tables and estimated beliefs: all files, or none; returns their names.
 
     ``rate`` is the false-discovery rate at which a vehicle is named as out of line.
 

@@ -71,7 +71,7 @@ def _allowed(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Con
 
 
 def as_toml(config: Config) -> str:
-    """A configuration as a file that stands anywhere: paths of databases are absolute."""
+    """A configuration as a file for any folder: paths of databases are absolute."""
     databases = [str(Path(name).resolve()) for name in config.bus.dbc]
     whole = configuration.replace(config, bus=msgspec.structs.replace(config.bus, dbc=databases))
     return toml_text.dump(msgspec.to_builtins(whole))

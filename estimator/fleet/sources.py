@@ -143,7 +143,7 @@ def file_system(url: str) -> tuple[Any, str]:
     Raises
     ------
     InputError
-        fsspec or its package for this protocol is missing, or it does not know the protocol.
+        fsspec or its package for this protocol is missing, or the protocol is unknown.
     """
     try:
         from fsspec.core import url_to_fs

@@ -17,7 +17,7 @@ class Survey:
     """A log and its contents.
 
     ``content`` is a hash of its bytes, empty where it cannot be read; ``start`` and ``end`` are the times of its
-    first and last frame [s], and ``fault`` is empty or says why it cannot be read to the end.
+    first and last frame [s], and ``fault`` is the reason why it cannot be read to the end, or empty.
     """
 
     log: LogFile

@@ -16,7 +16,7 @@ from estimator.signals import Floats
 def design(v: Floats, a: Floats, density: Floats | float = 1.0) -> Floats:
     """Columns v, v^3, v a (n, 3) of the model before the clip: ``P = design(v, a) @ [A, C, m]``.
 
-    Drag goes with the air: ``density`` is relative to the one that C is to hold for.
+    Drag is proportional to the density of the air: ``density`` is relative to that for which C holds.
     """
     return np.column_stack([v, density * v**3, v * a])
 

@@ -98,7 +98,7 @@ def smoother_kernels(ratio: float, dt: float) -> Kernels:
     # The value at step k answers the impulse at lag k; a kernel for np.convolve runs the same way round.
     window = smoothed[centre - half : centre + half + 1, 0]
     value = (window + window[::-1]) / 2
-    value /= value.sum()  # cutting the tails must not change what a constant comes out as
+    value /= value.sum()  # a constant stays the same although the tails are cut
     # The slope is the derivative of the value, to fourth order in dt: speed and power pass the same low-pass. The
     # smoother's own acceleration does so only before its tails are cut; after, m came out 0.02-0.1 % high.
     return Kernels(np.pad(value, len(DERIVATIVE) // 2), np.convolve(value, DERIVATIVE / dt))

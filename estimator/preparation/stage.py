@@ -69,7 +69,7 @@ class Stage(Protocol[B]):
         ...
 
     def forget(self) -> None:
-        """Begin another drive."""
+        """Start a new drive."""
         ...
 
     def state(self) -> dict[str, Any]:
@@ -190,7 +190,7 @@ class SampleStage:
         if abs(self.lag) > MAX_LAG:
             raise StateError("lag: is out of range")
         if (self.wanted is None) != (self._start is None):
-            raise StateError("start: does not go with what is wanted")
+            raise StateError("start: does not match the wanted context")
 
 
 class StrideStage:

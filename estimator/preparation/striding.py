@@ -55,7 +55,7 @@ class Strider:
 
     @property
     def held(self) -> Rows | None:
-        """Rows that no stride stands for yet, and those before them; None between two stretches of rows."""
+        """Rows that are in no stride yet, and those before them; None between two stretches of rows."""
         return self._rows
 
     def feed(self, rows: Rows, rejected: Counter[str]) -> Strides:
@@ -102,7 +102,7 @@ class Strider:
         for at, span in zip(first[~known].tolist(), length[~known].tolist(), strict=True):
             count_reasons(codes[at : at + span], rejected)
         strides = self._strides(rows, coasting, first, length, known)
-        strides = strides[known | (strides.s1 > strides.s0)]  # a standstill says nothing of the road
+        strides = strides[known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
         travelled, held = self._travelled(rows)
         self._distance, self._speed = float(travelled[place]), float(held[place - 1])
         kept = max(place - self._margin, 0)

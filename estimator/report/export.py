@@ -44,7 +44,7 @@ def require_arviz() -> None:
 
 
 def write_draws(evidence: Evidence, path: Path) -> None:
-    """Write the draws of A, C and m behind an estimate to ``path``; the suffix says how.
+    """Write the draws of A, C and m behind an estimate to ``path``; the suffix gives the format.
 
     Raises
     ------

@@ -5,7 +5,7 @@ import math
 MINUS = "\N{MINUS SIGN}"
 NOTHING = "\N{EN DASH}"
 TIMES = "\N{MULTIPLICATION SIGN}"
-SHARES = {"1": "%", "1/h": "%/h"}  # units of what is relative, and what they are called in per cent
+SHARES = {"1": "%", "1/h": "%/h"}  # units of relative quantities, and their units in per cent
 PREFIXED = frozenset({"W"})  # units that are read in thousands
 MAX_PLAIN, MIN_PLAIN = 1e3, 1e-3  # beyond which a value is read in powers of a thousand
 MIN_POWER, MAX_DECIMALS = -24, 12  # smaller than that is nothing

@@ -7,7 +7,7 @@ from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Finding, GapClos
 from estimator.report import number_format
 from estimator.report.number_format import NOTHING, exponent, signed
 
-MAX_SPANS = 3  # times that are told
+MAX_SPANS = 3  # spans that are listed
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
 
 
@@ -119,7 +119,7 @@ def ladder(d: Diagnosis) -> list[tuple[str, float]]:
 
 
 def percent(fraction: float) -> str:
-    """``0.914`` as ``91 %``; what rounds to certain or impossible is said with more digits, or as a bound."""
+    """``0.914`` as ``91 %``; what would round to 0 or 100 % has more digits, or is a bound."""
     if not math.isfinite(100 * fraction):
         return NOTHING
     for digits in (0, 1):
@@ -196,7 +196,7 @@ def action(finding: Finding, several: bool = False) -> str:
 
 
 def logs(d: Diagnosis) -> str:
-    """Their names, numbered where there are several: times are told by log."""
+    """Their names, numbered where there are several: times refer to a log by its number."""
     if len(d.logs) < 2:
         return "".join(d.logs)
     return ", ".join(f"log {i}: {name}" for i, name in enumerate(d.logs, start=1))

@@ -85,7 +85,7 @@ class ResidualDiagnosis:
     reached: float  # rms on left-out stretches with all that is named
     noise: float  # rms of the noise
     where: tuple[Disagreement, ...]
-    formula: Description | None  # of what has no name
+    formula: Description | None  # of a gap without a name
     max_false_alarms: float
     p_value: float | None
 

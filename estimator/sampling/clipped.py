@@ -115,7 +115,7 @@ class ClippedGaussianTarget:
         chi2 = sure.s + samples.clipped + float(e @ e)
         self.variance = max(chi2 / max(samples.n - len(lower), 1), finest, np.finfo(float).tiny)  # W^2
         self._sigma = self.variance**0.5
-        wide = np.diag((upper - lower) ** -2.0)  # as wide as the box where the data say nothing
+        wide = np.diag((upper - lower) ** -2.0)  # as wide as the box where the data do not determine a parameter
         self._whiten = factor(sums.G / self.variance + wide)  # z = whiten' (theta - centre)
         self._colour = np.linalg.inv(self._whiten).T  # L
         self.root = M @ self._colour  # (q, p), of phi: phi = M centre + root z

@@ -1,7 +1,7 @@
 """Which combinations of parameters the samples determine: the paper's eigen-metrics.
 
 The information of the samples is J' J, with J = dP / d theta the Jacobian of the model power. It is singular where
-v, v^3 and v a are not independent. Its eigenvalues say how much is known along each eigenvector, and the angles
+v, v^3 and v a are not independent. Its eigenvalues are the information along each eigenvector, and the angles
 between eigenvectors and parameter axes whether that is knowledge of a single parameter or of a mixture.
 
 Both depend on the units of the parameters: J' J of [N, N s^2/m^2, kg] and of the paper's [lbf, lbf/mph^2, slug] have

@@ -52,14 +52,14 @@ def settle(
     actions: Mapping[str, Action],
     ledgers: Ledgers,
 ) -> Truth:
-    """Put together what is known of a drive.
+    """Put together the truth of a drive.
 
     Parameters
     ----------
     truck, route, course
         What was driven, where, and how.
     effects, actions
-        What was asked for, and what was at work, by name.
+        Effects asked for, and effects at work by name.
     ledgers
         Force [N], power [W] or inertia [kg] of each effect at every step, by (name, kind).
     """

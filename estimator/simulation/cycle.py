@@ -27,7 +27,7 @@ def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
     Raises
     ------
     InputError
-        The file cannot be read, lacks a column, or holds what is not a cycle.
+        The file cannot be read, lacks a column, or is not a cycle.
     """
     table = _read(path)
     v = table["v_mps"]
@@ -65,7 +65,7 @@ def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
 
 
 def _stops(s: Floats, v: Floats, t: Floats | None) -> tuple[Floats, Floats]:
-    """Where the cycle stands still [m], once each, and for how long [s]."""
+    """Places [m] and durations [s] of the standstills of the cycle."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], v < STANDSTILL, [False]]).astype(int)))
     first, last = edges[::2], edges[1::2] - 1
     dwell = np.full(len(first), DWELL) if t is None else t[last] - t[first] + 1.0

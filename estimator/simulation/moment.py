@@ -14,7 +14,7 @@ STEP = 0.01  # s, of the simulation
 
 @dataclass(slots=True, kw_only=True)
 class Moment:
-    """One step of the drive, as the physics of an effect sees it.
+    """One step of the drive: the quantities that an effect may depend on.
 
     Time ``t`` [s], position ``s`` [m], speed ``v`` [m/s], acceleration ``a`` of the step before [m/s^2], ``force`` of
     the engine at the wheels [N], ``engine_speed`` [rad/s], ``gearing`` [rad/m], ``gear``; ``closed``: the clutch
@@ -69,7 +69,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Action:
-    """One effect at work in one drive; what is None does nothing. Functions are called once a step, in order of time.
+    """One effect at work in one drive. Functions are called once a step, in order of time; None is not called.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Action:
     inertia
         Adds to the moving mass [kg].
     reading
-        Turns what the control units would read into what they read with the effect.
+        Changes the readings of the control units.
     temperature
         Ambient temperature [K] of times [s].
     route

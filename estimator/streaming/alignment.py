@@ -47,7 +47,7 @@ class Aligner:
         self._next: int | None = None
 
     def forget(self) -> None:
-        """Discard the constants of the engine: it may be another one."""
+        """Discard the constants of the engine: the vehicle may be another one."""
         self._engine.forget()
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:

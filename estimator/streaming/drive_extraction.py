@@ -37,7 +37,7 @@ def diagnose_logs(
     LogError
         A log cannot be read.
     MissingInputsError
-        A log does not carry what the model needs.
+        A log lacks inputs of the model.
     ConfigError
         The configuration names an effect that is not known.
     """
@@ -63,7 +63,7 @@ def drives(path: Path, config: Config, progress: Progress = no_progress) -> list
     LogError
         The log cannot be read.
     MissingInputsError
-        The log does not carry what the model needs.
+        The log lacks inputs of the model.
     """
     return [record(pieces, config) for pieces in drive_rows(path, config, progress)]
 

@@ -62,7 +62,7 @@ class EnginePower:
         self._powered_to = -np.inf  # [s]
 
     def forget(self) -> None:
-        """Discard the constants of the engine: it may be another one."""
+        """Discard the constants of the engine: the vehicle may be another one."""
         self._friction = FrictionCurve()
         self._reference: float | None = None  # [N m] from before the start, until the bus sends it
 

@@ -62,7 +62,7 @@ class FrictionCurve:
         return {"sums": self._sums, "levels": self._levels}
 
     def restore(self, state: State) -> None:
-        """Know what another curve knew.
+        """Take the state of another curve.
 
         Raises
         ------

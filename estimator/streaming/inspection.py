@@ -150,7 +150,7 @@ class Inspection:
 
 
 def inspect(path: Path, config: Config, progress: Progress = no_progress) -> InspectionAnswer:
-    """Describe one log; never fails for what the log lacks, only for what cannot be read.
+    """Describe one log; inputs that the log lacks are no error, unreadable content is.
 
     Raises
     ------

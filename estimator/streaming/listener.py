@@ -73,7 +73,7 @@ def broadcast_by(publish: Publish, send: Send) -> Broadcast:
 class Listener(can.Listener, AbstractContextManager["Listener"]):
     """A python-can listener that hands frames to a worker, and its estimates to a broadcast.
 
-    As a context manager it stops at the end, and raises there what the bus failed with.
+    As a context manager it stops at the end, and raises the error of the bus there.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
             self.turn(t)
 
     def on_error(self, exc: Exception) -> None:
-        """Note an error of the bus; the `can.Notifier` goes on reading."""
+        """Keep an error of the bus; the `can.Notifier` continues to read."""
         self.failures += 1
         if self.failure is None:
             self.failure = exc

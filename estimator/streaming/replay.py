@@ -50,7 +50,7 @@ def estimate_logs(paths: Sequence[Path], config: Config, progress: Progress = no
     LogError
         A log cannot be read.
     MissingInputsError
-        The logs do not carry what the model needs.
+        The logs lack inputs of the model.
     """
     pipeline, skipped, updates = Pipeline(config), Counter[str](), list[Estimate]()
     for frames in read_frames(paths, progress, skipped):
@@ -77,12 +77,12 @@ def replay(
     LogError
         A log cannot be read.
     MissingInputsError
-        The logs do not carry what the model needs.
+        The logs lack inputs of the model.
     RoadloadError
         The virtual bus lost frames.
     """
     skipped, heard = Counter[str](), list[can.Message]()
-    channel = f"replay {id(heard)}"  # nobody else's in this process
+    channel = f"replay {id(heard)}"  # unique in this process
     with _virtual_bus(channel) as vehicle, _virtual_bus(channel) as node:
         worker = InlineWorker(config)
         listener = Listener(worker, broadcast_by(config.publish, node.send))

@@ -66,7 +66,7 @@ def cell_means(t: Floats, value: Floats, edges: Floats, limit: float) -> tuple[F
     """Mean over each cell between ``edges`` (n + 1,) of the straight lines through readings.
 
     NaN in a cell that a line longer than ``limit`` [s], or one from a NaN reading, passes through; the second array
-    says in which cells no such long line passes, that is, where readings were there.
+    says in which cells no such long line passes, that is, where there are readings.
     """
     n = len(edges) - 1
     if len(t) < 2:

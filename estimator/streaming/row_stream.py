@@ -1,4 +1,4 @@
-"""First half of the pipeline: frames in, rows of one time grid out, whether they come live or from a log.
+"""First half of the pipeline: frames in, rows of one time grid out, live or from a log.
 
 Frames are put in order of time and cut into blocks at fixed message times, so the rows do not depend on how the frames
 arrived, one by one or a million at once.
@@ -47,10 +47,10 @@ class Interruption:
     """A time without traffic, or a step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
 
     After a ``is_new_drive`` interruption the load may be another one. With ``is_step_back`` the vehicle may be another
-    one as well, and after ``is_sender_replaced`` what was learnt of it may be wrong.
+    one as well, and after ``is_sender_replaced`` the estimates of the vehicle may be wrong.
     """
 
-    start: float | None  # None: a state was restored that had seen no traffic
+    start: float | None  # None: a state without traffic was restored
     end: float
     is_new_drive: bool
     is_sender_replaced: bool = False
@@ -83,7 +83,7 @@ class RowStream:
     gaps : collections.deque[tuple[float, float]]
         Times without speed or power, from and to [s].
     replacements : int
-        Senders replaced by others; all that was learnt is discarded then.
+        Number of senders replaced by others; window and vehicle are discarded at each.
     """
 
     def __init__(self, config: Config) -> None:

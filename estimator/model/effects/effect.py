@@ -63,7 +63,7 @@ class View:
 
 
 class Timing(StrEnum):
-    """When an effect acts, where no signal says so."""
+    """When an effect acts, where no signal shows it."""
 
     ALWAYS = "always"
     WINDOW = "window"  # once, from some time to another
@@ -72,7 +72,7 @@ class Timing(StrEnum):
 
 
 def by_mass(value: float) -> Usual:
-    """A magnitude that goes with the mass; ``value`` is that of a heavy truck, of TYPICAL_MASS."""
+    """A magnitude that is proportional to the mass; ``value`` is that of a heavy truck, of TYPICAL_MASS."""
     return lambda road_load: value * float(road_load[2]) / TYPICAL_MASS
 
 
@@ -102,7 +102,7 @@ class Effect:
     needs
         Quantities without which it cannot be computed.
     shapes
-        What it is non-linear in: values to try. A `Quantity` stands for itself, as one source among several.
+        What it is non-linear in: values to try. A `Quantity` stands for itself, as one of several sources.
     finer
         Shapes between one of ``shapes`` and its neighbours.
     describe

@@ -17,7 +17,7 @@ CAUSES = 8  # colours of the budget; further causes share the last
 BINS = 600  # of an overview: each shows its least, greatest and, in blocks, its mean residual
 BLOCKS = 200  # of the mean line
 MAX_BREAK = 900.0  # s; longer ones, as between two logs, are cut out of the overview
-CUT_BREAK = 60.0  # s, what is left of them
+CUT_BREAK = 60.0  # s, their length after the cut
 DETAIL_DURATION = 300.0  # s of the power trace shown
 
 
@@ -87,7 +87,7 @@ def _has_several_logs(traces: Traces) -> bool:
 
 
 def _clock(traces: Traces) -> Floats:
-    """Time [s] (n,) that only goes forward: long breaks, and what lies between two logs, become CUT_BREAK."""
+    """Ascending time [s] (n,): long breaks, and those between two logs, become CUT_BREAK."""
     steps = np.diff(traces.t, prepend=traces.t[:1])
     steps[(steps > MAX_BREAK) | (steps < 0) | (np.diff(traces.log, prepend=traces.log[:1]) > 0)] = CUT_BREAK
     running: Floats = float(traces.t[0]) + np.cumsum(steps)
@@ -140,7 +140,7 @@ def _binned(x: Axis, position: Floats, values: Floats, count: int) -> tuple[Floa
 
 
 def power(traces: Traces, changed: bool) -> str:
-    """Power as measured and by the models in the five minutes that say most; empty without data."""
+    """Measured power and that of the models in the five most informative minutes; empty without data."""
     squared = (traces.measured - traces.base) ** 2
     worth = np.nan_to_num(squared - (traces.measured - traces.extended) ** 2 if changed else squared)
     clock = _clock(traces)

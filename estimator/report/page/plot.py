@@ -72,7 +72,7 @@ def bar(x: Axis, start: float, end: float, kind: str) -> str:
 
 
 def cell(x: Axis, y: Axis, corners: tuple[float, float, float, float], kind: str, strength: float, text: str) -> str:
-    """One cell (x from, to, y from, to) of a map, as opaque as ``strength``, with what it says on hovering."""
+    """One cell (x from, to, y from, to) of a map, as opaque as ``strength``, with the text shown on hovering."""
     left, right = x.at(np.array(corners[:2])).tolist()
     bottom, top = y.at(np.array(corners[2:])).tolist()
     return (
@@ -82,7 +82,7 @@ def cell(x: Axis, y: Axis, corners: tuple[float, float, float, float], kind: str
 
 
 def plot(shapes: str, x: Axis, y: Axis, description: str, title: str = "", kind: str = "") -> str:
-    """The drawing with its axes; ``description`` is what a screen reader says in place of it."""
+    """The drawing with its axes; ``description`` is its text for screen readers."""
     grid, labels = [], []
     for value, at in _placed(x, 8):
         grid.append(f'<path class="grid" d="M{at:.1f} 0V{SIDE}"/>')

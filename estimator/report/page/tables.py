@@ -105,7 +105,7 @@ def not_testable(effects: Sequence[NotTestable]) -> str:
 
 
 def invisible(effects: Sequence[Invisible]) -> str:
-    """Effects that could be there unseen, and what they would do to the parameters."""
+    """Effects that could act without being visible, and the change of the parameters by each."""
     headings = ("effect", "expected log Bayes factor", "would shift", "what would show it")
     rows = [
         (
@@ -147,7 +147,7 @@ def isolability(of: Isolability) -> str:
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> str:
-    """A table of cells that are HTML already, without columns that say nothing; empty without rows."""
+    """A table of cells that are HTML already, without empty columns; empty without rows."""
     if not rows:
         return ""
     said = [i for i in range(len(headings)) if any(row[i] != number_format.NOTHING for row in rows)]

@@ -18,7 +18,7 @@ DRAFTING_SPEED = 15.0  # m/s, below which there is no drafting
 
 
 def headwind(scene: Scene, effect: Effect) -> Action:
-    """A steady wind over ground, [m/s]: felt by the angle to the road; oblique air also raises the drag area."""
+    """A steady wind over ground, [m/s]: it acts by its angle to the road; oblique air also raises the drag area."""
     rng, C = scene.rng, scene.truck.C
     come_from = rng.uniform(0.0, 2 * pi) if effect.direction is None else effect.direction
     oblique = float(rng.uniform(0.0, 0.2))  # more drag area at 10 degrees

@@ -1,6 +1,6 @@
-"""All effects by name: unit, usual magnitude, plausible range for a class-8 truck, and what they are.
+"""All effects by name: unit, usual magnitude, plausible range for a class-8 truck, and description.
 
-They start in the order of the table: an effect sees the road as those before it have left it.
+They start in the order of the table: an effect acts on the road as changed by those before it.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -26,7 +26,7 @@ class Kind:
     """A kind of effect.
 
     ``low`` to ``high``: plausible magnitudes in ``unit``; ``known_as``: the name that a right diagnosis gives it,
-    None for what is in no catalogue and should be called unknown; ``signed``: it may go the other way too.
+    None for an effect in no catalogue, which should be called unknown; ``signed``: it may go the other way too.
     """
 
     start: Start

@@ -1,4 +1,4 @@
-"""An effect asked for: its name, how strong, and where bounded when; and draws of what was left open."""
+"""An effect asked for: its name, magnitude and span; and draws of the fields that are None."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ class Effect:
     """One thing to go differently in the simulated world.
 
     ``magnitude`` in the unit of the effect's kind; ``start`` and ``end`` [s] of an effect that is bounded in time,
-    ``direction`` [rad] that a wind comes from, clockwise from north; what is None is drawn.
+    ``direction`` [rad] that a wind comes from, clockwise from north; fields that are None are drawn.
     """
 
     name: str

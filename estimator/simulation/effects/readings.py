@@ -1,4 +1,4 @@
-"""Effects of the instruments: what the control units report goes off, the truck itself drives as before."""
+"""Effects of the instruments: the reports of the control units are wrong, the truck itself drives as before."""
 
 from dataclasses import replace
 from math import exp, pi

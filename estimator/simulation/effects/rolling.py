@@ -76,7 +76,7 @@ def brake_use(scene: Scene, effect: Effect, shown: bool = False) -> Action:
 
 
 def brake_use_shown(scene: Scene, effect: Effect) -> Action:
-    """The same, by the driver's foot: the brake switch tells."""
+    """The same by the driver: the brake switch shows it."""
     return brake_use(scene, effect, shown=True)
 
 
