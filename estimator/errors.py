@@ -1,4 +1,4 @@
-"""The errors a user can cause or meet; each message is one line that names the place and the fix."""
+"""The errors that a user can cause or meet; each message is one line that names the place and the remedy."""
 
 
 class RoadloadError(Exception):
@@ -8,7 +8,7 @@ class RoadloadError(Exception):
 
 
 class InputError(RoadloadError):
-    """Something the user gave cannot be used; the command exits with status 2."""
+    """Input that cannot be used; the command exits with status 2."""
 
     exit_status = 2
 

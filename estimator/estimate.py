@@ -27,7 +27,7 @@ class Marginal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
-    """How far the chains can be trusted (Vehtari et al. 2021): worst value over the parameters."""
+    """Convergence diagnostics of the chains (Vehtari et al. 2021): worst value over the parameters."""
 
     r_hat: float
     ess_bulk: float
@@ -45,7 +45,7 @@ class Coverage:
 
     @property
     def fraction(self) -> float:
-        """Share of the reachable cells that the drive has shown."""
+        """Share of the reachable cells that were driven."""
         return self.occupied / self.available if self.available else 0.0
 
 

@@ -1,4 +1,4 @@
-"""The parts that CAN signals play in the estimate, their SI units, and the quantities that are derived from them."""
+"""The uses of CAN signals in the estimate, their SI units, and the quantities that are derived from them."""
 
 from enum import StrEnum
 

@@ -33,7 +33,7 @@ class Estimator:
     Parameters
     ----------
     config
-        All settings; ``sampler.likelihood`` decides what rows are turned into, and what concludes from it.
+        All settings; ``sampler.likelihood`` selects the stage (samples or strides) and the inference.
     rng
         Source of all randomness.
     """

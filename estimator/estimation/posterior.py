@@ -27,7 +27,7 @@ class Posterior:
 
     @property
     def has_converged(self) -> bool:
-        """Whether the chains agree and are worth enough independent draws."""
+        """Whether R-hat and the effective number of draws are within their limits."""
         c = self.convergence
         return c.r_hat < MAX_R_HAT and c.ess_bulk > MIN_ESS
 

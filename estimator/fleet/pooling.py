@@ -16,10 +16,10 @@ from estimator.estimate import Marginal
 from estimator.signals import Floats
 
 NODES = 20  # of the grid of each tau
-WIDEST = 8.0  # its largest node, in scales of the prior
+MAX_TAU_SCALES = 8.0  # largest node of each tau, in scales of its prior
 DEGREES = 4.0  # of freedom of the prior
 NEGLIGIBLE = 1e-8  # weight of a node, as a share of the largest
-REACH = 12.0  # sd within which a quantile is looked for
+MAX_QUANTILE_SDS = 12.0  # sd from the mean within which a quantile is searched
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Mixture:
 
     def quantile(self, p: float) -> float:
         """Value that is exceeded with probability 1 - p."""
-        low = float(np.min(self.means - REACH * self.sds))
-        high = float(np.max(self.means + REACH * self.sds))
+        low = float(np.min(self.means - MAX_QUANTILE_SDS * self.sds))
+        high = float(np.max(self.means + MAX_QUANTILE_SDS * self.sds))
         return float(brentq(lambda x: self.cdf(x) - p, low, high, xtol=1e-12 * max(abs(low), abs(high), 1e-300)))
 
     @property
@@ -89,7 +89,7 @@ def pool(z: Floats, V: Floats, scale: float) -> Pooled:
     """
     centre = _weighted_mean(z, V, np.zeros(2))
     centre = _weighted_mean(z, V, (scale * centre) ** 2)
-    steps = WIDEST * np.linspace(0.0, 1.0, NODES) ** 2  # close where tau is small
+    steps = MAX_TAU_SCALES * np.linspace(0.0, 1.0, NODES) ** 2  # close where tau is small
     share = (1 + steps**2 / DEGREES) ** (-(DEGREES + 1) / 2) * np.gradient(steps)
     first, second = np.meshgrid(np.arange(NODES), np.arange(NODES), indexing="ij")
     nodes = np.column_stack([first.ravel(), second.ravel()])

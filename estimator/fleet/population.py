@@ -19,7 +19,7 @@ SCALE = 0.05  # sd of the half-normal prior of tau, as a share of the median
 OUTLIERS = 0.1  # prior share of outliers
 OUTLIER_SCALE = 0.5  # sd of outliers, as a share of the median
 MEANS, SPREADS = 161, 24  # nodes of the grids
-SPREAD_WIDEST = 5.0  # largest node of tau, in sd of its prior
+MAX_SPREAD_SDS = 5.0  # largest node of tau, in sd of its prior
 MIN_VEHICLES = 4  # vehicles: each is compared with at least three others
 
 
@@ -35,7 +35,7 @@ def population(z: Floats, sd: Floats) -> Population:
     """Compare vehicles by estimates ``z`` (n,) with their ``sd`` (n,)."""
     middle = float(np.median(z))
     size = abs(middle)
-    tau_nodes = SCALE * size * SPREAD_WIDEST * np.linspace(0.0, 1.0, SPREADS) ** 2
+    tau_nodes = SCALE * size * MAX_SPREAD_SDS * np.linspace(0.0, 1.0, SPREADS) ** 2
     reach = 3 * float(np.max(sd)) + SCALE * size
     mu_nodes = np.linspace(z.min() - reach, z.max() + reach, MEANS)
     mu, tau = (grid.ravel() for grid in np.meshgrid(mu_nodes, tau_nodes, indexing="ij"))

@@ -57,7 +57,7 @@ def union(one: Spans, other: Spans) -> Spans:
 
 
 def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> tuple[View, View]:
-    """``samples`` as measured, and as their instruments see them.
+    """``samples`` as measured, and with the quantities of their instruments.
 
     Some effects scale with ``road_load`` = [A, C, m] (3,), and with the climb by a signal among ``terms``.
     """

@@ -28,7 +28,7 @@ from estimator.strides import Strides
 
 BLOCK_ROWS = 200  # rows turned into samples or strides at a time: 20 s
 CALIBRATION_ROWS = 1800  # moving rows from which noise and lag of the signals are found: 3 min
-MAX_WAITING_ROWS = 18_000  # rows, 30 min, that wait for them at most: bounds the memory; then fewer must do
+MAX_WAITING_ROWS = 18_000  # rows, 30 min: after so many that wait, fewer moving rows are used; bounds the memory
 MIN_KNOWN_SHARE = 0.05  # of the first minutes, in which a quantity must be known to be used
 
 B = TypeVar("B", Samples, Strides, covariant=True)

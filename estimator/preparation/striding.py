@@ -1,4 +1,4 @@
-"""Strides from rows of the time grid, as they come.
+"""Strides from rows of the time grid, batch by batch.
 
 A stride starts where the one before ended, or where driving whose force is known begins again; what lies between is
 covered by strides whose force is not known, which carry the distance and the signals of the road on.

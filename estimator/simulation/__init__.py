@@ -12,11 +12,11 @@ A drive obeys ``P = A v + C v^3 + m v a`` exactly, except for the effects that a
         effects={"grade": 0.012, "auxiliary_cycling": None},            # None: the usual magnitude
         sensors=Sensors(speed_noise=0.008, torque_resolution=0.01, without=frozenset({Role.HEADING})),
     )
-    frames = frames_of(recording.signals)                               # of estimator.can_io.recorder, as is write_log
+    frames = frames_of(recording.signals)                               # of estimator.can_io.j1939_encoder
     recording.truth.effect_power["grade"]                               # [W], on recording.truth.t
 
-`effects.catalogue.KINDS` lists the effects with unit, usual magnitude, plausible range, and the name a right diagnosis
-gives them (``known_as``; None: outside every catalogue). `effects.effect.Effect` also says when, or from where.
+`effects.catalogue.KINDS` lists the effects with unit, usual magnitude, plausible range, and their names in the
+diagnosis (``known_as``; None: in no catalogue). An `effects.effect.Effect` can also have a span or a direction.
 `truth.Truth` holds the true quantities, and the power of each effect. `sensors.Sensors` holds the nuisances, and
 `sensors.OPTIONAL` the signals a bus may lack. Nothing here uses the formulas of the model under test.
 """

@@ -1,4 +1,4 @@
-"""The accounts after a drive: where the truck was, what its control units read, and what each effect cost."""
+"""The truth of a drive from its course: places, readings of the control units, and the power of each effect."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -122,7 +122,7 @@ def _gap(truck: Truck, read: Reading) -> Floats:
 
 
 def _wheel_powers(truck: Truck, route: Route, course: Course, ledgers: Ledgers) -> dict[str, Floats]:
-    """What the physical effects make the crank deliver [W], by name."""
+    """Power at the crank that each physical effect requires [W], by name."""
     v = course.v
     per_unit = {"force": v, "power": np.ones(len(v)), "inertia": course.a * v}
     powers: dict[str, Floats] = {}

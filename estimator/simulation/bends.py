@@ -10,7 +10,7 @@ from estimator.simulation.noise import smooth
 CURVE_SPACING = 5.0  # m between points of the curvature profile
 WINDING = 0.4  # m/s^2, sd of the lateral acceleration outside bends
 WINDING_LENGTH = 200.0  # m over which a road winds
-SHARPEST = 1.7  # m/s^2, lateral acceleration that no bend exceeds at its speed
+MAX_LATERAL_ACCELERATION = 1.7  # m/s^2, lateral acceleration that no bend exceeds at its speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,6 @@ def curvature_of(start: Floats, speed: Floats, bends: list[Bend], length: float,
     for bend in bends:
         angle = rng.choice([-1.0, 1.0]) * rng.uniform(*bend.angle)
         sharpness = angle / (bend.end - bend.start)
-        limit = SHARPEST / bend.speed**2
+        limit = MAX_LATERAL_ACCELERATION / bend.speed**2
         curvature[(place >= bend.start) & (place < bend.end)] = np.clip(sharpness, -limit, limit)
     return curvature

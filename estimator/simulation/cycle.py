@@ -1,7 +1,7 @@
 """A driving cycle as a road: a table of speed, by time or by distance, with grade if it has it.
 
-The driver meets the cycle's speeds where the table has them, as limits along the road; stops where it stands still,
-for as long. So a slow truck takes longer over it, but drives the same road.
+Speeds of the table are limits at the places where the table has them; the truck stops where the table stands still,
+for the same time. So a slow truck takes longer, but drives the same road.
 """
 
 import csv

@@ -17,7 +17,7 @@ PERIOD = 0.1  # s between two decisions
 GRID = 2.0  # m, resolution of the speeds seen ahead
 SPEED_GAIN = 0.5  # 1/s, wanted acceleration per speed error
 REACTION_TIME = 0.6  # s
-HARDEST_BRAKING = 2.0  # m/s^2
+MAX_BRAKING = 2.0  # m/s^2
 CREEP = 0.4  # m/s, below which the driver brakes to a standstill at a stop
 STOP_ZONE = 6.0  # m before the stop line
 BRAKE_THRESHOLD = 0.15  # m/s^2 beyond engine drag before the foot goes to the brake
@@ -85,13 +85,13 @@ class Driver:
             return Demand(-self._mass, True, self._parked)
         if not holding:
             wanted = self._wanted_acceleration(s, v, stop)
-            limit = HARDEST_BRAKING * self._mass
+            limit = MAX_BRAKING * self._mass
             self._force += PERIOD / REACTION_TIME * self._mass * (wanted - a)
             self._force = min(max(self._force, -limit), limit)
         return Demand(self._force, False, False)
 
     def limit_force(self, force: float) -> None:
-        """Tell the driver that the pedal is on the floor at ``force`` [N]."""
+        """Limit the demand to a ``force`` [N]: the engine is at full load."""
         self._force = min(self._force, force)
 
     def _wanted_acceleration(self, s: float, v: float, stop: float) -> float:
@@ -102,7 +102,7 @@ class Driver:
         seen = self._seen
         speed = min(seen[int(here / GRID)] if here < stop else 0.0, seen[int(ahead / GRID)] if ahead < stop else 0.0)
         wanted = SPEED_GAIN * (speed * self._traffic[self._decision] - v) + self._wobble[self._decision]
-        return min(max(wanted, -HARDEST_BRAKING), self._launch / (1.0 + v / 8.0))
+        return min(max(wanted, -MAX_BRAKING), self._launch / (1.0 + v / 8.0))
 
 
 def speeds_ahead(route: Route, easing: float, stopping: float) -> Floats:

@@ -16,7 +16,7 @@ NEUTRAL_TIME = 0.35, 0.75  # s without a gear
 
 
 class Phase(Enum):
-    """How the engine hangs on the wheels."""
+    """How the engine is coupled to the wheels."""
 
     DRIVE = "drive"  # clutch closed
     UNLOAD = "unload"  # clutch closed, torque goes to zero before a shift

@@ -1,4 +1,4 @@
-"""What passes between the drive and the effects: the moment, the scene, the readings, and an effect at work."""
+"""Types exchanged between the drive and the effects: the moment, the scene, the readings, and an effect at work."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -35,7 +35,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Who drives where and how long [s], and the effect's own source of randomness."""
+    """Truck, road and duration [s] of a drive, and the effect's own source of randomness."""
 
     truck: Truck
     route: Route

@@ -44,7 +44,7 @@ def record(
     rng
         Source of randomness.
     sensors
-        How well the truck measures; an ordinary truck by default.
+        Errors of the truck's sensors; those of an ordinary truck by default.
     effects
         Physics and errors beyond the plain truck; none by default.
 

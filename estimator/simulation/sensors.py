@@ -1,4 +1,4 @@
-"""What the truck's control units measure of a drive: each signal at its own rate, late, noisy and quantised.
+"""Measurements of a drive by the truck's control units: each signal at its own rate, delayed, noisy and quantised.
 
 The engine sends indicated torque, ``T_indicated = T_net + T_friction``, in percent of the reference torque, as
 SPN 513 and 4154 do; the nominal friction comes apart and slower, as SPN 514 does. Resolutions are those of J1939.
@@ -47,7 +47,7 @@ OPTIONAL = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensors:
-    """How well the truck measures.
+    """Errors of the truck's sensors.
 
     Parameters
     ----------

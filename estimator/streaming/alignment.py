@@ -19,7 +19,7 @@ from estimator.streaming.engine_power import EnginePower
 from estimator.streaming.resampling import Track
 
 SETTLE = 3.0  # s, rows lag this far behind the newest reading, so that straight lines have both ends
-NO_CONTEXT = {  # used up in speed and power
+NO_CONTEXT = {  # speed and power are computed from them
     Role.SPEED,
     Role.WHEEL_SPEEDS,
     Role.ENGINE_POWER,

@@ -158,7 +158,7 @@ class RowStream:
         yield from self.finish()
 
     def require_inputs(self, place: str) -> None:
-        """Complain if the traffic so far cannot feed the model.
+        """Check that the traffic so far has all inputs of the model.
 
         Raises
         ------
@@ -307,7 +307,7 @@ class RowStream:
             self.gaps.append((start, end))
 
     def _interrupt(self, t: float) -> Iterator[Block | Interruption]:
-        """Signals before and after a silence or a step in time are not joined."""
+        """Start anew after a silence or a step in time: signals before and after it are not joined."""
         last = self._last
         assert last is not None
         yield from self._end()
@@ -318,7 +318,7 @@ class RowStream:
         yield interruption
 
     def _resume(self, t: float) -> Interruption:
-        """Rows before and after the downtime are not joined, however short it was."""
+        """Start anew after a downtime of any length: rows before and after it are not joined."""
         self._is_restored = False
         last = self._until
         if last is None:

@@ -12,7 +12,7 @@ from estimator.simulation.moment import Action, Moment, Scene, along
 from estimator.simulation.noise import correlated, smooth
 from estimator.simulation.route import GRADE_SPACING
 
-STEEPEST_YAW = 0.26  # rad, beyond which the air's side force on the drag grows no more
+MAX_YAW = 0.26  # rad, at which the effect of the air's angle on the drag is greatest
 TEN_DEGREES = pi / 18
 DRAFTING_SPEED = 15.0  # m/s, below which there is no drafting
 
@@ -28,7 +28,7 @@ def headwind(scene: Scene, effect: Effect) -> Action:
 
     def force(now: Moment) -> float:
         against, across = now.v + ahead(now.s), aside(now.s)
-        yaw = min(atan2(abs(across), abs(against)), STEEPEST_YAW) / TEN_DEGREES
+        yaw = min(atan2(abs(across), abs(against)), MAX_YAW) / TEN_DEGREES
         drag = C * (1.0 + oblique * yaw * yaw) * hypot(against, across) * against
         return drag - C * now.v * now.v
 
@@ -36,7 +36,7 @@ def headwind(scene: Scene, effect: Effect) -> Action:
 
 
 def wind_gusts(scene: Scene, effect: Effect) -> Action:
-    """Air that comes and goes along the road, without a mean."""
+    """Gusts along the road, with mean zero."""
     C, length = scene.truck.C, float(scene.rng.uniform(15.0, 50.0))
     gust = along(smooth(int(scene.duration / 0.5) + 2, effect.magnitude, length, scene.rng), 0.5)
 

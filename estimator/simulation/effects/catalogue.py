@@ -16,7 +16,7 @@ from estimator.simulation.moment import Action, Scene
 from estimator.simulation.route import Route
 from estimator.simulation.truck import Truck
 
-BEYOND = 2.0  # times the highest plausible magnitude, where the simulated truck might no longer drive
+MAX_SIZE_RATIO = 2.0  # times the highest plausible magnitude: with a larger one the simulated truck might not drive
 
 Start = Callable[[Scene, Effect], Action]
 
@@ -26,7 +26,7 @@ class Kind:
     """A kind of effect.
 
     ``low`` to ``high``: plausible magnitudes in ``unit``; ``known_as``: the name that a right diagnosis gives it,
-    None for an effect in no catalogue, which should be called unknown; ``signed``: it may go the other way too.
+    None for an effect in no catalogue, which should be called unknown; ``signed``: the magnitude may be negative.
     """
 
     start: Start
@@ -44,12 +44,12 @@ class Kind:
 
     @property
     def summary(self) -> str:
-        """What it is, in one line."""
+        """Description in one line."""
         return (self.start.__doc__ or "").strip().splitlines()[0]
 
     def allows(self, magnitude: float) -> bool:
-        """Whether a truck can drive with that."""
-        if not isfinite(magnitude) or magnitude > BEYOND * self.high:
+        """Whether a truck can drive with this magnitude."""
+        if not isfinite(magnitude) or magnitude > MAX_SIZE_RATIO * self.high:
             return False
         return magnitude >= -self.high if self.signed else magnitude > 0.0
 
@@ -147,7 +147,7 @@ def parse_effect(text: str) -> Effect:
     Raises
     ------
     InputError
-        It is not written like that, or there is no such effect.
+        The text has another form, or there is no such effect.
     """
     what, _, when = text.partition("@")
     name, _, size = what.partition("=")
@@ -170,7 +170,7 @@ def parse_effect(text: str) -> Effect:
 def start_all(
     effects: Iterable[Effect], truck: Truck, route: Route, duration: float, rng: np.random.Generator
 ) -> tuple[dict[str, Action], Route]:
-    """Set effects to work, and give the road as they leave it.
+    """Start the effects; returns them by name, and the road as changed by them.
 
     Each draws from a source of its own, so that one more effect does not change the others. On a road that is not
     level the air gets thinner uphill whether that was asked for or not.

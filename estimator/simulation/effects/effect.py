@@ -11,7 +11,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """One thing to go differently in the simulated world.
+    """One departure of the simulated drive from the plain road load.
 
     ``magnitude`` in the unit of the effect's kind; ``start`` and ``end`` [s] of an effect that is bounded in time,
     ``direction`` [rad] that a wind comes from, clockwise from north; fields that are None are drawn.
