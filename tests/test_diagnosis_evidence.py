@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 
 from estimator.diagnosis import held_out, localisation, switching_times
 from estimator.diagnosis.averaged_residual import Averages, averages_of, weigh
+from estimator.diagnosis.described import described
 from estimator.diagnosis.evidence import Base, Score, block_sums, blocks_of, fit_base, long_run_variance, score
 from estimator.diagnosis.evidence import log_bayes_factor as log_bayes_factor_of
 from estimator.diagnosis.held_out import HeldOut, gap_closed
@@ -333,3 +334,21 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
     assert found.samples[i, j] == cell.sum()
     assert found.before[i, j] == pytest.approx(model.base.residual[cell].mean())
     assert np.isnan(found.before[found.samples < localisation.MIN_CELL_SAMPLES]).all()
+
+
+# A formula for what has no name
+
+
+def test_a_power_outside_the_catalogue_is_described() -> None:
+    plain = samples_of(minutes=40.0)
+    t = plain.t
+    found = described(model_of(samples_of(4.0 * t * plain.v, minutes=40.0)))
+    assert found is not None
+    assert (found.text, found.unit) == ("v t", "W/m")
+    assert abs(found.value - 4.0) < 4 * found.sd
+    assert found.log_bayes_factor > 20
+    assert 0.8 < found.share < 1.0
+
+
+def test_noise_is_not_described() -> None:
+    assert described(model_of(samples_of(minutes=40.0))) is None

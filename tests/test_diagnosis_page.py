@@ -1,6 +1,7 @@
 """A diagnosis as a page, as JSON and on the terminal."""
 
 import dataclasses
+import html
 import io
 import json
 import re
@@ -56,7 +57,7 @@ CONTRACT = {
 def test_json_keeps_the_contract(name: str) -> None:
     content = json.loads(encode(of_diagnosis(DIAGNOSES[name]())))
     assert content.keys() >= CONTRACT
-    assert content["remaining"].keys() == {"verdict", "log_bayes_factor"}
+    assert content["remaining"].keys() == {"verdict", "log_bayes_factor", "formula"}
     for effect in content["effects"] + content["candidates"]:
         assert effect.keys() >= FINDING_KEYS
         assert effect["magnitude"].keys() == {"name", "value", "sd", "unit"}
@@ -422,3 +423,15 @@ def test_gap_closed_of_several_effects_is_that_of_the_residuals() -> None:
     assert wording.gap_closed(rich()) == pytest.approx(expected)
     assert wording.gap_closed(dataclasses.replace(rich(), effects=rich().effects[:1])) == 0.712
     assert wording.gap_closed(unknown()) is None
+
+
+def test_a_formula_is_told_where_nothing_has_a_name() -> None:
+    told = wording.formula(unknown())
+    assert told.startswith("(4.10 ± 0.12 W/m) v t follows it ")
+    assert told.endswith("84 % of it is gone on stretches kept from the fit")
+    assert told in html.unescape(page(unknown()))
+    assert wording.formula(rich()) == ""
+    formula = of_diagnosis(unknown()).remaining.formula
+    assert formula is not None
+    assert (formula.text, formula.unit, formula.share) == ("v t", "W/m", 0.84)
+    assert of_diagnosis(rich()).remaining.formula is None

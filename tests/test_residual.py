@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.answers.diagnosis import Verdict
-from estimator.components.formula import Variable, best_formula, units_of
+from estimator.components.formula import Variable, best_formula, judged, units_of
 from estimator.components.set_likelihood import SetLikelihood, places_of
 from estimator.errors import InputError
 from estimator.residual.causes import Cause, Form, ResidualLikelihood, forms_of
@@ -227,14 +227,14 @@ def test_the_best_formula_is_found_among_all():
     v, w = rng.uniform(1, 9, 400), rng.normal(size=400)
     y = 0.7 * w * np.abs(w) / v + rng.normal(0, 0.05, 400)
 
-    def project(columns):
-        return columns.T @ columns / 0.05**2, columns.T @ y / 0.05**2
+    def judge(columns):
+        return judged(columns.T @ columns / 0.05**2, columns.T @ y / 0.05**2)
 
-    found = best_formula({"v": Variable(v, "m/s"), "w": Variable(w, "rad")}, "N", float(y.std()), project)
+    found = best_formula({"v": Variable(v, "m/s"), "w": Variable(w, "rad")}, "N", float(y.std()), judge)
     assert (found.text, found.unit) == ("v^-1 w |w|", "N m/s/rad^2")
     assert found.value == pytest.approx(0.7, abs=0.02)
     assert_allclose(found.column, w * np.abs(w) / v)
-    assert best_formula({"v": Variable(np.ones(5), "m")}, "N", 1.0, project) is None
+    assert best_formula({"v": Variable(np.ones(5), "m")}, "N", 1.0, judge) is None
 
 
 @pytest.mark.parametrize(

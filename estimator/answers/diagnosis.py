@@ -62,11 +62,27 @@ class Finding(Struct, frozen=True, kw_only=True):
     detail: str
 
 
+class Formula(Struct, frozen=True, kw_only=True):
+    """A power of ``value`` +- ``sd`` [``unit``] x ``text`` that follows what is left, and names nothing.
+
+    ``text`` is a product of powers of v [m/s], a [m/s^2], F [N], engine speed n [rad/s], time t [s], distance s [m].
+    ``share`` of the squared residual is gone on stretches left out of the fit.
+    """
+
+    text: str
+    value: float | None
+    sd: float | None
+    unit: str
+    log_bayes_factor: float | None
+    share: float | None
+
+
 class Remaining(Struct, frozen=True, kw_only=True):
-    """The verdict on what the named effects leave."""
+    """The verdict on what the named effects leave; ``formula`` is null where none follows it."""
 
     verdict: Verdict
     log_bayes_factor: float | None
+    formula: Formula | None = None
 
 
 class Part(Struct, frozen=True, kw_only=True):

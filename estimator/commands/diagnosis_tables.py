@@ -47,6 +47,8 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
     if steps:
         strength = wording.bayes(d.remaining_log_bayes_factor)
         yield "left", f"{d.remaining_verdict.value}, log Bayes factor {strength}"
+    if d.formula is not None:
+        yield "formula", wording.formula(d)
 
 
 def _limits(d: Diagnosis) -> Iterator[tuple[str, str]]:

@@ -1,6 +1,6 @@
 """A formula for what has no name: the product of a few powers of known quantities that explains most.
 
-A factor is x, |x|, x^2, x |x|, x^3, max(x, 0) or 1/x; a formula is a factor, or the product of two of different
+A factor is x, |x|, x^2, x |x|, x^3, max(x, 0) or x^-1; a formula is a factor, or the product of two of different
 quantities. Its column has the amplitude's prior N(0, 1) in rms of the residual, and all formulas are equally probable.
 """
 
@@ -15,7 +15,7 @@ from estimator.signals import Floats
 BATCH = 64  # columns that are judged at once: bounds the memory
 MIN_RELATIVE_DISTANCE = 1e-3  # from zero, of the range of a quantity in a denominator
 
-Project = Callable[[Floats], tuple[Floats, Floats]]
+Judge = Callable[[Floats], tuple[Floats, Floats, Floats]]  # gain in log evidence, value, sd (c,) of columns (n, c)
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Formula:
     column: Floats  # (n,) at a value of 1
 
 
-def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, project: Project) -> Formula | None:
+def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, judge: Judge) -> Formula | None:
     """The formula with most evidence; None where no quantity varies.
 
     Parameters
@@ -58,8 +58,9 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, proje
         Of the residual.
     rms
         Of the residual.
-    project
-        Gives products (c, c) and scores (c,) of columns (n, c), off everything else in the model.
+    judge
+        Gives the evidence of columns (n, c) of the rms of the residual, each alone beside everything else in the model,
+        with the prior N(0, 1) of their amplitudes.
     """
     found: list[tuple[float, float, float, Sequence[Factor]]] = []
     formulas = list(_formulas(variables))
@@ -67,13 +68,9 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, proje
         batch = formulas[start : start + BATCH]
         columns = np.column_stack([_column(factors) for factors in batch])
         size = np.sqrt(np.mean(columns**2, axis=0)) / rms
-        products, score = project(columns / size)
-        precision = np.maximum(np.diag(products), 0.0) + 1.0
-        gains = 0.5 * score**2 / precision - 0.5 * np.log(precision)
+        gains, values, sds = judge(columns / size)
         k = int(np.argmax(gains))
-        unit_size = float(size[k])
-        value, sd = float(score[k] / precision[k]) / unit_size, float(precision[k]) ** -0.5 / unit_size
-        found.append((float(gains[k]), value, sd, batch[k]))
+        found.append((float(gains[k]), float(values[k] / size[k]), float(sds[k] / size[k]), batch[k]))
     if not found:
         return None
     gain, value, sd, factors = max(found, key=lambda row: row[0])
@@ -85,6 +82,12 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, proje
         gain=gain - float(np.log(len(formulas))),
         column=_column(factors),
     )
+
+
+def judged(products: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
+    """Gain, value and sd (c,) of columns with products (c, c) and scores (c,) under the prior N(0, 1)."""
+    precision = np.maximum(np.diag(products), 0.0) + 1.0
+    return 0.5 * score**2 / precision - 0.5 * np.log(precision), score / precision, precision**-0.5
 
 
 def _formulas(variables: Mapping[str, Variable]) -> Iterator[tuple[Factor, ...]]:

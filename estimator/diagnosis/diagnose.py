@@ -11,6 +11,7 @@ from estimator.diagnosis.averaged_residual import averages_of
 from estimator.diagnosis.averaging import averaged
 from estimator.diagnosis.beside_road import BesideRoad, beside_road
 from estimator.diagnosis.candidates import assess
+from estimator.diagnosis.described import described
 from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.evidence import parameter_sd
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
@@ -167,6 +168,7 @@ def _with_known_road(diagnosis: Diagnosis, outcome: Outcome, hidden: bool) -> Di
         diagnosis,
         remaining_verdict=Verdict.CANNOT_TELL if hidden else remaining,
         remaining_log_bayes_factor=None if hidden else left,
+        formula=described(outcome.final[outcome.longest].model) if remaining is Verdict.UNKNOWN else None,
         noise_floor=float(np.sqrt(outcome.floor)),
         rms_base=outcome.steps[0].rms,
         rms_final=outcome.steps[-1].rms,

@@ -103,6 +103,22 @@ class Remainder:
     log_bayes_factor: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Described:
+    """A formula for what is left without a name: ``value`` +- ``sd`` [``unit``] x ``text``, a power [W].
+
+    ``log_bayes_factor`` counts all formulas that were tried; ``share`` of the squared residual, averaged over seconds,
+    is gone on stretches left out of the fit.
+    """
+
+    text: str
+    value: float
+    sd: float
+    unit: str
+    log_bayes_factor: float
+    share: float
+
+
 @dataclass(frozen=True, slots=True)
 class Doubtful:
     """The best candidate where none is named: its evidence is too weak, or it fails on held-out stretches."""
@@ -163,6 +179,7 @@ class Diagnosis:
     remaining_verdict: Verdict = Verdict.CANNOT_TELL
     remaining_log_bayes_factor: float | None = None
     remainder: Remainder | None = None
+    formula: Described | None = None  # of what is left without a name
     doubtful: Doubtful | None = None
     noise_floor: float | None = None  # [W]
     rms_base: float | None = None  # [W]

@@ -168,8 +168,9 @@ def _left(d: Diagnosis) -> str:
     if d.remaining_log_bayes_factor is not None:
         strength = f" Log Bayes factor of the best further explanation: {wording.bayes(d.remaining_log_bayes_factor)}."
     final = d.rms_base if d.rms_final is None else d.rms_final
+    formula = f" A power of {html.escape(wording.formula(d))}." if d.formula is not None else ""
     return (
-        f"<p>{REMAINDER_SENTENCES[d.remaining_verdict]}{strength} The residual is {wording.kilowatts(final)}; "
+        f"<p>{REMAINDER_SENTENCES[d.remaining_verdict]}{strength}{formula} The residual is {wording.kilowatts(final)}; "
         f"the noise floor is {wording.kilowatts(d.noise_floor)}.</p>"
     )
 

@@ -5,7 +5,7 @@ import math
 from estimator.answers import diagnosis as answer
 from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.components.budget import Part
-from estimator.diagnosis.result import Diagnosis, Finding, Invisible, Isolability, Place, Shift
+from estimator.diagnosis.result import Described, Diagnosis, Finding, Invisible, Isolability, Place, Shift
 from estimator.report import wording
 
 
@@ -17,7 +17,9 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
         configuration=wording.configuration(d),
         effects=tuple(map(_finding, d.effects)),
         candidates=tuple(map(_finding, d.candidates)),
-        remaining=answer.Remaining(verdict=d.remaining_verdict, log_bayes_factor=d.remaining_log_bayes_factor),
+        remaining=answer.Remaining(
+            verdict=d.remaining_verdict, log_bayes_factor=d.remaining_log_bayes_factor, formula=_formula(d.formula)
+        ),
         noise_floor_kW=_kilowatts(d.noise_floor),
         rms_base_kW=_kilowatts(d.rms_base),
         rms_final_kW=_kilowatts(d.rms_final),
@@ -34,6 +36,14 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
         invisible=tuple(map(_invisible, d.invisible)),
         advice=tuple(wording.advice(d)),
         logs=d.logs,
+    )
+
+
+def _formula(f: Described | None) -> answer.Formula | None:
+    if f is None:
+        return None
+    return answer.Formula(
+        text=f.text, value=f.value, sd=f.sd, unit=f.unit, log_bayes_factor=f.log_bayes_factor, share=f.share
     )
 
 

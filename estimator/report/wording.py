@@ -51,6 +51,17 @@ def reason(d: Diagnosis) -> str:
             return _improvement(d)
 
 
+def formula(d: Diagnosis) -> str:
+    """What follows the residual that has no name, and how well; empty if nothing does."""
+    if d.formula is None:
+        return ""
+    size = number_format.with_sd(d.formula.value, d.formula.sd, d.formula.unit)
+    return (
+        f"({size}) {d.formula.text} follows it (v speed, a acceleration, F force, n engine speed, t time, s distance): "
+        f"{percent(d.formula.share)} of it is gone on stretches kept from the fit"
+    )
+
+
 def _doubt(d: Diagnosis) -> str:
     if d.effects:
         rivals = " or ".join([d.effects[0].name, *d.effects[0].equivalent])

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.answers.diagnosis import Verdict
 from estimator.blas_threads import one_blas_thread
-from estimator.components.formula import Variable, best_formula
+from estimator.components.formula import Variable, best_formula, judged
 from estimator.residual.answer import Description, ResidualDiagnosis, Suspect
 from estimator.residual.causes import Cause, Form, ResidualLikelihood, forms_of
 from estimator.residual.inputs import Axis, Candidate, Record, checked
@@ -170,7 +170,7 @@ def _described(
 ) -> Description | None:
     """The formula that explains most beside those chosen, if it has evidence."""
     variables = {name: Variable(axis.values, axis.unit) for name, axis in record.axes.items()}
-    found = best_formula(variables, unit, record.rms, lambda columns: likelihood.projected(chosen, columns))
+    found = best_formula(variables, unit, record.rms, lambda columns: judged(*likelihood.projected(chosen, columns)))
     if found is None or found.gain <= 0:
         return None
     size = record.rms / float(np.sqrt(np.mean(found.column**2)))
