@@ -1,4 +1,4 @@
-"""What a person reads on the terminal."""
+"""The estimate and the inspection on the terminal."""
 
 import numpy as np
 from rich import box
@@ -22,7 +22,7 @@ ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C"
 
 def print_run(console: Console, run: Run, truth: dict[str, float] | None = None) -> None:
     """The estimate with its intervals, why there is none, and what went in; ``truth`` by mass, A, C where known."""
-    final, pipeline = run.final, run.pipeline
+    final = run.final
     style = {Status.ESTIMATED: "green", Status.UNESTIMATED: "yellow", Status.INVALID: "red"}[final.status]
     reason = f": {final.reason}" if final.reason else ""
     console.print(Text.assemble((final.status.value, f"bold {style}"), printable(reason)), soft_wrap=True)
@@ -32,45 +32,49 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
         console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
     for key, reason in final.withheld.items():
         say(console, f"{key:9} unestimated: {reason}")
+    _print_fit(console, run)
+    _print_traffic(console, run)
+    if run.broadcast:
+        say(console, f"broadcast {len(run.broadcast):,} frames")
+
+
+def _print_fit(console: Console, run: Run) -> None:
+    """Road, effects, lag, air, coverage, sampler, load and samples of the last estimate."""
+    final, estimator = run.final, run.pipeline.estimator
     if final.road is not None:
         say(console, f"road      {_road(final.road)}")
-    for name in pipeline.effects:
+    for name in run.pipeline.effects:
         size = final.effects.get(name)
         what = BY_NAME[name]
         found = "" if size is None else f": {number_format.with_interval(size.mean, size.q05, size.q95, what.unit)}"
         say(console, f"effect    {name}{found}")
-    evidence = pipeline.estimator.evidence
+    evidence = estimator.evidence
     if evidence is not None:
         say(console, f"lag       power comes {evidence.lag:.2f} s after speed, and has been aligned")
     if evidence is not None and np.isfinite(evidence.trace.density).any():
         density = float(np.nanmean(evidence.trace.density))
-        say(console, f"air       {density:.3f} kg/m³, for which C holds; it goes with the density")
+        say(console, f"air       {density:.3f} kg/m³; C holds for this density, and is proportional to it")
     c, k = final.coverage, final.convergence
     say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
     if k is not None and final.rms is not None:
-        say(
-            console,
-            f"sampler   R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted; "
-            f"residual {final.rms / 1e3:.1f} kW rms",
-        )
+        chains = f"R-hat {k.r_hat:.3f}, {k.ess_bulk:,.0f} effective draws, {100 * k.acceptance:.0f} % accepted"
+        say(console, f"sampler   {chains}; residual {final.rms / 1e3:.1f} kW rms")
     if final.load is not None:
         change, load = final.load, "the load changed" if final.load.probability > 0.5 else "the load is the same"
         sure = max(change.probability, 1 - change.probability)
         masses = f"{change.before:,.0f} kg before, {change.after:,.0f} kg after"
         say(console, f"stop      {load}, probability {sure:.3f}: {masses}")
-    rejected = ", ".join(f"{reason} {count:,}" for reason, count in pipeline.estimator.rejected.most_common())
+    rejected = ", ".join(f"{reason} {count:,}" for reason, count in estimator.rejected.most_common())
     say(console, f"samples   {final.admitted:,} used; not used: {rejected or 'none'}")
-    traffic = pipeline.traffic
+
+
+def _print_traffic(console: Console, run: Run) -> None:
+    """Frames read, refused and put in order, steps of time, and gaps."""
+    traffic = run.pipeline.traffic
     refused = sum((run.skipped + traffic.errors).values())
-    say(
-        console,
-        f"frames    {traffic.frames:,} read, {traffic.used:,} used, {refused:,} frames or values refused",
-    )
-    if traffic.order.reordered:
-        say(
-            console,
-            f"order     {traffic.order.reordered:,} frames came late, by up to 1 s, and were put in order",
-        )
+    say(console, f"frames    {traffic.frames:,} read, {traffic.used:,} used, {refused:,} frames or values refused")
+    if late := traffic.order.reordered:
+        say(console, f"order     {late:,} frames came late, by up to 1 s, and were put in order")
     for start, end in traffic.gaps:
         if end < start:
             times = f"from {start - run.start:.1f} s to {end - run.start:.1f} s"
@@ -78,8 +82,6 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
         if end - start >= MIN_GAP:
             times = f"{start - run.start:.1f} s to {end - run.start:.1f} s"
             say(console, f"gap       no speed or no power from {times}: not bridged")
-    if run.broadcast:
-        say(console, f"broadcast {len(run.broadcast):,} frames")
 
 
 def _road(road: Road) -> str:
