@@ -40,7 +40,9 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
 PROBE_SEED = 20_041  # of the simulated noise in the correction: the same in every update
-MIN_GROWTH = 1.5  # factor by which the window must grow before the scales of road and noise are searched again
+# Factor by which the window must grow before the scales of road and noise are searched again. Searched in every update,
+# three drives of 40 min took 1.6 times as much processor time, and their masses moved by at most 0.14 sd.
+MIN_GROWTH = 1.5
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road
 MAX_TORQUE_NOISE = 0.3  # m/s^2 of torque noise over mass: ten times that of a poor signal

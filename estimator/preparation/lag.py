@@ -11,7 +11,7 @@ from estimator.signals import Floats
 
 MAX_LAG = 2.0  # s, largest value of `kinematics.maximum_lag_s`
 SMOOTHER_RATIO = 100.0  # 1/s^4, of the smoother used here: geometric mean of `smoothing.RATIO_BOUNDS`
-MIN_SPEED = 2.0  # m/s
+MIN_SPEED = 2.0  # m/s, chosen by hand: with 1 and 4 m/s three flat drives give the same within 0.01 sd
 MIN_SAMPLES = 300  # 30 s at 10 Hz: with CORRELATION, 30 independent residuals for 3 coefficients and the lag
 CORRELATION = 1.0  # s, correlation time of the residuals
 MAX_LAG_SD = 0.1  # s: a lag with a larger standard deviation counts as unknown

@@ -8,6 +8,9 @@ most the error of the interval, and mostly a much smaller one than its middle.
 All engine speeds have the same weight, for any duration: an hour of cruising repeats one rounded reading, which would
 bias the curve at that speed. A reading belongs to the engine speed at which it was sent; until the next one, a quarter
 of a second later, the distance of the curve from the interval is held.
+
+Bins, weights, ridge and memory were chosen by hand: half and twice of each move the mass by at most 0.17 sd, A and C by
+at most 0.13 sd, on three simulated drives of 40 min (hills, highway, city).
 """
 
 from typing import Any
