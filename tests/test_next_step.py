@@ -14,8 +14,15 @@ from estimator.streaming.replay import Run
 WIDE, NARROW, UNKNOWN = Coverage(40, 100), Coverage(9, 100), Coverage(0, 0)
 
 
-def run(status: Status, admitted: int, coverage: Coverage, *seen: Role, effects: tuple[str, ...] = ()) -> Run:
-    pipeline = Pipeline(from_dict({"effects": list(effects)}))
+def run(
+    status: Status,
+    admitted: int,
+    coverage: Coverage,
+    *seen: Role,
+    effects: tuple[str, ...] = (),
+    likelihood: str = "road",
+) -> Run:
+    pipeline = Pipeline(from_dict({"effects": list(effects), "sampler": {"likelihood": likelihood}}))
     pipeline.traffic.seen.update(dict.fromkeys(seen, 1000))
     return Run(
         pipeline, [Estimate(t=0.0, status=status, reason="a reason", coverage=coverage, admitted=admitted)], Counter()
@@ -30,8 +37,13 @@ def run(status: Status, admitted: int, coverage: Coverage, *seen: Role, effects:
         (run(Status.UNESTIMATED, 5000, UNKNOWN), "the boxes of [prior]"),
         (run(Status.UNESTIMATED, 5000, NARROW), "with more speeds and accelerations"),
         (run(Status.UNESTIMATED, 5000, WIDE), "`roadload diagnose` with the same logs"),
-        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE), 'effects = ["grade"]'),
-        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE, effects=("grade",)), "give a longer log"),
+        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE), "give a longer log"),
+        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE, likelihood="instruments"), 'effects = ["grade"]'),
+        (run(Status.UNESTIMATED, 5000, WIDE, likelihood="instruments"), "give a longer log"),
+        (
+            run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE, effects=("grade",), likelihood="instruments"),
+            "give a longer log",
+        ),
         (run(Status.INVALID, 5000, WIDE), "`roadload diagnose` with the same logs"),
     ],
 )

@@ -54,7 +54,7 @@ class StateStore:
         Raises
         ------
         RoadloadError
-            The directory or the disk does not let us, or the state is too large.
+            The file cannot be written, or the state is too large.
         """
         content = pack(state, key)
         temporary = self._directory / f"{CURRENT}.{os.getpid()}{PART}"

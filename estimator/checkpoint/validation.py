@@ -115,7 +115,7 @@ def generator_state(rng: np.random.Generator) -> str:
 
 
 def set_generator(rng: np.random.Generator, state: State, name: str) -> None:
-    """Make ``rng`` go on where the one saved as ``name`` was.
+    """Continue ``rng`` from the state saved as ``name``.
 
     Raises
     ------

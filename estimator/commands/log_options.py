@@ -25,7 +25,7 @@ def add_seed(parser: argparse.ArgumentParser, use: str) -> None:
 def add_effects(parser: argparse.ArgumentParser) -> None:
     """Add --effect."""
     names = ", ".join(effect.name for effect in CATALOGUE if effect.is_streaming)
-    text = f"add an effect to the model, again and again: {names}"
+    text = f"an effect to add to the model; may be repeated: {names}"
     parser.add_argument("--effect", action="append", default=[], metavar="NAME", help=text)
 
 

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=SIZE][@START[-END]]",
-        help=f"make the world differ, again and again; sizes in SI, times in s: {', '.join(KINDS)}",
+        help=f"an effect of the drive; may be repeated; sizes in SI, times in s: {', '.join(KINDS)}",
     )
     parser.add_argument(
         "--without",

@@ -128,7 +128,7 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
     console.print(table)
     if found.missing:
         missing = ", ".join(f"{role} ({signal})" for role, signal in found.missing.items())
-        say(console, f"not there: {missing}")
+        say(console, f"missing: {missing}")
     if frames.reordered:
         say(console, f"put in order of time: {frames.reordered:,} frames")
     if frames.steps_back:

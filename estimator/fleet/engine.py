@@ -65,7 +65,7 @@ class Distributed:
         for future in as_completed(list(waiting), loop=self._client.loop):
             i, answer = waiting.pop(future), self._answer(future)
             if isinstance(answer, Failure) and answer.worker_died:
-                suspects.append(i)  # or its neighbour on that worker is to blame
+                suspects.append(i)  # or another task on that worker is the cause
             else:
                 yield i, answer
         for i in suspects:  # alone

@@ -1,4 +1,4 @@
-"""Where the logs of a fleet lie, and whose they are.
+"""The logs of a fleet, and the vehicle of each.
 
 A source is a log, a folder, a glob, a list of logs or a URL of fsspec (``s3://bucket/truck-*/``).
 """

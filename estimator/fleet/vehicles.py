@@ -13,7 +13,7 @@ from estimator.signals import Floats
 
 ROLLING, DRAG = 0, 1  # components of what drives share: A/m [N/kg], C [N s^2/m^2]
 NAMES = ("A/m", "C")
-OTHER_LOAD = 0.5  # sd of the mass under a load to come, as a share of it, by one load alone: it weighs as one more
+NEW_LOAD_SD = 0.5  # relative sd of the mass under a future load, if one load is known; of n loads, over sqrt(n)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ def join(vehicle: str, loads: Sequence[Coefficients], gate: Gate, scale: float, 
     masses = _masses(m, z, V, with_mass, m_variance, pooled)
     means = np.array([mass.mean for mass in masses])
     mean = float(means.mean())
-    spread = float(np.sqrt((OTHER_LOAD * mean) ** 2 / len(means) + means.var()))
+    spread = float(np.sqrt((NEW_LOAD_SD * mean) ** 2 / len(means) + means.var()))
     return VehicleResult(
         vehicle=vehicle,
         status=Status.UNESTIMATED if all(reasons) else Status.ESTIMATED,

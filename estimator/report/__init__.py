@@ -1,1 +1,1 @@
-"""What can be kept and shown of an estimate: draws, tables, pictures."""
+"""Results for files and people: draws, tables, pictures, pages, and the words of a diagnosis."""

@@ -6,12 +6,12 @@ from estimator.settings import Gate
 from estimator.signals import Role
 from estimator.streaming.replay import Run
 
-FEEL_GRADE = (Role.GRADE, Role.ALTITUDE, Role.LONGITUDINAL_ACCELERATION)  # signals that the effect `grade` can use
+SHOW_GRADE = (Role.GRADE, Role.ALTITUDE, Role.LONGITUDINAL_ACCELERATION)  # signals that the effect `grade` can use
 DIAGNOSE = "`roadload diagnose` with the same logs names a missing effect and the line to add to the configuration"
 
 
 def next_step(run: Run) -> str:
-    """One line for people; empty where there is an estimate."""
+    """The advice in one line; empty where there is an estimate."""
     final, pipeline = run.final, run.pipeline
     if final.status == Status.ESTIMATED:
         return ""
@@ -31,10 +31,11 @@ def next_step(run: Run) -> str:
         )
     if _is_coverage_low(final, gate):
         return "give a longer log, or several of one load in their order, with more speeds and accelerations"
-    felt = [role.value for role in FEEL_GRADE if pipeline.traffic.seen[role]]
-    if felt and "grade" not in pipeline.effects:
-        return f'in hills add effects = ["grade"] to the configuration: the bus carries {felt[0]}; else {DIAGNOSE}'
-    return f"give a longer log, or several of one load in their order; in hills or where more is amiss {DIAGNOSE}"
+    shown = [role.value for role in SHOW_GRADE if pipeline.traffic.seen[role]]
+    has_road = pipeline.config.sampler.likelihood == "road"  # which has the grade without being asked
+    if shown and not has_road and "grade" not in pipeline.effects:
+        return f'in hills add effects = ["grade"] to the configuration: the bus carries {shown[0]}; else {DIAGNOSE}'
+    return f"give a longer log, or several of one load in their order; where another effect acts, {DIAGNOSE}"
 
 
 def _is_coverage_low(final: Estimate, gate: Gate) -> bool:
