@@ -44,7 +44,7 @@ class Kinematics(Section, frozen=True):
     """How speed becomes acceleration."""
 
     acceleration: Literal["wheel_speed", "inertial"] = "wheel_speed"  # inertial: senses gravity, so grade too
-    despike: bool = True  # replace lone gross errors of power by the median of their neighbours
+    despike: bool = True  # replace lone gross errors of power by the median of their neighbours, drop those of speed
     maximum_lag_s: Annotated[float, Meta(ge=0, le=2)] = 0.6  # of torque against speed, searched on either side
 
 

@@ -11,7 +11,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
 from adversary import PAGE, names_on
 from bus_attacks.catalogue import Attack, attacks
-from bus_attacks.trial import Look, attempt, look_at
+from bus_attacks.trial import Look, attempt, deviations, look_at
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import EPOCH, frames_of
@@ -21,6 +21,7 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
+from estimator.streaming.row_stream import RowStream
 
 pytestmark = pytest.mark.slow
 
@@ -63,6 +64,13 @@ def clean(drive: Frames) -> list[Look]:
     return looks
 
 
+def test_an_honest_drive_loses_no_reading(drive: Frames):
+    stream = RowStream(Config())
+    for _ in (*stream.feed(drive), *stream.finish()):
+        pass
+    assert not stream.errors
+
+
 @pytest.mark.parametrize("name", HARMFUL)
 def test_no_attack_makes_a_wrong_mass_estimated(drive: Frames, clean: list[Look], name: str):
     outcome = attempt(ATTACKS[name], drive, clean, TRUCK, Config())
@@ -72,6 +80,16 @@ def test_no_attack_makes_a_wrong_mass_estimated(drive: Frames, clean: list[Look]
         assert outcome.reasons
     else:
         assert outcome.looks > 20
+
+
+@pytest.mark.parametrize("when", ["throughout", "in the middle"])
+def test_lone_wrong_speeds_do_no_harm(drive: Frames, clean: list[Look], when: str):
+    outcome = attempt(
+        ATTACKS[f"CCVS1 speed x 1.3, one frame in forty, same address, {when}"], drive, clean, TRUCK, Config()
+    )
+    assert outcome.verdict == "unharmed"
+    assert outcome.looks > 60
+    assert outcome.worst_sd < max(deviations(clean, TRUCK)) + 0.3
 
 
 @pytest.mark.parametrize("name", PASSING)

@@ -5,6 +5,7 @@ between readings, so both sides of the model have the same low-pass, at all rate
 are held from their last reading.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -16,6 +17,7 @@ from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
 from estimator.signals import Floats, Mask, Role, Series
 from estimator.streaming.engine_power import EnginePower
+from estimator.streaming.lone_errors import lone_errors
 from estimator.streaming.resampling import Track
 
 SETTLE = 3.0  # s, rows lag this far behind the newest reading, so that straight lines have both ends
@@ -30,6 +32,9 @@ NO_CONTEXT = {  # speed and power are computed from them
 }
 AVERAGED = {Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE}  # gravity is low-passed as speed and power are
 
+SPEEDS = {Role.SPEED, Role.WHEEL_SPEEDS}
+LONE_ERROR = "contradicted by the readings before and after"
+
 Readings = Mapping[Role, list[Series]]
 
 
@@ -37,11 +42,17 @@ class Aligner:
     """Turns batches of readings into rows, about SETTLE behind the newest reading.
 
     ``bound`` are the roles that the configuration expects: a term of the power that is expected but has not come
-    makes the power unknown, not larger. ``despike`` repairs lone gross errors of power.
+    makes the power unknown, not larger. ``despike`` repairs lone gross errors of power, and drops those of speed.
+
+    Attributes
+    ----------
+    refused : collections.Counter[str]
+        Readings that were dropped, by role and reason.
     """
 
     def __init__(self, vehicle: Vehicle, bound: frozenset[Role], despike: bool = True) -> None:
-        self._bound = bound
+        self.refused: Counter[str] = Counter()
+        self._bound, self._despike = bound, despike
         self._tracks: dict[tuple[Role, int], Track] = {}
         self._engine = EnginePower(vehicle, bound, despike, self._tracks)
         self._next: int | None = None
@@ -55,6 +66,8 @@ class Aligner:
         for role, parts in readings.items():
             for i, series in enumerate(parts):
                 self._tracks.setdefault((role, i), Track()).add(series)
+        if self._despike:
+            self._drop_lone_errors()
         self._engine.extend()
         horizon = int(np.floor((now - SETTLE) / STEP))
         if self._next is None:
@@ -88,6 +101,13 @@ class Aligner:
             The state is not that of an aligner.
         """
         self._engine.restore(state)
+
+    def _drop_lone_errors(self) -> None:
+        """A straight line from the reading before to the one after takes the place of a wrong speed."""
+        for (role, _), track in self._tracks.items():
+            if role in SPEEDS and (wrong := lone_errors(track.t, track.value)).any():
+                self.refused[f"{role.value}: {LONE_ERROR}"] += int(wrong.sum())
+                track.drop(wrong)
 
     def _rows(self, index: NDArray[np.int64]) -> Rows:
         edges = (np.append(index, index[-1] + 1) - 0.5) * STEP

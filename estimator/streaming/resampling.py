@@ -37,6 +37,10 @@ class Track:
         """How long [s] a reading counts."""
         return MAX_FRESH if np.isnan(self.fresh) else self.fresh
 
+    def drop(self, wrong: Mask) -> None:
+        """Remove readings (n,)."""
+        self.t, self.value = self.t[~wrong], self.value[~wrong]
+
     def forget(self, before: float) -> None:
         """Drop what is older than ``before`` [s]."""
         # One reading before the horizon stays: it is the one that is held.

@@ -120,7 +120,8 @@ class RowStream:
     @property
     def errors(self) -> Counter[str]:
         """Frames and values that were refused, by message, signal and reason."""
-        return self._decoder.rejected + self._decoder.transport_rejected + self.order.refused
+        refused = self._decoder.rejected + self._decoder.transport_rejected
+        return refused + self.order.refused + self._aligner.refused
 
     @property
     def sources(self) -> dict[str, int]:

@@ -146,6 +146,7 @@ _SUSTAINED: dict[str, Forge] = {
     "CCVS1 speed x 1.1, other address": partial(_interleaved, SPEED, 1.1, source=FOREIGN),
     "EEC3 friction x 3 in turn, same address": partial(_interleaved, ("EEC3", "NominalFrictionPercentTorque"), 3.0),
     "EEC1 torque x 3, one frame in forty, same address": partial(_sparse, TORQUE, 3.0, 40),
+    "CCVS1 speed x 1.3, one frame in forty, same address": partial(_sparse, SPEED, 1.3, 40),
     "VDS altitude of other hills in turn, same address": partial(_hills, GNSS),
     "VDS altitude of other hills in turn, other address": partial(_hills, FOREIGN),
     "EC1 3,250 Nm after each, same address": partial(_references, ENGINE),
