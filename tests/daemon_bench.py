@@ -19,6 +19,7 @@ from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
+from estimator.settings import Reception
 from estimator.streaming.pipeline import Pipeline
 
 EPOCH = 1_700_000_000.0  # s, wall time when the monotonic clock shows 0
@@ -34,6 +35,7 @@ class FakeBus:
     failures: list[Exception] = field(default_factory=list)  # raised by the next reads
     send_failures: list[Exception] = field(default_factory=list)
     drops: int = 0
+    buffer: int | None = 2 * Reception().buffer_bytes  # as the kernel counts it
     closed: bool = False
     busy: bool | None = None  # our frames are not sent; None on a bus that does not confirm them
     held: list[can.Message] = field(default_factory=list)  # while the bus is busy
@@ -63,7 +65,7 @@ class FakeBus:
         return self.drops
 
     def buffer_bytes(self) -> int | None:
-        return 4096
+        return self.buffer
 
 
 class Bench:

@@ -173,6 +173,33 @@ def test_kernel_drops_are_counted_over_all_sockets() -> None:
     assert bench.link.counts.kernel_drops == 8
 
 
+def test_the_receive_buffer_that_was_got_is_told_once_with_the_remedy_where_it_is_small(caplog) -> None:
+    caplog.set_level(logging.INFO)
+    bench = Bench()
+    bench.turn()
+    assert "receive buffer of 8388608 bytes" in caplog.text
+    assert "rmem_max" not in caplog.text
+    opened = bench.link._opener
+
+    def small(spec: BusSpec, filters: object) -> can.BusABC:
+        bus = opened(spec, filters)  # type: ignore[arg-type]
+        bus.buffer = 425_984  # type: ignore[attr-defined]
+        return bus
+
+    bench.link._opener = small
+    for _ in range(3):
+        bench.bus.failures.append(GONE)
+        bench.turn(2.0)
+    told = [record for record in caplog.records if "rmem_max" in record.message]
+    assert [(record.levelname, record.message) for record in told] == [
+        (
+            "WARNING",
+            "virtual bench: receive buffer of 425984 bytes, not 8388608: a full bus may lose frames; "
+            "set net.core.rmem_max = 4194304",
+        )
+    ]
+
+
 def test_a_full_queue_drops_the_newest_and_counts_them() -> None:
     bench = Bench(config=config.from_dict({"reception": {"queue_frames": 1000}}))
     bench.turn()

@@ -1,16 +1,20 @@
 """The service file under a real systemd: hardened as it is, the daemon starts, hears the bus and says it is ready.
 
-It reads its configuration again on SIGHUP, and is started anew when it hangs.
+It reads its configuration again on SIGHUP, is started anew when it hangs, and keeps up with a full bus.
 """
 
 import json
 import os
+import re
 import shutil
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import can
@@ -20,11 +24,15 @@ pytestmark = pytest.mark.slow
 
 PROJECT = Path(__file__).parents[2]
 UNIT = PROJECT / "tools" / "systemd" / "roadload.service"
+SYSCTL = UNIT.with_name("60-roadload.conf")
+RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+SHOWN = 20  # lines of the daemon's log, when something went wrong
+FULL_BUS, FULL_DURATION = 3817.0, 20.0  # frames/s of 500 kbit/s, s
 SYSTEMD = Path("/lib/systemd/systemd")
 LONGEST = 70.0  # s until the daemon is ready; the machine is slow
 WATCHDOG = 10  # s, so that the test need not wait for longer
-# What is specific to this machine: where Python is, and that nothing else of the system is started. ExecStartPost runs
-# when systemd has read READY=1, and not before.
+# What is specific to this machine: where Python and the program are, and that nothing else of the system is started.
+# ExecStartPost runs when systemd has read READY=1, and not before.
 DROP_IN = """
 [Unit]
 DefaultDependencies=no
@@ -32,6 +40,8 @@ DefaultDependencies=no
 ProtectHome=tmpfs
 BindReadOnlyPaths={paths}
 ExecStartPost=/bin/sh -c "echo > /run/roadload/ready"
+Environment=PYTHONPATH={project}
+StandardError=append:/run/errors
 WatchdogSec={watchdog}
 TimeoutAbortSec=1
 """
@@ -46,59 +56,116 @@ exec env -i container=other {systemd} --system --unit=test.target --log-target=c
 """
 
 
-def test_the_daemon_runs_reloads_and_is_guarded_as_the_hardened_service(buses, tmp_path):
+Condition = Callable[[dict], bool]
+
+
+@contextmanager
+def service(channel: str, folder: Path) -> Iterator[tuple[Callable[[Condition], dict], can.BusABC]]:
+    """The unit under a systemd of its own, on one bus.
+
+    Yields a function that waits until the daemon is ready, hears the bus and has a status as wanted; and a bus to send
+    on.
+    """
     if not SYSTEMD.exists() or shutil.which("unshare") is None:
         pytest.skip("no systemd or unshare here")
     if PROJECT.is_relative_to("/tmp") or PROJECT.is_relative_to("/run"):
         pytest.skip(f"{PROJECT} is in a folder that the service does not see")
-    units = tmp_path / "units"
+    units = folder / "units"
     (units / "roadload.service.d").mkdir(parents=True)
     config = UNIT.with_name("roadload.toml")
     text = UNIT.read_text().replace("/opt/roadload/bin/roadload", f"{sys.executable} -m estimator")
-    text = text.replace("/etc/roadload/roadload.toml", str(config)).replace("-c can0", f"-c {buses[0]}")
+    text = text.replace("/etc/roadload/roadload.toml", str(config)).replace("-c can0", f"-c {channel}")
     (units / UNIT.name).write_text(text)
     paths = f"{sys.base_prefix} {sys.prefix} {PROJECT}"
-    (units / "roadload.service.d" / "here.conf").write_text(DROP_IN.format(paths=paths, watchdog=WATCHDOG))
+    (units / "roadload.service.d" / "here.conf").write_text(
+        DROP_IN.format(paths=paths, project=PROJECT, watchdog=WATCHDOG)
+    )
     (units / "test.target").write_text(TARGET)
 
     script = START.format(units=units, systemd=SYSTEMD)
     own_system = ["unshare", "--pid", "--fork", "--mount", "--mount-proc", "--kill-child", "sh", "-c", script]
-    log = tmp_path / "log"
+    log = folder / "log"
     with (
         log.open("w") as output,
-        can.Bus(interface="socketcan", channel=buses[0], ignore_config=True) as player,
+        can.Bus(interface="socketcan", channel=channel, ignore_config=True) as player,
         subprocess.Popen(own_system, stdout=output, stderr=output) as systemd,
     ):
 
-        def receiving(condition: Callable[[dict], bool]) -> dict:
-            """The status of a daemon that is ready and hears the bus, once it is as wanted."""
+        def receiving(condition: Condition) -> dict:
             status: dict = {}
             deadline = time.monotonic() + LONGEST
             while status.get("state") != "receiving" or not condition(status):
-                assert time.monotonic() < deadline, f"{status}\n{log.read_text()}"
+                assert time.monotonic() < deadline, f"{status}\n{log.read_text()}\n{errors_of(systemd.pid)}"
                 player.send(can.Message(arbitration_id=0x18FEF100, data=bytes(8)))
                 time.sleep(0.2)
-                folder = own_folder(systemd.pid)
-                if folder is not None and (folder / "ready").exists() and (folder / "status.json").exists():
-                    status = json.loads((folder / "status.json").read_text())
+                here = own_folder(systemd.pid)
+                if here is not None and (here / "ready").exists() and (here / "status.json").exists():
+                    status = json.loads((here / "status.json").read_text())
             return status
 
         try:
-            first = receiving(lambda status: True)
-            os.kill(seen_from_here(first["pid"]), signal.SIGHUP)
-            again = receiving(lambda status: status["started_s"] > first["started_s"])
-            os.kill(seen_from_here(first["pid"]), signal.SIGSTOP)
-            anew = receiving(lambda status: status["pid"] != first["pid"])
+            yield receiving, player
         finally:
             systemd.kill()  # unshare heeds nothing milder, and takes systemd with it
+
+
+def test_the_daemon_runs_reloads_and_is_guarded_as_the_hardened_service(buses, tmp_path):
+    with service(buses[0], tmp_path) as (receiving, _):
+        first = receiving(lambda status: True)
+        os.kill(seen_from_here(first["pid"]), signal.SIGHUP)
+        again = receiving(lambda status: status["started_s"] > first["started_s"])
+        os.kill(seen_from_here(first["pid"]), signal.SIGSTOP)
+        anew = receiving(lambda status: status["pid"] != first["pid"])
     assert again["pid"] == first["pid"]
     assert all(status["input"]["open"] for status in (first, again, anew))
+
+
+@pytest.fixture
+def shipped_limit() -> Iterator[int]:
+    """The largest receive buffer as the shipped sysctl file sets it [bytes]."""
+    found = re.search(r"^net\.core\.rmem_max = (\d+)$", SYSCTL.read_text(), re.MULTILINE)
+    assert found is not None
+    before = RMEM_MAX.read_text()
+    RMEM_MAX.write_text(found[1])
+    yield int(found[1])
+    RMEM_MAX.write_text(before)
+
+
+def test_the_unit_without_capabilities_loses_no_frame_of_a_full_bus(buses, tmp_path, shipped_limit):
+    with service(buses[0], tmp_path) as (receiving, player):
+        before = receiving(lambda status: True)
+        count = send_full_bus(player)
+        after = receiving(lambda status: status["input"]["frames"] >= before["input"]["frames"] + count)
+    assert after["input"]["receive_buffer_bytes"] == 2 * shipped_limit
+    assert after["pid"] == before["pid"]
+    assert (after["input"]["kernel_drops"], after["input"]["queue_drops"]) == (0, 0)
+
+
+def send_full_bus(player: can.BusABC) -> int:
+    """Send wanted frames at the rate of a full bus; returns their number."""
+    frame = struct.pack("=IB3x8s", 0x18FEF100 | socket.CAN_EFF_FLAG, 8, bytes(8))
+    count, began = round(FULL_BUS * FULL_DURATION), time.monotonic()
+    sent = 0
+    while sent < count:
+        due = min(count, round(FULL_BUS * (time.monotonic() - began)))
+        for _ in range(due - sent):
+            player.socket.send(frame)
+        sent = max(sent, due)
+        time.sleep(0.002)
+    return count
 
 
 def own_folder(pid: int) -> Path | None:
     """The daemon's folder as systemd, the child of ``pid``, sees it; None before there is a systemd."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return Path(f"/proc/{children[0]}/root/run/roadload") if children else None
+
+
+def errors_of(pid: int) -> str:
+    """The last lines of what the daemon logged."""
+    here = own_folder(pid)
+    log = None if here is None else here.with_name("errors")
+    return "" if log is None or not log.exists() else "\n".join(log.read_text().splitlines()[-SHOWN:])
 
 
 def seen_from_here(pid: int) -> int:

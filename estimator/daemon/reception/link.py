@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 
 MIN_WAIT, MAX_WAIT = 1.0, 30.0  # s between attempts to open a bus
 READ_TIMEOUT = 0.2  # s
+KERNEL_SHARE = 2  # the kernel doubles the size that it is asked for, for its own book-keeping (socket(7))
 BUS_OFF_WAIT = 2.0  # s without a data frame after "bus off" before the bus is opened anew
 
 
@@ -68,6 +69,7 @@ class Link:
         self._inbox: Inbox[tuple[float, Batch]] = Inbox(settings.queue_frames)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._buffer_told: int | None = None  # bytes of the receive buffer, as logged last
         self._drops_before = 0  # of the sockets that were open before this one
         self._wait = MIN_WAIT
         self._next_attempt = -float("inf")
@@ -208,7 +210,22 @@ class Link:
         self._watch.keep()
         self._bus_off_at = None
         log.log(logging.INFO if self.problem or self.counts.opened == 1 else logging.DEBUG, "%s: open", self.label)
+        self._tell_buffer()
         return True
+
+    def _tell_buffer(self) -> None:
+        """Log the receive buffer that the kernel has given, once for each size."""
+        got, asked = self.buffer_bytes, KERNEL_SHARE * self._settings.buffer_bytes
+        if got is None or got == self._buffer_told:
+            return
+        self._buffer_told = got
+        if got >= asked:
+            log.info("%s: receive buffer of %d bytes", self.label, got)
+        else:
+            log.warning(
+                "%s: receive buffer of %d bytes, not %d: a full bus may lose frames; set net.core.rmem_max = %d",
+                *(self.label, got, asked, self._settings.buffer_bytes),
+            )
 
     def _look(self, now: float) -> str:
         """Trouble with the device, if any; counts what the kernel has dropped meanwhile."""

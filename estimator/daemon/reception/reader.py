@@ -133,7 +133,7 @@ class SocketReader:
         return drops
 
     def buffer_bytes(self) -> int | None:
-        """Size of the receive buffer, as the kernel counts it."""
+        """Size of the receive buffer as the kernel counts it, which is twice what it was asked for (socket(7))."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def is_confirming(self) -> bool:
