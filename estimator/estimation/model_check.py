@@ -23,7 +23,7 @@ from estimator.signals import Floats, Role
 
 PARTS = 8  # quantile bins along each axis
 MIN_STANDARD_ERRORS = 5.0  # of the mean residual: in one of 3 x PARTS, Gaussian noise exceeds it in 1e-5 of fits
-MIN_BIAS_SHARE = 0.15  # mean residual over the mean model power, from which it is large
+MIN_BIAS_SHARE = 0.15  # mean residual over the mean model power, from which it is large; good drives have 0.03
 MIN_EXPLAINED = 0.5  # share of the variance of power, means over BLOCK_SAMPLES
 BLOCK_SAMPLES = 50  # 5 s
 MAX_LAG_LEFT = 2 * LAG_SD  # s, after alignment

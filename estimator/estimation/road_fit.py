@@ -30,7 +30,7 @@ from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
-MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction counts as sd
+MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction counts as sd (BMW i3: 0.13)
 CORRECTION_DOUBT = 0.5  # share of the correction's shift that counts as a standard deviation
 FORM_SD = 0.0025  # relative sd of 1/m from the form of the model on any road (friction in steps of 1 %)
 FORM_SLOPE = 0.4  # sd of 1/m per unit of the slopes' sd where no signal shows them: the driver reacts to slopes
