@@ -262,6 +262,16 @@ def test_a_filter_of_the_speed_is_all_there_is(diagnose):
     assert mass == pytest.approx(TRUCK.mass, abs=3 * sd)
 
 
+def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):
+    """A weak wind in town cannot be told from losses; the way back turns its sign and theirs not."""
+    answer = diagnose(drive("urban", 20, 13, Effect(name="headwind", magnitude=2.5)))
+    assert answer["verdict"] == "cannot tell"
+    experiment = answer["experiments"][0]
+    assert (experiment["a"], experiment["what"]) == ("headwind", "the same speeds on the way back")
+    assert experiment["expected"] > 5 > experiment["now"]
+    assert any("the same speeds on the way back (log Bayes factor to expect +" in line for line in answer["advice"])
+
+
 # Something else
 
 

@@ -161,6 +161,21 @@ class Invisible(Struct, frozen=True, kw_only=True):
     breaks: str
 
 
+class Experiment(Struct, frozen=True, kw_only=True):
+    """What would tell effect ``a``, as it was found, from ``b``, or from none where ``b`` is empty.
+
+    Log Bayes factors to expect of the drive alone (``now``), and with the experiment, which takes ``minutes``; 0 for a
+    signal.
+    """
+
+    a: str
+    b: str
+    what: str
+    minutes: float
+    now: float | None
+    expected: float | None
+
+
 class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
     """Verdict and evidence; ``effects`` is the chosen set in order of adding, ``candidates`` the whole ranking."""
 
@@ -180,4 +195,5 @@ class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
     not_testable: tuple[NotTestable, ...]
     invisible: tuple[Invisible, ...]
     advice: tuple[str, ...]
+    experiments: tuple[Experiment, ...] = ()
     logs: tuple[str, ...]

@@ -71,7 +71,7 @@ class DriveState:
         components = [*self.chosen, *candidates]
         joint = JointLikelihood(self.strides, self.fit, components, np.random.default_rng(PROBE_SEED))
         if self.rest is not None:
-            per_unit = {i: _at_rest(component, self.rest) for i, component in enumerate(components)}
+            per_unit = {i: at_rest(component, self.rest) for i, component in enumerate(components)}
             takers = [i for i, power in per_unit.items() if power]
             chosen = [i for i in takers if i < len(self.chosen)]
             for i in chosen[:1] or takers:  # one measurement of the power at rest: it goes to one component
@@ -134,7 +134,7 @@ class DriveState:
         return best
 
 
-def _at_rest(component: Component, rest: AtRest) -> float:
+def at_rest(component: Component, rest: AtRest) -> float:
     """Power [W] per unit of magnitude that it takes at rest."""
     effect = None if component.term is None else component.term.effect
     return 0.0 if effect is None or effect.at_rest is None else effect.at_rest(rest.engine_speed)

@@ -14,6 +14,7 @@ from estimator.diagnosis.candidates import assess
 from estimator.diagnosis.described import described
 from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.evidence import parameter_sd
+from estimator.diagnosis.experiment import experiments
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
 from estimator.diagnosis.localisation import gap_map, places
 from estimator.diagnosis.model import MIN_SAMPLES, Model, fit, select
@@ -28,6 +29,7 @@ from estimator.model.effects import CATALOGUE, Effect
 from estimator.signals import Floats, Quantity
 
 SAMPLES_PER_SECOND = 10
+MAX_EXPERIMENTS = 3  # pairs of effects that an experiment is looked for
 MIN_DRIVE = 300.0  # s of admitted driving: shorter drives seldom determine A, C and m
 
 
@@ -131,6 +133,9 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
         not_testable=missing,
         invisible=unseen,
         advice=facts.advice(outcome, verdict, named),
+        experiments=()
+        if beside is None
+        else experiments(beside.longest, facts.unsettled(outcome, verdict, named)[:MAX_EXPERIMENTS]),
         streaming_effects=facts.streaming_effects(named, before.terms),
         budget=None if beside is None else beside.budget,
         gap_map=gap_map(before, after),

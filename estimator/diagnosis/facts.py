@@ -4,7 +4,7 @@ from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Doubtful, Finding, Remainder
 from estimator.model.design_matrix import Term
-from estimator.model.effects import BY_NAME
+from estimator.model.effects import BY_NAME, Effect
 
 
 def remainder(outcome: Outcome) -> Remainder:
@@ -31,6 +31,20 @@ def advice(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> tu
         unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
     breaks = {effect.name: effect.breaks for effect in outcome.effects}
     return tuple(Advice(name, breaks[name]) for name in dict.fromkeys(unsure) if name in breaks)
+
+
+def unsettled(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> list[tuple[Effect, Effect | None]]:
+    """Pairs of effects that the drive does not tell apart, the likelier one first; None: it may be nothing."""
+    effects = {effect.name: effect for effect in outcome.effects}
+    pairs = [(found.name, other) for found in named for other in found.equivalent]
+    if named and (pairs or verdict is Verdict.EFFECT):
+        return [(effects[a], effects[b]) for a, b in pairs if a in effects and b in effects]
+    if verdict is not Verdict.CANNOT_TELL or not outcome.result.ranking:
+        return []
+    best, *others = outcome.result.ranking
+    least = best.log_bayes_factor - outcome.thresholds.min_log_bf_lead
+    rivals = [other.effect for other in others if other.log_bayes_factor > least]
+    return [(best.effect, rival) for rival in rivals] or [(best.effect, None)]
 
 
 def streaming_effects(named: tuple[Finding, ...], given: tuple[Term, ...]) -> tuple[str, ...]:

@@ -135,6 +135,21 @@ class Advice:
     breaks: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Experiment:
+    """What would tell effect ``a``, as it was found, from ``b``, or from none where ``b`` is empty.
+
+    Log Bayes factors to expect: of the drive alone (``now``), and with it. ``minutes`` that it takes; 0 for a signal.
+    """
+
+    a: str
+    b: str
+    what: str
+    minutes: float
+    now: float
+    expected: float
+
+
 @dataclass(frozen=True, slots=True)
 class Isolability:
     """|Correlation| (k, k) of the traces of all candidates on this log; effects with 1 cannot be separated."""
@@ -193,6 +208,7 @@ class Diagnosis:
     not_testable: tuple[NotTestable, ...] = ()
     invisible: tuple[Invisible, ...] = ()
     advice: tuple[Advice, ...] = ()
+    experiments: tuple[Experiment, ...] = ()
     streaming_effects: tuple[str, ...] = ()  # to configure; empty: nothing to add
     budget: Budget | None = None  # of the plain model's residual, with the road as a state
     gap_map: GapMap | None = None

@@ -35,6 +35,10 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
         not_testable=tuple(answer.NotTestable(name=n.name, needs=n.needs) for n in d.not_testable),
         invisible=tuple(map(_invisible, d.invisible)),
         advice=tuple(wording.advice(d)),
+        experiments=tuple(
+            answer.Experiment(a=e.a, b=e.b, what=e.what, minutes=e.minutes, now=e.now, expected=e.expected)
+            for e in d.experiments
+        ),
         logs=d.logs,
     )
 

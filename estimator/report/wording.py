@@ -3,11 +3,13 @@
 import math
 
 from estimator.answers.diagnosis import Verdict
-from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Finding, GapClosed, Magnitude, Shift, Span
+from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Experiment, Finding, GapClosed, Magnitude, Shift, Span
 from estimator.report import number_format
 from estimator.report.number_format import NOTHING, exponent, signed
 
 MAX_SPANS = 3  # spans that are listed
+MIN_GAIN = 3.0  # in log Bayes factor, from which an experiment is worth its while: 20 to 1
+SETTLED = 5.0  # log Bayes factor to expect, from which two effects count as told apart: that of naming one
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
 
 
@@ -89,8 +91,16 @@ def _improvement(d: Diagnosis) -> str:
 
 
 def advice(d: Diagnosis) -> list[str]:
-    """What to measure or to drive, effect by effect."""
-    return [f"{each.name}: {each.breaks}" for each in d.advice]
+    """What to measure or to drive, effect by effect, and the experiments that are likely to settle what is open."""
+    signals = [f"{each.name}: {each.breaks}" for each in d.advice]
+    is_open = d.verdict is Verdict.CANNOT_TELL
+    likely = [e for e in d.experiments if (is_open or e.now < SETTLED) and e.expected > max(SETTLED, e.now + MIN_GAIN)]
+    return [*signals, *map(_experiment, likely)]
+
+
+def _experiment(e: Experiment) -> str:
+    pair = f"{e.a} or {e.b}" if e.b else f"{e.a} or nothing"
+    return f"{pair}: {e.what} (log Bayes factor to expect {bayes(e.expected)}, of this drive alone {bayes(e.now)})"
 
 
 def configuration(d: Diagnosis) -> str:

@@ -1,0 +1,211 @@
+"""The experiment that would tell two effects apart: a manoeuvre after the drive, and the evidence to expect of it.
+
+If effect i acts with magnitude b, the log Bayes factor of i against j that a drive can be expected to give is
+
+    1/2 b^2 h_i' K^-1 (h_i - what the base and h_j can imitate of h_i),
+
+which needs the columns only, not the measurement. So it is computed for the strides of the drive followed by those of a
+manoeuvre that nobody has driven yet: level, in the gear that is usual at its speed, without wind from aside.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.components.search import AtRest, DriveState, Form, at_rest
+from estimator.diagnosis.candidates import IDLE_POWER_SD, IDLE_POWER_SHARE
+from estimator.diagnosis.result import Experiment
+from estimator.model.effects import Effect
+from estimator.model.effects.effect import Timing
+from estimator.signals import Floats, Quantity
+from estimator.strides import DURATION, LAGS, ROWS, Strides
+
+PART_GAP = 10.0  # s between parts of a manoeuvre: what happens there is not used
+STEADY = 120  # strides at each steady speed
+SHARES = (0.35, 0.55, 0.75, 0.95)  # of the drive's highest speed
+START_ACCELERATION, START_SPEED, STARTS = 0.7, 14.0, 10  # m/s^2, m/s at the end, how many
+COASTS, MAX_COAST = 4, 240  # how many, strides of one
+LOWER_GEAR = 1.35  # engine speed in the next lower gear, over that in this one: a usual step of truck gearboxes
+REPEATED = 600  # strides of the drive that are driven again
+LATER = 1800.0  # s
+IDLE = AtRest(power=0.0, sd=1.0, engine_speed=63.0)  # W, W, rad/s: 600 1/min
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manoeuvre:
+    """What is driven: speeds [m/s] at the ends of strides, part by part; ``lowered`` parts in the next lower gear."""
+
+    name: str
+    parts: tuple[Floats, ...]
+    lowered: tuple[int, ...] = ()
+    turned: bool = False  # the other way
+    from_rest: bool = False  # each part begins after a stop
+    pause: float = PART_GAP  # s before it
+
+    @property
+    def minutes(self) -> float:
+        """That it takes, pauses included."""
+        return (self.pause + sum(len(part) * DURATION + PART_GAP for part in self.parts)) / 60
+
+
+def experiments(state: DriveState, pairs: Sequence[tuple[Effect, Effect | None]]) -> tuple[Experiment, ...]:
+    """For each pair what gives most evidence; None: nothing acts. A pair that the drive cannot judge is left out."""
+    found = []
+    for one, other in pairs:
+        effects = [effect for effect in (one, other) if effect is not None]
+        names = {effect.name for effect in effects}
+        rest = replace(state, chosen=tuple(c for c in state.chosen if c.name not in names))
+        forms = rest.forms(effects)
+        if names <= forms.keys():
+            possible = choices(rest, forms[one.name], None if other is None else forms[other.name])
+            found.append(max(possible, key=lambda choice: choice.expected))
+    return tuple(found)
+
+
+def choices(state: DriveState, acting: Form, other: Form | None) -> list[Experiment]:
+    """All manoeuvres, and the signal of a state where times were fitted, with the evidence to expect."""
+    idling = _at_rest(acting, other)
+    known = 0.0 if state.rest is None else idling
+    now = expected(state, acting, other, None) + known
+    found = [(m.name, m.minutes, expected(state, acting, other, m) + known) for m in manoeuvres(state)]
+    if state.rest is None:
+        found.append(("two minutes of idling at rest", 2.0, now + idling))
+    term = acting.component.term
+    if acting.component.cost and term is not None and term.effect.timing is not Timing.STEP:
+        found.append(("its state on the bus", 0.0, acting.gain + acting.component.cost))
+    a, b = acting.component.name, "" if other is None else other.component.name
+    return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=e) for what, minutes, e in found]
+
+
+def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Manoeuvre | None) -> float:
+    """Log Bayes factor to expect of ``acting`` against ``other``, from the drive and a manoeuvre after it.
+
+    Against nothing, the width of its prior counts as well.
+    """
+    strides = state.strides if manoeuvre is None else Strides.concatenate([state.strides, driven(state, manoeuvre)])
+    longer = replace(state, strides=strides, fit=replace(state.fit, strides=strides[strides.known]))
+    joint = longer.joint([] if other is None else [other.component])
+    chosen = range(len(joint.components))
+    strength = max(float(joint.projected(chosen, acting.component.columns(joint.frame))[0][0, 0]), 0.0)
+    width = np.log1p(strength * acting.component.sd**2) if other is None else 0.0
+    return 0.5 * (acting.value**2 * strength - float(width))
+
+
+def _at_rest(acting: Form, other: Form | None) -> float:
+    """Log Bayes factor to expect of the power at idle, which each effect would change by its own share."""
+    power = [0.0 if form is None else form.value * at_rest(form.component, IDLE) for form in (acting, other)]
+    sd = IDLE_POWER_SD + IDLE_POWER_SHARE * abs(power[0])
+    return 0.5 * ((power[0] - power[1]) / sd) ** 2
+
+
+def manoeuvres(state: DriveState) -> Iterator[Manoeuvre]:
+    """All that are considered, within the speeds of the drive."""
+    strides = state.fit.strides
+    top = float(strides.v1.max())
+    steady = [share * top for share in SHARES]
+    told = ", ".join(f"{3.6 * speed:.0f}" for speed in steady[:-1]) + f" and {3.6 * steady[-1]:.0f}"
+    held = tuple(np.full(STEADY + 1, speed) for speed in steady)
+    yield Manoeuvre(name=f"two minutes each at {told} km/h", parts=held)
+    middle = np.full(STEADY + 1, steady[1])
+    yield Manoeuvre(
+        name=f"two minutes at {3.6 * steady[1]:.0f} km/h, and two more in the next lower gear",
+        parts=(middle, middle),
+        lowered=(1,),
+    )
+    rising = np.arange(float(strides.v0.min()), min(START_SPEED, top), START_ACCELERATION * DURATION)
+    yield Manoeuvre(
+        name=f"{STARTS} starts from rest to {3.6 * rising[-1]:.0f} km/h",
+        parts=(rising,) * STARTS,
+        from_rest=True,
+    )
+    rolling = _rolled(state, steady[-1], steady[0])
+    yield Manoeuvre(
+        name=f"{COASTS} times coasting in gear from {3.6 * steady[-1]:.0f} km/h",
+        parts=(rolling,) * COASTS,
+    )
+    again = tuple(_pieces(strides[:REPEATED]))
+    yield Manoeuvre(
+        name="the first minutes of the drive once more, half an hour later",
+        parts=again,
+        pause=LATER,
+    )
+    if Quantity.HEADING in strides.context:
+        yield Manoeuvre(name="the same speeds on the way back", parts=again, turned=True)
+
+
+def _rolled(state: DriveState, speed: float, end: float) -> Floats:
+    """Speeds (n,) [m/s] each stride of a vehicle that rolls out."""
+    A, C, m = state.fit.theta[:3].tolist()
+    speeds = [speed]
+    while speeds[-1] > end and len(speeds) < MAX_COAST:
+        speeds.append(speeds[-1] - DURATION * (max(A, 0.0) + max(C, 0.0) * speeds[-1] ** 2) / m)
+    return np.array(speeds)
+
+
+def _pieces(strides: Strides) -> Iterator[Floats]:
+    """Speeds at the ends of strides, for each run of strides without a gap."""
+    starts = np.flatnonzero(~strides.joined)
+    for first, end in zip(starts, np.append(starts[1:], len(strides)), strict=True):
+        if end - first > 1:
+            yield np.append(strides.v0[first:end], strides.v1[end - 1])
+
+
+def driven(state: DriveState, manoeuvre: Manoeuvre) -> Strides:
+    """The strides of a manoeuvre after the drive, on level road."""
+    before = state.strides
+    t, s, stops = float(before.t[-1]) + manoeuvre.pause, float(before.s1[-1]), _last(before, Quantity.STOPS)
+    parts = []
+    for number, speeds in enumerate(manoeuvre.parts):
+        factor = LOWER_GEAR if number in manoeuvre.lowered else 1.0
+        stops += manoeuvre.from_rest
+        parts.append(_part(state, speeds, factor, manoeuvre.turned, (t, s, stops)))
+        t, s = float(parts[-1].t[-1]) + PART_GAP, float(parts[-1].s1[-1])
+    return Strides.concatenate(parts)
+
+
+def _part(state: DriveState, speeds: Floats, factor: float, turned: bool, start: tuple[float, float, float]) -> Strides:
+    """Strides from the time [s], distance [m] and number of stops of ``start`` on."""
+    t, s, stops = start
+    known, n = state.fit.strides, len(speeds) - 1
+    A, C, m = state.fit.theta[:3].tolist()
+    v0, v1 = speeds[:-1], speeds[1:]
+    v, a = 0.5 * (v0 + v1), (v1 - v0) / DURATION
+    ends = s + np.concatenate([[0.0], np.cumsum(v * DURATION)])
+    order = np.argsort(known.speed)
+    gearing = factor * np.interp(v, known.speed[order], known.gearing[order])
+    force, unknown, times = A + C * v**2 + m * a, np.full(n, np.nan), t + DURATION * (np.arange(n) + 0.5)
+    own = {
+        Quantity.ENGINE_SPEED: gearing * v,
+        Quantity.STOPS: np.full(n, stops),
+        Quantity.DISTANCE: ends[:-1],
+        Quantity.ELAPSED: _last(state.strides, Quantity.ELAPSED) + times - float(state.strides.t[-1]),
+        Quantity.HEADING: np.full(n, _last(state.strides, Quantity.HEADING) + np.pi * turned),
+        Quantity.LATERAL_ACCELERATION: np.zeros(n),
+    }
+    context = {q: own.get(q, np.full(n, _last(state.strides, q))) for q in state.strides.context}
+    return Strides(
+        t=times,
+        rows=np.full(n, ROWS),
+        known=np.ones(n, dtype=bool),
+        v0=v0,
+        v1=v1,
+        s0=ends[:-1],
+        s1=ends[1:],
+        a=a,
+        speed_squared=v**2,
+        force=np.repeat(force[:, None], len(LAGS), axis=1),
+        gearing=gearing,
+        density=np.full(n, float(np.nanmean(known.density)) if np.isfinite(known.density).any() else np.nan),
+        altitude=unknown,
+        grade=unknown,
+        gravity=unknown,
+        context=context,
+    )
+
+
+def _last(strides: Strides, quantity: Quantity) -> float:
+    """The last known value of a quantity; 0 where there is none."""
+    values = strides.context.get(quantity, np.empty(0))
+    known = values[np.isfinite(values)]
+    return float(known[-1]) if len(known) else 0.0
