@@ -40,7 +40,7 @@ class Run(msgspec.Struct, frozen=True):
         return self.answer.effects if self.answer is not None and self.answer.verdict == "effect" else ()
 
     @property
-    def silent(self) -> bool:
+    def is_silent(self) -> bool:
         """Whether no gap was claimed."""
         return self.verdict in ("no gap", "cannot tell")
 

@@ -17,12 +17,12 @@ class Case:
     run: Run
 
     @property
-    def plain(self) -> bool:
+    def has_gap(self) -> bool:
         """Whether no effect of the drive is modelled by default, so that there is a gap to find."""
         return not self.truth.shown
 
     @property
-    def said(self) -> str:
+    def first_name(self) -> str:
         """The effect named first, or the verdict where none is named."""
         return self.run.named[0].name if self.run.named else self.run.verdict
 
@@ -49,9 +49,9 @@ def share_of(
     )
 
 
-def seen(case: Case) -> bool:
+def is_visible(case: Case) -> bool:
     """Whether every effect of the drive is visible to the oracle."""
-    return case.plain and case.truth.log_bayes_factor > DETECTABLE
+    return case.has_gap and case.truth.log_bayes_factor > DETECTABLE
 
 
 def right_first(case: Case) -> bool:

@@ -3,18 +3,18 @@
 from collections.abc import Sequence
 
 from blind import answer
-from blind.case import Case, Measure, claimed, right_first, seen, share_of
+from blind.case import Case, Measure, claimed, is_visible, right_first, share_of
 from blind.truth import DETECTABLE, HIDDEN
 
 
 def naming(cases: Sequence[Case]) -> list[Measure]:
     """Measures of right names, false alarms, unknown effects and pairs."""
     kinds = {kind: [c for c in cases if c.truth.kind == kind] for kind in ("clean", "single", "pair", "outside")}
-    middling = [c for c in kinds["single"] if c.plain and HIDDEN <= c.truth.log_bayes_factor <= DETECTABLE]
-    hidden = [c for c in kinds["single"] if not c.plain or c.truth.log_bayes_factor < HIDDEN]
-    clear = [c for c in kinds["single"] if seen(c)]
-    outside = [c for c in kinds["outside"] if seen(c)]
-    pairs = [c for c in kinds["pair"] if seen(c)]
+    middling = [c for c in kinds["single"] if c.has_gap and HIDDEN <= c.truth.log_bayes_factor <= DETECTABLE]
+    hidden = [c for c in kinds["single"] if not c.has_gap or c.truth.log_bayes_factor < HIDDEN]
+    clear = [c for c in kinds["single"] if is_visible(c)]
+    outside = [c for c in kinds["outside"] if is_visible(c)]
+    pairs = [c for c in kinds["pair"] if is_visible(c)]
     level = [c for c in pairs if all(effect.world != "grade" for effect in c.truth.effects)]
     blind = [c for c in pairs if c not in level and {"grade", "altitude"} <= set(c.truth.without)]
 
@@ -26,7 +26,7 @@ def naming(cases: Sequence[Case]) -> list[Measure]:
         share_of("... a wrong name, oracle > 10", "low", clear, wrong, lower=True),
         share_of("named first, or its class: oracle 1..10", "-", middling, right_first),
         share_of("... a wrong name, oracle 1..10", "low", middling, wrong, lower=True),
-        share_of("nothing claimed: oracle < 1, or modelled by default", ">= 98 %", hidden, lambda c: c.run.silent),
+        share_of("nothing claimed: oracle < 1, or modelled by default", ">= 98 %", hidden, lambda c: c.run.is_silent),
         share_of("false alarm on a clean drive", "<= 1 %", kinds["clean"], claimed, lower=True),
         share_of(
             "outside the catalogue: unknown effect", ">= 90 %", outside, lambda c: c.run.verdict == "unknown effect"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from blind import answer
-from blind.case import Case, Measure, seen, share_of
+from blind.case import Case, Measure, is_visible, share_of
 from blind.intervals import Floats, bootstrap, calibration_error, share
 from blind.truth import HIDDEN, key_of
 from estimator.answers.diagnosis import Finding
@@ -26,7 +26,7 @@ def probabilities(cases: Sequence[Case]) -> list[Measure]:
             continue
         judged.append(case)
         covered[case.truth.drive] = any(_right(case, finding) for finding in chosen)
-        if case.truth.kind == "single" and seen(case):
+        if case.truth.kind == "single" and is_visible(case):
             sizes.append(len(chosen))
         confidence.append(min(max(chosen[0].probability or 0.0, 0.0), 1.0))
         right.append(float(_right(case, chosen[0])))
@@ -51,7 +51,7 @@ def _right(case: Case, finding: Finding) -> bool:
     """Whether a ranked candidate is the truth; "none" counts as true where the effect is invisible to the oracle."""
     truth = case.truth
     if finding.name == answer.NONE:
-        return truth.log_bayes_factor < HIDDEN or truth.kind == "clean" or not case.plain
+        return truth.log_bayes_factor < HIDDEN or truth.kind == "clean" or not case.has_gap
     if finding.name.startswith(answer.UNKNOWN):
         return truth.kind == "outside"
     return any(answer.means(finding, effect.name) for effect in truth.effects)
@@ -64,7 +64,7 @@ def gap_closed_and_times(cases: Sequence[Case]) -> list[Measure]:
     located = []
     for case in cases:
         truth, run = case.truth, case.run
-        if truth.kind in ("clean", "outside") or not case.plain or not run.named or answer.invented(truth, run):
+        if truth.kind in ("clean", "outside") or not case.has_gap or not run.named or answer.invented(truth, run):
             continue
         hits = [e for e, hit in zip(truth.effects, answer.found(truth, run), strict=True) if hit]
         closed = [finding.gap_closed for finding in run.named]
@@ -103,7 +103,7 @@ def gap_closed_and_times(cases: Sequence[Case]) -> list[Measure]:
 def parameters(cases: Sequence[Case]) -> list[Measure]:
     """Errors of A, C, m where the answer is right: all effects named, or none on clean drives."""
     lines = []
-    good = [c for c in cases if c.truth.kind != "outside" and c.plain and c.run.answer is not None]
+    good = [c for c in cases if c.truth.kind != "outside" and c.has_gap and c.run.answer is not None]
     good = [c for c in good if not answer.invented(c.truth, c.run) and all(answer.found(c.truth, c.run))]
     for key, label in (("mass_kg", "mass"), ("A_N", "A"), ("C_N_s2_m2", "C")):
         errors = []

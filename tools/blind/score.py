@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from blind.answer import Run
-from blind.case import Case, Measure, claimed, right_first, seen, share_of
+from blind.case import Case, Measure, claimed, is_visible, right_first, share_of
 from blind.naming import naming
 from blind.quality import cost, gap_closed_and_times, parameters, probabilities
 from blind.truth import Truth
@@ -51,13 +51,13 @@ def _by_noise(cases: Sequence[Case]) -> Iterable[Measure]:
     for name, members in groups.items():
         here = [c for c in cases if (c.truth.speed_noise, c.truth.torque_resolution) in members]
         clean = [c for c in here if c.truth.kind == "clean"]
-        single = [c for c in here if c.truth.kind == "single" and seen(c)]
+        single = [c for c in here if c.truth.kind == "single" and is_visible(c)]
         yield share_of(f"{name}: false alarms", "<= 1 %", clean, claimed, lower=True)
         yield share_of(f"{name}: named first", ">= 95 %", single, right_first)
 
 
 def _by_effect(cases: Sequence[Case]) -> Iterable[Measure]:
-    single = [c for c in cases if c.truth.kind == "single" and seen(c)]
+    single = [c for c in cases if c.truth.kind == "single" and is_visible(c)]
     for name in sorted({c.truth.effects[0].world for c in single}):
         these = [c for c in single if c.truth.effects[0].world == name]
         yield share_of(name, ">= 95 %", these, right_first)
@@ -75,6 +75,6 @@ def confusion(cases: Sequence[Case]) -> dict[str, dict[str, int]]:
             name += " (modelled by default)"
         elif truth.effects and truth.stratum != "oracle > 10":
             name += f" ({truth.stratum})"
-        said = "+".join(f.name for f in case.run.named) if truth.kind == "pair" and case.run.named else case.said
+        said = "+".join(f.name for f in case.run.named) if truth.kind == "pair" and case.run.named else case.first_name
         rows.setdefault(name, Counter())[said] += 1
     return {name: dict(said.most_common()) for name, said in sorted(rows.items())}
