@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,13 @@ def test_every_public_name_has_a_docstring(name: str) -> None:
 def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'gateway'"):
         estimator.gateway  # noqa: B018
+
+
+def test_every_package_is_installed() -> None:
+    root = Path(estimator.__file__).parents[1]
+    listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    there = {".".join(path.relative_to(root).parent.parts) for path in root.glob("estimator/**/__init__.py")}
+    assert set(listed) == there | {"estimator.dbc"}
 
 
 def test_the_import_loads_no_numbers_and_no_bus() -> None:
