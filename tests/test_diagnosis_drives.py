@@ -226,6 +226,7 @@ def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
     )
     both, left = ask("diagnose", log), ask("diagnose", log, "--effect", "grade")
     assert named(both) == ["grade", "auxiliary_cycling"]
+    assert not {each["name"] for each in both["invisible"]} & set(named(both))
     assert (left["verdict"], named(left)) == ("effect", ["auxiliary_cycling"])
     (fan,) = left["effects"]
     assert fan["log_bayes_factor"] > 5

@@ -118,7 +118,9 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
     before, after = plain.model, drive.model
     at_last = assess(after, averages_of(after), outcome.effects, drive.record.known, drive.rest)
-    unseen = tuple(invisible(outcome.effects, at_last, after, drive.record.known, outcome.thresholds))
+    told = {finding.name for finding in named}
+    others = [effect for effect in outcome.effects if effect.name not in told]
+    unseen = tuple(invisible(others, at_last, after, drive.record.known, outcome.thresholds))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
     diagnosis = Diagnosis(
         verdict=verdict,

@@ -93,9 +93,13 @@ def _improvement(d: Diagnosis) -> str:
 def advice(d: Diagnosis) -> list[str]:
     """What to measure or to drive, effect by effect, and the experiments that are likely to settle what is open."""
     signals = [f"{each.name}: {each.breaks}" for each in d.advice]
-    is_open = d.verdict is Verdict.CANNOT_TELL
-    likely = [e for e in d.experiments if (is_open or e.now < SETTLED) and e.expected > max(SETTLED, e.now + MIN_GAIN)]
-    return [*signals, *map(_experiment, likely)]
+    return [*signals, *(_experiment(e) for e in d.experiments if is_worthwhile(d, e))]
+
+
+def is_worthwhile(d: Diagnosis, e: Experiment) -> bool:
+    """Whether an experiment is likely to settle something that is open."""
+    is_open = d.verdict is Verdict.CANNOT_TELL or e.now < SETTLED
+    return is_open and e.expected > max(SETTLED, e.now + MIN_GAIN)
 
 
 def _experiment(e: Experiment) -> str:
