@@ -196,7 +196,7 @@ RIVALS = (finding("drafting", 0.6, equivalent=("fan",)),)
         ),
         (
             changed(effects=(HILLS,)),
-            "A force goes with the place like a grade of 1.4 % sd, and no signal on the bus shows it: with one, the "
+            "A force varies with place like a grade of 1.4 % sd, and no signal on the bus shows it: with one, the "
             "residual could fall from 13.4 kW to 3.3 kW; roadload estimate counts with such a road by itself.",
         ),
         (

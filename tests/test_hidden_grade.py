@@ -17,7 +17,7 @@ from estimator.simulation.effects.effect import Effect
 pytestmark = pytest.mark.slow
 
 NO_OTHER = (Role.GRADE, Role.LONGITUDINAL_ACCELERATION)
-HIDDEN = "goes with the place; no signal on the bus shows it"
+HIDDEN = "varies with place; no signal on the bus shows it"
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_a_load_taken_on_is_found_beside_hills_that_a_poor_altimeter_shows(tmp_p
     answer = ask("diagnose", written(world.recording, tmp_path / "log.blf"))
     grade, load = answer["effects"][:2]
     assert (grade["name"], load["name"]) == ("grade", "mass_step")
-    assert grade["detail"] == "goes with the place; shown in part by altitude"
+    assert grade["detail"] == "varies with place; shown in part by altitude"
     assert grade["log_bayes_factor"] > 15
     (share,) = [part["share"] for part in answer["budget"] if part["cause"] == "mass_step"]
     assert share == pytest.approx(0.4, abs=0.1)

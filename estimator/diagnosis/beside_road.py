@@ -99,7 +99,7 @@ class BesideRoad:
             rms_before=self.budget.total,
             rms_after=left,
             shift=self._shift,
-            detail="goes with the place; no signal on the bus shows it",
+            detail="varies with place; no signal on the bus shows it",
         )
 
     def findings(self, before: Sequence[Finding | None]) -> tuple[Finding, ...]:
@@ -174,7 +174,7 @@ class BesideRoad:
         found = self.hills(sum(log_bayes_factor_of_road(strides, fit) for strides, fit in fits))
         size = replace(found.magnitude, name="slope")
         signals = ", ".join(name.replace("_", " ") for name in self.longest.fit.scales.readings)
-        return self._road(replace(found, magnitude=size, detail=f"goes with the place; shown in part by {signals}"))
+        return self._road(replace(found, magnitude=size, detail=f"varies with place; shown in part by {signals}"))
 
     def _road(self, found: Finding) -> Finding:
         if found.magnitude.name == HIDDEN_GRADE:

@@ -130,7 +130,7 @@ def hidden_grade(outcome: Outcome) -> Finding | None:
         rms_before=before.rms,
         rms_after=float(np.sqrt(outcome.floor)),
         shift=None,
-        detail="goes with the place; no signal on the bus shows it",
+        detail="varies with place; no signal on the bus shows it",
     )
 
 

@@ -1,4 +1,4 @@
-"""A grade that no signal shows: a force that goes with the place."""
+"""A grade that no signal shows: a force that varies with place."""
 
 from collections.abc import Sequence
 

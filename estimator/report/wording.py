@@ -77,7 +77,7 @@ def _doubt(d: Diagnosis) -> str:
 def _improvement(d: Diagnosis) -> str:
     first = d.effects[0]
     if is_hidden(first):
-        seen = f"A force goes with the place like a grade of {100 * first.magnitude.value:.1f} % sd"
+        seen = f"A force varies with place like a grade of {100 * first.magnitude.value:.1f} % sd"
         fall = f"from {kilowatts(first.rms_before)} to {kilowatts(first.rms_after)}"
         beside = listed([f"{label(f.name)} ({label(f.magnitude.name)} {_value(f.magnitude)})" for f in d.effects[1:]])
         also = f" Beside it acts {beside}." if beside else ""
