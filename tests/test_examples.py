@@ -87,6 +87,15 @@ def test_pendulum(capsys: pytest.CaptureFixture[str]) -> None:
     assert float(left) == pytest.approx(float(noise), rel=0.05)
 
 
+def test_a_car_in_another_simulator(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("fastsim", reason="the simulator of the example is not installed")
+    example("fastsim_car")(["3"])
+    out = capsys.readouterr().out
+    assert out.startswith("effect: auxiliaries\n")
+    size, sd = map(float, re.findall(r"^auxiliaries: P = 1.000, ([0-9.]+) ± ([0-9.]+) W$", out, re.M)[0])
+    assert abs(size - 1500) < 3 * sd
+
+
 def test_own_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = with_pump(drive("mixed", 60, 5), 1.5)
     example("own_effect")([str(written(recording, tmp_path / "drive.blf"))])
