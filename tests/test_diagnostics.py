@@ -239,7 +239,7 @@ def known(**arguments: object) -> Knowledge:
         (known(contested={"EC1.EngReferenceTorque": Contradiction.CHANGED.value}), (544, 19)),
         (known(missing=("EC1.EngReferenceTorque",)), (544, 9)),
         (known(missing=("engine_power",)), (FIRST_ROLE + 2, 9)),
-        (known(newest={"speed": 960.0}), (84, 9)),
+        (known(newest={"speed": 960.0, "engine_speed": 990.0}), (84, 9)),
     ],
 )
 def test_a_faulty_input_has_the_number_of_its_signal(knowledge: Knowledge, code: tuple[int, int]) -> None:
@@ -249,6 +249,8 @@ def test_a_faulty_input_has_the_number_of_its_signal(knowledge: Knowledge, code:
 def test_inputs_that_come_or_are_not_needed_are_no_fault() -> None:
     knowledge = known(newest={"speed": 980.0, "altitude": 0.0, "reference_torque": 0.0})
     assert finder().present(knowledge, 0.0, 0, "") == set()
+    off = known(newest={"speed": 900.0, "engine_speed": 900.0, "ambient_temperature": 999.0})
+    assert finder().present(off, 0.0, 0, "") == set()
     assert list(Role).index(Role.ENGINE_POWER) == 2  # the numbers of roles are published: they do not change
 
 

@@ -77,12 +77,23 @@ class Faults:
             TroubleCode(self._spn[path], FMI_OF.get(Contradiction(reason), Fmi.NETWORK_DATA))
             for path, reason in knowledge.contested.items()
         }
-        silent = [self._number(name) for name in knowledge.missing]
-        for role, spn in self._of_role.items():
-            newest = knowledge.newest.get(role.value)
-            if KIND.get(role) is Kind.MEASURED and newest is not None and knowledge.t is not None:
-                silent += [spn] if knowledge.t - newest > MAX_SILENCE_S else []
+        silent = [*map(self._number, knowledge.missing), *self._silent(knowledge)]
         return found | {TroubleCode(spn, Fmi.UPDATE_RATE) for spn in silent}
+
+    def _silent(self, knowledge: Knowledge) -> list[int]:
+        """SPNs of inputs of the road load that came once and stay away while others come.
+
+        Where none comes, the ignition is off, and others keep the bus awake.
+        """
+        t = -float("inf") if knowledge.t is None else knowledge.t
+        ages = {
+            spn: t - knowledge.newest[role.value]
+            for role, spn in self._of_role.items()
+            if KIND.get(role) is Kind.MEASURED and role.value in knowledge.newest
+        }
+        if all(age > MAX_SILENCE_S for age in ages.values()):
+            return []
+        return [spn for spn, age in ages.items() if age > MAX_SILENCE_S]
 
     def _number(self, name: str) -> int:
         """SPN of an input that never came: MESSAGE.signal, or its role where none is bound."""
