@@ -16,6 +16,7 @@ from estimator.diagnosis.evidence import log_bayes_factor as log_bayes_factor_of
 from estimator.diagnosis.held_out import HeldOut, gap_closed
 from estimator.diagnosis.model import Model, fit
 from estimator.diagnosis.processes import PROCESSES, UNMEASURED_GRADE, leftovers
+from estimator.diagnosis.surrogates import with_other_phases
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
 from estimator.model.design_matrix import columns, inside
@@ -352,3 +353,13 @@ def test_a_power_outside_the_catalogue_is_described() -> None:
 
 def test_noise_is_not_described() -> None:
     assert described(model_of(samples_of(minutes=40.0))) is None
+
+
+def test_other_phases_keep_the_spectrum() -> None:
+    rng = np.random.default_rng(4)
+    for n in (400, 401):
+        x = 3.0 + np.cumsum(rng.normal(size=n))
+        y = with_other_phases(x, rng)
+        assert np.abs(np.fft.rfft(y)) == pytest.approx(np.abs(np.fft.rfft(x)))
+        assert y.mean() == pytest.approx(x.mean())
+        assert abs(np.corrcoef(np.diff(x), np.diff(y))[0, 1]) < 0.3

@@ -34,8 +34,6 @@ DURATION = 900.0  # s, of the drive that leaves a question open
 EFFECTS = ("auxiliary_load", "torque_bias", "headwind", "warm_up", "viscous_drag", "rotating_inertia", "sensor_drift")
 ROADS: tuple[RoadKind, ...] = ("urban", "mixed", "highway")
 STEADY, SPACE, DWELL = 140.0, 400.0, 5.0  # s at a speed, m between starts, s at rest before each
-REPEATED = 600.0  # s of the drive that are driven again
-AGAIN_AFTER = 1800.0  # s
 SPARE = 1.3  # more time than planned, for gaining speed and braking
 
 
@@ -68,12 +66,8 @@ def with_experiment(road: Route, experiment: Experiment) -> Route | None:
         return shaped(road, 2 * DURATION, "out-and-back")
     if "idling" in experiment.what:
         return _after(road, end, np.empty(0), np.empty(0), np.array([end]), np.array([120.0]))
-    if "half an hour later" in experiment.what:
-        first = road.section_start < place_at(road, REPEATED)
-        start, speed = road.section_start[first], road.section_speed[first]
-        stops = road.stop_position < place_at(road, REPEATED)
-        stop, dwell = end + 100.0 + road.stop_position[stops], road.stop_dwell[stops]
-        return _after(road, end, end + start, speed, np.append(end, stop), np.append(AGAIN_AFTER, dwell))
+    if "more minutes" in experiment.what:
+        return road
     if starts := re.fullmatch(r"(\d+) starts from rest to (\d+) km/h", experiment.what):
         count, top = int(starts[1]), int(starts[2]) * KMH
         stop = end + SPACE * np.arange(count)

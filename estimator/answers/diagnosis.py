@@ -177,7 +177,10 @@ class Experiment(Struct, frozen=True, kw_only=True):
 
 
 class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
-    """Verdict and evidence; ``effects`` is the chosen set in order of adding, ``candidates`` the whole ranking."""
+    """Verdict and evidence; ``effects`` is the chosen set in order of adding, ``candidates`` the whole ranking.
+
+    ``p_value``: share of records of noise alone in which an effect has as much evidence; null unless asked for.
+    """
 
     verdict: Verdict
     reason: str
@@ -196,4 +199,5 @@ class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
     invisible: tuple[Invisible, ...]
     advice: tuple[str, ...]
     experiments: tuple[Experiment, ...] = ()
+    p_value: float | None = None
     logs: tuple[str, ...]

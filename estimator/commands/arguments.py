@@ -42,8 +42,8 @@ positive = number(sys.float_info.min, sys.float_info.max, "a positive number")
 not_negative = number(0.0, sys.float_info.max, "a number that is not negative")
 
 
-def seed(text: str) -> int:
-    """A seed of a random generator."""
+def whole_number(text: str) -> int:
+    """A number of something, or a seed of a random generator."""
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number that is not negative")
     return int(text)

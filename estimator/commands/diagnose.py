@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from estimator.commands.arguments import add_output, add_settings
+from estimator.commands.arguments import add_output, add_settings, whole_number
 from estimator.commands.diagnosis_tables import print_diagnosis
 from estimator.commands.log_options import RECORDED, add_effects, add_seed, check_outputs, settings
 from estimator.commands.terminal import print_json, progress_bar, standard_output
@@ -18,6 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     parser.add_argument("log", nargs="+", type=Path, metavar="LOG", help=f"drives of one vehicle; {RECORDED}")
     parser.add_argument("--report", type=Path, metavar="OUT.html", help="one page with figures, opens offline")
+    exact = "look for effects in N records of noise like this one's as well, for a p-value (not on hills)"
+    parser.add_argument("--exact", type=whole_number, default=0, metavar="N", help=exact)
     add_effects(parser)
     add_seed(parser, "bootstrap")
 
@@ -26,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     """Diagnose, write the page asked for, and print the answer."""
     check_outputs(options.log, {options.report: diagnosis_page.FORMATS})
     with progress_bar("diagnose") as progress:
-        diagnosis = diagnose_logs(options.log, settings(options), progress)
+        diagnosis = diagnose_logs(options.log, settings(options), progress, surrogates=options.exact)
     if options.report is not None:
         diagnosis_page.write_page(diagnosis, options.report)
     if options.json:

@@ -47,6 +47,8 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
     if steps:
         strength = wording.bayes(d.remaining_log_bayes_factor)
         yield "left", f"{d.remaining_verdict.value}, log Bayes factor {strength}"
+    if d.p_value is not None:
+        yield "p value", f"{d.p_value:.3g}: how often noise alone gives an effect as much evidence"
     if d.formula is not None:
         yield "formula", wording.formula(d)
 

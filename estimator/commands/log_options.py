@@ -8,7 +8,7 @@ import msgspec
 
 from estimator import config
 from estimator.can_io.logs import FORMATS
-from estimator.commands.arguments import seed
+from estimator.commands.arguments import whole_number
 from estimator.config import Config
 from estimator.errors import ConfigError
 from estimator.model.effects import CATALOGUE
@@ -19,7 +19,7 @@ RECORDED = f"recorded traffic: {' '.join(FORMATS)}"
 
 def add_seed(parser: argparse.ArgumentParser, use: str) -> None:
     """Add --seed of the ``use``."""
-    parser.add_argument("--seed", type=seed, help=f"of the {use}, instead of the configuration's")
+    parser.add_argument("--seed", type=whole_number, help=f"of the {use}, instead of the configuration's")
 
 
 def add_effects(parser: argparse.ArgumentParser) -> None:

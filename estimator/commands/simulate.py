@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import WRITABLE, write_log
-from estimator.commands.arguments import add_output, not_negative, number, positive, seed
+from estimator.commands.arguments import add_output, not_negative, number, positive, whole_number
 from estimator.commands.terminal import print_json
 from estimator.output_files import check_suffix
 from estimator.printable import printable
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--route", choices=get_args(RoadKind), default="mixed", help="kind of road (default: mixed)")
     parser.add_argument("--cycle", type=Path, metavar="FILE.csv", help=f"road of a driving cycle instead: {COLUMNS}")
     parser.add_argument("--shape", choices=get_args(Shape), default="one-way", help="how the road is driven")
-    parser.add_argument("--seed", type=seed, default=1, help="draws truck, route and noise (default: 1)")
+    parser.add_argument("--seed", type=whole_number, default=1, help="draws truck, route and noise (default: 1)")
     for name, unit, what in (("mass", "kg", "mass"), ("A", "N", "rolling force"), ("C", "N s2/m2", "drag coefficient")):
         parser.add_argument(f"--{name}", type=positive, metavar=unit, help=f"{what}, instead of the drawn one")
     noise = "sd of the wheel speed's noise (default: 0.01)"

@@ -22,6 +22,7 @@ from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces
 from estimator.diagnosis.search import search
+from estimator.diagnosis.surrogates import p_value
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
 from estimator.model.design_matrix import best_terms, columns
@@ -39,6 +40,7 @@ def diagnose(
     rng: np.random.Generator,
     effects: Sequence[Effect] = CATALOGUE,
     thresholds: Thresholds | None = None,
+    surrogates: int = 0,
 ) -> Diagnosis:
     """Diagnose one drive, or several of one vehicle.
 
@@ -54,6 +56,8 @@ def diagnose(
         Candidates.
     thresholds
         Evidence that names an effect; None: the defaults.
+    surrogates
+        Records of noise alone that effects are looked for in as well, for a p-value; none on hills.
     """
     limits = Thresholds() if thresholds is None else thresholds
     plain: list[Drive] = []
@@ -69,7 +73,7 @@ def diagnose(
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=_obstacle(records, reason), not_testable=missing)
     result = search(tuple(plain), effects, limits)
     outcome = Outcome(result=result, plain=tuple(plain), effects=effects, rng=rng, thresholds=limits)
-    return _report(outcome, missing)
+    return _report(outcome, missing, surrogates)
 
 
 def _obstacle(records: Sequence[Record], reason: str) -> str:
@@ -103,7 +107,7 @@ def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
     return Drive(record, model)
 
 
-def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
+def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int) -> Diagnosis:
     """The diagnosis of a finished search, with the road as a state where it can be fitted."""
     verdict, late, hills = outcome.verdict, findings.lag(outcome), findings.hidden_grade(outcome)
     if late is not None and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL) and not outcome.result.chosen:
@@ -145,7 +149,13 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...]) -> Diagnosis:
     )
     if beside is not None and beside.is_on_hills:
         return _with_road(diagnosis, beside, outcome.thresholds.min_log_bf_left_process)
-    return _with_known_road(diagnosis, outcome, hills is not None)
+    known = _with_known_road(diagnosis, outcome, hills is not None)
+    return known if hills is not None or not surrogates else replace(known, p_value=_p_value(outcome, surrogates))
+
+
+def _p_value(outcome: Outcome, surrogates: int) -> float:
+    ranking, final = outcome.result.ranking, outcome.final
+    return p_value(ranking, final, outcome.effects, outcome.thresholds, surrogates, outcome.rng)
 
 
 def _with_road(diagnosis: Diagnosis, beside: BesideRoad, min_log_bf: float) -> Diagnosis:

@@ -27,8 +27,7 @@ SHARES = (0.35, 0.55, 0.75, 0.95)  # of the drive's highest speed
 START_ACCELERATION, START_SPEED, STARTS = 0.7, 14.0, 10  # m/s^2, m/s at the end, how many
 COASTS, MAX_COAST = 4, 240  # how many, strides of one
 LOWER_GEAR = 1.35  # engine speed in the next lower gear, over that in this one: a usual step of truck gearboxes
-REPEATED = 600  # strides of the drive that are driven again
-LATER = 1800.0  # s
+REPEATED, MORE = 600, 1800  # strides of the drive that are driven again on the way back, or once more
 IDLE = AtRest(power=0.0, sd=1.0, engine_speed=63.0)  # W, W, rad/s: 600 1/min
 
 
@@ -124,14 +123,11 @@ def manoeuvres(state: DriveState) -> Iterator[Manoeuvre]:
         name=f"{COASTS} times coasting in gear from {3.6 * steady[-1]:.0f} km/h",
         parts=(rolling,) * COASTS,
     )
-    again = tuple(_pieces(strides[:REPEATED]))
-    yield Manoeuvre(
-        name="the first minutes of the drive once more, half an hour later",
-        parts=again,
-        pause=LATER,
-    )
+    more = strides[:MORE]
+    minutes = len(more) * DURATION / 60
+    yield Manoeuvre(name=f"{minutes:.0f} more minutes of the same driving", parts=tuple(_pieces(more)))
     if Quantity.HEADING in strides.context:
-        yield Manoeuvre(name="the same speeds on the way back", parts=again, turned=True)
+        yield Manoeuvre(name="the same speeds on the way back", parts=tuple(_pieces(strides[:REPEATED])), turned=True)
 
 
 def _rolled(state: DriveState, speed: float, end: float) -> Floats:

@@ -209,6 +209,7 @@ class Diagnosis:
     invisible: tuple[Invisible, ...] = ()
     advice: tuple[Advice, ...] = ()
     experiments: tuple[Experiment, ...] = ()
+    p_value: float | None = None  # of the best effect's evidence among records of noise alone
     streaming_effects: tuple[str, ...] = ()  # to configure; empty: nothing to add
     budget: Budget | None = None  # of the plain model's residual, with the road as a state
     gap_map: GapMap | None = None

@@ -39,6 +39,7 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
             answer.Experiment(a=e.a, b=e.b, what=e.what, minutes=e.minutes, now=e.now, expected=e.expected)
             for e in d.experiments
         ),
+        p_value=d.p_value,
         logs=d.logs,
     )
 

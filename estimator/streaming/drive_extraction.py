@@ -27,10 +27,12 @@ def diagnose_logs(
     config: Config,
     progress: Progress = no_progress,
     further: Sequence[Effect] = (),
+    surrogates: int = 0,
 ) -> Diagnosis:
     """Diagnose one log, or several of one vehicle together.
 
-    ``further`` effects are candidates beside those of the catalogue.
+    ``further`` effects are candidates beside those of the catalogue. ``surrogates`` are records of noise alone, in
+    which effects are looked for as well, for a p-value.
 
     Raises
     ------
@@ -46,7 +48,9 @@ def diagnose_logs(
     for i, path in enumerate(paths):
         found = drives(path, config, partial(_part, progress, i, len(paths)))
         records += [replace(drive, log=i, log_start=found[0].start) for drive in found]
-    result = diagnose(records, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further))
+    result = diagnose(
+        records, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further), surrogates=surrogates
+    )
     progress(1.0)
     return replace(result, logs=tuple(str(path) for path in paths))
 
