@@ -207,12 +207,6 @@ def test_what_is_no_log(tmp_path: Path, suffix: str, junk: str) -> None:
     message_of(path)
 
 
-def test_mf4_without_asammdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a.mf4").write_bytes(b"MDF     4.10")
-    monkeypatch.setattr("estimator.can_io.logs.mf4.find_spec", lambda _: None)
-    assert "pip install 'roadload[mf4]'" in message_of(tmp_path / "a.mf4")
-
-
 def test_mf4_cut_short(tmp_path: Path) -> None:
     pytest.importorskip("asammdf")
     write(tmp_path / "whole.mf4", drive(100))

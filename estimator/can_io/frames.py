@@ -12,6 +12,7 @@ from estimator.signals import Floats
 EXTENDED = 1 << 31  # set in `ident` for a 29-bit id, as SocketCAN does (CAN_EFF_FLAG)
 CLASSIC_BYTES = 8  # payload of a classic CAN frame
 FD_BYTES = 64  # payload of the longest CAN FD frame
+FIRST_BYTES = np.array([(1 << 8 * n) - 1 for n in range(CLASSIC_BYTES + 1)], np.uint64)  # mask of n bytes of a payload
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES
+from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, FIRST_BYTES
 from estimator.signals import Floats, Mask
 
 PAYLOAD_AT = {1: 32, 2: 40}  # bytes, by header version
@@ -19,7 +19,6 @@ TEN_MICROSECONDS = 1  # value of the header's flags; nanoseconds otherwise
 TICKS_10US = 1e5  # 1/s
 TICKS_1NS = 1e9  # 1/s
 IDENT = np.uint32(EXTENDED | 0x1FFFFFFF)
-FIRST_BYTES = np.array([(1 << 8 * n) - 1 for n in range(CLASSIC_BYTES + 1)], np.uint64)  # mask of n bytes
 
 Records = NDArray[np.void]
 Fields = dict[str, tuple[str, int]]  # format and offset [bytes]

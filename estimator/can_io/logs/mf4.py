@@ -1,57 +1,127 @@
-"""ASAM MDF4 bus logs, read by python-can with asammdf."""
+"""ASAM MDF 4 bus logs: sorted or as a logger writes them, packed or not, finished or left open at a loss of power."""
 
-import struct
+from collections import Counter
 from collections.abc import Iterator
-from importlib import import_module
-from importlib.util import find_spec
-from traceback import walk_tb
-
-import can
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.logs.messages import MessageLog
+from estimator.can_io.logs.log import Log
+from estimator.can_io.logs.mdf.blocks import BadMdfError, MdfFile
+from estimator.can_io.logs.mdf.groups import DataGroup, FrameGroup, data_groups, start_time
+from estimator.can_io.logs.mdf.merging import merged
+from estimator.can_io.logs.mdf.sorted_frames import (
+    ROWS,
+    RecordStream,
+    Streams,
+    ValueStream,
+    record_count,
+    sorted_frames,
+)
+from estimator.can_io.logs.mdf.stream import Chunk, Tail, chunks
+from estimator.can_io.logs.mdf.unsorted_frames import UnsortedStream
 from estimator.errors import LogError
 
-MAGIC = (b"MDF     ", b"UnFinMF ")  # finished, or left open by a logger that lost power
+FINISHED, UNFINISHED = b"MDF     ", b"UnFinMF "  # what a file begins with
+IDENTIFICATION = 64  # bytes
+VERSION_AT, OPEN_AT = slice(28, 30), slice(60, 62)  # bytes of the identification: version, what was left open
+VERSIONS = range(400, 500)
+OPEN_COUNTS, OPEN_SIZE, OPEN_LINKS, OPEN_OFFSETS = 1, 4, 16, 64  # flags of what was left open
+MAX_UNPACKED = 1 << 26  # bytes of packed blocks that are held at once, over all streams
+MIN_UNPACKED = 1 << 22  # bytes of a packed block that can always be read; writers make none larger
+MAX_STREAMS = 16  # of frames
 
 
-class Mf4Log(MessageLog):
-    """An ``.mf4`` log; needs the extra ``mf4``."""
+class Mf4Log(Log):
+    """An ``.mf4`` log; times are those of python-can's ``MF4Reader``."""
 
     def _read(self) -> Iterator[Frames]:
-        with self.path.open("rb") as file:
-            if file.read(8) not in MAGIC:
-                raise LogError(f"{self.path}: not an MF4 log (it does not begin with MDF); check what the file is")
-        if find_spec("asammdf") is None:
-            raise LogError(f"{self.path}: to read MF4 logs, pip install 'roadload[mf4]'")
-        count = 0
-        try:
-            with can.MF4Reader(self.path) as reader:
-                groups = reader._mdf.groups  # python-can does not tell the number of frames
-                total = max(sum(group.channel_group.cycles_nr for group in groups), 1)
-                for frames in self._pack(reader):
+        with self.path.open("rb") as opened:
+            file = MdfFile(opened)
+            flags = self._read_identification(file)
+            count = 0
+            try:
+                content = Content(file, flags, self.skipped)
+                if not content.streams:
+                    raise LogError(f"{self.path}: no CAN frames in it, only other values; give the log of the bus")
+                for frames in merged(content.streams):
                     count += len(frames)
-                    self.progress = min(count / total, 1.0)
+                    self.progress = min(file.consumed / file.size, 1.0)
                     yield frames
-        except _errors() as error:
-            _release(error)
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise LogError(f"{self.path}: damaged or cut ({reason}) after {count} frames; copy it anew") from error
+            except BadMdfError as error:
+                raise LogError(
+                    f"{self.path}: damaged or cut at byte {error.offset} ({error}) after {count} frames; copy it anew"
+                ) from error
+
+    def _read_identification(self, file: MdfFile) -> int:
+        """Flags of what the writer left open."""
+        raw = file.bytes_at(0, IDENTIFICATION)
+        if not raw.startswith((FINISHED, UNFINISHED)):
+            raise LogError(f"{self.path}: not an MF4 log (it does not begin with MDF); check what the file is")
+        if len(raw) < IDENTIFICATION:
+            raise LogError(f"{self.path}: cut at byte {len(raw)}, inside the identification; 0 frames can be read")
+        version = int.from_bytes(raw[VERSION_AT], "little")
+        if version not in VERSIONS:
+            raise LogError(f"{self.path}: of MDF version {version / 100:.2f}; convert it to version 4")
+        flags = int.from_bytes(raw[OPEN_AT], "little") if raw.startswith(UNFINISHED) else 0
+        if flags & OPEN_OFFSETS:
+            raise LogError(
+                f"{self.path}: its logger never wrote where payloads are; finalize it with the logger's tool"
+            )
+        return flags
 
 
-def _errors() -> tuple[type[Exception], ...]:
-    """Give what asammdf was seen to raise at damaged files."""
-    own = (import_module("asammdf.blocks.utils").MdfException, import_module("isal.isal_zlib").error, struct.error)
-    return (*own, ValueError, LookupError, TypeError, OverflowError, MemoryError, NameError, AttributeError)
+class Content:
+    """What is in a file: ``streams`` of frames. Frames without data are counted by kind in ``skipped`` on the way.
 
+    Raises
+    ------
+    BadMdfError
+        The file is damaged, or frames are stored in an unknown way.
+    """
 
-def _release(error: BaseException) -> None:
-    """Close what a failed constructor left open; asammdf's ``__del__`` would trip over what is not there yet."""
-    for frame, _ in walk_tb(error.__traceback__):
-        half_built = frame.f_locals.get("self")
-        if isinstance(half_built, can.MF4Reader):
-            half_built.file.close()
-        elif type(half_built).__name__ == "MDF4":
-            for name in ("_file", "header", "identification"):
-                if not hasattr(half_built, name):
-                    setattr(half_built, name, None)
+    def __init__(self, file: MdfFile, flags: int, skipped: Counter[str]) -> None:
+        self._file = file
+        self._has_counts = not flags & OPEN_COUNTS
+        self._is_cut = flags != 0
+        self._tail = Tail(size=bool(flags & OPEN_SIZE), links=bool(flags & OPEN_LINKS))
+        self._skipped = skipped
+        self._start = start_time(file)
+        self._data_groups = data_groups(file)
+        wanted = [each for each in self._data_groups if any(group.frames for group in each.groups)]
+        if len(wanted) > MAX_STREAMS:
+            raise BadMdfError(wanted[-1].address, f"{len(wanted)} streams of CAN frames; {MAX_STREAMS} can be read")
+        self._most = ROWS // max(len(wanted), 1)
+        self._largest = max(MAX_UNPACKED // max(len(wanted), 1), MIN_UNPACKED)
+        self.streams = [self._frames(each) for each in wanted]
+        for each in self._data_groups:
+            for group in each.groups if each.id_bytes == 0 else ():
+                if group.skipped and group.record_bytes:
+                    there = record_count(self._chunks(each.data), group.record_bytes)
+                    skipped[group.skipped] += min(there, group.count) if self._has_counts else there
+
+    def _chunks(self, address: int) -> Iterator[Chunk]:
+        return chunks(self._file, address, self._tail, self._largest)
+
+    def _frames(self, data_group: DataGroup) -> Iterator[Frames]:
+        if data_group.id_bytes:
+            stream = UnsortedStream(data_group, self._chunks(data_group.data), self._start, self._is_cut)
+            return stream.frames(self._skipped)
+        (group,) = data_group.groups
+        assert group.frames is not None
+        count = group.count if self._has_counts else None
+        values = group.frames.data.values
+        streams = Streams(
+            records=RecordStream(self._chunks(data_group.data), group.record_bytes),
+            masters=self._masters(group.frames) if group.frames.times_at != group.address else None,
+            values=ValueStream(self._chunks(values), values) if values else None,
+        )
+        return sorted_frames(group.frames, streams, count, self._start, self._most)
+
+    def _masters(self, frames: FrameGroup) -> RecordStream:
+        """The records that hold the times of a group."""
+        for data_group in self._data_groups:
+            for group in data_group.groups:
+                if group.address == frames.times_at and data_group.id_bytes == 0:
+                    if group.record_bytes < frames.times.field.end:
+                        raise BadMdfError(group.address, f"times in records of {group.record_bytes} bytes")
+                    return RecordStream(self._chunks(data_group.data), group.record_bytes)
+        raise BadMdfError(frames.address, "CAN frames whose times are among other records")

@@ -1,0 +1,80 @@
+"""CAN frames in records of an ASAM MDF 4 file."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES, FIRST_BYTES, Frames
+from estimator.can_io.logs.mdf.groups import FrameGroup
+from estimator.can_io.logs.mdf.records import Bytes, Records, times, unsigned
+
+ID_BITS = np.uint32(0x1FFFFFFF)
+MAX_STANDARD_ID = 0x7FF
+
+
+class Payloads(NamedTuple):
+    """Where the payloads of frames (n,) are: from a byte of records on, where ``room`` bytes can be read."""
+
+    records: Records
+    byte: int
+    room: int
+
+    def first(self, count: int) -> "Payloads":
+        """Those of the first frames."""
+        return Payloads(self.records.first(count), self.byte, self.room)
+
+
+class Heads(NamedTuple):
+    """Ids (n,) with the bit for 29 of them, and lengths (n,) [bytes] of frames."""
+
+    ident: NDArray[np.uint32]
+    length: NDArray[np.uint8]
+
+    def first(self, count: int) -> "Heads":
+        """Those of the first frames."""
+        return Heads(self.ident[:count], self.length[:count])
+
+
+def heads(group: FrameGroup, records: Records, sizes: NDArray[np.int64] | int) -> tuple[Heads, str]:
+    """Read ids and lengths of frames (n,), for whose payloads there are ``sizes`` (n,), or one for all [bytes].
+
+    Returns
+    -------
+    tuple[Heads, str]
+        Of the frames before the first that no bus can carry, and what is wrong with that one.
+    """
+    length = unsigned(records, group.length)
+    raw = unsigned(records, group.ident).astype(np.uint32)
+    # Without a channel for it, the id's top bit says that it has 29 bits.
+    flag = (raw >> np.uint32(31)).astype(np.bool_)
+    extended = flag if group.extended is None else unsigned(records, group.extended).astype(np.bool_)
+    ident = raw & ID_BITS
+    wrong = (length > np.minimum(sizes, FD_BYTES)) | ((ident > MAX_STANDARD_ID) & ~extended)
+    count, fault = len(records), ""
+    if wrong.any():
+        count = int(np.argmax(wrong))
+        fault = f"a CAN frame with the id {ident[count]:X} and {length[count]} data bytes"
+    ident |= extended.astype(np.uint32) << np.uint32(31)
+    return Heads(ident[:count], length[:count].astype(np.uint8)), fault
+
+
+def frames_of(group: FrameGroup, found: Heads, masters: Records, payloads: Payloads, start: float) -> Frames:
+    """The frames (n,) whose times are in the records ``masters`` (n,) and count from ``start`` [s]."""
+    return Frames(times(masters, group.times, start), found.ident, found.length, _data(payloads, found.length))
+
+
+def _data(payloads: Payloads, length: NDArray[np.uint8]) -> Bytes:
+    """Payloads (n, 8) or (n, 64), zero beyond their length."""
+    longest = int(length.max(initial=0))
+    if longest <= CLASSIC_BYTES <= payloads.room:
+        words = np.ascontiguousarray(payloads.records.numbers(payloads.byte, "<u8"))
+        if length.min(initial=CLASSIC_BYTES) < CLASSIC_BYTES:
+            words = words & FIRST_BYTES[length]
+        return words.view(np.uint8).reshape(-1, CLASSIC_BYTES)
+    width = CLASSIC_BYTES if longest <= CLASSIC_BYTES else FD_BYTES
+    data = np.zeros((len(length), width), np.uint8)
+    taken = min(payloads.room, width)
+    data[:, :taken] = payloads.records.bytes_at(payloads.byte, taken)
+    data[np.arange(width) >= length[:, None]] = 0
+    return data

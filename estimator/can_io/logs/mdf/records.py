@@ -1,0 +1,143 @@
+"""Numbers and bytes of many records at once, however the records lie in memory.
+
+Records of one size follow each other, or stand in a table stored column after column, or lie among others at known
+places. Only what is asked for is gathered.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from estimator.can_io.logs.mdf.groups import REAL, UNSIGNED, Field, Times
+from estimator.signals import Floats
+
+Numbers = NDArray[np.unsignedinteger[Any]]
+Bytes = NDArray[np.uint8]
+SIZES = (1, 2, 4, 8)  # bytes of a number that are read at once
+
+
+class Records(ABC):
+    """Records (n,); fields must lie inside them."""
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def first(self, count: int) -> "Records":
+        """The first of them."""
+
+    @abstractmethod
+    def numbers(self, byte: int, form: str) -> NDArray[Any]:
+        """Values (n,) of a NumPy format that begin at a byte."""
+
+    @abstractmethod
+    def bytes_at(self, byte: int, count: int) -> Bytes:
+        """Bytes (n, count) from a byte on."""
+
+
+class Rows(Records):
+    """Records of ``size`` bytes that follow each other in ``data``, the first ``count`` of them."""
+
+    def __init__(self, data: bytes | bytearray | memoryview, size: int, count: int) -> None:
+        self._data = data
+        self._size = size
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def first(self, count: int) -> "Rows":
+        """The first of them."""
+        return Rows(self._data, self._size, count)
+
+    def numbers(self, byte: int, form: str) -> NDArray[Any]:
+        """Values (n,), as a view."""
+        return np.ndarray((self._count,), form, self._data, byte, (self._size,))
+
+    def bytes_at(self, byte: int, count: int) -> Bytes:
+        """Bytes (n, count), as a view."""
+        return np.ndarray((self._count, count), np.uint8, self._data, byte, (self._size, 1))
+
+
+class Table(Records):
+    """Records stored as a table, column after column of ``rows`` bytes, the first ``count`` of them."""
+
+    def __init__(self, data: bytes | bytearray, rows: int, first: int, count: int) -> None:
+        self._data = data
+        self._rows = rows
+        self._first = first
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def first(self, count: int) -> "Table":
+        """The first of them."""
+        return Table(self._data, self._rows, self._first, count)
+
+    def numbers(self, byte: int, form: str) -> NDArray[Any]:
+        """Values (n,), put together from columns."""
+        return np.ascontiguousarray(self.bytes_at(byte, np.dtype(form).itemsize)).view(form)[:, 0]
+
+    def bytes_at(self, byte: int, count: int) -> Bytes:
+        """Bytes (n, count), as a view."""
+        return np.ndarray((self._count, count), np.uint8, self._data, byte * self._rows + self._first, (1, self._rows))
+
+
+class Scattered(Records):
+    """Records that begin at the places ``at`` (n,) of a buffer, behind which there is room for the largest field."""
+
+    def __init__(self, data: bytes | bytearray, at: NDArray[np.int64]) -> None:
+        self._data = data
+        self._at = at
+
+    def __len__(self) -> int:
+        return len(self._at)
+
+    def first(self, count: int) -> "Scattered":
+        """The first of them."""
+        return Scattered(self._data, self._at[:count])
+
+    def numbers(self, byte: int, form: str) -> NDArray[Any]:
+        """Values (n,), gathered."""
+        kind = np.dtype(form)
+        window = np.ndarray((len(self._data) - kind.itemsize + 1,), kind, self._data, 0, (1,))
+        return window[self._at + byte]
+
+    def bytes_at(self, byte: int, count: int) -> Bytes:
+        """Bytes (n, count), gathered."""
+        return sliding_window_view(np.frombuffer(self._data, np.uint8), count)[self._at + byte]
+
+
+def unsigned(records: Records, field: Field) -> Numbers:
+    """Unsigned numbers (n,) of up to 64 bits in any place."""
+    size, is_big = -(-(field.bit + field.bits) // 8), field.kind == UNSIGNED[1]
+    if size in SIZES:
+        value: Numbers = records.numbers(field.byte, f"{'>' if is_big else '<'}u{size}")
+    else:
+        value = np.zeros(len(records), np.uint64)
+        for place in range(size):
+            byte = field.byte + (size - 1 - place if is_big else place)
+            value |= records.numbers(byte, "u1").astype(np.uint64) << np.uint64(8 * place)
+    if field.bit:
+        value = value >> value.dtype.type(field.bit)
+    if field.bit + field.bits == 8 * value.dtype.itemsize:
+        return value
+    return value & value.dtype.type((1 << field.bits) - 1)
+
+
+def times(records: Records, layout: Times, start: float) -> Floats:
+    """Times (n,) [s], the same floating-point numbers as of asammdf and python-can."""
+    field = layout.field
+    if field.kind in REAL:
+        raw = records.numbers(field.byte, f"{'>' if field.kind == REAL[1] else '<'}f{field.bits // 8}")
+    else:
+        raw = unsigned(records, field)
+    if (layout.factor, layout.offset) != (1, 0):
+        raw = raw * layout.factor
+        if layout.offset:
+            raw = raw + layout.offset
+    return raw.astype(np.float64) + start

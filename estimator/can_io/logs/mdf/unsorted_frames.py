@@ -1,0 +1,224 @@
+"""CAN frames of an ASAM MDF 4 file whose records of several kinds are in one stream, as loggers write them.
+
+The stream is decoded in pieces. A frame whose payload is a value of variable length refers to it by its offset among
+the values of that kind; the value is a record near it, before or after. What is not complete at the end of a piece is
+decoded with the next one.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.can_io.frames import FD_BYTES, Frames
+from estimator.can_io.logs.mdf.blocks import BadMdfError
+from estimator.can_io.logs.mdf.frames import Heads, Payloads, frames_of, heads
+from estimator.can_io.logs.mdf.groups import DataGroup, FrameGroup
+from estimator.can_io.logs.mdf.locate import ROOM, SIZE_BYTES, Located, Places, locate
+from estimator.can_io.logs.mdf.records import Numbers, Scattered, unsigned
+from estimator.can_io.logs.mdf.stream import Chunk
+
+JOINED = 1 << 20  # bytes that are decoded at once
+MAX_INCOMPLETE = 1 << 24  # bytes that wait for a frame or its payload to become complete
+NEVER = np.iinfo(np.int64).max  # a place behind every record
+
+
+class Values(NamedTuple):
+    """Values of variable length in a piece: places of their records (n,), sizes (n,) [bytes], and offsets (n + 1,).
+
+    Offsets count from the first value of the stream; the last one is that of the value to come.
+    """
+
+    at: Places
+    sizes: Places
+    offsets: Places
+
+
+class Found(NamedTuple):
+    """Frames of a group in a piece that can be read: places of their records (n,), and where their payloads are.
+
+    ``payload_at`` (n,) are places of records too: of values with the record id ``values``, or of the frames themselves.
+    ``ends_at`` is where the first frame begins that cannot be read, and ``fault`` says why, if not because its payload
+    is still to come.
+    """
+
+    group: FrameGroup
+    values: int | None
+    at: Places
+    payload_at: Places
+    heads: Heads
+    ends_at: int
+    fault: str
+
+
+class Decoded(NamedTuple):
+    """The frames at the beginning of a piece, counts of others, the bytes used, and what is wrong after them."""
+
+    frames: Frames
+    skipped: Counter[str]
+    used: int
+    fault: str
+
+
+class UnsortedStream:
+    """The records of a stream that may end anywhere if ``is_cut``; their times count from ``start`` [s]."""
+
+    def __init__(self, data_group: DataGroup, chunks: Iterator[Chunk], start: float, is_cut: bool) -> None:
+        self._groups = data_group.groups
+        self._id_bytes = data_group.id_bytes
+        self._chunks = chunks
+        self._start = start
+        self._is_cut = is_cut
+        self._frame_groups = [(group.record_id, group.frames) for group in data_group.groups if group.frames]
+        ids = {group.address: group.record_id for group in data_group.groups if group.has_variable_size}
+        self._value_ids: dict[int, int] = {}  # record ids of the payloads of groups
+        for _, group in self._frame_groups:
+            if group.times_at != group.address or (group.data.values and group.data.values not in ids):
+                raise BadMdfError(group.address, "CAN frames whose times or payloads are in another stream")
+            if group.data.values:
+                self._value_ids[group.address] = ids[group.data.values]
+        self._passed: Counter[int] = Counter()  # bytes of values, by record id
+
+    def frames(self, skipped: Counter[str]) -> Iterator[Frames]:
+        """The frames in order of the file; those without data are counted by kind in ``skipped``.
+
+        Raises
+        ------
+        BadMdfError
+            Where the stream is damaged or cut, after the frames before that.
+        """
+        rest, offset = b"", 0
+        for raw, is_last, offset in _pieces(self._chunks):
+            data = rest + raw
+            decoded = self._decode(data, is_last)
+            skipped.update(decoded.skipped)
+            yield decoded.frames
+            rest = data[decoded.used :]
+            if decoded.fault and not (self._is_cut and not rest.strip(b"\0")):
+                raise BadMdfError(offset, decoded.fault)
+            if decoded.fault:
+                return
+            if len(rest) > MAX_INCOMPLETE:
+                raise BadMdfError(offset, f"a record or payload that is incomplete after {len(rest)} bytes")
+        if rest and not self._is_cut:
+            raise BadMdfError(offset, "the last record or its payload is incomplete")
+
+    def _decode(self, data: bytes, is_last: bool) -> Decoded:
+        """The frames in records from the beginning of ``data`` on, which ends the stream if ``is_last``."""
+        buffer = data + bytes(ROOM)
+        located = locate(buffer, self._id_bytes, self._groups)
+        values = {number: self._values(buffer, located, number) for number in set(self._value_ids.values())}
+        found = [self._found(buffer, located, number, group, values) for number, group in self._frame_groups]
+        used = _used(found, values, located, is_last or bool(located.fault))
+        for number, each in values.items():
+            self._passed[number] = int(each.offsets[np.searchsorted(each.at, used)])
+        before = located.ids[: np.searchsorted(located.at, used)]
+        skipped: Counter[str] = Counter()
+        for group in self._groups:
+            if group.skipped:
+                skipped[group.skipped] += int(np.count_nonzero(before == group.record_id))
+        faults = [each.fault for each in found if each.fault and each.ends_at == used]
+        fault = next(iter(faults), located.fault if used == located.used else "")
+        return Decoded(self._frames(buffer, found, used), +skipped, used, fault)
+
+    def _values(self, buffer: bytes, located: Located, number: int) -> Values:
+        at = located.at[located.ids == number]
+        sizes = Scattered(buffer, at).numbers(self._id_bytes, "<u4").astype(np.int64)
+        offsets = np.cumsum(np.concatenate(([self._passed[number]], sizes + SIZE_BYTES)))
+        return Values(at, sizes, offsets)
+
+    def _found(
+        self, buffer: bytes, located: Located, number: int, group: FrameGroup, values: dict[int, Values]
+    ) -> Found:
+        at = located.at[located.ids == number]
+        value_id = self._value_ids.get(group.address)
+        payload_at, sizes, here, fault = at, np.full(len(at), group.data.bits // 8), len(at), ""
+        if value_id is not None:
+            offsets = unsigned(self._records(buffer, at), group.data)
+            payload_at, sizes = _referred(values[value_id], offsets)
+            if payload_at.max(initial=0) == NEVER:
+                here = int(np.argmax(payload_at))
+                is_passed = offsets[here] < values[value_id].offsets[-1]
+                fault = f"a payload at byte {offsets[here]} of its stream, where none begins" if is_passed else ""
+        found, wrong = heads(group, self._records(buffer, at[:here]), sizes[:here])
+        if wrong:
+            here, fault = len(found.ident), wrong
+        ends_at = int(at[here]) if here < len(at) else NEVER
+        return Found(group, value_id, at[:here], payload_at[:here], found, ends_at, fault)
+
+    def _frames(self, buffer: bytes, found: list[Found], used: int) -> Frames:
+        """The frames before a place, in order of the file."""
+        parts, places = [], []
+        for each in found:
+            count = int(np.searchsorted(each.at, used))
+            records = self._records(buffer, each.at[:count])
+            behind = each.group.data.byte if each.values is None else SIZE_BYTES
+            payloads = Payloads(self._records(buffer, each.payload_at[:count]), behind, FD_BYTES)
+            parts.append(frames_of(each.group, each.heads.first(count), records, payloads, self._start))
+            places.append(each.at[:count])
+        if len(parts) < 2:
+            return Frames.concatenate(parts)
+        return Frames.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
+
+    def _records(self, buffer: bytes, at: Places) -> Scattered:
+        """What follows the ids of records (n,)."""
+        return Scattered(buffer, at + self._id_bytes)
+
+
+def _referred(values: Values, offsets: Numbers) -> tuple[Places, Places]:
+    """Places (n,) and sizes (n,) [bytes] of the values at some offsets (n,), NEVER and 0 where there is none."""
+    if np.array_equal(offsets, values.offsets[:-1]):  # the rule: one a frame, in order
+        return values.at, values.sizes
+    place = np.searchsorted(values.offsets[:-1], offsets.astype(np.int64))
+    place[values.offsets[place] != offsets] = len(values.at)
+    return np.append(values.at, NEVER)[place], np.append(values.sizes, 0)[place]
+
+
+def _used(found: list[Found], values: dict[int, Values], located: Located, is_last: bool) -> int:
+    """The place before which every frame has its payload, and every payload its frame if more is to come."""
+    used = min([located.used, *(each.ends_at for each in found)])
+    if not is_last:
+        for number, every in values.items():
+            last = max(int(each.payload_at.max(initial=-1)) for each in found if each.values == number)
+            used = min([used, *every.at[np.searchsorted(every.at, last, "right") :][:1].tolist()])
+    while True:
+        early = [each.payload_at[(each.at >= used) & (each.payload_at < used)] for each in found]
+        if not any(map(len, early)):
+            return used
+        used = min(int(each.min()) for each in early if len(each))
+
+
+def _pieces(chunks: Iterator[Chunk]) -> Iterator[tuple[bytes, bool, int]]:
+    """Bytes of a stream to be decoded at once, whether they are the last, and where they begin in the file.
+
+    Raises
+    ------
+    BadMdfError
+        Of ``chunks``, after the bytes before it.
+    """
+    held: list[bytes | bytearray] = []
+    size, begin = 0, 0
+    damage: BadMdfError | None = None
+    try:
+        for data, offset in _slices(chunks):
+            if size + len(data) > JOINED:
+                yield b"".join(held), False, begin
+                held, size = [], 0
+            begin = begin if held else offset
+            held.append(data)
+            size += len(data)
+    except BadMdfError as error:
+        damage = error
+    if held:
+        yield b"".join(held), damage is None, begin
+    if damage is not None:
+        raise damage
+
+
+def _slices(chunks: Iterator[Chunk]) -> Iterator[tuple[bytes | bytearray, int]]:
+    """Bytes of at most the size of a piece, and where they are in the file."""
+    for chunk in chunks:
+        data = chunk.data()
+        for first in range(0, len(data), JOINED):
+            yield data[first : first + JOINED], chunk.offset
