@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.logs import open_log
 from estimator.can_io.logs.digits import decimal, hexadecimal, nibbles
+from estimator.errors import LogError
 
 ANY = st.characters(min_codepoint=1, max_codepoint=255)
 
@@ -135,3 +136,70 @@ def test_lines_across_pieces_of_a_file_are_read_once(suffix: str, monkeypatch: p
     frames = read(suffix, head + "".join(lines))
     assert frames.t.tolist() == [t for t, _ in rows]
     assert [bytes(row[:3]) for row in frames.data] == [data for _, data in rows]
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".csv", ".trc"])
+def test_a_carriage_return_inside_a_line_ends_no_line(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"drive{suffix}"
+    with can.Logger(path) as log:
+        for i in range(3):
+            log(can.Message(timestamp=float(i), arbitration_id=0x18FEF100, data=bytes(8)))
+    raw = path.read_bytes()
+    for place in range(raw.rstrip().rindex(b"\n") + 1, len(raw)):
+        path.write_bytes(raw[:place] + b"\r" + raw[place + 1 :])
+        try:
+            assert sum(map(len, open_log(path))) == 3
+        except LogError as error:
+            assert f"{path}:{raw.count(bytes([10]))}: " in str(error)  # noqa: PT017
+
+
+def trc_lines(version: str, start: int, count: int, rng: np.random.Generator) -> list[str]:
+    """Lines of traffic as PCAN programs write them, numbered on from a start."""
+    lines, t = [], 0.0
+    for number in range(start, start + count):
+        t += float(rng.choice([0.0, 0.1, 3.7, 1000.3]))
+        extended, length = rng.random() < 0.7, int(rng.choice([8, 8, 8, 0, 1, 5]))
+        ident = f"{rng.integers(1 << (29 if extended else 11)):0{8 if extended else 4}X}"
+        data = rng.bytes(length).hex(" ").upper()
+        kind = str(rng.choice(["data"] * 9 + ["remote", "error", "comment"]))
+        if kind == "comment":
+            lines.append("; a remark")
+        elif version == "1.0":
+            tail = {"data": f"{ident:>8}  {length}  {data}", "remote": f"{ident:>8}  {length}  RTR"}
+            lines.append(f"{number:6}) {int(t * 10):9}  " + tail.get(kind, "FFFFFFFF  4  00 00 00 08"))
+        elif version in ("1.1", "1.3"):
+            bus = f"{rng.integers(1, 3)}  " if version == "1.3" else ""
+            gap = "-  " if version == "1.3" else ""
+            tail = {"data": f"Rx  {ident:>8}  {gap}{length}  {data}", "remote": f"Tx  {ident:>8}  {gap}{length}  RTR"}
+            lines.append(f"{number:6}) {t:11.1f}  {bus}" + tail.get(kind, "Warng  FFFFFFFF  4  00 00 00 08"))
+        else:
+            form = str(rng.choice(["DT"] * 5 + ["FD", "FB"])) if kind == "data" else "RR"
+            bus = "1 " if version == "2.1" else ""
+            if version == "2.0" and form in ("FD", "FB"):
+                data, length = rng.bytes(12).hex(" "), 12
+            gap = "-  " if version == "2.1" else ""
+            tail = f"{bus}{ident:>8} Rx {gap}{length:<2} {data if kind == 'data' else ''}"
+            lines.append(f"{number:7} {t:13.3f} " + (f"{form} {tail}" if kind != "error" else "ST Rx  00 00 00 08"))
+    return lines
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("version", ["1.0", "1.1", "1.3", "2.0", "2.1"])
+def test_trc_is_read_as_python_can_reads_it(version: str, end: str) -> None:
+    columns = {"2.0": "N,O,T,I,d,l,D", "2.1": "N,O,T,B,I,d,R,L,D"}.get(version)
+    head = [";$FILEVERSION=" + version, ";$STARTTIME=43008.920986006946"] * (version != "1.0")
+    head += [f";$COLUMNS={columns}"] * (columns is not None) + [";   a remark"]
+    for seed, start in enumerate((1, 90, 99_990)):
+        rng = np.random.default_rng(seed)
+        text = end.join([*head, *trc_lines(version, start, 400, rng)]) + end
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "drive.trc")
+            path.write_text(text, newline="")
+            log = open_log(path)
+            frames = Frames.concatenate(list(log))
+            with can.LogReader(path) as reader:
+                messages = [m for m in reader if not m.is_error_frame and not m.is_remote_frame]
+        expected = Frames.from_messages(messages)
+        for field in ("t", "ident", "length", "data"):
+            assert np.array_equal(getattr(frames, field), getattr(expected, field)), field
+        assert log.skipped["remote frame"] > 0

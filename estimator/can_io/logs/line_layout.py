@@ -26,6 +26,7 @@ class Layout(NamedTuple):
     ``seconds``, ``fraction`` and ``ident`` are (first, end) columns; ``data`` are the first columns of the payload's
     bytes, or of its groups of four where it is base64; ``length`` is that of the payload [bytes]. ``largest`` bounds
     the id. Lines that equal this one outside their values up to the column ``end`` have the same layout.
+    ``number`` are the columns of a number that is of no interest, and of spaces before it.
     """
 
     seconds: tuple[int, int]
@@ -38,6 +39,7 @@ class Layout(NamedTuple):
     largest: int
     remote: bool = False
     coding: Coding = Coding.HEX
+    number: tuple[int, int] = (0, 0)
 
 
 NOTHING = Layout((0, 0), (0, 0), (0, 0), range(0), 0, 0, extended=False, largest=0)  # a line without a frame

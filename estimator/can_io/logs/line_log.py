@@ -119,7 +119,8 @@ class LineLog(Log):
         if not rows:
             return
         head = self._reader_head()
-        text = head + b"".join(lines.line(row) + b"\n" for row in rows)
+        # A carriage return inside a line would be the end of a line to python-can.
+        text = head + b"".join(lines.line(row).rstrip(b"\r").replace(b"\r", b" ") + b"\n" for row in rows)
         if not ended and rows[-1:] == [len(lines) - 1]:
             text = text[:-1]
         before = head.count(b"\n")

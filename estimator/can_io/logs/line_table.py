@@ -24,6 +24,7 @@ Rows = NDArray[np.intp]
 
 NEWLINE = 0x0A
 NO_DIGIT = 0xFF
+DIGITS = 10
 BASE64 = np.full(256, NO_DIGIT, np.uint8)  # value of a character
 BASE64[list(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")] = range(64)
 PAD = ord("=")
@@ -162,7 +163,7 @@ def _read_columns(table: Bytes, layout: Layout) -> _Columns:
 def _equal_outside_values(table: Bytes, layout: Layout) -> Mask:
     literal = np.zeros(table.shape[1], np.uint8)
     literal[: layout.end + 1] = 0xFF  # and the column after, which ends the last value
-    for part in (layout.seconds, layout.fraction, layout.ident):
+    for part in (layout.seconds, layout.fraction, layout.ident, layout.number):
         literal[slice(*part)] = 0
     for column in layout.data:
         literal[column : column + layout.coding.value] = 0
@@ -173,7 +174,14 @@ def _equal_outside_values(table: Bytes, layout: Layout) -> Mask:
         if mask:
             differing |= (column ^ column[0]) & mask
     equal: Mask = differing == 0
-    return equal
+    return equal & _is_number(table[:, slice(*layout.number)])
+
+
+def _is_number(chars: Bytes) -> Mask:
+    """Where characters (n, k) are spaces and then digits, up to the last."""
+    is_digit = (chars - ord("0") < DIGITS) & (chars >= ord("0"))
+    good: Mask = (is_digit | (chars == ord(" "))).all(axis=1) & (is_digit[:, 1:] >= is_digit[:, :-1]).all(axis=1)
+    return good & is_digit[:, -1] if chars.shape[1] else good
 
 
 def _shifted(columns: range, by: int) -> slice:

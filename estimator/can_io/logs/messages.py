@@ -1,40 +1,13 @@
-"""From python-can messages to batches of frames."""
-
-from collections.abc import Iterable, Iterator
+"""Which messages of python-can are data frames that a bus can carry."""
 
 import can
 from can.util import dlc2len
 
-from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES, Frames
-from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME, Log
+from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES
+from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
 
-CHUNK = 8192  # messages packed at once
 MAX_STANDARD_ID = 0x7FF
 MAX_EXTENDED_ID = 0x1FFFFFFF
-
-
-class MessageLog(Log):
-    """A log whose frames come as python-can messages."""
-
-    def _pack(self, messages: Iterable[can.Message]) -> Iterator[Frames]:
-        """Count error and remote frames, check the others, and yield them in batches.
-
-        Raises
-        ------
-        ValueError
-            At a message that no bus can carry.
-        """
-        held: list[can.Message] = []
-        for message in messages:
-            if kind := kind_of(message):
-                self.skipped[kind] += 1
-            else:
-                check_message(message)
-                held.append(message)
-            if len(held) == CHUNK:
-                yield Frames.from_messages(held)
-                held.clear()
-        yield Frames.from_messages(held)
 
 
 def kind_of(message: can.Message) -> str:

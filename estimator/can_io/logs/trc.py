@@ -4,9 +4,12 @@ from collections.abc import Iterable
 
 import can
 
+from estimator.can_io.logs.line_layout import Layout
+from estimator.can_io.logs.line_log import LineLog, line_from
+from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.log import ERROR_FRAME
 from estimator.can_io.logs.tap import Tap
-from estimator.can_io.logs.text import TextLog
+from estimator.can_io.logs.trc_line import layout, read_head
 
 OTHERS = {
     "ER": ERROR_FRAME,
@@ -17,10 +20,42 @@ OTHERS = {
     "Warng": "status line",
     "FFFFFFFF": "status line",
 }  # by the word that stands for the type of the line, or in version 1.0 for the id
+KEYS = (b";$FILEVERSION", b";$STARTTIME", b";$COLUMNS")
+MILLISECONDS = 1000  # in a second
 
 
-class TrcLog(TextLog):
+class TrcLog(LineLog):
     """A ``.trc`` log; times are python-can's, from the start time in the header on."""
+
+    def _begin(self) -> None:
+        self._keys: dict[bytes, bytes] = {}  # the lines of the header that say something
+        self._in_header = True
+
+    def _after_header(self, text: bytes) -> bytes:
+        start = 0
+        while start < len(text) and self._in_header:
+            line, after = line_from(text, start)
+            if line.strip() and not line.lstrip().startswith(b";"):
+                self._in_header = False
+                self._head = read_head(*(self._keys.get(key, b"").partition(b"=")[2] for key in KEYS))
+                break
+            self._keys |= {key: line.strip() for key in KEYS if line.strip().startswith(key)}
+            self._number += 1
+            self._check_idle()
+            start = after
+        return text[start:]
+
+    def _layout(self, line: bytes) -> Layout | None:
+        return None if self._head is None else layout(line, self._head)
+
+    def _settle(self, lines: Lines, ended: bool) -> None:
+        if self._head is not None:
+            lines.t /= MILLISECONDS
+            lines.t += self._head.start
+        self._hand_over(lines, sorted(lines.odd), ended)
+
+    def _reader_head(self) -> bytes:
+        return b"".join(line + b"\n" for line in self._keys.values())
 
     def _reader(self, tap: Tap) -> Iterable[can.Message]:
         return can.TRCReader(tap)
