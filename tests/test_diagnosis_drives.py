@@ -264,13 +264,14 @@ def test_a_filter_of_the_speed_is_all_there_is(diagnose):
 
 
 def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):
-    """A weak wind in town cannot be told from losses; the way back turns its sign and theirs not."""
-    answer = diagnose(drive("urban", 20, 13, Effect(name="headwind", magnitude=2.5)))
+    """A torque offset takes power with the engine speed, a load does not: another gear at the same speed tells."""
+    answer = diagnose(drive("highway", 20, 18, Effect(name="torque_bias", magnitude=30.0)))
     assert answer["verdict"] == "cannot tell"
     experiment = answer["experiments"][0]
-    assert (experiment["a"], experiment["what"]) == ("headwind", "the same speeds on the way back")
+    assert {experiment["a"], experiment["b"]} == {"torque_bias", "auxiliary_load"}
+    assert "in the next lower gear" in experiment["what"]
     assert experiment["expected"] > 5 > experiment["now"]
-    assert any("the same speeds on the way back (log Bayes factor to expect +" in line for line in answer["advice"])
+    assert any("in the next lower gear (log Bayes factor +" in line for line in answer["advice"])
 
 
 def test_noise_alone_gives_the_evidence_of_a_wind_to_none_of_its_records(diagnose):

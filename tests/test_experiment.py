@@ -90,15 +90,27 @@ def test_the_way_back_is_considered_where_the_heading_is_known(state: DriveState
     assert_allclose(experiment.driven(turned, back).context[Quantity.HEADING], 0.5 + np.pi)
 
 
+EVIDENCE = {"auxiliary_load": 6.0, "rotating_inertia": 4.0}
+
+
 def test_idling_tells_a_load_of_the_engine_where_it_is_not_known(state: DriveState) -> None:
     acting, other = form_of(state, "auxiliary_load", 1.5e4), form_of(state, "rotating_inertia", 3.0)
-    (idling,) = [choice for choice in experiment.choices(state, acting, other) if "idling" in choice.what]
-    now = expected(state, acting, other, None)
-    assert idling.expected - now == pytest.approx(0.5 * (1.5e4 / (800 + 0.15 * 1.5e4)) ** 2)  # inertia takes none there
-    settled = experiment.choices(replace(state, rest=AtRest(1.5e4, 1e3, 63.0)), acting, other)
-    assert not any("idling" in choice.what for choice in settled)
-    assert min(choice.now for choice in settled) > now + 10
+    (idling,) = [choice for choice in experiment.choices(state, acting, other, EVIDENCE) if "idling" in choice.what]
+    assert idling.now == 2.0
+    assert idling.expected - 2.0 == pytest.approx(0.5 * (1.5e4 / (800 + 0.15 * 1.5e4)) ** 2)  # inertia takes none there
+    known = replace(state, rest=AtRest(1.5e4, 1e3, 63.0))
+    assert not any("idling" in choice.what for choice in experiment.choices(known, acting, other, EVIDENCE))
+
+
+def test_a_manoeuvre_counts_as_far_as_the_search_has_found_the_same_evidence(state: DriveState) -> None:
+    other = form_of(state, "rotating_inertia", 3.0)
+    gains = []
+    for gain in (6.0, 12.0, 3.0, -1.0):
+        acting = replace(form_of(state, "auxiliary_load", 1.5e4), gain=gain)
+        gains.append(experiment.choices(state, acting, other, EVIDENCE)[0].expected - 2.0)
+    assert gains[0] > 0
+    assert gains == pytest.approx([gains[0], 0.5 * gains[0], gains[0], 0.0])
 
 
 def test_a_pair_that_the_drive_cannot_judge_is_left_out(state: DriveState) -> None:
-    assert experiments(state, [(BY_NAME["cornering"], BY_NAME["auxiliary_load"])]) == ()
+    assert experiments(state, [(BY_NAME["cornering"], BY_NAME["auxiliary_load"])], EVIDENCE) == ()

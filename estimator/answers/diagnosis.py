@@ -164,8 +164,7 @@ class Invisible(Struct, frozen=True, kw_only=True):
 class Experiment(Struct, frozen=True, kw_only=True):
     """What would tell effect ``a``, as it was found, from ``b``, or from none where ``b`` is empty.
 
-    Log Bayes factors to expect of the drive alone (``now``), and with the experiment, which takes ``minutes``; 0 for a
-    signal.
+    Log Bayes factors: of the drive alone (``now``), and to be expected with it. ``minutes`` that it takes; 0: a signal.
     """
 
     a: str

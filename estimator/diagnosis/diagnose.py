@@ -141,7 +141,11 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int)
         advice=facts.advice(outcome, verdict, named),
         experiments=()
         if beside is None
-        else experiments(beside.longest, facts.unsettled(outcome, verdict, named)[:MAX_EXPERIMENTS]),
+        else experiments(
+            beside.longest,
+            facts.unsettled(outcome, verdict, named)[:MAX_EXPERIMENTS],
+            {finding.name: finding.log_bayes_factor for finding in ranking},
+        ),
         streaming_effects=facts.streaming_effects(named, before.terms),
         budget=None if beside is None else beside.budget,
         gap_map=gap_map(before, after),

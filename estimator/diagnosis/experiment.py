@@ -8,7 +8,7 @@ which needs the columns only, not the measurement. So it is computed for the str
 manoeuvre that nobody has driven yet: level, in the gear that is usual at its speed, without wind from aside.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,33 +48,41 @@ class Manoeuvre:
         return (self.pause + sum(len(part) * DURATION + PART_GAP for part in self.parts)) / 60
 
 
-def experiments(state: DriveState, pairs: Sequence[tuple[Effect, Effect | None]]) -> tuple[Experiment, ...]:
-    """For each pair what gives most evidence; None: nothing acts. A pair that the drive cannot judge is left out."""
+def experiments(
+    state: DriveState, pairs: Sequence[tuple[Effect, Effect | None]], evidence: Mapping[str, float]
+) -> tuple[Experiment, ...]:
+    """For each pair what gives most evidence; None: nothing acts. A pair that the drive cannot judge is left out.
+
+    ``evidence``: log Bayes factors of the effects by name, as the search found them.
+    """
     found = []
     for one, other in pairs:
         effects = [effect for effect in (one, other) if effect is not None]
         names = {effect.name for effect in effects}
         rest = replace(state, chosen=tuple(c for c in state.chosen if c.name not in names))
         forms = rest.forms(effects)
-        if names <= forms.keys():
-            possible = choices(rest, forms[one.name], None if other is None else forms[other.name])
+        if names <= forms.keys() & evidence.keys():
+            possible = choices(rest, forms[one.name], None if other is None else forms[other.name], evidence)
             found.append(max(possible, key=lambda choice: choice.expected))
     return tuple(found)
 
 
-def choices(state: DriveState, acting: Form, other: Form | None) -> list[Experiment]:
-    """All manoeuvres, and the signal of a state where times were fitted, with the evidence to expect."""
-    idling = _at_rest(acting, other)
-    known = 0.0 if state.rest is None else idling
-    now = expected(state, acting, other, None) + known
-    found = [(m.name, m.minutes, expected(state, acting, other, m) + known) for m in manoeuvres(state)]
+def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mapping[str, float]) -> list[Experiment]:
+    """All manoeuvres, and the signal of a state where times were fitted, with the evidence to expect.
+
+    What a manoeuvre adds by this likelihood counts as far as this likelihood and the search agree on the drive itself.
+    """
+    a, b = acting.component.name, "" if other is None else other.component.name
+    now = evidence[a] - (max(evidence[b], 0.0) if b else 0.0)
+    trust = float(np.clip(evidence[a] / acting.gain, 0.0, 1.0)) if acting.gain > 0 else 0.0
+    alone = expected(state, acting, other, None)
+    found = [(m.name, m.minutes, trust * (expected(state, acting, other, m) - alone)) for m in manoeuvres(state)]
     if state.rest is None:
-        found.append(("two minutes of idling at rest", 2.0, now + idling))
+        found.append(("two minutes of idling at rest", 2.0, _at_rest(acting, other)))
     term = acting.component.term
     if acting.component.cost and term is not None and term.effect.timing is not Timing.STEP:
-        found.append(("its state on the bus", 0.0, acting.gain + acting.component.cost))
-    a, b = acting.component.name, "" if other is None else other.component.name
-    return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=e) for what, minutes, e in found]
+        found.append(("its state on the bus", 0.0, acting.component.cost))
+    return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=now + e) for what, minutes, e in found]
 
 
 def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Manoeuvre | None) -> float:

@@ -139,7 +139,7 @@ class Advice:
 class Experiment:
     """What would tell effect ``a``, as it was found, from ``b``, or from none where ``b`` is empty.
 
-    Log Bayes factors to expect: of the drive alone (``now``), and with it. ``minutes`` that it takes; 0 for a signal.
+    Log Bayes factors: of the drive alone (``now``), and to be expected with it. ``minutes`` that it takes; 0: a signal.
     """
 
     a: str

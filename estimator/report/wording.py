@@ -104,7 +104,7 @@ def is_worthwhile(d: Diagnosis, e: Experiment) -> bool:
 
 def _experiment(e: Experiment) -> str:
     pair = f"{e.a} or {e.b}" if e.b else f"{e.a} or nothing"
-    return f"{pair}: {e.what} (log Bayes factor to expect {bayes(e.expected)}, of this drive alone {bayes(e.now)})"
+    return f"{pair}: {e.what} (log Bayes factor {bayes(e.now)}, to be expected then {bayes(e.expected)})"
 
 
 def configuration(d: Diagnosis) -> str:
