@@ -13,6 +13,7 @@ from estimator.components.budget import NOISE, ROAD, budget
 from estimator.components.component import Component, Frame, hats, of_effect, processes
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.search import AtRest, DriveState, search
+from estimator.components.set_likelihood import SetLikelihood
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.estimation.road_fit import best_shapes, fit
@@ -106,6 +107,24 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
     none = joint.log_evidence([])
     for chosen in ([0], [1], [2], [0, 2], [0, 1, 2]):
         assert joint.log_evidence(chosen) - none == pytest.approx(dense(chosen) - dense([]), abs=0.05)
+
+
+def test_what_a_set_imitates_is_the_change_of_its_fit(strides, quiet):
+    joint = joint_of(strides, quiet, names=("auxiliary_load", "warm_up"))
+    chosen, left_out, size = [1], 0, 5e3
+    before = joint.posterior(chosen).mean
+    column = joint.data[:, 1 + joint.places[left_out][0]]
+    other = SetLikelihood(
+        np.column_stack([joint.data[:, 0] + size * column, joint.data[:, 1:]]),
+        joint.conditioned.gram,
+        joint._prior,
+        joint.priors,
+        joint.places,
+        joint.unit,
+    )
+    other._information = joint._information  # corrected for the noise of the torque
+    change = other.posterior(chosen).mean - before
+    assert_allclose(size * joint.imitated(chosen, left_out), change, rtol=1e-6, atol=1e-9 * np.abs(before).max())
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):

@@ -226,7 +226,10 @@ def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
     )
     both, left = ask("diagnose", log), ask("diagnose", log, "--effect", "grade")
     assert named(both) == ["grade", "auxiliary_cycling"]
-    assert not {each["name"] for each in both["invisible"]} & set(named(both))
+    unseen = {each["name"]: each for each in both["invisible"]}
+    assert not unseen.keys() & set(named(both))
+    gain = unseen["torque_gain"]["parameter_shift"]  # 5 % of the mass, whatever the road
+    assert gain["mass_kg"] == pytest.approx(0.05 * TRUCK.mass, rel=0.1)
     assert (left["verdict"], named(left)) == ("effect", ["auxiliary_cycling"])
     (fan,) = left["effects"]
     assert fan["log_bayes_factor"] > 5

@@ -148,6 +148,14 @@ class SetLikelihood:
         gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * usual**2)
         return Judged(gain + np.where(positive, log_ndtr(value / sd) + np.log(2), 0.0), value, sd)
 
+    def imitated(self, chosen: Sequence[int], index: int) -> Floats:
+        """Change (p,) of the amplitudes of base and set, in own units, by a unit of a component that is left out."""
+        places, information, _ = self._set(chosen)
+        (new,) = self.places[index]
+        change: Floats = np.linalg.solve(information, self._information[places, new])
+        in_own_units: Floats = change / self.unit[places]
+        return in_own_units
+
     def projected(self, chosen: Sequence[int], columns: Floats) -> tuple[Floats, Floats]:
         """Products (c, c) and scores (c,) of further ``columns``, off a set of components.
 

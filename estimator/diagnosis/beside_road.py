@@ -12,14 +12,16 @@ import numpy as np
 
 from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import ROAD, UNKNOWN, WHITE, Budget, Part, budget
-from estimator.components.component import Component, Frame, of_term
+from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.search import AtRest, Choice, DriveState, Explained, Ranked, ranked, search
 from estimator.diagnosis.candidates import IDLE_POWER_SD, IDLE_POWER_SHARE
+from estimator.diagnosis.isolability import evidence_of, is_lasting
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Magnitude, Shift, Span
+from estimator.diagnosis.result import HIDDEN_GRADE, Finding, GapClosed, Invisible, Magnitude, Shift, Span
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
+from estimator.estimation.road_fit import theta_jacobian
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.model.design_matrix import Spans
 from estimator.model.effects import Effect
@@ -162,6 +164,27 @@ class BesideRoad:
             span=() if term is None else self._clock(which, term.spans or ()),
             detail="" if term is None else _detail(term.shape, effect),
         )
+
+    def invisible(self, effects: Sequence[Effect]) -> tuple[Invisible, ...]:
+        """Effects that could act at their usual size beside the road without evidence, and the shift they cause."""
+        drive, limits = self.longest, self.thresholds
+        known, present = frozenset(drive.strides.context), {component.name for component in drive.chosen}
+        lasting = [effect for effect in effects if is_lasting(effect) and effect.name not in present]
+        frame, ours = Frame.of(drive.fit), range(len(drive.chosen))
+        forms = [(effect, form) for effect in lasting for form in of_effect(frame, effect, known)]
+        joint = drive.joint([form for _, form in forms])
+        places = range(len(ours), len(ours) + len(forms))
+        sds = joint.gains(ours, places).sd
+        jacobian = theta_jacobian(joint.posterior(ours).mean[: joint.base_size], 0)
+        best: dict[str, Invisible] = {}
+        for place, sd, (effect, form) in zip(places, sds.tolist(), forms, strict=True):
+            strength = float(np.sqrt(max((form.sd / sd) ** 2 - 1.0, 0.0)))  # less the prior's own
+            A, C, m, *_ = (jacobian @ joint.imitated(ours, place)[: joint.base_size] * form.sd).tolist()
+            found = Invisible(effect.name, evidence_of(strength), Shift(mass=m, A=A, C=C), effect.breaks)
+            most = best.setdefault(effect.name, found)
+            if found.expected_log_bayes_factor > most.expected_log_bayes_factor:
+                best[effect.name] = found
+        return tuple(one for one in best.values() if one.expected_log_bayes_factor < limits.min_expected_log_bf)
 
     def _clock(self, which: int, spans: Spans) -> tuple[Span, ...]:
         """Times of a drive as its log counts them."""

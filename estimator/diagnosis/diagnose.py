@@ -124,7 +124,10 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int)
     at_last = assess(after, averages_of(after), outcome.effects, drive.record.known, drive.rest)
     told = {finding.name for finding in named}
     others = [effect for effect in outcome.effects if effect.name not in told]
-    unseen = tuple(invisible(others, at_last, after, drive.record.known, outcome.thresholds))
+    if beside is not None and beside.is_on_hills:
+        unseen = beside.invisible([effect for effect in others if not effect.is_gravity])
+    else:
+        unseen = tuple(invisible(others, at_last, after, drive.record.known, outcome.thresholds))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
     diagnosis = Diagnosis(
         verdict=verdict,

@@ -21,9 +21,13 @@ def isolability(candidates: Sequence[Candidate], model: Model) -> Isolability:
 
 
 def expected_evidence(candidate: Candidate, model: Model) -> float:
-    """Log Bayes factor to be expected of an effect of usual size: Gaussian likelihood, Laplace's approximation."""
-    strength = candidate.term.effect.usual(model.road_load) / candidate.sd
-    return float(0.5 * strength**2 - np.log(max(strength, 1.0)) - candidate.cost)
+    """Log Bayes factor to be expected of an effect of usual size."""
+    return evidence_of(candidate.term.effect.usual(model.road_load) / candidate.sd) - candidate.cost
+
+
+def evidence_of(strength: float) -> float:
+    """Log Bayes factor to be expected of a usual size of ``strength`` standard deviations: Laplace's approximation."""
+    return float(0.5 * strength**2 - np.log(max(strength, 1.0)))
 
 
 def invisible(
@@ -42,10 +46,14 @@ def invisible(
             continue
         candidate = judged.get(effect.name)
         expected = expected_evidence(candidate, model) if candidate else 0.0
-        is_lasting = effect.absorbed or effect.timing is Timing.ALWAYS
-        if is_lasting and expected < thresholds.min_expected_log_bf:
+        if is_lasting(effect) and expected < thresholds.min_expected_log_bf:
             found.append(Invisible(effect.name, expected, _shift(effect, model, known), effect.breaks))
     return found
+
+
+def is_lasting(effect: Effect) -> bool:
+    """Whether it acts throughout, so that it can hide in the road load."""
+    return effect.absorbed or effect.timing is Timing.ALWAYS
 
 
 def _shift(effect: Effect, model: Model, known: frozenset[Quantity]) -> Shift:
