@@ -294,6 +294,8 @@ def test_what_is_in_no_catalogue_is_unknown(diagnose):
     assert answer["candidates"][0]["name"] == "unknown effect"
     assert answer["remaining"]["verdict"] == "unknown effect"
     assert answer["remaining"]["log_bayes_factor"] > 20
+    assert "road" not in {part["cause"] for part in answer["budget"]}
+    assert sum(part["share"] for part in answer["budget"]) == pytest.approx(1.0)
 
 
 def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):

@@ -67,6 +67,10 @@ class Budget:
         """The part of one cause, None where it has none."""
         return next((part for part in self.parts if part.cause == cause), None)
 
+    def renamed(self, cause: str, to: str) -> "Budget":
+        """The same with another name for a cause."""
+        return replace(self, parts=tuple(replace(p, cause=to) if p.cause == cause else p for p in self.parts))
+
     @property
     def floor(self) -> float:
         """Root mean square [W] of what the sensors' noise and forces without memory leave."""

@@ -28,6 +28,7 @@ from estimator.model.effects import Effect
 from estimator.signals import Quantity
 
 MIN_LOG_BF_POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen is part of the budget
+FORCE_BY_PLACE = f"{UNKNOWN}force over distance"  # what the road as a state takes up where something else acts
 SLOPE_LENGTH = 300.0  # m, after which a road has another slope
 
 
@@ -274,6 +275,8 @@ def beside_road(outcome: Outcome) -> BesideRoad | None:
     counted = [found[0] if found is not None and found[1] > least else None for found in unnamed]
     possible = [_possible(explained, i) for i in range(len(states))]
     split = budget(explained.drives, possible, counted, outcome.rng)
+    if not is_on_hills and outcome.verdict is Verdict.UNKNOWN:
+        split = split.renamed(ROAD, FORCE_BY_PLACE)
     return BesideRoad(
         explained=explained,
         left_over=left,
