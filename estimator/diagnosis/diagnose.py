@@ -149,7 +149,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int)
             facts.unsettled(outcome, verdict, named)[:MAX_EXPERIMENTS],
             {finding.name: finding.log_bayes_factor for finding in ranking},
         ),
-        streaming_effects=facts.streaming_effects(named, before.terms),
+        streaming_effects=facts.streaming_effects(named, before.terms) if verdict is Verdict.EFFECT else (),
         budget=None if beside is None else beside.budget,
         gap_map=gap_map(before, after),
         traces=_traces(outcome),
