@@ -151,7 +151,7 @@ def _read_columns(table: Bytes, layout: Layout) -> _Columns:
     parts, valid = decimal(same[:, slice(*layout.fraction)])
     good &= valid
     ident, valid = hexadecimal(same[:, slice(*layout.ident)])
-    good &= valid & (ident <= layout.largest)
+    good &= valid & (ident <= layout.largest) & _is_number(same[:, slice(*layout.number)])
     data, valid = _hex_payload(same, layout) if layout.coding is Coding.HEX else _base64_payload(same, layout)
     good &= valid
     if good.all():
@@ -174,14 +174,16 @@ def _equal_outside_values(table: Bytes, layout: Layout) -> Mask:
         if mask:
             differing |= (column ^ column[0]) & mask
     equal: Mask = differing == 0
-    return equal & _is_number(table[:, slice(*layout.number)])
+    return equal
 
 
 def _is_number(chars: Bytes) -> Mask:
     """Where characters (n, k) are spaces and then digits, up to the last."""
-    is_digit = (chars - ord("0") < DIGITS) & (chars >= ord("0"))
-    good: Mask = (is_digit | (chars == ord(" "))).all(axis=1) & (is_digit[:, 1:] >= is_digit[:, :-1]).all(axis=1)
-    return good & is_digit[:, -1] if chars.shape[1] else good
+    good, is_digit = np.ones(len(chars), np.bool_), np.zeros(len(chars), np.bool_)
+    for column in chars.T:
+        was_digit, is_digit = is_digit, column - ord("0") < DIGITS  # unsigned: a character below "0" gives a large one
+        good &= is_digit | ((column == ord(" ")) & ~was_digit)
+    return good & is_digit if chars.shape[1] else good
 
 
 def _shifted(columns: range, by: int) -> slice:
