@@ -180,7 +180,7 @@ class Decoder:
                 chosen = chosen[np.argsort(chosen.t, kind="stable")]
             if len(chosen) and chosen.length.min() < need:
                 whole = chosen.length >= need
-                self.rejected[f"{message.name}: short frame"] += int((~whole).sum())
+                self.rejected[f"{message.name}: short frame"] += int(np.count_nonzero(~whole))
                 chosen = chosen[whole]
             self._decode_message(message, chosen, end, out)
         if self.contested:
@@ -202,10 +202,10 @@ class Decoder:
             useful |= taken
             if self._choices[_path(message, bound)].source is not None:
                 spoken_for |= here
-        self.used += int(useful.sum())
+        self.used += int(np.count_nonzero(useful))
         idle = carrying & ~useful
         for reason, mask in (("other source address", idle & spoken_for), ("no valid value", idle & ~spoken_for)):
-            if count := int(mask.sum()):
+            if count := int(np.count_nonzero(mask)):
                 self.rejected[f"{message.name}: {reason}"] += count
 
     def _take(
@@ -224,11 +224,11 @@ class Decoder:
         taken = verdict.taken
         self.replaced |= verdict.replaced
         for reason, mask in masks.items():
-            if count := int((mask & taken).sum()):
+            if count := int(np.count_nonzero(mask & taken)):
                 self.rejected[f"{path}: {reason}"] += count
         if verdict.contested:
             self.contested[path] = verdict.contested
-            if count := int(np.isfinite(value[taken]).sum()):
+            if count := int(np.count_nonzero(np.isfinite(value[taken]))):
                 self.rejected[f"{path}: contested, {verdict.contested}"] += count
             value = np.full(len(value), np.nan)
         else:
