@@ -1,6 +1,7 @@
 """MF4 logs in every layout, against the frames they were made of and python-can's reader; and damaged ones."""
 
 import struct
+import sys
 import tempfile
 import tracemalloc
 from dataclasses import replace
@@ -14,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mdf_files import START, Recorded, Style, mdf
 from test_logs import FD_LENGTHS, assert_read_or_refused, message_of, recorded, write
 
 from estimator.can_io.frames import Frames
@@ -24,6 +24,10 @@ from estimator.can_io.logs.mdf.groups import Group
 from estimator.can_io.logs.mdf.locate import ROOM, Chain, locate
 from estimator.can_io.logs.mdf.merging import merged
 from estimator.errors import LogError
+
+sys.path.append(str(Path(__file__).parents[1] / "tools"))
+
+from mdf_files import START, Recorded, Style, mdf
 
 FIELDS = ("t", "ident", "length", "data")
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import can
 import numpy as np
 from cantools.database import Message
+from mdf_files import Recorded, Style, mdf
 
 from estimator.can_io.binding import BoundMessage, bind, load_database
 from estimator.can_io.decoder import Decoder
@@ -28,7 +29,9 @@ from estimator.config import Config
 from estimator.simulation.recording import simulate
 from estimator.simulation.truck import Truck
 
-FORMATS = (".blf", ".asc", ".log", ".csv", ".trc", ".mf4")
+LOGGER = "logger.mf4"  # unsorted and never closed, as loggers write it; the others are of python-can's writers
+FORMATS = (".blf", ".asc", ".log", ".csv", ".trc", ".mf4", LOGGER)
+MF4 = (".mf4", LOGGER)
 DBC = Path(__file__).resolve().parents[1] / "dbc" / "j1939.dbc"
 EXTENDED_PGN = 0x3FFFF00  # bits of an id that hold the PGN of a broadcast message
 Reader = Callable[[Path], int]  # gives the number of frames
@@ -82,6 +85,15 @@ def asammdf_read(path: Path) -> int:
         return len(ids)
 
 
+def mdfreader_read(path: Path) -> int:
+    """Times, ids and bytes as arrays."""
+    from mdfreader import Mdf
+
+    log = Mdf(str(path))
+    log.get_channel_data("CAN_DataFrame.DataBytes")
+    return len(log.get_channel_data("CAN_DataFrame.ID"))
+
+
 def asammdf_decode(path: Path) -> int:
     """All signals of the database, as arrays."""
     from asammdf import MDF
@@ -98,8 +110,9 @@ READERS: dict[str, tuple[Reader, tuple[str, ...], str]] = {  # function, formats
     "python-can: read": (python_can_read, FORMATS, "can"),
     "python-can + cantools: decode": (python_can_cantools, FORMATS, "cantools"),
     "vblf: read": (vblf_read, (".blf",), "vblf"),
-    "asammdf: read": (asammdf_read, (".mf4",), "asammdf"),
-    "asammdf: decode": (asammdf_decode, (".mf4",), "asammdf"),
+    "asammdf: read": (asammdf_read, MF4, "asammdf"),
+    "asammdf: decode": (asammdf_decode, MF4, "asammdf"),
+    "mdfreader: read": (mdfreader_read, (".mf4",), "mdfreader"),
 }
 
 
@@ -135,12 +148,39 @@ def rate(reader: Reader, path: Path, frames: int, repeats: int) -> float:
 
 def write(frames: Frames, folder: Path, formats: list[str]) -> dict[str, Path]:
     """The same frames in every format."""
-    paths = {suffix: folder / f"drive{suffix}" for suffix in formats}
-    for path in paths.values():
+    paths = {suffix: folder / (suffix if suffix == LOGGER else f"drive{suffix}") for suffix in formats}
+    for suffix, path in paths.items():
+        if suffix == LOGGER:
+            path.write_bytes(mdf(_recorded(frames), Style(is_sorted=False, payload="values", open_flags=5)))
+            continue
         with can.Logger(path) as log:
             for message in frames.messages():
                 log(message)
     return paths
+
+
+def _recorded(frames: Frames) -> list[Recorded]:
+    return [
+        Recorded(
+            t=message.timestamp - float(frames.t[0]), ident=message.arbitration_id, extended=message.is_extended_id,
+            data=bytes(message.data),
+        )
+        for message in frames.messages()
+    ]  # fmt: skip
+
+
+def measure(minutes: float, repeats: int, formats: list[str]) -> tuple[int, dict[str, dict[str, float]]]:
+    """Number of frames, and their rate [1/s] by reader and format."""
+    truck = Truck(mass=27_190.0, A=1739.0, C=3.74)
+    frames = frames_of(simulate(truck, "highway", 60 * minutes, np.random.default_rng(1)).signals)
+    with tempfile.TemporaryDirectory() as scratch:
+        paths = write(frames, Path(scratch), formats)
+        rates = {
+            name: {suffix: rate(reader, paths[suffix], len(frames), repeats) for suffix in known if suffix in paths}
+            for name, (reader, known, package) in READERS.items()
+            if importlib.util.find_spec(package) is not None
+        }
+    return len(frames), rates
 
 
 def main() -> int:
@@ -150,24 +190,12 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--only", nargs="+", choices=FORMATS, default=list(FORMATS))
     options = parser.parse_args()
-    truck = Truck(mass=27_190.0, A=1739.0, C=3.74)
-    frames = frames_of(simulate(truck, "highway", 60 * options.minutes, np.random.default_rng(1)).signals)
-    with tempfile.TemporaryDirectory() as scratch:
-        paths = write(frames, Path(scratch), options.only)
-        rates = {
-            name: {
-                suffix: rate(reader, paths[suffix], len(frames), options.repeats)
-                for suffix in formats
-                if suffix in paths
-            }
-            for name, (reader, formats, package) in READERS.items()
-            if importlib.util.find_spec(package) is not None
-        }
-    print(f"{len(frames):,} frames; million frames a second of processor time (times python-can)\n")
-    print("| reader |", " | ".join(paths), "|\n|---|" + "---|" * len(paths))
+    frames, rates = measure(options.minutes, options.repeats, options.only)
+    print(f"{frames:,} frames; million frames a second of processor time (times python-can)\n")
+    print("| reader |", " | ".join(options.only), "|\n|---|" + "---|" * len(options.only))
     base = rates["python-can: read"]
     for name, found in rates.items():
-        cells = [f"{found[s] / 1e6:.2f} ({found[s] / base[s]:.1f})" if s in found else "" for s in paths]
+        cells = [f"{found[s] / 1e6:.2f} ({found[s] / base[s]:.1f})" if s in found else "" for s in options.only]
         print(f"| {name} |", " | ".join(cells), "|")
     return 0
 

@@ -1,9 +1,8 @@
-"""ASAM MDF 4 bus logs as different writers make them, put together byte by byte."""
+"""ASAM MDF 4 bus logs as different writers make them, put together byte by byte, for tests and measurements."""
 
 import struct
 import zlib
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -56,6 +55,7 @@ class Writer:
         self.raw = bytearray(head + bytes(104))  # and room for the header
 
     def add(self, kind: bytes, links: list[int], body: bytes) -> int:
+        """Place a block; its address."""
         self.raw += bytes(-len(self.raw) % 8)
         address = len(self.raw)
         self.raw += struct.pack("<4s4xQQ", kind, 24 + 8 * len(links) + len(body), len(links))
@@ -63,16 +63,18 @@ class Writer:
         return address
 
     def text(self, text: str) -> int:
+        """Place a text; its address."""
         return self.add(b"##TX", [], text.encode() + b"\0")
 
     def finish(self, data_group: int) -> bytes:
+        """The file, given its first group of records."""
         links = [data_group, 0, 0, 0, 0, 0]
         header = struct.pack("<4s4xQQ6QQhhBBBxdd", b"##HD", 104, 6, *links, START, 0, 0, 2, 0, 0, 0.0, 0.0)
         self.raw[64 : 64 + len(header)] = header
         return bytes(self.raw)
 
     def channel(self, following: int, name: str, place: tuple[int, int, int, int], **more: int) -> int:
-        """``place`` is the byte, bit, number of bits and type of data."""
+        """A channel; ``place`` is the byte, bit, number of bits and type of data."""
         byte, bit, bits, kind = place
         links = [following, more.get("parts", 0), self.text(name), 0, more.get("conversion", 0), more.get("data", 0)]
         body = struct.pack(
@@ -125,10 +127,6 @@ def mdf(frames: list[Recorded], style: Style) -> bytes:
     """A file with the frames in the given order."""
     writer = Writer(style)
     return writer.finish(_sorted(writer, frames) if style.is_sorted else _unsorted(writer, frames))
-
-
-def write_mdf(path: Path, frames: list[Recorded], style: Style) -> None:
-    path.write_bytes(mdf(frames, style))
 
 
 def _times(writer: Writer, following: int) -> int:
