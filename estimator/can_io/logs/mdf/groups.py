@@ -53,7 +53,7 @@ class Times(NamedTuple):
 class FrameGroup:
     """Records that are CAN frames.
 
-    ``extended`` and ``channel`` may be missing; ``times_at`` is the group that holds the times, this one as a rule.
+    ``extended`` may be missing; ``times_at`` is the group that holds the times, this one as a rule.
     """
 
     address: int
@@ -63,12 +63,11 @@ class FrameGroup:
     extended: Field | None
     length: Field
     data: Field
-    channel: Field | None
 
     @property
     def needed(self) -> int:
         """Bytes of a record that holds all values."""
-        fields = (self.ident, self.extended, self.length, self.data, self.channel)
+        fields = (self.ident, self.extended, self.length, self.data)
         own_times = self.times.field.end if self.times_at == self.address else 0
         return max(own_times, *(field.end for field in fields if field is not None))
 
@@ -193,7 +192,6 @@ def _frame_group(file: MdfFile, group: Block, flags: int, names: dict[str, Block
         extended=_unsigned(parts["IDE"]) if "IDE" in parts else None,
         length=_unsigned(parts["DataLength"]),
         data=data,
-        channel=_unsigned(parts["BusChannel"]) if "BusChannel" in parts else None,
     )
 
 
