@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import truncnorm
 
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.answers.diagnosis import Verdict
@@ -14,6 +15,7 @@ from estimator.components.formula import Variable, best_formula, judged, units_o
 from estimator.components.set_likelihood import SetLikelihood, places_of
 from estimator.errors import InputError
 from estimator.residual.causes import Cause, Form, ResidualLikelihood, forms_of
+from estimator.residual.diagnose import above_zero
 from estimator.residual.inputs import checked
 from estimator.residual.models import weigh
 from estimator.residual.noise import Noise, Scales, fit_noise
@@ -245,10 +247,20 @@ def test_the_best_formula_is_found_among_all():
         ("m/s^2", {"m": 1, "s": -2}),
         ("kg m^2/s/K", {"kg": 1, "m": 2, "s": -1, "K": -1}),
         ("1/s", {"s": -1}),
+        ("m/s^-1", {"m": 1, "s": 1}),
+        ("km/h", {"km": 1, "h": -1}),
+        ("%", {"%": 1}),
+        ("N*m·s", {"N": 1, "m": 1, "s": 1}),
     ],
 )
 def test_units_are_read(text, powers):
     assert units_of(text) == powers
+
+
+@pytest.mark.parametrize("text", ["(m/s)^2", "m^0.5", "m^", "^2", "m^2^3"])
+def test_a_unit_that_is_no_product_of_powers_is_refused(text):
+    with pytest.raises(ValueError, match="no product of whole powers"):
+        units_of(text)
 
 
 BAD = {
@@ -258,6 +270,14 @@ BAD = {
     "residual: not finite at index 3": lambda r, c, t: (np.where(np.arange(N) == 3, np.nan, r), c, t),
     "residual: zero everywhere": lambda r, c, t: (0 * r, c, t),
     "column 'slide': zero everywhere": lambda r, c, t: (r, c | {"slide": Candidate(0 * r, 1.0)}, t),
+    "time: hardly ascends at index 8": lambda r, c, t: (r, c, np.where(np.arange(N) == 8, np.nextafter(t[7], 9e9), t)),
+    "time: holds what is no real number": lambda r, c, t: (r, c, np.datetime64(0, "s") + t.astype("timedelta64[s]")),
+    "residual: holds what is no real number": lambda r, c, t: (["a"] * N, c, t),
+    "residual: the largest value is": lambda r, c, t: (1e200 * r, c, t),
+    "column 'sensor noise': the answer uses this name": lambda r, c, t: (r, {"sensor noise": c["slide"]}, t),
+    "column 'unknown over x': the answer uses": lambda r, c, t: (r, {"unknown over x": c["slide"]}, t),
+    "column 'slide': is no Candidate": lambda r, c, t: (r, {"slide": r}, t),
+    "sd of column 'slide': not finite": lambda r, c, t: (r, {"slide": Candidate(r, np.inf)}, t),
     "column 'slide': sd is 0.0": lambda r, c, t: (r, c | {"slide": Candidate(r, 0.0)}, t),
     "column 'slide': 5 samples": lambda r, c, t: (r, c | {"slide": Candidate(r[:5], 1.0)}, t),
     "column 'slide': has 2 dimensions; 1 expected": lambda r, c, t: (r, c | {"slide": Candidate(r[:, None], 1.0)}, t),
@@ -277,13 +297,83 @@ def test_what_cannot_be_used_is_named(message):
     [
         ({"base": np.ones((N, 2))}, "base: its columns are not independent"),
         ({"base": np.ones(N)}, "base: has 1 dimensions; 2 expected"),
+        ({"base": np.random.default_rng(1).normal(size=(N, N // 2 + 1))}, "base: 601 columns for 1200 samples"),
+        ({"base": world(1)[0][:, None]}, "residual: the base explains all of it"),
         ({"along": {"x": Axis(T[:4])}}, "along 'x': 4 samples"),
+        ({"along": {"x": T}}, "along 'x': is no Axis"),
+        ({"along": {"time": Axis(T)}}, "along 'time': time is always an axis"),
+        ({"along": {"": Axis(T)}}, "along '': has no name"),
+        ({"along": {"x": Axis(T, "m^0.5")}}, "along 'x': the unit"),
+        ({"unit": "(m/s)^2"}, "unit: the unit"),
+        ({"surrogates": -1}, "surrogates: -1"),
+        ({"rng": 1}, "rng: is no generator"),
     ],
 )
 def test_a_base_or_an_axis_that_cannot_be_used_is_named(more, message):
     residual, candidates, _ = world(1)
     with pytest.raises(InputError, match=message):
-        diagnose_residual(residual, candidates, T, rng=np.random.default_rng(1), **more)
+        diagnose_residual(residual, candidates, T, **({"rng": np.random.default_rng(1)} | more))
+
+
+def test_what_the_base_holds_does_not_blur_the_rest():
+    """A common offset of 1e9, in residual and columns, changes nothing; a candidate in the base keeps its prior."""
+    residual, candidates, options = world(3, {"slide": 0.9})
+    plain = diagnosed(3, {"slide": 0.9})
+    lifted = {name: replace(c, column=c.column + 1e6) for name, c in candidates.items()}
+    lifted["offset"] = Candidate(np.full(N, 3.0), 1e9)
+    found = diagnose_residual(residual + 1e9, lifted, T, rng=np.random.default_rng(1), **options)
+    assert found.named == plain.named == ("slide",)
+    assert (found.rms, found.noise) == pytest.approx((plain.rms, plain.noise), rel=1e-3)
+    offset = next(suspect for suspect in found.suspects if suspect.name == "offset")
+    assert (offset.value, offset.hidden) == (0, 0)
+    assert offset.probability < 0.2
+
+
+def test_parameters_that_one_stretch_alone_shows_are_fitted():
+    residual, candidates, options = world(3, {"slide": 0.9})
+    first = np.column_stack([np.ones(N), np.arange(N) < N // 20, 1 + 1e-8 * np.sin(T)])
+    found = diagnose_residual(residual, candidates, T, rng=np.random.default_rng(1), **options | {"base": first})
+    assert found.named == ("slide",)
+    assert found.reached < found.rms
+
+
+def test_an_axis_of_two_values_has_two_places():
+    switch = np.arange(N) % 40 < 13
+    residual = world(1)[0] + 1.5 * switch
+    options = {"base": np.ones((N, 1)), "along": {"switch": Axis(switch)}}
+    found = diagnose_residual(residual, {}, T, rng=np.random.default_rng(1), **options)
+    places = {(place.start, place.end): place.bias for place in found.where if place.axis == "switch"}
+    assert set(places) == {(0.0, 0.0), (1.0, 1.0)}
+    assert places[1.0, 1.0] == pytest.approx(1.5, abs=0.4)
+
+
+def test_two_candidates_without_noise_leave_nothing_unknown():
+    """A process may stand for one of them until both are in the set."""
+    _, candidates, options = world(3)
+    residual = 0.7 * candidates["slide"].column + 0.8 * candidates["drag"].column + 3
+    found = diagnose_residual(residual, candidates, T, rng=np.random.default_rng(1), **options)
+    assert set(found.named) == {"slide", "drag"}
+    assert found.unknown < 0.5
+    assert found.part("drag").share > 0.1
+
+
+def test_twins_of_wide_priors_cannot_be_told_apart():
+    _, candidates, options = world(3)
+    column = candidates["slide"].column
+    twins = {"one": Candidate(column, 1e3), "other": Candidate(-column, 1e3)}
+    found = diagnose_residual(0.7 * column, twins, T, rng=np.random.default_rng(1), **options)
+    assert (found.verdict, set(found.between)) == (Verdict.CANNOT_TELL, {"one", "other"})
+    assert [abs(suspect.value) for suspect in found.suspects] == pytest.approx([0.7, 0.7], abs=0.1)
+
+
+def test_a_magnitude_that_cannot_be_negative_is_not():
+    values, sds = above_zero(np.array([-0.7, 0.1, 5.0]), np.array([0.2, 0.5, 1.0]))
+    for value, sd, mean, spread in zip([-0.7, 0.1, 5.0], [0.2, 0.5, 1.0], values, sds, strict=True):
+        cut = truncnorm(-value / sd, np.inf, loc=value, scale=sd)
+        assert (mean, spread) == pytest.approx((cut.mean(), cut.std()), rel=1e-6)
+    residual, candidates, options = world(3, {"drag": -0.5})
+    drag = {"drag": candidates["drag"]}
+    assert diagnose_residual(residual, drag, T, rng=np.random.default_rng(1), **options).suspects[0].value > 0
 
 
 def test_a_catalogue_may_be_empty():

@@ -4,6 +4,7 @@ A factor is x, |x|, x^2, x |x|, x^3, max(x, 0) or x^-1; a formula is a factor, o
 quantities. Its column has the amplitude's prior N(0, 1) in rms of the residual, and all formulas are equally probable.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -125,17 +126,21 @@ def _factors(name: str, variable: Variable) -> Iterator[Factor]:
 def units_of(text: str) -> dict[str, int]:
     """Exponents by unit of a product of powers: "m/s^2" gives m 1, s -2; a second "/" divides again.
 
+    A blank, "*" or "·" multiplies. "1" is no unit.
+
     Raises
     ------
     ValueError
-        An exponent is not a whole number.
+        A bracket, a power without a unit, or an exponent that is not a whole number.
     """
     found: dict[str, int] = {}
-    for place, part in enumerate(text.split("/")):
+    for place, part in enumerate(text.replace("*", " ").replace("·", " ").split("/")):
         for symbol in part.split():
-            base, _, exponent = symbol.partition("^")
-            if base != "1":
-                found[base] = found.get(base, 0) + (int(exponent) if exponent else 1) * (-1 if place else 1)
+            power = re.fullmatch(r"([^()^]+)(?:\^([+-]?\d+))?", symbol)
+            if power is None:
+                raise ValueError(f'the unit "{text}" is no product of whole powers such as "kg m/s^2"')
+            if power[1] != "1":
+                found[power[1]] = found.get(power[1], 0) + int(power[2] or 1) * (-1 if place else 1)
     return found
 
 

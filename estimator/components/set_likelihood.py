@@ -117,9 +117,11 @@ class SetLikelihood:
         """Amplitudes and log evidence of the components with numbers in ``chosen``, up to a constant of the data."""
         places, information, prior = self._set(chosen)
         unit = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-        covariance = np.linalg.inv(information * np.outer(unit, unit)) * np.outer(unit, unit)
-        mean = covariance @ self._moment[places]
-        volume = float(np.linalg.slogdet(information * np.outer(unit, unit))[1] - 2 * np.log(unit).sum())
+        scaled = information * np.outer(unit, unit)
+        covariance = np.linalg.inv(scaled) * np.outer(unit, unit)
+        # solved, not multiplied by the covariance: where two columns have one course, the inverse is mostly rounding
+        mean = unit * np.linalg.solve(scaled, unit * self._moment[places])
+        volume = float(np.linalg.slogdet(scaled)[1] - 2 * np.log(unit).sum())
         log = -0.5 * (volume - np.log(prior[prior > 0]).sum() + self._total - self._moment[places] @ mean)
         at = self.base_size
         for i in chosen:

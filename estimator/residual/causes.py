@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from estimator.components.component import hats
 from estimator.components.set_likelihood import SetLikelihood, places_of
-from estimator.residual.inputs import Axis, Record
+from estimator.residual.inputs import PROCESS, Record
 from estimator.residual.noise import Noise
 from estimator.signals import Floats
 
@@ -16,6 +16,7 @@ ODDS_OF_CANDIDATES = 0.37  # prior odds of all candidates together: no effect is
 ODDS_OF_PROCESSES = 0.1  # the same of all nameless processes
 HATS = (4, 16)  # distances between hats in the range of an axis
 STRENGTHS = (0.1, 0.3, 1.0)  # of a process, in rms of the residual
+BASE_SD = 1e4  # of the base's amplitudes, in rms: free, and yet determined on rows that do not show one of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,16 +60,16 @@ def forms_of(record: Record) -> tuple[list[Form], list[Cause]]:
         add(name, True, ODDS_OF_CANDIDATES / len(record.candidates), [form])
     varying = {name: axis for name, axis in record.axes.items() if np.ptp(axis.values) > 0}
     for name, axis in varying.items():
-        process = f"unknown over {name}"
-        add(process, False, ODDS_OF_PROCESSES / len(varying), list(_process(process, axis, record.rms)))
+        own = list(_process(PROCESS + name, axis.values, record))
+        add(PROCESS + name, False, ODDS_OF_PROCESSES / len(varying), own)
     return forms, causes
 
 
-def _process(name: str, axis: Axis, rms: float) -> Iterator[Form]:
+def _process(name: str, values: Floats, record: Record) -> Iterator[Form]:
     for number in HATS:
-        columns = hats(axis.values, float(np.ptp(axis.values)) / number)
+        columns = record.off(hats(values, float(np.ptp(values)) / number))
         for strength in STRENGTHS:
-            yield Form(cause=name, columns=columns, sd=strength * rms)
+            yield Form(cause=name, columns=columns, sd=strength * record.rms)
 
 
 class ResidualLikelihood(SetLikelihood):
@@ -83,4 +84,5 @@ class ResidualLikelihood(SetLikelihood):
         base = record.base.shape[1]
         places = places_of(base, [form.columns.shape[1] for form in forms])
         unit = np.ones(data.shape[1] - 1)
-        super().__init__(data if rows is None else data[rows], noise.gram, np.zeros(base), forms, places, unit)
+        free = np.full(base, (BASE_SD * record.rms) ** -2.0)
+        super().__init__(data if rows is None else data[rows], noise.gram, free, forms, places, unit)

@@ -9,13 +9,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from estimator.answers.diagnosis import Verdict
 from estimator.blas_threads import one_blas_thread
 from estimator.components.formula import Variable, best_formula, judged
+from estimator.errors import InputError
 from estimator.residual.answer import Description, ResidualDiagnosis, Suspect
 from estimator.residual.causes import Cause, Form, ResidualLikelihood, forms_of
-from estimator.residual.inputs import Axis, Candidate, Record, checked
+from estimator.residual.inputs import Axis, Candidate, Record, checked, checked_unit
 from estimator.residual.models import Chosen, ModelTable, weigh
 from estimator.residual.noise import Noise, Scales, fit_noise
 from estimator.residual.places import disagreements
@@ -66,8 +68,13 @@ def diagnose_residual(
     Raises
     ------
     InputError
-        Naming the array that cannot be used and why.
+        Naming what cannot be used and why.
     """
+    if not isinstance(rng, np.random.Generator):
+        raise InputError("rng: is no generator; give numpy.random.default_rng(seed)")
+    if surrogates < 0:
+        raise InputError(f"surrogates: {surrogates}; give a number of records, or 0")
+    checked_unit("unit", unit)
     record = checked(residual, columns, time, base, along)
     forms, causes = forms_of(record)
     scales, likelihood, table = _judged(record, forms, causes)
@@ -139,8 +146,8 @@ def _suspects(
     for cause in candidates:
         (form,) = cause.forms
         alone = likelihood.gains([], [form])
-        value, sd = _magnitude(likelihood, table, form)
-        size = float(np.sqrt(np.mean(record.off(likelihood.forms[form].columns[:, 0]) ** 2)))
+        value, sd = _magnitude(likelihood, table, cause)
+        size = float(np.sqrt(np.mean(likelihood.forms[form].columns ** 2)))
         found.append(
             Suspect(
                 name=cause.name,
@@ -155,14 +162,30 @@ def _suspects(
     return tuple(sorted(found, key=lambda suspect: -suspect.probability))
 
 
-def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, form: int) -> tuple[float, float]:
-    """Value and sd of the magnitude of a form that acts, averaged over what acts beside it."""
-    likely = [(p, own) for p, own in zip(table.probability.tolist(), table.sets, strict=True) if p > MIN_PROBABILITY]
-    weight = np.array([p for p, _ in likely]) / sum(p for p, _ in likely)
-    each = [likelihood.gains([other for other in own if other != form], [form]) for _, own in likely]
-    values, sds = np.array([one.value[0] for one in each]), np.array([one.sd[0] for one in each])
+def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, cause: Cause) -> tuple[float, float]:
+    """Value and sd of a candidate's magnitude if it acts, averaged over what acts beside it."""
+    (form,) = cause.forms
+    log: dict[Chosen, float] = {}  # probability of what is beside it, up to a factor
+    each = {}
+    for p, own in zip(table.probability.tolist(), table.sets, strict=True):
+        beside = tuple(other for other in own if other != form)
+        if beside not in log and p > MIN_PROBABILITY:
+            each[beside] = likelihood.gains(beside, [form])
+            log[beside] = float(np.log(p)) + (-cause.log_prior if form in own else float(each[beside].gain[0]))
+    weight = np.exp(np.array(list(log.values())) - max(log.values()))
+    weight /= weight.sum()
+    values, sds = np.array([one.value[0] for one in each.values()]), np.array([one.sd[0] for one in each.values()])
+    if likelihood.priors[form].positive:
+        values, sds = above_zero(values, sds)
     mean = float(weight @ values)
     return mean, float(np.sqrt(weight @ (sds**2 + (values - mean) ** 2)))
+
+
+def above_zero(value: Floats, sd: Floats) -> tuple[Floats, Floats]:
+    """Mean and sd of N(``value``, ``sd``^2) cut at zero, all (c,)."""
+    at = value / sd
+    raised = np.exp(-0.5 * at**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(at))  # normal density over its integral
+    return value + sd * raised, sd * np.sqrt(np.maximum(1 - raised * (raised + at), 0.0))
 
 
 def _described(
@@ -174,7 +197,7 @@ def _described(
     if found is None or found.gain <= 0:
         return None
     size = record.rms / float(np.sqrt(np.mean(found.column**2)))
-    form = Form(cause=found.text, columns=found.column[:, None], sd=size)
+    form = Form(cause=found.text, columns=record.off(found.column[:, None]), sd=size)
     reached = held_out(record, [*(likelihood.forms[i] for i in chosen), form], scales)
     return Description(
         text=found.text, value=found.value, sd=found.sd, unit=found.unit, log_bayes_factor=found.gain, reached=reached
@@ -195,6 +218,6 @@ def _p_value(record: Record, table: ModelTable, surrogates: int, rng: np.random.
     noise = Noise(record.t, _scales(record, []))
     larger = 0
     for _ in range(surrogates):
-        drawn = replace(record, residual=noise.draw(rng))
+        drawn = replace(record, residual=record.off(noise.draw(rng)))
         larger += _judged(drawn, *forms_of(drawn))[2].log_odds >= table.log_odds
     return (1 + larger) / (1 + surrogates)

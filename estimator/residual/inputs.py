@@ -5,11 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.components.formula import units_of
 from estimator.errors import InputError
 from estimator.signals import Floats
 
-MIN_SAMPLES = 100  # of a residual: its noise has three scales, and 3 of 4 stretches have to tell them
+MIN_SAMPLES = 100  # of a residual: its noise has three scales, and 4 of 5 stretches have to tell them
+MAX_BASE_SHARE = 0.5  # columns of the base, of the samples: fits to 4 of 5 stretches have to determine them
 MIN_TURN = 1e-9  # smallest singular value of the base's columns, scaled to one, that counts as independent
+MIN_LEFT = 1e-12  # of a column's rms, off the base: less is rounding
+MIN_STEP = 1e-6  # of the median step of time: shorter ones are repeated times, and the noise's memory cancels
+SIZES = (1e-25, 1e25)  # of the largest value: squares of products of two cubes stay within the range of a number
+TIME, NOISE, PROCESS = "time", "sensor noise", "unknown over "  # names of what is always there
 
 
 @dataclass(frozen=True)
@@ -35,9 +41,10 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """A residual at times ``t`` [s], beside the columns of the parameters that its model would fit anew; (n,), (n, b).
+    """A residual at times ``t`` [s] (n,), and the columns (n, b) of the parameters that its model would fit anew.
 
-    ``axes`` begin with time.
+    The base is orthogonal, of rms 1. Residual and candidates are what it cannot fit of them: nothing that is asked of
+    a record depends on the rest, and large common parts would cancel badly. ``axes`` begin with time.
     """
 
     t: Floats
@@ -48,15 +55,21 @@ class Record:
 
     @property
     def rms(self) -> float:
-        """Of the residual, off the base."""
-        return float(np.sqrt(np.mean(self.off(self.residual) ** 2)))
+        """Of the residual."""
+        return float(np.sqrt(np.mean(self.residual**2)))
 
     def off(self, columns: Floats) -> Floats:
         """What the base cannot fit of ``columns`` (n,) or (n, c), by least squares."""
-        if not self.base.shape[1]:
-            return columns
-        rest: Floats = columns - self.base @ np.linalg.lstsq(self.base, columns, rcond=None)[0]
-        return rest
+        return _off(self.base, columns)
+
+
+def _off(base: Floats, columns: Floats) -> Floats:
+    rest = columns
+    for _ in range(2):  # the second time takes away the rounding of the first
+        rest = rest - base @ (base.T @ rest) / len(base)
+    size, left = (np.sqrt(np.mean(part**2, axis=0)) for part in (columns, rest))
+    known: Floats = np.where(left > MIN_LEFT * size, rest, 0.0)
+    return known
 
 
 def checked(
@@ -66,61 +79,114 @@ def checked(
     base: Floats | None,
     along: Mapping[str, Axis] | None,
 ) -> Record:
-    """The record, its base scaled to columns of rms 1.
+    """The record.
 
     Raises
     ------
     InputError
-        Naming the array: too few samples, a length that differs, a value that is not finite, times that do not ascend,
-        a column of zeros, a prior that is not positive, or a base whose columns are not independent.
+        Naming the array: too few samples, a length that differs, a value that is no finite number or of a size that
+        cannot be squared, times that do not ascend, a column of zeros, a prior that is not positive, a name that the
+        answer uses itself, a unit that is no product of powers, a base whose columns are not independent, or one that
+        explains the whole residual.
     """
     t, y = _array("time", time), _array("residual", residual)
     if len(y) < MIN_SAMPLES:
         raise InputError(f"residual: {len(y)} samples; at least {MIN_SAMPLES} are needed")
     _same_length("time", t, y)
-    if not np.all(np.diff(t) > 0):
-        late = int(np.flatnonzero(np.diff(t) <= 0)[0]) + 1
-        raise InputError(f"time: does not ascend at index {late}; sort the record, and leave out repeated times")
+    _check_steps(np.diff(t))
     if not np.any(y):
         raise InputError("residual: zero everywhere; nothing is to be explained")
-    found = {name: _candidate(name, candidate, y) for name, candidate in candidates.items()}
-    axes = {"time": Axis(t - t[0], "s")}
-    for name, axis in (along or {}).items():
-        values = _array(f"along {name!r}", axis.values)
-        _same_length(f"along {name!r}", values, y)
-        axes[name] = Axis(values, axis.unit)
-    return Record(t=t, residual=y, base=_base(base, y), candidates=found, axes=axes)
+    columns = _base(base, y)
+    rest = _off(columns, y)
+    if not np.any(rest):
+        raise InputError("residual: the base explains all of it; nothing is to be explained")
+    axes = {TIME: Axis(t - t[0], "s")} | {name: _axis(name, axis, y) for name, axis in (along or {}).items()}
+    found = {name: _candidate(name, candidate, columns) for name, candidate in candidates.items()}
+    for name in found.keys() & {NOISE, *(PROCESS + axis for axis in axes)}:
+        raise InputError(f"column {name!r}: the answer uses this name; choose another one")
+    return Record(t=t, residual=rest, base=columns, candidates=found, axes=axes)
 
 
-def _candidate(name: str, candidate: Candidate, y: Floats) -> Candidate:
-    column = _array(f"column {name!r}", candidate.column)
-    _same_length(f"column {name!r}", column, y)
+def checked_unit(what: str, unit: str) -> None:
+    """Refuse a unit that is no product of powers.
+
+    Raises
+    ------
+    InputError
+        Naming ``what`` has it.
+    """
+    try:
+        units_of(unit)
+    except ValueError as error:
+        raise InputError(f"{what}: {error}") from None
+
+
+def _check_steps(steps: Floats) -> None:
+    if not np.all(steps > 0):
+        late = int(np.flatnonzero(steps <= 0)[0]) + 1
+        raise InputError(f"time: does not ascend at index {late}; sort the record, and leave out repeated times")
+    shortest = int(np.argmin(steps))
+    if steps[shortest] < MIN_STEP * np.median(steps):
+        raise InputError(f"time: hardly ascends at index {shortest + 1}; leave out repeated times")
+
+
+def _axis(name: str, axis: Axis, y: Floats) -> Axis:
+    what = f"along {name!r}"
+    if not isinstance(axis, Axis):
+        raise InputError(f"{what}: is no Axis; give Axis(values, unit)")
+    if not name.strip() or name == TIME:
+        raise InputError(f"{what}: {'time is always an axis' if name else 'has no name'}; choose another name")
+    values = _array(what, axis.values)
+    _same_length(what, values, y)
+    checked_unit(what, axis.unit)
+    return Axis(values, axis.unit)
+
+
+def _candidate(name: str, candidate: Candidate, base: Floats) -> Candidate:
+    what = f"column {name!r}"
+    if not isinstance(candidate, Candidate):
+        raise InputError(f"{what}: is no Candidate; give Candidate(column, sd=...)")
+    column = _array(what, candidate.column)
+    _same_length(what, column, base)
     if not np.any(column):
-        raise InputError(f"column {name!r}: zero everywhere; this record cannot show it, leave it out")
-    if not (np.isfinite(candidate.sd) and candidate.sd > 0):
-        raise InputError(f"column {name!r}: sd is {candidate.sd}; give the usual magnitude, above 0")
-    return Candidate(column, float(candidate.sd), candidate.positive, candidate.unit)
+        raise InputError(f"{what}: zero everywhere; this record cannot show it, leave it out")
+    sd = float(_array(f"sd of {what}", np.asarray(candidate.sd), dimensions=0))
+    if not sd > 0:
+        raise InputError(f"{what}: sd is {sd}; give the usual magnitude, above 0")
+    return Candidate(_off(base, column), sd, candidate.positive, candidate.unit)
 
 
 def _base(base: Floats | None, y: Floats) -> Floats:
-    if base is None:
-        return np.zeros((len(y), 0))
-    columns = _array("base", base, dimensions=2)
+    """The same space, by orthogonal columns of rms 1."""
+    columns = np.zeros((len(y), 0)) if base is None else _array("base", base, dimensions=2)
     _same_length("base", columns, y)
+    count = columns.shape[1]
+    if count > MAX_BASE_SHARE * len(y):
+        raise InputError(f"base: {count} columns for {len(y)} samples; at most half as many are possible")
     size = np.sqrt(np.mean(columns**2, axis=0))
-    if not np.all(size > 0) or np.linalg.svd(columns / size, compute_uv=False)[-1] < MIN_TURN * np.sqrt(len(y)):
+    left, strength, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    if count and not (np.all(size > 0) and strength[-1] > MIN_TURN * np.sqrt(len(y))):
         raise InputError("base: its columns are not independent on this record; leave one out")
-    scaled: Floats = columns / size
-    return scaled
+    orthogonal: Floats = left * np.sqrt(len(y))
+    return orthogonal
 
 
 def _array(name: str, values: Floats, dimensions: int = 1) -> Floats:
-    array = np.asarray(values, dtype=float)
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind in "cmM":  # complex numbers, times and dates
+            raise ValueError
+        array: Floats = given.astype(float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: holds what is no real number; give numbers, times in seconds") from None
     if array.ndim != dimensions:
         raise InputError(f"{name}: has {array.ndim} dimensions; {dimensions} expected")
     if not np.isfinite(array).all():
-        first = int(np.argwhere(~np.isfinite(array))[0][0])
-        raise InputError(f"{name}: not finite at index {first}; leave such samples out")
+        place = f" at index {int(np.argwhere(~np.isfinite(array))[0][0])}; leave such samples out" if dimensions else ""
+        raise InputError(f"{name}: not finite{place}")
+    largest = float(np.max(np.abs(array), initial=0.0))
+    if largest and not SIZES[0] < largest < SIZES[1]:
+        raise InputError(f"{name}: the largest value is {largest:g}; choose another unit")
     return array
 
 

@@ -1,10 +1,11 @@
 """The table of models: sets of causes with their posterior probabilities.
 
-Sets grow one form at a time from those within Occam's window of the best (Madigan & Raftery 1994), so the order in
-which causes are found does not matter. Probabilities are sums over the table.
+Sets gain and lose one form at a time from those within Occam's window of the best (Madigan & Raftery 1994): a nameless
+process that stands for two candidates at first is left behind once both are there. Probabilities are sums over the
+table.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +15,10 @@ from estimator.components.set_likelihood import SetLikelihood
 from estimator.residual.causes import Cause
 from estimator.signals import Floats
 
-WINDOW = 9.0  # in log probability: sets 8,000 times less probable than the best are not extended
-BEAM = 12  # sets of one size that are extended: bounds the cost
+WINDOW = 9.0  # in log probability: from sets 8,000 times less probable than the best no step is made
+BEAM = 12  # sets of one step from which the next is made: bounds the cost
 MAX_CAUSES = 5  # in a set
+MAX_STEPS = 2 * MAX_CAUSES  # up to the largest sets, and down again
 
 Chosen = tuple[int, ...]
 
@@ -50,18 +52,12 @@ def weigh(likelihood: SetLikelihood, causes: Sequence[Cause]) -> ModelTable:
     of = {form: cause for cause in causes for form in cause.forms}
     log: dict[Chosen, float] = {(): likelihood.log_evidence([])}
     frontier: list[Chosen] = [()]
-    for _ in range(MAX_CAUSES):
-        grown: dict[Chosen, float] = {}
-        for own in frontier:
-            present = {of[form].name for form in own}
-            prior = sum(of[form].log_prior for form in own)
-            for form, cause in of.items():
-                larger = tuple(sorted((*own, form)))
-                if cause.name not in present and larger not in grown:
-                    grown[larger] = likelihood.log_evidence(larger) + prior + cause.log_prior
-        log |= grown
+    for _ in range(MAX_STEPS):
+        near = {other for own in frontier for other in _neighbours(own, of)} - log.keys()
+        found = {own: likelihood.log_evidence(own) + sum(of[form].log_prior for form in own) for own in sorted(near)}
+        log |= found
         least = max(log.values()) - WINDOW
-        frontier = [own for own in sorted(grown, key=lambda own: -grown[own]) if grown[own] > least][:BEAM]
+        frontier = [own for own in sorted(found, key=lambda own: -found[own]) if found[own] > least][:BEAM]
         if not frontier:
             break
     order = sorted(log, key=lambda own: -log[own])
@@ -69,3 +65,11 @@ def weigh(likelihood: SetLikelihood, causes: Sequence[Cause]) -> ModelTable:
     others = [log[own] for own in order if own]
     odds = float(logsumexp(others)) - log[()] if others else -np.inf
     return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)
+
+
+def _neighbours(own: Chosen, of: Mapping[int, Cause]) -> Iterator[Chosen]:
+    """Sets with one form more, of a cause that is absent, and with one less."""
+    present = {of[form].name for form in own}
+    if len(own) < MAX_CAUSES:
+        yield from (tuple(sorted((*own, form))) for form, cause in of.items() if cause.name not in present)
+    yield from (tuple(form for form in own if form != gone) for gone in own)

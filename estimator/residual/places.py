@@ -1,15 +1,18 @@
 """Where: parts of each axis in which the residual is not zero, at a rate of false discoveries over all parts."""
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import false_discovery_control, norm
 
 from estimator.residual.answer import Disagreement
 from estimator.residual.causes import ResidualLikelihood
 from estimator.residual.inputs import Record
+from estimator.signals import Floats
 
-PARTS = 8  # of an axis, of equally many samples
+PARTS = 8  # of an axis, of equally many samples; one for each value where there are no more values
 MAX_FALSE_DISCOVERY_RATE = 0.05  # Benjamini & Hochberg 1995: 1 in 20 of the places listed is expected to be false
 MIN_SHARE = 0.01  # of the samples, in a part
 
@@ -18,9 +21,7 @@ def disagreements(record: Record, likelihood: ResidualLikelihood) -> tuple[Disag
     """Parts that the base does not explain, by the likelihood's noise; the surest first."""
     parts, indicators = [], []
     for name, axis in record.axes.items():
-        edges = np.unique(np.quantile(axis.values, np.linspace(0, 1, PARTS + 1)))
-        for start, end in pairwise(edges.tolist()):
-            inside = (axis.values >= start) & ((axis.values < end) | (end == edges[-1]))
+        for start, end, inside in _parts(axis.values):
             if MIN_SHARE < inside.mean() < 1:
                 parts.append((name, start, end, axis.unit))
                 indicators.append(inside.astype(float))
@@ -36,3 +37,14 @@ def disagreements(record: Record, likelihood: ResidualLikelihood) -> tuple[Disag
         if q < MAX_FALSE_DISCOVERY_RATE
     ]
     return tuple(sorted(found, key=lambda place: place.q_value))
+
+
+def _parts(values: Floats) -> Iterator[tuple[float, float, NDArray[np.bool_]]]:
+    """Start, end and samples (n,) of each part; an axis of few values, as a switch has, has a part for each."""
+    own = np.unique(values)
+    if len(own) <= PARTS:
+        yield from ((value, value, values == value) for value in own.tolist())
+        return
+    edges = np.unique(np.quantile(values, np.linspace(0, 1, PARTS + 1)))
+    for start, end in pairwise(edges.tolist()):
+        yield start, end, (values >= start) & ((values < end) | (end == edges[-1]))

@@ -11,12 +11,11 @@ import numpy as np
 from estimator.components.set_likelihood import Posterior
 from estimator.residual.answer import Part
 from estimator.residual.causes import Cause, Form, ResidualLikelihood
-from estimator.residual.inputs import Record
+from estimator.residual.inputs import NOISE, Record
 from estimator.residual.models import ModelTable
 from estimator.residual.noise import Noise, Scales
 from estimator.signals import Floats
 
-NOISE = "sensor noise"
 DRAWS = 400
 MAX_TRIES = 50  # draws of a positive amplitude, before it is set to zero
 FOLDS, CHUNKS = 5, 4  # each fold is so many stretches of the record
@@ -32,8 +31,7 @@ def budget(
     rng: np.random.Generator,
 ) -> tuple[Part, ...]:
     """Parts of all causes that any draw holds, and of the noise; ``named``: forms that were chosen."""
-    rest = record.off(record.residual)
-    columns = record.off(likelihood.data[:, 1 + likelihood.base_size :])
+    rest, columns = record.residual, likelihood.data[:, 1 + likelihood.base_size :]
     weights = columns.T @ rest / (rest @ rest)
     products = columns.T @ columns / len(rest)
     names = [cause.name for cause in causes]
@@ -85,7 +83,8 @@ def _amplitudes(
     before = likelihood.base_size + np.cumsum([0, *(len(likelihood.places[form]) for form in own)])
     positive = [at for at, form in zip(before[:-1], own, strict=True) if likelihood.priors[form].positive]
     size = np.sqrt(np.diag(posterior.covariance))
-    root = np.linalg.cholesky(posterior.covariance / np.outer(size, size))
+    values, axes = np.linalg.eigh(posterior.covariance / np.outer(size, size))
+    root = axes * np.sqrt(np.maximum(values, 0.0))  # also where two causes have one course, and rounding decides
     for _ in range(MAX_TRIES):
         amplitudes: Floats = posterior.mean + size * (root @ rng.standard_normal(len(root)))
         if np.all(amplitudes[positive] >= 0):
