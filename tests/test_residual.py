@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.stats import truncnorm
+from scipy.stats import multivariate_normal, norm, truncnorm
 
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.answers.diagnosis import Verdict
@@ -109,6 +109,43 @@ def test_the_table_is_that_of_all_sets():
         exact = sum(w for own, w in weights.items() if set(own) & set(cause.forms)) / sum(weights.values())
         assert table.holding(cause.forms) == pytest.approx(exact, abs=2e-3)
     assert table.none == pytest.approx(weights[()] / sum(weights.values()), abs=2e-3)
+
+
+def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
+    """Against log N(y; 0, K + X P X'); half a prior by a sum over magnitudes; gains against differences of sets."""
+    rng = np.random.default_rng(8)
+    n, wide = 60, 1e3
+    t = np.sort(rng.uniform(0, 40, n))
+    K, X = dense(t, SCALES), rng.normal(size=(n, 4))
+    X[:, 3] += 0.7 * X[:, 1]
+    y = 3 * X[:, 0] + 0.4 * X[:, 1] - 0.1 * X[:, 2] + SCALES.white * rng.normal(size=n)
+    forms = [Form(cause=str(i), columns=X[:, [i]], sd=0.3 + 0.2 * i, positive=i == 2) for i in (1, 2, 3)]
+    noise = Noise(t, SCALES)
+    data = np.column_stack([y, X])
+    likelihood = SetLikelihood(data, noise.gram, np.array([wide**-2]), forms, places_of(1, [1] * 3), np.ones(4))
+
+    def density(others, rest=y):
+        covariance = K + wide**2 * np.outer(X[:, 0], X[:, 0])
+        for i in others:
+            covariance = covariance + forms[i].sd ** 2 * forms[i].columns @ forms[i].columns.T
+        return float(multivariate_normal(cov=covariance).logpdf(rest))
+
+    plain = density([])
+    for own in ((0,), (2,), (0, 2)):
+        assert likelihood.log_evidence(own) - likelihood.log_evidence([]) == pytest.approx(density(own) - plain)
+    magnitudes = np.arange(0.0005, 4, 0.001)
+    prior = 2 * norm(0, forms[1].sd).pdf(magnitudes)
+    likely = np.exp([density([0], y - b * X[:, 2]) - plain for b in magnitudes[::10]])
+    half = float(np.log(np.sum(np.interp(magnitudes, magnitudes[::10], likely) * prior) * 0.001))
+    assert likelihood.log_evidence([0, 1]) - likelihood.log_evidence([]) == pytest.approx(half, abs=2e-3)
+    for other in (1, 2):
+        gain = likelihood.log_evidence((0, other)) - likelihood.log_evidence([0])
+        assert likelihood.gains([0], [other]).gain[0] == pytest.approx(gain)
+    gain, value, sd = judged(*likelihood.projected([0], forms[2].sd * X[:, [3]]))
+    same = likelihood.gains([0], [2])
+    assert (gain[0], forms[2].sd * value[0], forms[2].sd * sd[0]) == pytest.approx(
+        (same.gain[0], same.value[0], same.sd[0])
+    )
 
 
 def test_a_cause_is_named_with_its_size_and_its_share():
