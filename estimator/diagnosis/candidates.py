@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from estimator.components.switching import CHANGE_COST
 from estimator.diagnosis import switching_times
 from estimator.diagnosis.averaged_residual import Averages, weigh
 from estimator.diagnosis.evidence import log_bayes_factor, score
@@ -129,7 +130,7 @@ def _judge_terms(model: Model, averages: Averages, terms: list[Term]) -> Candida
         evidence = np.where(clean >= MIN_INSTRUMENTS_LOG_BF, found, np.minimum(evidence, clean))
         value, sd = scores.value, scores.sd
     best = int(np.argmax(evidence))
-    cost = switching_times.CHANGE_COST if effect.timing is Timing.STEP else 0.0
+    cost = CHANGE_COST if effect.timing is Timing.STEP else 0.0
     total = float(logsumexp(evidence)) - np.log(len(terms)) - cost
     if not np.isfinite(sd[best]) or not np.isfinite(total):
         return None
@@ -176,7 +177,7 @@ def _judge_times(
     if not times:
         return None
     on = np.column_stack([inside(model.samples.t, spans) for spans in times])
-    cost = np.array([switching_times.CHANGE_COST * switching_times.changes(model, spans) for spans in times])
+    cost = np.array([CHANGE_COST * switching_times.changes(model, spans) for spans in times])
     weight = weigh(averages, averages.mean(profile[:, None] * on), effect.usual(model.road_load), effect.positive)
     evidence = weight.log_bayes_factor - cost
     best = int(np.argmax(evidence))

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
 from scipy.special import logsumexp
 
-from estimator.estimation.moments import autocorrelation_time
+from estimator.estimation.moments import autocorrelation_time, long_run_covariance
 from estimator.signals import Floats
 
 Blocks = NDArray[np.int64]
@@ -115,13 +114,12 @@ def blocks_of(t: Floats) -> Blocks:
 def long_run_variance(moments: Floats) -> tuple[Floats, Floats]:
     """Variance (k,) of the column sums of autocorrelated ``moments`` (n, k), and its degrees of freedom (k,)."""
     n, k = moments.shape
-    transform = dct(moments, type=2, axis=0, norm="ortho")[1:] ** 2
     variance, dof = np.empty(k), np.empty(k)
     for i in range(k):
         time = autocorrelation_time(moments[:, i])
         count = int(np.clip(n / (TIMES_PER_COSINE * time), MIN_COSINES, max(0.6 * n ** (5 / 6), MIN_COSINES)))
-        count = min(count, n - 1)
-        variance[i], dof[i] = n * transform[:count, i].mean(), count
+        count = min(count, n // 2)
+        variance[i], dof[i] = long_run_covariance(moments[:, [i]], count)[0, 0], count
     return variance, dof
 
 

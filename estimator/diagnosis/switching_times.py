@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.components.switching import MAX_ON_SHARE
 from estimator.diagnosis.model import Model
 from estimator.model.design_matrix import Spans, inside
 from estimator.signals import Floats, Mask, Quantity
@@ -16,10 +17,8 @@ from estimator.signals import Floats, Mask, Quantity
 BEAT = 2.0  # s
 MIN_WINDOW = 60.0  # s in which an effect is on, all stretches together
 MAX_DWELL_FACTOR = 6.0  # by which the mean stretch may be shorter or longer than the usual one
-MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
 MAX_PASSES = 6  # alternations of states and levels
 START_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)  # of the residual, between the two levels of the first states
-CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a change
 SCAN_STEP = 10.0  # s, of the ends of windows that are tried
 
 
