@@ -20,7 +20,7 @@ from estimator.diagnosis.localisation import gap_map, places
 from estimator.diagnosis.model import MIN_SAMPLES, Model, fit, select
 from estimator.diagnosis.multi_drive import Drive
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import Diagnosis, NotTestable, Shift, Traces
+from estimator.diagnosis.result import Diagnosis, Experiment, Finding, Invisible, NotTestable, Shift, Traces
 from estimator.diagnosis.search import search
 from estimator.diagnosis.surrogates import p_value
 from estimator.diagnosis.thresholds import Thresholds
@@ -119,15 +119,7 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int)
         verdict, found = beside.verdict(), (*beside.findings(found), late)
         ranking = beside.candidates([finding for finding in found if finding is not None])
     named = tuple(f for f in found if f is not None) if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
-    drive, plain = outcome.final[outcome.longest], outcome.plain[outcome.longest]
-    before, after = plain.model, drive.model
-    at_last = assess(after, averages_of(after), outcome.effects, drive.record.known, drive.rest)
-    told = {finding.name for finding in named}
-    others = [effect for effect in outcome.effects if effect.name not in told]
-    if beside is not None and beside.is_on_hills:
-        unseen = beside.invisible([effect for effect in others if not effect.is_gravity])
-    else:
-        unseen = tuple(invisible(others, at_last, after, drive.record.known, outcome.thresholds))
+    before, after = (drives[outcome.longest].model for drives in (outcome.plain, outcome.final))
     candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -140,15 +132,9 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int)
         where=tuple(places(before)),
         isolability=isolability(candidates, before),
         not_testable=missing,
-        invisible=unseen,
+        invisible=_unseen(outcome, beside, named),
         advice=facts.advice(outcome, verdict, named),
-        experiments=()
-        if beside is None
-        else experiments(
-            beside.longest,
-            facts.unsettled(outcome, verdict, named)[:MAX_EXPERIMENTS],
-            {finding.name: finding.log_bayes_factor for finding in ranking},
-        ),
+        experiments=() if beside is None else _experiments(beside, facts.unsettled(outcome, verdict, named), ranking),
         streaming_effects=facts.streaming_effects(named, before.terms) if verdict is Verdict.EFFECT else (),
         budget=None if beside is None else beside.budget,
         gap_map=gap_map(before, after),
@@ -158,6 +144,25 @@ def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int)
         return _with_road(diagnosis, beside, outcome.thresholds.min_log_bf_left_process)
     known = _with_known_road(diagnosis, outcome, hills is not None)
     return known if hills is not None or not surrogates else replace(known, p_value=_p_value(outcome, surrogates))
+
+
+def _unseen(outcome: Outcome, beside: BesideRoad | None, named: Sequence[Finding]) -> tuple[Invisible, ...]:
+    """Effects that could act without evidence, by the model that judged the others."""
+    told = {finding.name for finding in named}
+    others = [effect for effect in outcome.effects if effect.name not in told]
+    if beside is not None and beside.is_on_hills:
+        return beside.invisible([effect for effect in others if not effect.is_gravity])
+    drive = outcome.final[outcome.longest]
+    model, known = drive.model, drive.record.known
+    at_last = assess(model, averages_of(model), outcome.effects, known, drive.rest)
+    return tuple(invisible(others, at_last, model, known, outcome.thresholds))
+
+
+def _experiments(
+    beside: BesideRoad, pairs: Sequence[tuple[Effect, Effect | None]], ranking: Sequence[Finding]
+) -> tuple[Experiment, ...]:
+    evidence = {finding.name: finding.log_bayes_factor for finding in ranking}
+    return experiments(beside.longest, pairs[:MAX_EXPERIMENTS], evidence)
 
 
 def _p_value(outcome: Outcome, surrogates: int) -> float:
