@@ -153,7 +153,7 @@ class Transmit(BusOptions, frozen=True):
     industry_group: Annotated[int, Meta(ge=0, le=7)] = 1  # on-highway
     arbitrary_address: bool = True  # take another address when the preferred one is lost
     commanded_address: bool = False  # take the address that another node commands (J1939-81)
-    diagnostics: bool = True  # broadcast our own faults as DM1 every second, answer requests for DM1, DM2 and DM3
+    diagnostics: bool = True  # broadcast our own faults as DM1 every second, answer requests for DM1, 2, 3 and 11
 
 
 class Service(Section, frozen=True):

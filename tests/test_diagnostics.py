@@ -23,6 +23,7 @@ from estimator.can_io.trouble_codes import (
     DM1,
     DM2,
     DM3,
+    DM11,
     MAX_CODES,
     MAX_COUNT,
     Fmi,
@@ -350,6 +351,56 @@ def test_dm2_is_answered_by_a_frame_or_a_connection_and_dm3_clears_it(sending: B
     acknowledged = next(m for m in sent_since(sending, before) if groups([m]) == [0xE8FF])
     assert bytes(acknowledged.data) == bytes([0, 0xFF, 0xFF, 0xFF, TOOL, 0xCC, 0xFE, 0x00])
     assert sending.transmitter.diagnostics.memory.previous == {}
+
+
+def acknowledgements(messages: list[can.Message]) -> list[bytes]:
+    return [bytes(m.data) for m in messages if groups([m]) == [0xE8FF]]
+
+
+@pytest.mark.parametrize("to_us", [True, False], ids=["to us", "to all"])
+def test_dm11_clears_the_active_codes_and_only_those(
+    sending: Bench, tmp_path: Path, caplog: pytest.LogCaptureFixture, to_us: bool
+) -> None:
+    assert sending.transmitter is not None
+    assert sending.transmitter.diagnostics is not None
+    memory = sending.transmitter.diagnostics.memory
+    sending.traffic(20.0, speed(80))
+    lasting = dict(memory.active)
+    assert len(lasting) == 4
+    memory.remember([(SPEED, 3)])
+    before = len(sending.bus.sent)
+    with caplog.at_level("INFO"):
+        sending.traffic(0.1, request(DM11, ADDRESS if to_us else 0xFF), speed(80))
+    assert (memory.active, memory.previous) == ({}, {SPEED: 3})
+    assert "active trouble codes cleared" in caplog.text
+    expected = [bytes([0, 0xFF, 0xFF, 0xFF, TOOL, 0xD3, 0xFE, 0x00])] if to_us else []
+    assert acknowledgements(sent_since(sending, before)) == expected
+    sending.traffic(1.0, speed(80))
+    told = next(m for m in sent_since(sending, before) if groups([m]) == [DM1])
+    assert codes_of(bytes(told.data)) == []
+    assert faults.load(tmp_path / "codes.json") == [(SPEED, 3)]
+    sending.traffic(CONFIRM_S + 1, speed(80))
+    assert memory.active == lasting  # the faults are still there
+
+
+def test_clearing_nothing_is_acknowledged_and_not_logged(sending: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    before = len(sending.bus.sent)
+    with caplog.at_level("INFO"):
+        sending.traffic(0.1, request(DM11))
+        sending.traffic(0.1, request(DM3))
+    assert [data[0] for data in acknowledgements(sent_since(sending, before))] == [0, 0]
+    assert "cleared" not in caplog.text
+
+
+def test_codes_that_dm3_cleared_do_not_come_back_with_the_next_start(sending: Bench, tmp_path: Path) -> None:
+    assert sending.transmitter is not None
+    assert sending.transmitter.diagnostics is not None
+    sending.transmitter.diagnostics.memory.remember([(OWN, 2)])
+    sending.traffic(20.0, speed(80))
+    assert OWN in dict(faults.load(tmp_path / "codes.json"))
+    sending.traffic(0.1, request(DM3), speed(80))
+    sending.traffic(1.0, speed(80))
+    assert OWN not in dict(faults.load(tmp_path / "codes.json"))
 
 
 def test_a_flood_of_requests_for_many_codes_is_not_answered_with_a_flood(sending: Bench) -> None:

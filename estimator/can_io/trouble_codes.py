@@ -11,7 +11,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
-DM1, DM2, DM3 = 0xFECA, 0xFECB, 0xFECC  # 65226 active, 65227 previously active, 65228 clear the previously active
+DM1, DM2 = 0xFECA, 0xFECB  # 65226 active, 65227 previously active
+DM3, DM11 = 0xFECC, 0xFED3  # 65228 clear the previously active, 65235 clear the active ones
 LAMPS_OFF, NO_FLASH = 0x00, 0xFF  # J1939-73: 00 off; flashing 11 "do not flash"
 CONFIRM_S = 10.0  # s for which a fault lasts before it is active: EC1 comes every 5 s
 MAX_CODES = 20  # kept of each kind; 82 bytes, 12 packets, 0.6 s on the bus
@@ -81,9 +82,15 @@ class TroubleMemory:
         self.previous = dict(codes) | self.previous
         self._shorten()
 
-    def clear_previous(self) -> None:
-        """Forget what is no longer active."""
-        self.previous = {}
+    def clear_previous(self) -> bool:
+        """Forget what is no longer active; whether there was something."""
+        had, self.previous = bool(self.previous), {}
+        return had
+
+    def clear_active(self) -> bool:
+        """Forget what is active; whether there was something. A fault that lasts is active again after CONFIRM_S."""
+        had, self.active, self._since = bool(self.active), {}, {}
+        return had
 
     def message(self, pgn: int) -> bytes:
         """The content of DM1 or DM2: 8 bytes, or 2 + 4 n for n > 1 codes."""

@@ -1,5 +1,6 @@
-"""Our own faults on the bus: DM1 every second, DM1, DM2 and DM3 on request (SAE J1939-73)."""
+"""Our own faults on the bus: DM1 every second, DM1, DM2, DM3 and DM11 on request (SAE J1939-73)."""
 
+import logging
 from collections.abc import Callable, Collection
 
 import can
@@ -9,7 +10,9 @@ from estimator.can_io.j1939 import GLOBAL, PACKET_BYTES
 from estimator.can_io.j1939_node import POSITIVE, PRIORITY, Node, TokenBucket
 from estimator.can_io.publisher import Schedule
 from estimator.can_io.transport_sender import TransportSender
-from estimator.can_io.trouble_codes import DM1, DM2, DM3, MAX_CODES, TroubleCode, TroubleMemory
+from estimator.can_io.trouble_codes import DM1, DM2, DM3, DM11, MAX_CODES, TroubleCode, TroubleMemory
+
+log = logging.getLogger(__name__)
 
 PERIOD = 1.0  # s between two DM1 (J1939-73)
 MAX_FRAMES = 1 + -(-(2 + 4 * MAX_CODES) // PACKET_BYTES)  # of one message
@@ -19,7 +22,7 @@ Allowed = Callable[[int], bool]
 
 
 class Diagnostics:
-    """DM1, DM2 and DM3 of one node; times are monotonic [s]."""
+    """DM1, DM2, DM3 and DM11 of one node; times are monotonic [s]."""
 
     def __init__(self) -> None:
         self.memory = TroubleMemory()
@@ -27,12 +30,17 @@ class Diagnostics:
         self._schedule = Schedule(PERIOD)
         self._answers = TokenBucket(ANSWER_RATE, ANSWER_BURST)
         self._now = 0.0
+        self._was_cleared = False  # since the last look at the faults
 
     def observe(self, present: Collection[TroubleCode], now: float) -> bool:
-        """Take the faults that there are now; a change is broadcast at once. Whether the active codes changed."""
+        """Take the faults that there are now; a change is broadcast at once.
+
+        Whether the active codes changed, or codes were cleared since the last call.
+        """
         changed = self.memory.observe(present, now)
         if changed:
             self._schedule.restart(now)
+        changed, self._was_cleared = changed or self._was_cleared, False
         return changed
 
     def poll(self, now: float, address: int, may_send: Allowed) -> list[can.Message]:
@@ -47,9 +55,9 @@ class Diagnostics:
 
     def answer(self, pgn: int, requester: int, node: Node) -> list[can.Message] | None:
         """Frames that answer a request at once, more may follow by `poll`; None for a group that is not ours."""
-        if pgn == DM3:
-            self.memory.clear_previous()
-            return [] if requester == GLOBAL else [node.acknowledge(DM3, requester, POSITIVE)]
+        if pgn in (DM3, DM11):
+            self._clear(pgn)
+            return [] if requester == GLOBAL else [node.acknowledge(pgn, requester, POSITIVE)]
         if pgn not in (DM1, DM2) or node.address is None:
             return None
         content = self.memory.message(pgn)
@@ -60,6 +68,16 @@ class Diagnostics:
         if frames is None:
             node.counts["request not answered"] += 1
         return frames or []
+
+    def _clear(self, pgn: int) -> None:
+        """Forget the active codes (DM11), or the previously active ones (DM3)."""
+        if pgn == DM11 and self.memory.clear_active():
+            self._schedule.restart(self._now)
+        elif pgn == DM11 or not self.memory.clear_previous():
+            return
+        self._was_cleared = True
+        kind = "active" if pgn == DM11 else "previously active"
+        log.info("%s trouble codes cleared, as another node asked", kind)
 
     def _frames(self, pgn: int, content: bytes, destination: int, address: int) -> list[can.Message] | None:
         """The frame of a short message; of a long one, none yet; None where it has to wait for another."""
