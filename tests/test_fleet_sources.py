@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from estimator.config import Config
 from estimator.errors import ConfigError, InputError, LogError
 from estimator.fleet.grouping import YEAR, Drive, group
 from estimator.fleet.sources import LogFile, find_logs, local_copy
@@ -83,7 +84,7 @@ def test_logs_of_a_url(tmp_path: Path) -> None:
             ("memory:///lake/truck-2/b.log", "truck-2"),
         ]
         assert find_logs(["memory://lake/*/a.log"]) == logs[:1]
-        one = survey(logs[0])
+        one = survey(logs[0], Config())
         assert (one.start, one.end, one.fault) == (T0, T0 + 3, "")
         with local_copy(logs[1].source) as path:
             assert path.read_bytes() == text
@@ -147,7 +148,7 @@ def test_drives_that_overlap_and_clocks_that_differ_by_years_are_named() -> None
 def test_a_log_that_cannot_be_read_says_why(tmp_path: Path) -> None:
     path = candump(tmp_path / "a.log")
     path.write_text(path.read_text() + "(1700000004.0) can0 18FEF1")
-    one = survey(LogFile(str(path), "t"))
+    one = survey(LogFile(str(path), "t"), Config())
     assert f"{path}:5: the file ends inside this line" in one.fault
     assert [r.status for r in group([one]).rejected] == ["unreadable"]
-    assert "no such file" in survey(LogFile(str(tmp_path / "gone.log"), "t")).fault
+    assert "no such file" in survey(LogFile(str(tmp_path / "gone.log"), "t"), Config()).fault

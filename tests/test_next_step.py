@@ -24,9 +24,8 @@ def run(
 ) -> Run:
     pipeline = Pipeline(from_dict({"effects": list(effects), "sampler": {"likelihood": likelihood}}))
     pipeline.traffic.seen.update(dict.fromkeys(seen, 1000))
-    return Run(
-        pipeline, [Estimate(t=0.0, status=status, reason="a reason", coverage=coverage, admitted=admitted)], Counter()
-    )
+    update = Estimate(t=0.0, status=status, reason="a reason", coverage=coverage, admitted=admitted)
+    return Run(pipeline=pipeline, updates=[update], skipped=Counter(), mixed_channels=Counter())
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,10 @@ from estimator.estimate import Status
 
 
 class Frames(Struct, frozen=True, kw_only=True):
-    """Counts of frames; ``ids`` is the number of different identifiers, ``errors`` has counts by reason."""
+    """Counts of frames; ``ids`` is the number of different identifiers, ``errors`` has counts by reason.
+
+    ``mixed_channels`` has counts by channel where several of a log were read as one bus.
+    """
 
     read: int
     ids: int
@@ -15,6 +18,7 @@ class Frames(Struct, frozen=True, kw_only=True):
     reordered: int
     steps_back: int
     errors: dict[str, int]
+    mixed_channels: dict[str, int] = {}
 
 
 class Input(Struct, frozen=True, kw_only=True):

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import can
 import can.cli
+import msgspec
 
+from estimator import config
 from estimator.answers.inspection import InspectionAnswer
 from estimator.can_io.frames import Frames
 from estimator.commands.arguments import add_output, add_print_config, add_settings, number
+from estimator.commands.log_options import complain_of_channels
 from estimator.commands.tables import print_inspection
 from estimator.commands.terminal import print_config, print_json, say, standard_output
 from estimator.config import Config
@@ -40,7 +43,11 @@ def run(options: argparse.Namespace) -> int:
         print_config(settings)
         return 0
     if options.log is not None:
-        answer = inspection.inspect(options.log, settings, lambda share: None)
+        chosen = getattr(options, "channel", None)
+        channels = settings.bus.channels if chosen is None else [chosen]
+        read = config.replace(settings, bus=msgspec.structs.replace(settings.bus, channels=channels))
+        answer = inspection.inspect(options.log, read, lambda share: None)
+        complain_of_channels(answer.frames.mixed_channels)
     else:
         answer = _hear(spec_of(options, settings.reception), settings, options.seconds)
     if options.json:

@@ -5,7 +5,15 @@ from pathlib import Path
 
 from estimator.commands.arguments import add_output, add_settings, whole_number
 from estimator.commands.diagnosis_tables import print_diagnosis
-from estimator.commands.log_options import RECORDED, add_effects, add_seed, check_outputs, settings
+from estimator.commands.log_options import (
+    RECORDED,
+    add_channels,
+    add_effects,
+    add_seed,
+    check_outputs,
+    complain_of_channels,
+    settings,
+)
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.report import diagnosis_page
 from estimator.report.diagnosis_summary import of_diagnosis
@@ -21,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     exact = "look for effects in N records of noise like this one's as well, for a p-value (not on hills)"
     parser.add_argument("--exact", type=whole_number, default=0, metavar="N", help=exact)
     add_effects(parser)
+    add_channels(parser)
     add_seed(parser, "bootstrap")
 
 
@@ -31,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
         diagnosis = diagnose_logs(options.log, settings(options), progress, surrogates=options.exact)
     if options.report is not None:
         diagnosis_page.write_page(diagnosis, options.report)
+    complain_of_channels(diagnosis.mixed_channels)
     if options.json:
         print_json(of_diagnosis(diagnosis))
     else:

@@ -7,7 +7,15 @@ from types import ModuleType
 
 from estimator.commands.arguments import add_output, add_settings
 from estimator.commands.complaints import complain
-from estimator.commands.log_options import RECORDED, add_effects, add_seed, check_outputs, settings
+from estimator.commands.log_options import (
+    RECORDED,
+    add_channels,
+    add_effects,
+    add_seed,
+    check_outputs,
+    complain_of_channels,
+    settings,
+)
 from estimator.commands.tables import print_run
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.errors import RoadloadError
@@ -20,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser)
     add_settings(parser)
     parser.add_argument("log", nargs="+", type=Path, metavar="LOG", help=RECORDED)
+    add_channels(parser)
     add_seed(parser, "sampler")
     parser.add_argument("--draws", type=Path, metavar="OUT.csv|.json|.nc", help="draws of the posterior")
     parser.add_argument("--plot", type=Path, metavar="OUT.png|.svg|.pdf|.html", help="posterior, fit, coverage, chains")
@@ -43,6 +52,7 @@ def run(options: argparse.Namespace) -> int:
         _plots().write_plot(evidence, f"roadload: {', '.join(path.name for path in options.log)}", options.plot)
     if evidence is None and (options.draws or options.plot):
         complain("note: no estimate, so no draws and no picture were written")
+    complain_of_channels(result.mixed_channels)
     if options.json:
         print_json(summary.of_run(result))
     else:

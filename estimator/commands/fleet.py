@@ -9,7 +9,7 @@ from pathlib import Path
 from estimator.answers.fleet import FleetAnswer
 from estimator.commands.arguments import add_output, add_settings, number
 from estimator.commands.complaints import complain
-from estimator.commands.log_options import add_effects, add_seed, settings
+from estimator.commands.log_options import add_channels, add_effects, add_seed, settings
 from estimator.commands.terminal import print_json, progress_bar, say, standard_output
 from estimator.fleet.cache import Cache
 from estimator.fleet.engine import dask_engine
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--diagnose", action="store_true", help="diagnose each drive too; takes much longer")
     rate = number(0.0, 1.0, "a rate from 0 to 1")
     parser.add_argument("--fdr", type=rate, default=0.05, metavar="RATE", help="false-discovery rate of outliers: 0.05")
+    add_channels(parser)
     add_seed(parser, "sampler")
     add_effects(parser)
 

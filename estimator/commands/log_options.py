@@ -8,7 +8,9 @@ import msgspec
 
 from estimator import config
 from estimator.can_io.logs import FORMATS
+from estimator.can_io.logs.channels import described
 from estimator.commands.arguments import whole_number
+from estimator.commands.complaints import complain
 from estimator.config import Config
 from estimator.errors import ConfigError
 from estimator.model.effects import CATALOGUE
@@ -20,6 +22,18 @@ RECORDED = f"recorded traffic: {' '.join(FORMATS)}"
 def add_seed(parser: argparse.ArgumentParser, use: str) -> None:
     """Add --seed of the ``use``."""
     parser.add_argument("--seed", type=whole_number, help=f"of the {use}, instead of the configuration's")
+
+
+def add_channels(parser: argparse.ArgumentParser) -> None:
+    """Add --channel."""
+    text = "of a log with several, as the log names it: 1, can0; may be repeated"
+    parser.add_argument("--channel", action="append", default=[], dest="channels", metavar="NAME", help=text)
+
+
+def complain_of_channels(counts: Mapping[str, int]) -> None:
+    """A note on logs whose channels were read as one bus, with their frames by channel, if there are such."""
+    if counts:
+        complain(f"note: {described(counts)} are read as one bus; choose with --channel")
 
 
 def add_effects(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +60,7 @@ def check_outputs(logs: Sequence[Path], outputs: Mapping[Path | None, tuple[str,
 
 
 def settings(options: argparse.Namespace) -> Config:
-    """The configuration file, with --dbc, --effect and --seed in its place.
+    """The configuration file, with --dbc, --channel, --effect and --seed in its place.
 
     Raises
     ------
@@ -56,6 +70,8 @@ def settings(options: argparse.Namespace) -> Config:
     found = config.load(options.config)
     if options.dbc:
         found = config.replace(found, bus=msgspec.structs.replace(found.bus, dbc=options.dbc))
+    if getattr(options, "channels", None):
+        found = config.replace(found, bus=msgspec.structs.replace(found.bus, channels=options.channels))
     if getattr(options, "effect", None):
         found = msgspec.structs.replace(found, effects=[*found.effects, *options.effect])
     if getattr(options, "seed", None) is not None:

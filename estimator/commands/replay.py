@@ -5,7 +5,14 @@ from pathlib import Path
 
 from estimator.can_io.log_writer import WRITABLE
 from estimator.commands.arguments import add_output, add_settings, positive
-from estimator.commands.log_options import RECORDED, add_seed, check_outputs, settings
+from estimator.commands.log_options import (
+    RECORDED,
+    add_channels,
+    add_seed,
+    check_outputs,
+    complain_of_channels,
+    settings,
+)
 from estimator.commands.tables import print_run
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.errors import ConfigError
@@ -22,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", type=Path, metavar="OUT.blf", help=f"record what was broadcast: {' '.join(WRITABLE)}"
     )
+    add_channels(parser)
     add_seed(parser, "sampler")
 
 
@@ -42,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
             raise ConfigError(f"--speed: {options.speed!r} is neither 'max' nor a positive factor") from error
     with progress_bar("replaying") as progress:
         result = replay.replay(options.log, settings(options), progress, speed, options.output)
+    complain_of_channels(result.mixed_channels)
     if options.json:
         print_json(summary.of_run(result))
     else:

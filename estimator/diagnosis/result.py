@@ -1,5 +1,6 @@
 """The result of a diagnosis: the verdict and the quantities behind it, for tables, JSON and pages."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -215,3 +216,4 @@ class Diagnosis:
     gap_map: GapMap | None = None
     traces: Traces | None = None
     logs: tuple[str, ...] = field(default=())
+    mixed_channels: Mapping[str, int] = field(default_factory=dict)  # frames by channel, where several are one bus

@@ -1,6 +1,5 @@
 """One drive: its estimate for each load, with the statistics that a joint estimate needs."""
 
-from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from estimator.estimation.evidence import Coefficients
 from estimator.fleet.grouping import Drive
 from estimator.fleet.sources import local_copy
 from estimator.streaming.drive_extraction import diagnose_logs
-from estimator.streaming.log_frames import no_progress, read_frames
+from estimator.streaming.log_frames import LogFrames
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block
 
@@ -132,7 +131,7 @@ class _Loads:
 def _segments(paths: list[Path], config: Config) -> tuple[Segment, ...]:
     pipeline = Pipeline(config)
     loads = _Loads(pipeline)
-    for item in pipeline.traffic.feed_all(read_frames(paths, no_progress, Counter())):
+    for item in pipeline.traffic.feed_all(LogFrames(paths, config)):
         for update in pipeline.take(item):
             loads.take(update)
         if isinstance(item, Block) and item.rows:

@@ -23,6 +23,7 @@ class Drive:
     contents: tuple[str, ...]
     start: float
     end: float
+    note: str = ""  # a doubt about its logs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,14 +87,15 @@ def _joined(surveys: list[Survey]) -> list[Drive]:
             contents=tuple(one.content for one in chain),
             start=chain[0].start,
             end=chain[-1].end,
+            note=next((one.note for one in chain if one.note), ""),
         )
         for chain in chains
     ]
 
 
 def _notes(drives: list[Drive]) -> dict[str, str]:
-    """Doubts about clocks, by the first source of a drive."""
-    notes: dict[str, str] = {}
+    """Doubts about channels and clocks, by the first source of a drive; that about the clock counts for more."""
+    notes = {drive.sources[0]: drive.note for drive in drives if drive.note}
     starts: dict[str, list[float]] = defaultdict(list)
     for drive in drives:
         if drive.start >= MIN_SET_CLOCK:

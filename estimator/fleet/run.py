@@ -70,16 +70,16 @@ def run_fleet(
     if config.sampler.likelihood != "road":
         raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
     bind(config, load_database(config.bus.dbc))
-    grouped = group(_surveys(logs, engine, progress))
+    grouped = group(_surveys(logs, config, engine, progress))
     results = _results(grouped.drives, config, engine, cache, with_diagnosis, progress)
     vehicles = _vehicles(grouped, results, config, engine)
     compared, new = _compared(vehicles)
     return Fleet(grouped=grouped, results=results, vehicles=vehicles, q_values=compared, new=new)
 
 
-def _surveys(logs: Sequence[LogFile], engine: Engine, progress: Progress) -> list[Survey]:
+def _surveys(logs: Sequence[LogFile], config: Config, engine: Engine, progress: Progress) -> list[Survey]:
     found: dict[int, Survey] = {}
-    for done, (i, result) in enumerate(engine.map(survey, logs), start=1):
+    for done, (i, result) in enumerate(engine.map(partial(survey, config=config), logs), start=1):
         if isinstance(result, Failure):
             fault = f"{logs[i].source}: {result.reason}"
             result = Survey(log=logs[i], content="", start=0.0, end=0.0, fault=fault)

@@ -1,13 +1,15 @@
 """Hash and times of a log, read once before the estimates."""
 
-from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 
+from estimator.can_io.logs.channels import described
+from estimator.config import Config
 from estimator.errors import RoadloadError
 from estimator.fleet.sources import LogFile, local_copy
-from estimator.streaming.log_frames import no_progress, read_frames
+from estimator.streaming.log_frames import LogFrames
 
 PIECE = 1 << 20  # bytes hashed at a time
 
@@ -17,7 +19,7 @@ class Survey:
     """A log and its contents.
 
     ``content`` is a hash of its bytes, empty where it cannot be read; ``start`` and ``end`` are the times of its
-    first and last frame [s], and ``fault`` is the reason why it cannot be read to the end, or empty.
+    first and last frame [s], ``fault`` is the reason why it cannot be read to the end, or empty, and ``note`` a doubt.
     """
 
     log: LogFile
@@ -25,21 +27,27 @@ class Survey:
     start: float
     end: float
     fault: str = ""
+    note: str = ""
 
 
-def survey(log: LogFile) -> Survey:
+def survey(log: LogFile, config: Config) -> Survey:
     """Read a log without decoding it."""
     content, start, end = "", 0.0, 0.0
     try:
         with local_copy(log.source) as path:
             first = True
-            for frames in read_frames([path], no_progress, Counter()):
+            logs = LogFrames([path], config)
+            for frames in logs:
                 start, first = (float(frames.t[0]) if first else start), False
                 end = float(frames.t[-1])
             content = _content(path)
     except (RoadloadError, OSError) as error:
         return Survey(log=log, content=content, start=start, end=end, fault=_line(log, error))
-    return Survey(log=log, content=content, start=start, end=end)
+    return Survey(log=log, content=content, start=start, end=end, note=_note(logs.mixed))
+
+
+def _note(mixed: Mapping[str, int]) -> str:
+    return f"{described(mixed)} are read as one bus; choose with --channel" if mixed else ""
 
 
 def _line(log: LogFile, error: Exception) -> str:

@@ -40,7 +40,7 @@ DRIVES = (
     Column("minutes", "number", "min"),
     Column("status", "text"),
     Column("reason", "text"),
-    Column("note", "text", meaning="doubts about the clock"),
+    Column("note", "text", meaning="doubts about the clock or the channels"),
     *_posterior("mass_kg", "kg", "mass, by the drive"),
     *_posterior("A_N", "N", "rolling and friction force, by the drive"),
     *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient, by the drive"),

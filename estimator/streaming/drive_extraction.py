@@ -15,7 +15,7 @@ from estimator.diagnosis.drive_data import Record, record
 from estimator.diagnosis.result import Diagnosis
 from estimator.model.effects import CATALOGUE, Effect, named
 from estimator.samples import Rows
-from estimator.streaming.log_frames import Progress, no_progress, read_frames
+from estimator.streaming.log_frames import LogFrames, Progress, no_progress
 from estimator.streaming.row_stream import Block, RowStream
 
 READING_SHARE = 0.9  # of the work
@@ -45,14 +45,17 @@ def diagnose_logs(
     """
     given = named(config.effects)
     records: list[Record] = []
+    mixed: Counter[str] = Counter()
     for i, path in enumerate(paths):
-        found = drives(path, config, partial(_part, progress, i, len(paths)))
+        logs = LogFrames([path], config, partial(_part, progress, i, len(paths)))
+        found = [record(pieces, config) for pieces in _pieces(logs, path, config)]
+        mixed.update(logs.mixed)
         records += [replace(drive, log=i, log_start=found[0].start) for drive in found]
     result = diagnose(
         records, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further), surrogates=surrogates
     )
     progress(1.0)
-    return replace(result, logs=tuple(str(path) for path in paths))
+    return replace(result, logs=tuple(str(path) for path in paths), mixed_channels=dict(mixed))
 
 
 def _part(progress: Progress, done: int, of: int, share: float) -> None:
@@ -74,9 +77,13 @@ def drives(path: Path, config: Config, progress: Progress = no_progress) -> list
 
 def drive_rows(path: Path, config: Config, progress: Progress = no_progress) -> list[list[Rows]]:
     """Rows of the drives in a log, each drive as its pieces between interruptions; see `drives`."""
+    return _pieces(LogFrames([path], config, progress), path, config)
+
+
+def _pieces(logs: LogFrames, path: Path, config: Config) -> list[list[Rows]]:
     stream = RowStream(config)
     found: list[list[list[Rows]]] = [[[]]]
-    for item in stream.feed_all(read_frames([path], progress, Counter())):
+    for item in stream.feed_all(logs):
         if isinstance(item, Block):
             found[-1][-1] += item.rows
         elif item.is_new_drive:

@@ -1,6 +1,7 @@
 """Inspection of a log or bus: inputs found and missing, their rates and gaps, shares not available."""
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from estimator.config import Config
 from estimator.errors import MissingInputsError
 from estimator.estimate import Estimate, Status
 from estimator.signals import Floats, Role
-from estimator.streaming.log_frames import Progress, no_progress, read_frames
+from estimator.streaming.log_frames import LogFrames, Progress, no_progress
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block, Interruption
 
@@ -95,8 +96,11 @@ class Inspection:
                     self._inputs[role, place].times.append(part.t)
                     self._inputs[role, place].values.append(part.value)
 
-    def report(self, place: str, skipped: Counter[str]) -> InspectionAnswer:
-        """All that was found at ``place``, where frames were ``skipped`` for a reason; nothing can be added after."""
+    def report(self, place: str, skipped: Counter[str], mixed: Mapping[str, int] | None = None) -> InspectionAnswer:
+        """All that was found at ``place``; nothing can be added after.
+
+        Frames were ``skipped`` for a reason; those of ``mixed`` channels were read as one bus.
+        """
         traffic = self._pipeline.traffic
         for item in traffic.finish():
             self._take(item)
@@ -118,6 +122,7 @@ class Inspection:
                 reordered=traffic.order.reordered,
                 steps_back=traffic.order.steps_back,
                 errors=dict(skipped + traffic.errors),
+                mixed_channels=dict(mixed or {}),
             ),
             sources=traffic.sources,
             contested=traffic.contested,
@@ -157,7 +162,7 @@ def inspect(path: Path, config: Config, progress: Progress = no_progress) -> Ins
     LogError
         The log cannot be read.
     """
-    inspection, skipped = Inspection(config), Counter[str]()
-    for frames in read_frames([path], progress, skipped):
+    inspection, logs = Inspection(config), LogFrames([path], config, progress)
+    for frames in logs:
         inspection.add(frames)
-    return inspection.report(str(path), skipped)
+    return inspection.report(str(path), logs.skipped, logs.mixed)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs import Log, open_log
+from estimator.config import Config
 
 Progress = Callable[[float], None]  # called with the share of the work that is done
 
@@ -14,17 +15,34 @@ def no_progress(share: float) -> None:
     """Ignore the progress."""
 
 
-def read_frames(paths: Sequence[Path], progress: Progress, skipped: Counter[str]) -> Iterator[Frames]:
-    """Batches of all logs, one log after the other; counts the frames that are no data frames in ``skipped``.
+class LogFrames:
+    """Batches of the frames of logs, one log after the other, on the channels that the configuration names.
+
+    Attributes
+    ----------
+    skipped : collections.Counter[str]
+        What was in the logs but is no data frame, counted by reason.
+    mixed : collections.Counter[str]
+        Frames by channel of the logs whose channels are read as one bus; empty where there is one, or some are chosen.
 
     Raises
     ------
     LogError
-        A log is missing, empty or damaged.
+        A log is missing, empty or of an unknown format; on iterating, it is damaged or its channels exclude each other.
     """
-    logs: list[Log] = [open_log(path) for path in paths]
-    for i, log in enumerate(logs):
-        for frames in log:
-            yield frames
-            progress((i + log.progress) / len(logs))
-        skipped.update(log.skipped)
+
+    def __init__(self, paths: Sequence[Path], config: Config, progress: Progress = no_progress) -> None:
+        self._channels = [str(channel) for channel in config.bus.channels]
+        self._logs: list[Log] = [open_log(path, self._channels) for path in paths]
+        self._progress = progress
+        self.skipped: Counter[str] = Counter()
+        self.mixed: Counter[str] = Counter()
+
+    def __iter__(self) -> Iterator[Frames]:
+        for i, log in enumerate(self._logs):
+            for frames in log:
+                yield frames
+                self._progress((i + log.progress) / len(self._logs))
+            self.skipped.update(log.skipped)
+            if len(log.channels.counts) > 1 and not self._channels:
+                self.mixed.update(log.channels.counts)

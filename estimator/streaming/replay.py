@@ -15,19 +15,23 @@ from estimator.config import Config
 from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
-from estimator.streaming.log_frames import Progress, no_progress, read_frames
+from estimator.streaming.log_frames import LogFrames, Progress, no_progress
 from estimator.streaming.pipeline import Pipeline
 
 BATCH = 1000  # frames put on the virtual bus before the listener's side is drained
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Run:
-    """The result of one log, or of several in order."""
+    """The result of one log, or of several in order.
+
+    ``mixed_channels`` counts the frames by channel where several were read as one bus.
+    """
 
     pipeline: Pipeline
     updates: list[Estimate]
     skipped: Counter[str]
+    mixed_channels: Counter[str]
     broadcast: list[can.Message] = field(default_factory=list)
 
     @property
@@ -52,12 +56,12 @@ def estimate_logs(paths: Sequence[Path], config: Config, progress: Progress = no
     MissingInputsError
         The logs lack inputs of the model.
     """
-    pipeline, skipped, updates = Pipeline(config), Counter[str](), list[Estimate]()
-    for frames in read_frames(paths, progress, skipped):
+    pipeline, logs, updates = Pipeline(config), LogFrames(paths, config, progress), list[Estimate]()
+    for frames in logs:
         updates += pipeline.feed(frames)
     updates += pipeline.finish()
     pipeline.traffic.require_inputs(_names(paths))
-    return Run(pipeline, updates, skipped)
+    return Run(pipeline=pipeline, updates=updates, skipped=logs.skipped, mixed_channels=logs.mixed)
 
 
 @one_blas_thread()
@@ -81,13 +85,13 @@ def replay(
     RoadloadError
         The virtual bus lost frames.
     """
-    skipped, heard = Counter[str](), list[can.Message]()
+    logs, heard = LogFrames(paths, config, progress), list[can.Message]()
     channel = f"replay {id(heard)}"  # unique in this process
     with _virtual_bus(channel) as vehicle, _virtual_bus(channel) as node:
         worker = InlineWorker(config)
         listener = Listener(worker, broadcast_by(config.publish, node.send))
         sent = received = 0
-        for frames in read_frames(paths, progress, skipped):
+        for frames in logs:
             for first in range(0, len(frames), BATCH):
                 batch = frames[first : first + BATCH]
                 for message in paced(batch.messages(), speed):
@@ -102,7 +106,13 @@ def replay(
     worker.pipeline.traffic.require_inputs(_names(paths))
     if output is not None:
         write_log(Frames.from_messages(heard), output)
-    return Run(worker.pipeline, list(worker.updates), skipped + listener.skipped, heard)
+    return Run(
+        pipeline=worker.pipeline,
+        updates=list(worker.updates),
+        skipped=logs.skipped + listener.skipped,
+        mixed_channels=logs.mixed,
+        broadcast=heard,
+    )
 
 
 def paced(messages: Iterable[can.Message], speed: float | None) -> Iterator[can.Message]:

@@ -11,6 +11,7 @@ import can
 import numpy as np
 
 from estimator.can_io.logs.asc_line import layout
+from estimator.can_io.logs.channels import UNNAMED
 from estimator.can_io.logs.line_layout import NOTHING, Layout
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
@@ -82,6 +83,9 @@ class AscLog(LineLog):
 
     def _reader(self, tap: Tap) -> Iterable[can.Message]:
         return can.ASCReader(tap)
+
+    def _channel_of(self, message: can.Message) -> str:
+        return str(message.channel + 1) if isinstance(message.channel, int) else UNNAMED  # python-can counts from 0
 
     def _unread(self, line: str) -> None:
         if EVENT.match(line.encode()) is None:  # of the header

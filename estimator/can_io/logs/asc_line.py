@@ -14,9 +14,13 @@ from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, 
 _TIME = rb"\s*(?P<seconds>\d{1,12})\.(?P<fraction>\d{1,9})\s+"
 _ID = rb"(?P<id>[0-9A-Fa-f]{1,8})(?P<x>[xX]?)\s+"
 _DATA = rb"(?P<data>(?:\s+[0-9A-Fa-f]{2}(?!\S))*)"
-_CLASSIC = re.compile(_TIME + rb"\d+\s+" + _ID + rb"[TR]x\s+[dD]\s+(?P<length>[0-8])(?!\S)" + _DATA, re.ASCII)
+_CLASSIC = re.compile(
+    _TIME + rb"(?P<channel>\d+)\s+" + _ID + rb"[TR]x\s+[dD]\s+(?P<length>[0-8])(?!\S)" + _DATA, re.ASCII
+)
 _FLAGS = rb"(?:(?!\d+\s)\S+\s+)?[01]\s+[01]\s+[0-9A-Fa-f]\s+"  # after a symbolic name, if there is one
-_FD = re.compile(_TIME + rb"CANFD\s+\d+\s+[TR]x\s+" + _ID + _FLAGS + rb"(?P<length>\d{1,2})(?!\S)" + _DATA, re.ASCII)
+_FD = re.compile(
+    _TIME + rb"CANFD\s+(?P<channel>\d+)\s+[TR]x\s+" + _ID + _FLAGS + rb"(?P<length>\d{1,2})(?!\S)" + _DATA, re.ASCII
+)
 
 
 def layout(line: bytes) -> Layout | None:
@@ -44,4 +48,5 @@ def layout(line: bytes) -> Layout | None:
         end=columns[-1] + 2 if columns else match.end("length"),
         extended=extended,
         largest=largest,
+        channel=match["channel"],
     )

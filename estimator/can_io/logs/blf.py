@@ -57,12 +57,12 @@ class BlfLog(Log):
                 held, size, wanted = [left], len(left.data), max(decoded.wanted, JOINED)
                 count += len(decoded.frames)
                 self.progress = source.consumed
-                yield decoded.frames
+                yield self.channels.keep(decoded.frames, decoded.channel)
                 if decoded.fault or container.fault:
                     raise self._damage(left.offset, decoded.fault or container.fault, count, header)
             decoded, left = self._decode(held, header.start)
             count += len(decoded.frames)
-            yield decoded.frames
+            yield self.channels.keep(decoded.frames, decoded.channel)
             if decoded.fault:
                 raise self._damage(left.offset, decoded.fault, count, header)
             if left.data.strip(b"\0") or source.position < header.file_size:

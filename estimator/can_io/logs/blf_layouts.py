@@ -24,21 +24,30 @@ Records = NDArray[np.void]
 Fields = dict[str, tuple[str, int]]  # format and offset [bytes]
 
 HEADER: Fields = {"header_size": ("<u2", 4), "size": ("<u4", 8), "stamp": ("<u4", 16), "time": ("<u8", 24)}
-CLASSIC: Fields = {"flags": ("u1", 2), "dlc": ("u1", 3), "id": ("<u4", 4), "data": ("<u8", 8)}
-FD: Fields = {"flags": ("u1", 2), "id": ("<u4", 4), "valid": ("u1", 14), "data": ("64u1", 20)}
-FD64: Fields = {"valid": ("u1", 2), "id": ("<u4", 4), "flags": ("<u4", 12), "end": ("u1", 35), "data": ("64u1", 40)}
+CLASSIC: Fields = {"channel": ("<u2", 0), "flags": ("u1", 2), "dlc": ("u1", 3), "id": ("<u4", 4), "data": ("<u8", 8)}
+FD: Fields = {"channel": ("<u2", 0), "flags": ("u1", 2), "id": ("<u4", 4), "valid": ("u1", 14), "data": ("64u1", 20)}
+FD64: Fields = {
+    "channel": ("u1", 0),
+    "valid": ("u1", 2),
+    "id": ("<u4", 4),
+    "flags": ("<u4", 12),
+    "end": ("u1", 35),
+    "data": ("64u1", 40),
+}
 
 
 class Columns(NamedTuple):
     """The fields of frames as arrays (n,): ``t`` [s], ``data`` (n, 8) or (n, 64), zero beyond ``length`` [bytes].
 
     ``remote`` frames carry no data; the payload of a ``wrong`` one would lie beyond the end of the object.
+    ``channel`` counts from 1.
     """
 
     t: Floats
     ident: NDArray[np.uint32]
     length: NDArray[np.uint8]
     data: NDArray[np.uint8]
+    channel: NDArray[np.unsignedinteger[Any]]
     remote: Mask
     wrong: Mask
 
@@ -66,14 +75,16 @@ def _classic(objects: Records, payload_at: int, start: float) -> Columns:
         words = words & FIRST_BYTES[length]
     data = words.view(np.uint8).reshape(-1, CLASSIC_BYTES)
     wrong = objects["size"] < payload_at + 8 + length.astype(np.uint32)
-    return Columns(_times(objects, start), objects["id"] & IDENT, length, data, objects["flags"] & 0x80 != 0, wrong)
+    remote = objects["flags"] & 0x80 != 0
+    return Columns(_times(objects, start), objects["id"] & IDENT, length, data, objects["channel"], remote, wrong)
 
 
 def _fd(objects: Records, payload_at: int, start: float) -> Columns:
     length = np.minimum(objects["valid"], FD_BYTES)
     data = _first_bytes(objects["data"], length)
     wrong = objects["size"] < payload_at + 20 + length.astype(np.uint32)
-    return Columns(_times(objects, start), objects["id"] & IDENT, length, data, objects["flags"] & 0x80 != 0, wrong)
+    remote = objects["flags"] & 0x80 != 0
+    return Columns(_times(objects, start), objects["id"] & IDENT, length, data, objects["channel"], remote, wrong)
 
 
 def _fd64(objects: Records, payload_at: int, start: float) -> Columns:
@@ -81,7 +92,8 @@ def _fd64(objects: Records, payload_at: int, start: float) -> Columns:
     end = np.where(objects["end"] > 0, objects["end"], size).astype(np.int64)
     data = _first_bytes(objects["data"], np.minimum(length, end - objects["header_size"] - 40))  # the rest is zeros
     wrong = (size < payload_at + 40) | (length > FD_BYTES)
-    return Columns(_times(objects, start), objects["id"] & IDENT, length, data, objects["flags"] & 0x10 != 0, wrong)
+    remote = objects["flags"] & 0x10 != 0
+    return Columns(_times(objects, start), objects["id"] & IDENT, length, data, objects["channel"], remote, wrong)
 
 
 def _first_bytes(data: NDArray[np.uint8], count: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES, Frames
 from estimator.can_io.logs.blf_layouts import KINDS, MAX_RECORD_BYTES, PAYLOAD_AT, Columns, Kind
+from estimator.can_io.logs.channels import Numbers
 from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
 from estimator.signals import Mask
 
@@ -24,16 +25,19 @@ MIN_RUN = 64  # objects that are worth to be read as a run
 STRETCH = 1 << 17  # bytes in which objects are located at once where kinds are mixed
 ERROR_TYPES = (2, 73, 104)  # CAN_ERROR, CAN_ERROR_EXT, CAN_FD_ERROR_64
 HEAD = np.dtype([("signature", "<u4"), ("header_size", "<u2"), ("version", "<u2"), ("size", "<u4"), ("type", "<u4")])
+NO_CHANNEL = np.empty(0, np.uint16)
 KIND_OF = {(kind.type, kind.version): kind for kind in KINDS}
 
 
 class Decoded(NamedTuple):
-    """The data frames of a stretch of objects, counts of the others, the bytes used, and what is wrong after them.
+    """The data frames (n,) of a stretch of objects and their channels (n,), counts of the others, and the bytes used.
 
-    ``wanted`` is how many bytes after the used ones the next object takes, as far as they show it.
+    ``wanted`` is how many bytes after the used ones the next object takes, as far as they show it; ``fault`` what is
+    wrong after them.
     """
 
     frames: Frames
+    channel: Numbers
     skipped: Counter[str]
     used: int
     wanted: int = 0
@@ -58,17 +62,18 @@ def decode_objects(buffer: bytes, start: float) -> Decoded:
     start : float
         Start of the measurement, added to all times [s].
     """
-    parts: list[Frames] = []
+    parts: list[Decoded] = []
     skipped: Counter[str] = Counter()
     at, fault = 0, ""
     while not fault and not (wanted := _missing(buffer, at)):
         found = _run(buffer, at, start) or _mixed(buffer, at, start)
-        parts.append(found.frames)
+        parts.append(found)
         skipped.update(found.skipped)
         at, fault = at + found.used, found.fault
-    return Decoded(
-        Frames.concatenate([part for part in parts if len(part)]), skipped, at, 0 if fault else wanted, fault
-    )
+    parts = [part for part in parts if len(part.frames)] or parts[:1]
+    channel = parts[0].channel if len(parts) == 1 else np.concatenate([NO_CHANNEL, *(part.channel for part in parts)])
+    frames = Frames.concatenate([part.frames for part in parts])
+    return Decoded(frames, channel, skipped, at, 0 if fault else wanted, fault)
 
 
 def _missing(buffer: bytes, at: int) -> int:
@@ -102,16 +107,19 @@ def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
     if columns.wrong.any():
         return None
     remote = int(np.count_nonzero(columns.remote))
-    frames = _frames(columns, ~columns.remote if remote else None)
-    return Decoded(frames, +Counter({REMOTE_FRAME: remote}), at + count * size - before)
+    return _decoded(
+        columns, ~columns.remote if remote else None, Counter({REMOTE_FRAME: remote}), at + count * size - before
+    )
 
 
-def _frames(columns: Columns, keep: Mask | None) -> Frames:
-    frames = Frames(columns.t, columns.ident, columns.length, columns.data)
-    frames = frames if keep is None else frames[keep]
+def _decoded(columns: Columns, keep: Mask | None, skipped: Counter[str], used: int, fault: str = "") -> Decoded:
+    """The objects that are to be kept, all if ``keep`` is None."""
+    frames, channel = Frames(columns.t, columns.ident, columns.length, columns.data), columns.channel
+    if keep is not None:
+        frames, channel = frames[keep], channel[keep]
     if frames.data.shape[1] > CLASSIC_BYTES >= frames.length.max(initial=0):
-        return Frames(frames.t, frames.ident, frames.length, frames.data[:, :CLASSIC_BYTES].copy())
-    return frames
+        frames = Frames(frames.t, frames.ident, frames.length, frames.data[:, :CLASSIC_BYTES].copy())
+    return Decoded(frames, channel, +skipped, used, fault=fault)
 
 
 def _mixed(buffer: bytes, at: int, start: float) -> Decoded:
@@ -139,19 +147,26 @@ def _mixed(buffer: bytes, at: int, start: float) -> Decoded:
     used, fault = located.used, located.fault
     if sound < len(heads):
         used, fault = int(located.positions[sound]), "a CAN frame longer than its object"
-    return Decoded(_frames(columns, keep), +skipped, used, fault=fault)
+    return _decoded(columns, keep, skipped, used, fault)
 
 
 def _blank(count: int, has_fd: bool) -> Columns:
     data = np.zeros((count, FD_BYTES if has_fd else CLASSIC_BYTES), np.uint8)
-    flags = np.zeros((2, count), np.bool_)
-    return Columns(np.zeros(count), np.zeros(count, np.uint32), np.zeros(count, np.uint8), data, *flags)
+    return Columns(
+        t=np.zeros(count),
+        ident=np.zeros(count, np.uint32),
+        length=np.zeros(count, np.uint8),
+        data=data,
+        channel=np.zeros(count, np.uint16),
+        remote=np.zeros(count, np.bool_),
+        wrong=np.zeros(count, np.bool_),
+    )
 
 
 def _put(columns: Columns, rows: NDArray[np.intp], kind: Kind, objects: NDArray[np.void], start: float) -> None:
     found = kind.read(objects, start)
     columns.data[rows, : found.data.shape[1]] = found.data
-    for name in ("t", "ident", "length", "remote", "wrong"):
+    for name in ("t", "ident", "length", "channel", "remote", "wrong"):
         getattr(columns, name)[rows] = getattr(found, name)
 
 

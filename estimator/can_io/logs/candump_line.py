@@ -21,7 +21,7 @@ from estimator.can_io.logs.line_layout import (
 MAX_LINE = 1024  # bytes; the longest that candump prints has about 350
 EXAMPLE = "'(1436509052.249713) can0 18FEF100#0011223344556677' or ' (000.005001)  can0  18FEF100   [2]  00 11'"
 
-_TIME = rb"\s*\((?P<seconds>\d{1,12})\.(?P<fraction>\d{1,9})\)\s+\S+\s+"
+_TIME = rb"\s*\((?P<seconds>\d{1,12})\.(?P<fraction>\d{1,9})\)\s+(?P<channel>\S+)\s+"
 _ID = rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
 _FILE_FORM = re.compile(
     _TIME + _ID + rb"#(?:(?P<remote>R[0-9A-Fa-f_]{0,3})|#[0-9A-Fa-f](?P<fd>(?:[0-9A-Fa-f]{2})*)"
@@ -78,4 +78,5 @@ def layout(line: bytes) -> Layout:
         extended=extended,
         largest=largest,
         remote=match["remote"] is not None,
+        channel=match["channel"],
     )

@@ -26,7 +26,8 @@ class Layout(NamedTuple):
     ``seconds``, ``fraction`` and ``ident`` are (first, end) columns; ``data`` are the first columns of the payload's
     bytes, or of its groups of four where it is base64; ``length`` is that of the payload [bytes]. ``largest`` bounds
     the id. Lines that equal this one outside their values up to the column ``end`` have the same layout.
-    ``number`` are the columns of a number that is of no interest, and of spaces before it.
+    ``number`` are the columns of a number that is of no interest, and of spaces before it. ``channel`` is the name of
+    the channel, empty where the line has none.
     """
 
     seconds: tuple[int, int]
@@ -40,6 +41,7 @@ class Layout(NamedTuple):
     remote: bool = False
     coding: Coding = Coding.HEX
     number: tuple[int, int] = (0, 0)
+    channel: bytes = b""
 
 
 NOTHING = Layout((0, 0), (0, 0), (0, 0), range(0), 0, 0, extended=False, largest=0)  # a line without a frame

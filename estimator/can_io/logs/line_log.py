@@ -13,6 +13,7 @@ import can
 import numpy as np
 
 from estimator.can_io.frames import Frames
+from estimator.can_io.logs.channels import UNNAMED
 from estimator.can_io.logs.line_layout import BadLineError, Layout, shown
 from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.log import Log
@@ -32,8 +33,8 @@ class LineLog(Log):
 
     byte_digits, byte_base = 2, 16  # how a payload byte is written
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, channels: Iterable[str] = ()) -> None:
+        super().__init__(path, channels)
         self._number = 1  # of the first line that has not been parsed
         self._last_frame = 0  # number of the last line up to which there was a frame
 
@@ -75,6 +76,10 @@ class LineLog(Log):
         """Start python-can's reader."""
         raise NotImplementedError
 
+    def _channel_of(self, message: can.Message) -> str:
+        """The channel of a message of python-can, as the log names it."""
+        return UNNAMED
+
     def _unread(self, line: str) -> None:
         """Count a line of which python-can makes no message, or raise ValueError if it should."""
         raise ValueError(f"expected a frame, found {shown(line.encode())}")
@@ -87,9 +92,9 @@ class LineLog(Log):
         ended = text.endswith(b"\n")
         lines = Lines(text if ended else text + b"\n", self._checked_layout)
         self._settle(lines, ended)
-        frames, skipped = lines.frames()
+        frames, channel, skipped = lines.frames()
         self.skipped.update(skipped)
-        yield frames
+        yield self.channels.keep(frames, channel, lines.channels.__getitem__)
         if lines.bad is not None:
             row, error = lines.bad
             if ended or row + 1 < len(lines):
@@ -133,7 +138,8 @@ class LineLog(Log):
                     kind = kind_of(message)
                     if not kind:
                         check_message(message)
-                    lines.put(rows[tap.number - before - 1], Frames.from_messages([message]), kind)
+                    row = rows[tap.number - before - 1]
+                    lines.put(row, Frames.from_messages([message]), kind, self._channel_of(message))
             except READER_ERRORS as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
                 lines.refuse(rows[max(tap.number - before, 1) - 1], f"this line cannot be read ({reason})")

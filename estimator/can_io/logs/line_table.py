@@ -13,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, Frames, widened
+from estimator.can_io.logs.channels import Numbers
 from estimator.can_io.logs.digits import WORD, decimal, hexadecimal, nibbles
 from estimator.can_io.logs.line_layout import ERROR_FLAG, NOTHING, BadLineError, Coding, Layout
 from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
@@ -54,6 +55,8 @@ class Lines:
         Lines about which the grammar does not decide.
     bad : tuple[int, BadLineError] or None
         The first line that is not of the format, and why.
+    channels : list[str]
+        Names of the channels.
     """
 
     def __init__(self, text: bytes, grammar: Grammar) -> None:
@@ -68,6 +71,8 @@ class Lines:
         self._length = np.zeros(count, np.uint8)
         self._data = np.zeros((count, CLASSIC_BYTES), np.uint8)
         self._kind = np.full(count, SKIP, np.uint8)
+        self._channel = np.zeros(count, np.uint16)  # index in `channels`
+        self.channels: list[str] = []
         self._parse(grammar)
 
     def __len__(self) -> int:
@@ -77,24 +82,33 @@ class Lines:
         """A line without its line break."""
         return self._window[self._starts[row] : self._ends[row]].tobytes()
 
-    def put(self, row: int, frames: Frames, kind: str = "") -> None:
+    def put(self, row: int, frames: Frames, kind: str = "", channel: str = "") -> None:
         """Add the frame that was found in an odd line; ``kind`` is that of one without data."""
         self.t[row], self._ident[row], self._length[row] = frames.t[0], frames.ident[0], frames.length[0]
         self._put_data(np.array([row]), frames.data)
         self._kind[row] = {ERROR_FRAME: ERROR, REMOTE_FRAME: REMOTE}.get(kind, DATA)
+        self._channel[row] = self._index_of(channel)
 
     def refuse(self, row: int, reason: str) -> None:
         """Note that a line is not of the format."""
         if self.bad is None or row < self.bad[0]:
             self.bad = row, BadLineError(reason)
 
-    def frames(self) -> tuple[Frames, Counter[str]]:
-        """The data frames up to the first bad line, and counts of others."""
+    def frames(self) -> tuple[Frames, Numbers, Counter[str]]:
+        """The data frames (n,) up to the first bad line, indices (n,) of their channels, and counts of others."""
         kind = self._kind[: self.bad[0]] if self.bad else self._kind
         counts = np.bincount(kind, minlength=REMOTE + 1).tolist()
         skipped = Counter({ERROR_FRAME: counts[ERROR], REMOTE_FRAME: counts[REMOTE]})
         frames = Frames(self.t, self._ident, self._length, self._data)
-        return (frames if counts[DATA] == len(self) else frames[np.flatnonzero(kind == DATA)]), +skipped
+        if counts[DATA] == len(self):
+            return frames, self._channel, +skipped
+        rows = np.flatnonzero(kind == DATA)
+        return frames[rows], self._channel[rows], +skipped
+
+    def _index_of(self, channel: str) -> int:
+        if channel not in self.channels:
+            self.channels.append(channel)
+        return self.channels.index(channel)
 
     def _parse(self, grammar: Grammar) -> None:
         lengths = self._ends - self._starts
@@ -135,6 +149,8 @@ class Lines:
         self._ident[rows] = columns.ident | (EXTENDED if layout.extended else 0)
         self._length[rows] = layout.length
         self._put_data(rows, columns.data)
+        if channel := self._index_of(layout.channel.decode("ascii", "replace")):  # zeros are there
+            self._channel[rows] = channel
         self._kind[rows] = np.where(columns.ident & ERROR_FLAG != 0, ERROR, REMOTE if layout.remote else DATA)
 
     def _put_data(self, rows: Rows, data: Bytes) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from estimator.can_io.frames import Frames
+from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.time_check import TimeCheck
 from estimator.errors import LogError
 
@@ -25,13 +26,16 @@ class Log(ABC):
         The file.
     skipped : collections.Counter[str]
         What was in the file but is no data frame, counted by reason.
+    channels : Channels
+        The data frames of the file by channel, and which of them are yielded.
     progress : float
         Share of the file read so far, 0 to 1.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, channels: Iterable[str] = ()) -> None:
         self.path = path
         self.skipped: Counter[str] = Counter()
+        self.channels = Channels(channels)
         self.progress = 0.0
 
     def __iter__(self) -> Iterator[Frames]:
@@ -40,17 +44,23 @@ class Log(ABC):
         Raises
         ------
         LogError
-            Where the file is damaged, after the frames before the damage; or if it holds no data frame.
+            Where the file is damaged, after the frames before the damage; if it holds no data frame, or not those of
+            one bus.
         """
         self.skipped.clear()
+        self.channels.clear()
         self.progress = 0.0
         times = TimeCheck(self.path)
         empty = True
         for frames in regroup(self._guarded(), BATCH):
+            if self.channels.shared is not None:
+                continue  # only to count the frames of each channel
             times.check(frames)
             empty = False
             yield frames
         self.progress = 1.0
+        if self.channels.counts:
+            self.channels.check(self.path)
         if empty:
             others = ", ".join(f"{count} {reason}" for reason, count in sorted(self.skipped.items()))
             raise LogError(f"{self.path}: no CAN data frame in it ({others or 'nothing at all'}); give another log")

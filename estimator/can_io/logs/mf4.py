@@ -1,9 +1,14 @@
 """ASAM MDF 4 bus logs: sorted or as a logger writes them, packed or not, finished or left open at a loss of power."""
 
+import shutil
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from tempfile import TemporaryFile
+from typing import BinaryIO
 
 from estimator.can_io.frames import Frames
+from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.mdf.blocks import BadMdfError, MdfFile
 from estimator.can_io.logs.mdf.groups import DataGroup, FrameGroup, data_groups, start_time
@@ -18,6 +23,7 @@ from estimator.can_io.logs.mdf.sorted_frames import (
 )
 from estimator.can_io.logs.mdf.stream import Chunk, Tail, chunks
 from estimator.can_io.logs.mdf.unsorted_frames import UnsortedStream
+from estimator.can_io.logs.source import PIECE, Source
 from estimator.errors import LogError
 
 FINISHED, UNFINISHED = b"MDF     ", b"UnFinMF "  # what a file begins with
@@ -34,12 +40,12 @@ class Mf4Log(Log):
     """An ``.mf4`` log; times are those of python-can's ``MF4Reader``."""
 
     def _read(self) -> Iterator[Frames]:
-        with self.path.open("rb") as opened:
+        with self._unpacked() as opened:
             file = MdfFile(opened)
             flags = self._read_identification(file)
             count = 0
             try:
-                content = Content(file, flags, self.skipped)
+                content = Content(file, flags, self.skipped, self.channels)
                 if not content.streams:
                     raise LogError(f"{self.path}: no CAN frames in it, only other values; give the log of the bus")
                 for frames in merged(content.streams):
@@ -50,6 +56,18 @@ class Mf4Log(Log):
                 raise LogError(
                     f"{self.path}: damaged or cut at byte {error.offset} ({error}) after {count} frames; copy it anew"
                 ) from error
+
+    @contextmanager
+    def _unpacked(self) -> Iterator[BinaryIO]:
+        """The open file; a gzipped one, whose blocks refer to each other, is unpacked to a temporary file."""
+        with ExitStack() as stack:
+            if self.path.suffix.lower() != ".gz":
+                yield stack.enter_context(self.path.open("rb"))
+                return
+            source, file = stack.enter_context(Source(self.path)), stack.enter_context(TemporaryFile())
+            shutil.copyfileobj(source.stream, file, PIECE)
+            file.flush()
+            yield file
 
     def _read_identification(self, file: MdfFile) -> int:
         """Flags of what the writer left open."""
@@ -70,7 +88,9 @@ class Mf4Log(Log):
 
 
 class Content:
-    """What is in a file: ``streams`` of frames. Frames without data are counted by kind in ``skipped`` on the way.
+    """What is in a file: ``streams`` of the frames on some channels.
+
+    Frames without data are counted by kind in ``skipped`` on the way.
 
     Raises
     ------
@@ -78,8 +98,9 @@ class Content:
         The file is damaged, or frames are stored in an unknown way.
     """
 
-    def __init__(self, file: MdfFile, flags: int, skipped: Counter[str]) -> None:
+    def __init__(self, file: MdfFile, flags: int, skipped: Counter[str], channels: Channels) -> None:
         self._file = file
+        self._channels = channels
         self._has_counts = not flags & OPEN_COUNTS
         self._is_cut = flags != 0
         self._tail = Tail(size=bool(flags & OPEN_SIZE), links=bool(flags & OPEN_LINKS))
@@ -103,7 +124,8 @@ class Content:
 
     def _frames(self, data_group: DataGroup) -> Iterator[Frames]:
         if data_group.id_bytes:
-            stream = UnsortedStream(data_group, self._chunks(data_group.data), self._start, self._is_cut)
+            data = self._chunks(data_group.data)
+            stream = UnsortedStream(data_group, data, self._channels, self._start, self._is_cut)
             return stream.frames(self._skipped)
         (group,) = data_group.groups
         assert group.frames is not None
@@ -114,7 +136,7 @@ class Content:
             masters=self._masters(group.frames) if group.frames.times_at != group.address else None,
             values=ValueStream(self._chunks(values), values) if values else None,
         )
-        return sorted_frames(group.frames, streams, count, self._start, self._most)
+        return sorted_frames(group.frames, streams, self._channels, count, self._start, self._most)
 
     def _masters(self, frames: FrameGroup) -> RecordStream:
         """The records that hold the times of a group."""

@@ -1,6 +1,7 @@
 """Which reader a log file needs: by its suffix, or by its first line where candump wrote it under another one."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from estimator.can_io.logs.asc import AscLog
@@ -24,18 +25,21 @@ FORMATS: dict[str, type[Log]] = {
     ".log": CandumpLog,
     ".log.gz": CandumpLog,
     ".mf4": Mf4Log,
+    ".mf4.gz": Mf4Log,
     ".trc": TrcLog,
     ".trc.gz": TrcLog,
 }
 
 
-def open_log(path: str | os.PathLike[str]) -> Log:
+def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
     """Open a recorded log.
 
     Parameters
     ----------
     path : str or os.PathLike[str]
         A file whose suffix, in any case, is one of ``FORMATS``, or that holds lines of candump.
+    channels : Iterable[str]
+        Names of the channels that are read, as the log gives them; all if there are none.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def open_log(path: str | os.PathLike[str]) -> Log:
             f"{path}: unknown log format '{path.suffix}'; rename it if it is one of {', '.join(FORMATS)}, "
             "or convert it with can_logconvert"
         )
-    return reader(path)
+    return reader(path, channels)
 
 
 def _is_candump(start: bytes) -> bool:

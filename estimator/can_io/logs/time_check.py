@@ -64,5 +64,5 @@ class TimeCheck:
         if self._steps_back == MAX_STEPS_BACK:
             raise LogError(
                 f"{self._path}: time steps back {MAX_STEPS_BACK} times by more than {MAX_DELAY:g} s, "
-                f"{self._first_step}; give the recordings or channels in it as logs of their own"
+                f"{self._first_step}; give the recordings in it as logs of their own, or one --channel"
             )

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import can
 
+from estimator.can_io.logs.channels import UNNAMED
 from estimator.can_io.logs.line_layout import Layout
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
@@ -59,6 +60,10 @@ class TrcLog(LineLog):
 
     def _reader(self, tap: Tap) -> Iterable[can.Message]:
         return can.TRCReader(tap)
+
+    def _channel_of(self, message: can.Message) -> str:
+        is_named = self._head is None or "channel" in self._head.frame.groupindex
+        return str(message.channel) if is_named else UNNAMED
 
     def _unread(self, line: str) -> None:
         if line.lstrip().startswith(";"):

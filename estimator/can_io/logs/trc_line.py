@@ -21,17 +21,18 @@ _TIME = rb"(?P<seconds>\d{1,12})(?:\.(?P<fraction>\d{1,9}))?"
 _ID = rb"(?P<id>[0-9A-Fa-f]{1,8})"
 _LENGTH = rb"(?P<length>\d{1,2})"
 _DATA = rb"(?P<data>(?:\s+[0-9A-Fa-f]{2}(?!\S))*)\s*"
+_BUS = rb"(?P<channel>\d+)"
 _WAY = rb"(?:Tx|Rx)"
 VERSIONS = {
     b"": (_NUMBER + rb"\)", _TIME, _ID, _LENGTH),
     b"1.1": (_NUMBER + rb"\)", _TIME, _WAY, _ID, _LENGTH),
-    b"1.3": (_NUMBER + rb"\)", _TIME, rb"\d+", _WAY, _ID, rb"\S+", _LENGTH),
+    b"1.3": (_NUMBER + rb"\)", _TIME, _BUS, _WAY, _ID, rb"\S+", _LENGTH),
 }  # the columns before the data
 COLUMNS = {
     b"N": _NUMBER,
     b"O": _TIME,
     b"T": rb"(?P<type>DT|FD|FB|FE|BI)",
-    b"B": rb"\d+",
+    b"B": _BUS,
     b"I": _ID,
     b"l": _LENGTH,
     b"L": rb"(?P<length>[0-8])",  # a code, which is the length up to 8
@@ -95,4 +96,5 @@ def layout(line: bytes, head: Head) -> Layout | None:
         extended=extended,
         largest=largest,
         number=(0, match.end("number")),
+        channel=match["channel"] if "channel" in match.re.groupindex else b"",
     )

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, FD_BYTES, FIRST_BYTES, Frames
+from estimator.can_io.logs.channels import UNNAMED, Channels
 from estimator.can_io.logs.mdf.groups import FrameGroup
 from estimator.can_io.logs.mdf.records import Bytes, Records, times, unsigned
+from estimator.signals import Mask
 
 ID_BITS = np.uint32(0x1FFFFFFF)
 MAX_STANDARD_ID = 0x7FF
@@ -62,6 +64,13 @@ def heads(group: FrameGroup, records: Records, sizes: NDArray[np.int64] | int) -
 def frames_of(group: FrameGroup, found: Heads, masters: Records, payloads: Payloads, start: float) -> Frames:
     """The frames (n,) whose times are in the records ``masters`` (n,) and count from ``start`` [s]."""
     return Frames(times(masters, group.times, start), found.ident, found.length, _data(payloads, found.length))
+
+
+def rows_read(channels: Channels, group: FrameGroup, frames: Frames, records: Records) -> slice | Mask:
+    """Which of the frames (n,) in ``records`` (n,) are of channels that are read."""
+    if group.channel is None:
+        return channels.rows(frames.ident, np.zeros(len(frames), np.uint8), lambda _: UNNAMED)
+    return channels.rows(frames.ident, unsigned(records, group.channel))
 
 
 def _data(payloads: Payloads, length: NDArray[np.uint8]) -> Bytes:

@@ -53,7 +53,8 @@ class Times(NamedTuple):
 class FrameGroup:
     """Records that are CAN frames.
 
-    ``extended`` may be missing; ``times_at`` is the group that holds the times, this one as a rule.
+    ``extended`` and ``channel``, that of the bus, may be missing; ``times_at`` is the group that holds the times, this
+    one as a rule.
     """
 
     address: int
@@ -63,11 +64,12 @@ class FrameGroup:
     extended: Field | None
     length: Field
     data: Field
+    channel: Field | None = None
 
     @property
     def needed(self) -> int:
         """Bytes of a record that holds all values."""
-        fields = (self.ident, self.extended, self.length, self.data)
+        fields = (self.ident, self.extended, self.length, self.data, self.channel)
         own_times = self.times.field.end if self.times_at == self.address else 0
         return max(own_times, *(field.end for field in fields if field is not None))
 
@@ -192,6 +194,7 @@ def _frame_group(file: MdfFile, group: Block, flags: int, names: dict[str, Block
         extended=_unsigned(parts["IDE"]) if "IDE" in parts else None,
         length=_unsigned(parts["DataLength"]),
         data=data,
+        channel=_unsigned(parts["BusChannel"]) if "BusChannel" in parts else None,
     )
 
 

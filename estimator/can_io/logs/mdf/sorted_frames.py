@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.can_io.frames import FD_BYTES, Frames
+from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.mdf.blocks import BadMdfError
-from estimator.can_io.logs.mdf.frames import Payloads, frames_of, heads
+from estimator.can_io.logs.mdf.frames import Payloads, frames_of, heads, rows_read
 from estimator.can_io.logs.mdf.groups import FrameGroup
 from estimator.can_io.logs.mdf.records import Numbers, Records, Rows, Scattered, Table, unsigned
 from estimator.can_io.logs.mdf.stream import Chunk
@@ -120,8 +121,10 @@ class Streams:
     values: ValueStream | None
 
 
-def sorted_frames(group: FrameGroup, streams: Streams, count: int | None, start: float, most: int) -> Iterator[Frames]:
-    """The frames of a group, at most ``most`` at a time.
+def sorted_frames(
+    group: FrameGroup, streams: Streams, channels: Channels, count: int | None, start: float, most: int
+) -> Iterator[Frames]:
+    """The frames of a group on the channels that are read, at most ``most`` at a time.
 
     Parameters
     ----------
@@ -129,6 +132,8 @@ def sorted_frames(group: FrameGroup, streams: Streams, count: int | None, start:
         The group.
     streams : Streams
         Its streams.
+    channels : Channels
+        Which channels are read.
     count : int or None
         Number of frames, None where it was never written: as many as there are.
     start : float
@@ -154,7 +159,8 @@ def sorted_frames(group: FrameGroup, streams: Streams, count: int | None, start:
             payloads, sizes = streams.values.payloads(unsigned(records, group.data))
         found, fault = heads(group, records, sizes)
         count = len(found.ident)
-        yield frames_of(group, found, masters.first(count), payloads.first(count), start)
+        frames = frames_of(group, found, masters.first(count), payloads.first(count), start)
+        yield frames[rows_read(channels, group, frames, records.first(count))]
         if fault:
             raise BadMdfError(streams.records.offset, fault)
         left = None if left is None else left - ready

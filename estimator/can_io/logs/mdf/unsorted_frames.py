@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.can_io.frames import FD_BYTES, Frames
+from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.mdf.blocks import BadMdfError
-from estimator.can_io.logs.mdf.frames import Heads, Payloads, frames_of, heads
+from estimator.can_io.logs.mdf.frames import Heads, Payloads, frames_of, heads, rows_read
 from estimator.can_io.logs.mdf.groups import DataGroup, FrameGroup
 from estimator.can_io.logs.mdf.locate import ROOM, SIZE_BYTES, Located, Places, locate
 from estimator.can_io.logs.mdf.records import Numbers, Scattered, unsigned
@@ -64,10 +65,13 @@ class Decoded(NamedTuple):
 class UnsortedStream:
     """The records of a stream that may end anywhere if ``is_cut``; their times count from ``start`` [s]."""
 
-    def __init__(self, data_group: DataGroup, chunks: Iterator[Chunk], start: float, is_cut: bool) -> None:
+    def __init__(
+        self, data_group: DataGroup, chunks: Iterator[Chunk], channels: Channels, start: float, is_cut: bool
+    ) -> None:
         self._groups = data_group.groups
         self._id_bytes = data_group.id_bytes
         self._chunks = chunks
+        self._channels = channels
         self._start = start
         self._is_cut = is_cut
         self._frame_groups = [(group.record_id, group.frames) for group in data_group.groups if group.frames]
@@ -155,8 +159,10 @@ class UnsortedStream:
             records = self._records(buffer, each.at[:count])
             behind = each.group.data.byte if each.values is None else SIZE_BYTES
             payloads = Payloads(self._records(buffer, each.payload_at[:count]), behind, FD_BYTES)
-            parts.append(frames_of(each.group, each.heads.first(count), records, payloads, self._start))
-            places.append(each.at[:count])
+            frames = frames_of(each.group, each.heads.first(count), records, payloads, self._start)
+            rows = rows_read(self._channels, each.group, frames, records)
+            parts.append(frames[rows])
+            places.append(each.at[:count][rows])
         if len(parts) < 2:
             return Frames.concatenate(parts)
         return Frames.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
