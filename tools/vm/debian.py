@@ -1,9 +1,11 @@
 """Debian parts of the machine: a stock kernel with its modules, busybox, can-utils.
 
-They are downloaded by apt and unpacked into the user's cache; nothing is installed and no root is needed.
+They are downloaded by apt and unpacked into the user's cache; nothing is installed and no root is needed. A whole
+system, with systemd, is made by mmdebstrap from the same sources.
 """
 
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -13,6 +15,8 @@ from pathlib import Path
 
 KERNEL = "linux-image-amd64"  # depends on the newest kernel of the release
 OTHERS = ("busybox-static", "can-utils")
+SYSTEM_PACKAGES = ("systemd-sysv", "libnss-systemd", "python3", "libstdc++6", "iproute2", "can-utils", "procps")
+SOURCES = Path("/etc/apt")
 ALL_MODULES = "lib/modules/**/*.ko"
 MODULES = (
     *("virtio_pci", "9pnet_virtio", "9p"),
@@ -89,10 +93,41 @@ def parts() -> Parts:
     return Parts(folder)
 
 
-def _download(scratch: Path, unpacked: Path) -> None:
-    for program in ("apt-get", "apt-cache", "dpkg-deb"):
+def system() -> Path:
+    """A Debian system with systemd and Python, of the host's release, as a tar archive; made the first time.
+
+    Raises
+    ------
+    VmError
+        apt is missing, the host is no Debian, or mmdebstrap failed: without root it needs user name spaces.
+    """
+    archive = cache() / "system.tar"
+    if not archive.exists():
+        archive.parent.mkdir(parents=True, exist_ok=True)
+        release = platform.freedesktop_os_release().get("VERSION_CODENAME", "")
+        sources = [*SOURCES.glob("sources.list"), *SOURCES.glob("sources.list.d/*.list")]
+        sources += SOURCES.glob("sources.list.d/*.sources")
+        with tempfile.TemporaryDirectory(dir=archive.parent) as scratch:
+            folder, made = Path(scratch), Path(scratch) / archive.name
+            _require("apt-get", "dpkg-deb", "perl")
+            _run(["apt-get", "download", "--quiet", "mmdebstrap"], folder)
+            (package,) = folder.glob("mmdebstrap*.deb")
+            _run(["dpkg-deb", "--extract", str(package), scratch], folder)
+            program = ["perl", str(folder / "usr/bin/mmdebstrap"), "--quiet", "--variant=apt"]
+            wanted = f"--include={','.join(SYSTEM_PACKAGES)}"
+            _run([*program, wanted, release, str(made), *map(str, sources)], folder)
+            made.rename(archive)
+    return archive
+
+
+def _require(*programs: str) -> None:
+    for program in programs:
         if shutil.which(program) is None:
             raise VmError(f"{program} is not here: the machine is made of Debian packages")
+
+
+def _download(scratch: Path, unpacked: Path) -> None:
+    _require("apt-get", "apt-cache", "dpkg-deb")
     depends = _run(["apt-cache", "depends", KERNEL], scratch)
     kernel = re.search(r"Depends: (linux-image-\S+)", depends)
     if kernel is None:

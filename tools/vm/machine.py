@@ -2,6 +2,7 @@
 
 The host's root is shared read-only (9p), so the project, its virtual environment and its Python have the
 same paths as on the host; one folder is shared for writing. No root, no KVM, no network.
+The command can run in a Debian system of its own instead, with systemd as its first process.
 
 The machine's clock counts executed instructions, so the load of the host does not change how much the command computes
 between two times. QEMU counts instructions with a single processor only.
@@ -21,11 +22,18 @@ from vm.debian import VmError, parts
 QEMU = "qemu-system-x86_64"
 CPU = "Nehalem"  # enough for NumPy (x86-64-v2); with the emulated AVX2 of "max" NumPy and OpenBLAS crash
 INSTRUCTION = 1  # log2 of the time of an instruction [ns]: 500 million a second, more than a busy host executes
-MEMORY = 1536  # MiB
+MEMORY, SYSTEM_MEMORY = 1536, 3072  # MiB; a system of its own is in the memory
 SHARES = "local,security_model=none,multidevs=remap"
 
 
-def run(command: Sequence[str], share: Path, *, timeout: float, environment: Mapping[str, str] | None = None) -> int:
+def run(
+    command: Sequence[str],
+    share: Path,
+    *,
+    timeout: float,
+    environment: Mapping[str, str] | None = None,
+    system: Path | None = None,
+) -> int:
     """Boot, run ``command`` in the current directory as root, power off.
 
     Parameters
@@ -39,6 +47,9 @@ def run(command: Sequence[str], share: Path, *, timeout: float, environment: Map
         Longest time for all of it [s], by the clock of the host.
     environment
         Variables of the command, besides PATH, HOME and TMPDIR.
+    system
+        A Debian system (`vm.debian.system`) to start and to run the command in; it has no project and no can-utils but
+        its own, ``share`` is its folder /share, which is the current directory.
 
     Returns
     -------
@@ -50,27 +61,28 @@ def run(command: Sequence[str], share: Path, *, timeout: float, environment: Map
     VmError
         The machine is not available, or did not end in time.
     """
-    if shutil.which(QEMU) is None:
-        raise VmError(f"{QEMU} is not installed")
+    require_qemu()
     debian = parts()
     share = share.resolve()
     archive = share / "initramfs.gz"
-    initramfs.write(debian, archive)
+    initramfs.write(debian, archive, system)
+    programs = f"{debian.programs}:" if system is None else ""
     variables = {
-        "PATH": f"{os.defpath}:{debian.programs}:/usr/sbin:/sbin",
+        "PATH": f"{os.defpath}:{programs}/usr/sbin:/sbin",
         "HOME": "/dev/shm",
         "TMPDIR": "/dev/shm",
         "PYTHONDONTWRITEBYTECODE": "1",
         **(environment or {}),
     }
     exports = [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
-    script = [*exports, f"cd {shlex.quote(os.getcwd())}", shlex.join(command), ""]
+    folder = os.getcwd() if system is None else "/share"
+    script = [*exports, f"cd {shlex.quote(folder)}", shlex.join(command), ""]
     (share / "command").write_text("\n".join(script))
     status = share / "status"
     status.unlink(missing_ok=True)
     with (share / "console.txt").open("wb") as console:
         try:
-            machine = _qemu(debian.kernel, archive, share)
+            machine = _qemu(debian.kernel, archive, share, system is not None)
             subprocess.run(machine, stdin=subprocess.DEVNULL, stdout=console, stderr=console, timeout=timeout)
         except subprocess.TimeoutExpired as error:
             raise VmError(f"not done after {timeout:g} s; see {console.name}") from error
@@ -79,11 +91,24 @@ def run(command: Sequence[str], share: Path, *, timeout: float, environment: Map
     return int(status.read_text())
 
 
-def _qemu(kernel: Path, archive: Path, share: Path) -> list[str]:
-    boot = f"console=ttyS0 quiet panic=-1 mitigations=off share={share} end"
+def require_qemu() -> None:
+    """Refuse to go on where there is no QEMU.
+
+    Raises
+    ------
+    VmError
+        It is not installed.
+    """
+    if shutil.which(QEMU) is None:
+        raise VmError(f"{QEMU} is not installed")
+
+
+def _qemu(kernel: Path, archive: Path, share: Path, has_system: bool) -> list[str]:
+    memory, idle = (SYSTEM_MEMORY, "off") if has_system else (MEMORY, "on")  # off: idle time passes at once
+    boot = f"console=ttyS0 quiet panic=-1 mitigations=off systemd.show_status=no share={share} end"
     return [
-        *(QEMU, "-accel", "tcg,thread=single", "-cpu", CPU, "-m", str(MEMORY)),
-        *("-icount", f"shift={INSTRUCTION},sleep=on"),
+        *(QEMU, "-accel", "tcg,thread=single", "-cpu", CPU, "-m", str(memory)),
+        *("-icount", f"shift={INSTRUCTION},sleep={idle}"),
         *("-kernel", str(kernel), "-initrd", str(archive), "-append", boot),
         *("-virtfs", f"{SHARES},path=/,mount_tag=root,readonly=on"),
         *("-virtfs", f"{SHARES},path={share},mount_tag=share"),
