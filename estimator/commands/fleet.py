@@ -13,7 +13,7 @@ from estimator.commands.log_options import add_channels, add_effects, add_seed, 
 from estimator.commands.terminal import print_json, progress_bar, say, standard_output
 from estimator.fleet.cache import Cache
 from estimator.fleet.engine import dask_engine
-from estimator.fleet.output import CACHE, prepare, write_fleet
+from estimator.fleet.output import CACHE, PAGE, prepare, write_fleet
 from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, run_fleet
 from estimator.fleet.sources import find_logs
@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     engine.add_argument("--workers", type=_workers, metavar="N", help="processes; as many as there are cores")
     engine.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a Dask cluster, instead of processes")
     parser.add_argument("--diagnose", action="store_true", help="diagnose each drive too; takes much longer")
+    parser.add_argument("--report", action="store_true", help=f"also one page with figures, OUT/{PAGE}, opens offline")
     rate = number(0.0, 1.0, "a rate from 0 to 1")
     parser.add_argument("--fdr", type=rate, default=0.05, metavar="RATE", help="false-discovery rate of outliers: 0.05")
     add_channels(parser)
@@ -50,7 +51,9 @@ def run(options: argparse.Namespace) -> int:
     workers = options.workers or len(os.sched_getaffinity(0))
     with progress_bar("fleet") as progress, dask_engine(options.scheduler, workers) as engine:
         found = run_fleet(logs, config, engine, cache=cache, with_diagnosis=options.diagnose, progress=progress)
-    written = write_fleet(found, config, options.output, options.fdr, options.diagnose)
+    written = write_fleet(
+        found, config, options.output, options.fdr, with_diagnosis=options.diagnose, with_page=options.report
+    )
     drives, vehicles = drive_rows(found), vehicle_rows(found, options.fdr)
     _complain_of(drives, vehicles)
     if options.json:

@@ -4,13 +4,15 @@ from pathlib import Path
 
 from estimator.config import Config
 from estimator.errors import ConfigError, RoadloadError
+from estimator.fleet.page import Tables, page
 from estimator.fleet.priors import as_toml, of_new_vehicle, of_vehicle
-from estimator.fleet.rows import drive_rows, effect_rows, vehicle_rows
+from estimator.fleet.rows import drive_rows, effect_rows, season_rows, vehicle_rows
 from estimator.fleet.run import Fleet
-from estimator.fleet.tables import DRIVES, EFFECTS, VEHICLES, write_tables
+from estimator.fleet.tables import DRIVES, EFFECTS, SEASONS, VEHICLES, write_tables
 
 CACHE = "cache"  # folders in the output
 PRIORS = "priors"
+PAGE = "fleet.html"
 NEW_VEHICLE = "new-vehicle"
 FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
 
@@ -33,8 +35,10 @@ def prepare(out: Path) -> None:
         raise RoadloadError(f"{out}: {error.strerror}") from error
 
 
-def write_fleet(found: Fleet, config: Config, out: Path, rate: float, with_diagnosis: bool) -> list[Path]:
-    """Write tables and estimated beliefs: all files, or none; returns their names.
+def write_fleet(
+    found: Fleet, config: Config, out: Path, rate: float, *, with_diagnosis: bool = False, with_page: bool = False
+) -> list[Path]:
+    """Write tables, estimated beliefs and, ``with_page``, the page: all files, or none; returns their names.
 
     ``rate`` is the false-discovery rate at which a vehicle is named as out of line.
 
@@ -43,15 +47,25 @@ def write_fleet(found: Fleet, config: Config, out: Path, rate: float, with_diagn
     RoadloadError
         A file cannot be written.
     """
+    drives, vehicles, seasons, effects = (
+        drive_rows(found),
+        vehicle_rows(found, rate),
+        season_rows(found),
+        effect_rows(found),
+    )
     tables = {
-        out / "drives.parquet": (DRIVES, drive_rows(found)),
-        out / "vehicles.parquet": (VEHICLES, vehicle_rows(found, rate)),
+        out / "drives.parquet": (DRIVES, drives),
+        out / "vehicles.parquet": (VEHICLES, vehicles),
+        out / "seasons.parquet": (SEASONS, seasons),
     }
     if with_diagnosis:
-        tables[out / "effects.parquet"] = EFFECTS, effect_rows(found)
+        tables[out / "effects.parquet"] = EFFECTS, effects
     learnt = {one.vehicle: of_vehicle(config, one) for one in found.vehicles}
     learnt[NEW_VEHICLE] = of_new_vehicle(config, found.vehicles, found.new)
     texts = {out / PRIORS / f"{_file_name(name)}.toml": as_toml(c) for name, c in learnt.items() if c is not None}
+    if with_page:
+        of = Tables(drives=drives, vehicles=vehicles, seasons=seasons, effects=effects, rate=rate)
+        texts[out / PAGE] = page(of)
     write_tables(tables, texts)
     return [*tables, *texts]
 

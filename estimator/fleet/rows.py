@@ -98,6 +98,21 @@ def _out_of_line(found: Fleet, one: VehicleResult, q: Floats, rate: float) -> li
     return words
 
 
+def season_rows(found: Fleet) -> list[Row]:
+    """Rows of `SEASONS`."""
+    return [
+        {
+            "vehicle": vehicle.vehicle,
+            "season": one.season,
+            "loads": one.loads,
+            **statistics("A_per_mass_N_kg", one.rolling),
+            **statistics("C_N_s2_m2", one.drag),
+        }
+        for vehicle, seasons in zip(found.vehicles, found.seasons, strict=True)
+        for one in seasons
+    ]
+
+
 def effect_rows(found: Fleet) -> list[Row]:
     """Rows of `EFFECTS`."""
     return [

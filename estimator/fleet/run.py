@@ -16,12 +16,14 @@ from estimator.fleet.engine import Engine, Failure
 from estimator.fleet.grouping import Drive, Grouped, group
 from estimator.fleet.pooling import Mixture
 from estimator.fleet.population import MIN_VEHICLES, population, q_values
+from estimator.fleet.seasons import SeasonResult, by_season
 from estimator.fleet.sources import LogFile
 from estimator.fleet.survey import Survey, survey
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult, join
 from estimator.settings import Gate
 from estimator.signals import Floats
 
+Joined = tuple[VehicleResult, tuple[SeasonResult, ...]]
 Progress = Callable[[float], None]
 SURVEYING = 0.05  # share of the work
 MIN_SCALE = 1e-3  # of the scatter between drives, where `load.change_sd` is 0: its prior needs a width
@@ -29,25 +31,28 @@ MIN_SCALE = 1e-3  # of the scatter between drives, where `load.change_sd` is 0: 
 
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """Logs grouped to drives, the result of each drive, the vehicles, and the comparison of vehicles.
+    """Logs grouped to drives, the result of each drive, the vehicles, their seasons, and their comparison.
 
-    ``q_values`` (n, 2) of A/m and C of the vehicles, NaN where they are not compared; ``new`` is the distribution of
-    A/m and C of a new vehicle, empty where the vehicles are too few.
+    ``seasons`` are those of each vehicle, in the order of vehicles; ``q_values`` (n, 2) of A/m and C of the vehicles,
+    NaN where they are not compared; ``new`` is the distribution of A/m and C of a new vehicle, empty where the vehicles
+    are too few.
     """
 
     grouped: Grouped
     results: tuple[DriveResult, ...]
     vehicles: tuple[VehicleResult, ...]
+    seasons: tuple[tuple[SeasonResult, ...], ...]
     q_values: Floats
     new: tuple[Mixture, ...]
 
 
 @dataclass(frozen=True)
 class _Vehicle:
-    """The likelihoods of its drives, and why they must not be joined, or empty."""
+    """The likelihoods of its loads, when these begin [s], and why they must not be joined, or empty."""
 
     name: str
     loads: list[Coefficients]
+    starts: list[float]
     doubt: str
 
 
@@ -72,9 +77,16 @@ def run_fleet(
     bind(config, load_database(config.bus.dbc))
     grouped = group(_surveys(logs, config, engine, progress))
     results = _results(grouped.drives, config, engine, cache, with_diagnosis, progress)
-    vehicles = _vehicles(grouped, results, config, engine)
+    return conclude(grouped, results, config, engine)
+
+
+def conclude(grouped: Grouped, results: tuple[DriveResult, ...], config: Config, engine: Engine) -> Fleet:
+    """Join the drives of each vehicle and compare the vehicles, given the result of each drive."""
+    joined = _vehicles(grouped, results, config, engine)
+    vehicles = tuple(vehicle for vehicle, _ in joined)
     compared, new = _compared(vehicles)
-    return Fleet(grouped=grouped, results=results, vehicles=vehicles, q_values=compared, new=new)
+    seasons = tuple(seasons for _, seasons in joined)
+    return Fleet(grouped=grouped, results=results, vehicles=vehicles, seasons=seasons, q_values=compared, new=new)
 
 
 def _surveys(logs: Sequence[LogFile], config: Config, engine: Engine, progress: Progress) -> list[Survey]:
@@ -111,22 +123,26 @@ def _results(
     return tuple(result for result in kept if result is not None)
 
 
-def _vehicles(
-    grouped: Grouped, results: Sequence[DriveResult], config: Config, engine: Engine
-) -> tuple[VehicleResult, ...]:
-    loads: dict[str, list[Coefficients]] = {drive.vehicle: [] for drive in grouped.drives}
+def _vehicles(grouped: Grouped, results: Sequence[DriveResult], config: Config, engine: Engine) -> list[Joined]:
+    names = sorted({drive.vehicle for drive in grouped.drives})
+    vehicles = {name: _Vehicle(name, [], [], _doubt(grouped.overlapping(name))) for name in names}
     for drive, result in zip(grouped.drives, results, strict=True):
-        loads[drive.vehicle] += [one for segment in result.segments if (one := segment.coefficients) is not None]
-    vehicles = [_Vehicle(name, loads[name], _doubt(grouped.overlapping(name))) for name in sorted(loads)]
+        for segment in result.segments:
+            if (coefficients := segment.coefficients) is not None:
+                vehicles[drive.vehicle].loads.append(coefficients)
+                vehicles[drive.vehicle].starts.append(segment.start)
     gate, scale = config.gate, max(config.load.change_sd, MIN_SCALE)
-    found: dict[int, VehicleResult] = {}
-    for i, answer in engine.map(partial(_joined, gate=gate, scale=scale), vehicles):
-        found[i] = join(vehicles[i].name, (), gate, scale, answer.reason) if isinstance(answer, Failure) else answer
-    return tuple(found[i] for i in range(len(vehicles)))
+    found: dict[int, Joined] = {}
+    for i, answer in engine.map(partial(_joined, gate=gate, scale=scale), list(vehicles.values())):
+        if isinstance(answer, Failure):
+            answer = join(names[i], (), gate, scale, answer.reason), ()
+        found[i] = answer
+    return [found[i] for i in range(len(names))]
 
 
-def _joined(vehicle: _Vehicle, gate: Gate, scale: float) -> VehicleResult:
-    return join(vehicle.name, vehicle.loads, gate, scale, vehicle.doubt)
+def _joined(vehicle: _Vehicle, gate: Gate, scale: float) -> Joined:
+    whole = join(vehicle.name, vehicle.loads, gate, scale, vehicle.doubt)
+    return whole, by_season(whole, vehicle.loads, vehicle.starts, gate, scale)
 
 
 def _doubt(overlapping: int) -> str:

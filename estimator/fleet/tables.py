@@ -69,6 +69,13 @@ VEHICLES = (
     Column("mass_kg_sd", "number", "kg", "sd of the loads"),
     Column("outlier", "text", meaning="parameters that are out of line, and their direction"),
 )
+SEASONS = (
+    Column("vehicle", "text"),
+    Column("season", "text", meaning="months, of any year, by UTC"),
+    Column("loads", "count", meaning="with an estimated mass, and a clock that was set"),
+    *_posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m"),
+    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient"),
+)
 EFFECTS = (
     Column("source", "text", meaning="first file of the drive"),
     Column("vehicle", "text"),
@@ -112,7 +119,7 @@ def write_tables(tables: Mapping[Path, tuple[Sequence[Column], Sequence[Row]]], 
         A file cannot be written, or pyarrow is not installed.
     """
     contents = {path: _parquet(schema, rows) for path, (schema, rows) in tables.items()}
-    contents |= {path: text.encode() for path, text in texts.items()}
+    contents |= {path: text.encode("utf-8", "replace") for path, text in texts.items()}
     with ExitStack() as stack:
         for path, content in contents.items():
             stack.enter_context(whole(path)).write_bytes(content)

@@ -2,7 +2,6 @@
 
 import html
 from dataclasses import fields
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,9 @@ from estimator.diagnosis.result import Diagnosis, Traces
 from estimator.output_files import check_suffix, whole
 from estimator.report import wording
 from estimator.report.page import figures, tables
+from estimator.report.page.document import Section, document
 
 FORMATS = (".html",)
-POLICY = "default-src 'none'; style-src 'unsafe-inline'"  # the page may not load anything, whatever a log is called
 REMAINDER_SENTENCES = {
     Verdict.NO_GAP: "Nothing beyond noise is left.",
     Verdict.EFFECT: "Another effect of the catalogue may still act, but not clearly enough to be added.",
@@ -56,17 +55,7 @@ def write_page(diagnosis: Diagnosis, path: Path) -> None:
 
 def page(d: Diagnosis) -> str:
     """The whole document."""
-    sections = [(name, title, body) for name, title, body in _sections(d) if body]
-    links = "".join(f'<a href="#{name}">{title}</a>' for name, title, _ in sections)
-    content = "".join(f'<section id="{name}"><h2>{title}</h2>{body}</section>' for name, title, body in sections)
-    style = resources.files("estimator.report.page").joinpath("page.css").read_text(encoding="utf-8")
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" '
-        f'content="light dark"><title>{html.escape(wording.headline(d))}</title><style>{style}</style></head>'
-        f"<body><main>{_verdict(d)}<nav aria-label='Sections'>{links}</nav>{content}</main></body></html>\n"
-    )
+    return document(wording.headline(d), _verdict(d), _sections(d))
 
 
 def _verdict(d: Diagnosis) -> str:
@@ -84,17 +73,19 @@ def _verdict(d: Diagnosis) -> str:
     )
 
 
-def _sections(d: Diagnosis) -> list[tuple[str, str, str]]:
+def _sections(d: Diagnosis) -> list[Section]:
     return [
-        ("budget", "What is the gap made of?", _budget(d)),
-        ("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
-        ("power", "Power, measured and modelled", _power(d)),
-        ("where", "Where does it lie?", _where(d)),
-        ("which", "Which effect?", tables.ranking(d.candidates, len(d.logs) > 1)),
-        ("apart", "What can be told apart here?", "" if d.isolability is None else tables.isolability(d.isolability)),
-        ("unseen", "What this log cannot say", _unseen(d)),
-        ("left", "What is left?", _left(d)),
-        ("terms", "Terms", _terms() if d.rms_base is not None else ""),
+        Section("budget", "What is the gap made of?", _budget(d)),
+        Section("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
+        Section("power", "Power, measured and modelled", _power(d)),
+        Section("where", "Where does it lie?", _where(d)),
+        Section("which", "Which effect?", tables.ranking(d.candidates, len(d.logs) > 1)),
+        Section(
+            "apart", "What can be told apart here?", "" if d.isolability is None else tables.isolability(d.isolability)
+        ),
+        Section("unseen", "What this log cannot say", _unseen(d)),
+        Section("left", "What is left?", _left(d)),
+        Section("terms", "Terms", _terms() if d.rms_base is not None else ""),
     ]
 
 

@@ -8,6 +8,7 @@ import html
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from estimator.report.number_format import MINUS
 from estimator.signals import Floats, Mask
 
 SIDE = 1000  # units of the drawing, each way
+DAY = 86_400.0  # s
+DAYS_OF_YEAR = 366.0
+MAX_DAYS_BY_DAY = 62.0  # of an axis whose ticks are days; those of a longer one are months
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)  # of a tick, times a power of ten
 
 
@@ -30,6 +34,10 @@ class Axis:
         """Positions (n,) of ``values`` (n,) in the drawing, 0 at the low end."""
         return SIDE * (values - self.low) / (self.high - self.low)
 
+    def text(self, value: float) -> str:
+        """The label of a tick."""
+        return f"{value:.6g}".replace("-", MINUS)
+
     def ticks(self, most: int) -> Floats:
         """At most ``most`` round values (k,) inside the axis."""
         rough = (self.high - self.low) / most
@@ -37,6 +45,30 @@ class Axis:
         step = next(power * s for s in STEPS if power * s >= rough * (1 - 1e-9))
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         return np.arange(first, last + 1) * step
+
+
+class DateAxis(Axis):
+    """An axis of days since 1970, whose ticks are dates."""
+
+    def text(self, value: float) -> str:
+        """The day and the month; of a longer axis the month, and the year where it begins or several are shown."""
+        date = datetime.fromtimestamp(DAY * value, UTC)
+        month = f"{date:%b}"
+        if self.high - self.low > MAX_DAYS_BY_DAY:
+            return f"{month} {date:%Y}" if date.month == 1 or self.high - self.low > DAYS_OF_YEAR else month
+        return f"{date.day} {month}"
+
+    def ticks(self, most: int) -> Floats:
+        """At most ``most`` days (k,), or first days of months."""
+        if self.high - self.low <= MAX_DAYS_BY_DAY:
+            step = max(math.ceil((self.high - self.low) / most), 1)
+            return np.arange(math.ceil(self.low), math.floor(self.high) + 1, step, dtype=np.float64)
+        first, last = (datetime.fromtimestamp(DAY * day, UTC) for day in (self.low, self.high))
+        months = range(12 * first.year + first.month, 12 * last.year + last.month)  # but the first, which has begun
+        most = most // 2 if self.high - self.low > DAYS_OF_YEAR else most  # their labels are longer
+        every = next(n for n in (1, 2, 3, 6, *range(12, 12_000, 12)) if len(months) <= n * most)
+        starts = [datetime(m // 12, m % 12 + 1, 1, tzinfo=UTC) for m in months if m % every == 0]
+        return np.array([start.timestamp() / DAY for start in starts])
 
 
 def axis(values: Iterable[float], label: str, *, zero: bool = False, margin: float = 0.0) -> Axis:
@@ -52,6 +84,18 @@ def axis(values: Iterable[float], label: str, *, zero: bool = False, margin: flo
 def line(x: Axis, y: Axis, xs: Floats, ys: Floats, kind: str) -> str:
     """A line through ``xs``, ``ys`` (n,) of CSS class ``kind``, broken where either is NaN."""
     return f'<path class="{kind}" d="{_path(x.at(xs), SIDE - y.at(ys))}"/>'
+
+
+def dots(x: Axis, y: Axis, xs: Floats, ys: Floats, kind: str) -> str:
+    """Round dots at ``xs``, ``ys`` (n,) of CSS class ``kind``."""
+    places = zip(x.at(xs).tolist(), (SIDE - y.at(ys)).tolist(), strict=True)
+    return f'<path class="dots {kind}" d="{"".join(f"M{a:.1f} {b:.1f}h0" for a, b in places)}"/>'
+
+
+def rods(x: Axis, y: Axis, xs: Floats, low: Floats, high: Floats, kind: str) -> str:
+    """Vertical lines at ``xs`` (n,) from ``low`` to ``high`` (n,)."""
+    ends = zip(x.at(xs).tolist(), (SIDE - y.at(low)).tolist(), (SIDE - y.at(high)).tolist(), strict=True)
+    return f'<path class="rods {kind}" d="{"".join(f"M{a:.1f} {b:.1f}V{c:.1f}" for a, b, c in ends)}"/>'
 
 
 def band(x: Axis, y: Axis, xs: Floats, low: Floats, high: Floats, kind: str) -> str:
@@ -86,11 +130,11 @@ def plot(shapes: str, x: Axis, y: Axis, description: str, title: str = "", kind:
     grid, labels = [], []
     for value, at in _placed(x, 8):
         grid.append(f'<path class="grid" d="M{at:.1f} 0V{SIDE}"/>')
-        labels.append(f'<span class="x" style="left:{at / SIDE:.2%}">{_tick(value)}</span>')
+        labels.append(f'<span class="x" style="left:{at / SIDE:.2%}">{x.text(value)}</span>')
     for value, at in _placed(y, 5):
         rule = "zero" if value == 0 else "grid"
         grid.append(f'<path class="{rule}" d="M0 {SIDE - at:.1f}H{SIDE}"/>')
-        labels.append(f'<span class="y" style="bottom:{at / SIDE:.2%}">{_tick(value)}</span>')
+        labels.append(f'<span class="y" style="bottom:{at / SIDE:.2%}">{y.text(value)}</span>')
     heading = f'<p class="panel">{html.escape(title)}</p>' if title else ""
     return (
         f'<div class="plot {kind}">{heading}<p class="unit">{html.escape(y.label)}</p>'
@@ -104,10 +148,6 @@ def plot(shapes: str, x: Axis, y: Axis, description: str, title: str = "", kind:
 def _placed(of: Axis, most: int) -> list[tuple[float, float]]:
     ticks = of.ticks(most)
     return list(zip(ticks.tolist(), of.at(ticks).tolist(), strict=True))
-
-
-def _tick(value: float) -> str:
-    return f"{value:.6g}".replace("-", MINUS)
 
 
 def _path(px: Floats, py: Floats) -> str:

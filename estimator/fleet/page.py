@@ -1,0 +1,290 @@
+"""A fleet as one page that opens offline: vehicles out of line, A/m and C, masses by day, seasons, gaps by cause."""
+
+import html
+import re
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from estimator.fleet.population import MIN_VEHICLES
+from estimator.fleet.seasons import SEASONS
+from estimator.fleet.tables import Row
+from estimator.report import wording
+from estimator.report.number_format import NOTHING, rounded, signed, with_sd
+from estimator.report.page.document import Section, document
+from estimator.report.page.plot import DAY, DateAxis, axis, dots, plot, rods
+from estimator.report.page.tables import table
+from estimator.signals import Floats
+from estimator.streaming.row_stream import MIN_SET_CLOCK
+
+MAX_ROWS = 40  # of a list; the others are folded away
+HOUR = 60.0  # min
+STRONG_CHANGE = 10.0  # %, shown in the full colour
+PARAMETERS = (("A_per_mass_N_kg", "A/m", "N/kg"), ("C_N_s2_m2", "C", "N s²/m²"))
+UNUSED = ("unreadable", "duplicate", "failed")
+NUMBERS = re.compile(r"[+-]?\d[\d.,]*")
+TERMS = (
+    ("A/m", "rolling and friction force over the mass; 0.06 N/kg is a rolling resistance of 0.6 %"),
+    ("C", "aerodynamic force over the square of the speed; it holds for the density of the air on the drive"),
+    (
+        "interval",
+        "90 %, of what the drives of the vehicle share; single drives scatter around it, with the wind for one",
+    ),
+    ("out of line", "beyond what the other vehicles predict; the q value is the share of false ones to be expected"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables:
+    """Rows of the tables of a fleet, and the false-discovery ``rate`` of its outliers."""
+
+    drives: Sequence[Row]
+    vehicles: Sequence[Row]
+    seasons: Sequence[Row]
+    effects: Sequence[Row]
+    rate: float
+
+
+def page(of: Tables) -> str:
+    """The whole document."""
+    sections = [
+        Section("outliers", "Which vehicles are out of line?", _outliers(of)),
+        Section("vehicles", "A/m and C by vehicle", _vehicles(of.vehicles)),
+        Section("masses", "Masses by day", _masses(of.drives)),
+        Section("seasons", "A/m and C by season", _seasons(of)),
+        Section("gaps", "Gaps by cause", _gaps(of)),
+        Section("unused", "What was not estimated", _unestimated(of.drives)),
+        Section("terms", "Terms", _terms()),
+    ]
+    return document(_headline(of), _header(of), sections)
+
+
+def _headline(of: Tables) -> str:
+    drives = len({row["source"] for row in of.drives if row["status"] not in UNUSED})
+    hours = sum(row["minutes"] for row in of.vehicles) / HOUR
+    return f"{_count(len(of.vehicles), 'vehicle')}, {_count(drives, 'drive')}, {hours:,.0f} h"
+
+
+def _header(of: Tables) -> str:
+    named = [row["vehicle"] for row in of.vehicles if row["outlier"]]
+    none = "none out of line" if _is_compared(of.vehicles) else "not compared"
+    pill = f"{_count(len(named), 'vehicle')} out of line" if named else none
+    estimated = sum(row["status"] == "estimated" for row in of.drives)
+    known = sum("C_N_s2_m2_mean" in row for row in of.vehicles)
+    words = f"The mass is known of {estimated:,} loads, C of {known:,} of {_count(len(of.vehicles), 'vehicle')}. "
+    others = Counter(row["status"] for row in of.drives if row["status"] != "estimated")
+    words += "; ".join(f"{count:,} {status}" for status, count in others.most_common()) + ("." if others else "")
+    kind = "unknown-effect" if named else "no-gap"
+    return (
+        f'<header class="{kind}"><p class="logs">Fleet <span>{_days(of.drives)}</span></p>'
+        f'<p class="verdict">{pill}</p><h1>{_headline(of)}</h1><p class="reason">{html.escape(words)}</p></header>'
+    )
+
+
+def _count(count: int, what: str) -> str:
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+def _days(rows: Sequence[Row]) -> str:
+    times = [row["start"] for row in rows if row["start"] >= MIN_SET_CLOCK]
+    if not times:
+        return "no clock was set"
+    first, last = (datetime.fromtimestamp(t, UTC) for t in (min(times), max(times)))
+    return f"{first:%Y-%m-%d} to {last:%Y-%m-%d}"
+
+
+def _outliers(of: Tables) -> str:
+    rows = [
+        (
+            html.escape(row["vehicle"]),
+            short,
+            with_sd(row[f"{name}_mean"], row[f"{name}_sd"], unit),
+            signed(f"{100 * (row[f'{name}_mean'] / middle - 1):+.0f} %"),
+            f"{row[q]:.2g}",
+        )
+        for (name, short, unit), q in zip(PARAMETERS, ("A_per_mass_q_value", "C_q_value"), strict=True)
+        for middle in [_median(of.vehicles, name)]
+        for row in of.vehicles
+        if f"{name}_mean" in row and row[q] <= of.rate
+    ]
+    if rows:
+        headings = ("vehicle", "parameter", "value", "against the median", "q value")
+        return table(headings, rows, "outliers")
+    reason = f"No vehicle differs from the others at a false-discovery rate of {100 * of.rate:.2g} %."
+    few = f"Too few vehicles have A/m or C to compare them: {MIN_VEHICLES} are needed."
+    return f"<p>{reason if _is_compared(of.vehicles) else few}</p>"
+
+
+def _is_compared(rows: Sequence[Row]) -> bool:
+    return any(np.isfinite([row["C_q_value"], row["A_per_mass_q_value"]]).any() for row in rows)
+
+
+def _median(rows: Sequence[Row], name: str) -> float:
+    known = [row[f"{name}_mean"] for row in rows if f"{name}_mean" in row]
+    return float(np.median(known)) if known else np.nan
+
+
+def _vehicles(rows: Sequence[Row]) -> str:
+    lists = []
+    for name, short, unit in PARAMETERS:
+        known = sorted((row for row in rows if f"{name}_mean" in row), key=lambda row: -row[f"{name}_mean"])
+        if known:
+            lists.append(f"<div><h3>{short} [{unit}]</h3>{_folded(_intervals(known, name, short))}</div>")
+    if not lists:
+        return "<p>No vehicle has A/m or C estimated yet; give more drives.</p>"
+    note = '<p class="soft">Means with 90 % intervals, largest first; the line is the median of the vehicles.</p>'
+    return f'{note}<div class="columns">{"".join(lists)}</div>'
+
+
+def _intervals(rows: Sequence[Row], name: str, short: str) -> list[str]:
+    """An entry for each vehicle: a dot and its interval, on one scale."""
+    scale = axis([row[f"{name}_{end}"] for row in rows for end in ("q05", "q95")], "", margin=0.03)
+    middle = _share(scale.at(np.array([_median(rows, name)])))
+    entries = []
+    for row in rows:
+        low, at, high = (_share(scale.at(np.array([row[f"{name}_{part}"]]))) for part in ("q05", "mean", "q95"))
+        kind = "out" if f"{short} " in row["outlier"] else "in"
+        value = html.escape(with_sd(row[f"{name}_mean"], row[f"{name}_sd"], ""))
+        entries.append(
+            f'<li class="{kind}"><span>{html.escape(row["vehicle"])}</span><b class="track">'
+            f'<s style="left:{middle:.1f}%"></s>'
+            f'<i class="range" style="left:{low:.1f}%;width:{max(high - low, 0.5):.1f}%"></i>'
+            f'<i class="point" style="left:{at:.1f}%"></i></b><span>{value}</span></li>'
+        )
+    return entries
+
+
+def _share(position: Floats) -> float:
+    return float(position[0]) / 10
+
+
+def _folded(entries: Sequence[str]) -> str:
+    first, rest = "".join(entries[:MAX_ROWS]), "".join(entries[MAX_ROWS:])
+    more = f'<details><summary>{len(entries) - MAX_ROWS} more</summary><ul class="bars intervals">{rest}</ul></details>'
+    return f'<ul class="bars intervals">{first}</ul>' + (more if rest else "")
+
+
+def _masses(rows: Sequence[Row]) -> str:
+    name = "joint_mass_kg" if any("joint_mass_kg_mean" in row for row in rows) else "mass_kg"
+    known = [row for row in rows if f"{name}_mean" in row and row["start"] >= MIN_SET_CLOCK]
+    if not known:
+        return ""
+    day = np.array([row["start"] for row in known]) / DAY
+    mean, low, high = (np.array([row[f"{name}_{part}"] for row in known]) / 1e3 for part in ("mean", "q05", "q95"))
+    days = axis([day.min() - 0.5, day.max() + 0.5], "")
+    x = DateAxis(days.low, days.high, "day, UTC")
+    y = axis([*low.tolist(), *high.tolist()], "mass [t]", zero=True, margin=0.04)
+    words = f"Masses of {len(known)} loads from {mean.min():.1f} to {mean.max():.1f} t by day"
+    shapes = rods(x, y, day, low, high, "after") + dots(x, y, day, mean, "after")
+    note = f"A dot is a load, {len(known):,} in all, given all drives of its vehicle; bars are 90 % intervals."
+    return f'<p class="soft">{note}</p>' + plot(shapes, x, y, words, kind="trace") + _loads_by_vehicle(known, name)
+
+
+def _loads_by_vehicle(known: Sequence[Row], name: str) -> str:
+    masses: dict[str, list[float]] = defaultdict(list)
+    for row in known:
+        masses[row["vehicle"]].append(row[f"{name}_mean"] / 1e3)
+    rows = [
+        (html.escape(vehicle), f"{len(own):,}", *(rounded(float(np.quantile(own, q)), 1) for q in (0.0, 0.5, 1.0)))
+        for vehicle, own in sorted(masses.items())
+    ]
+    content = table(("vehicle", "loads", "lightest [t]", "median [t]", "heaviest [t]"), rows, "loads")
+    return f"<details><summary>Masses by vehicle</summary>{content}</details>"
+
+
+def _seasons(of: Tables) -> str:
+    shown = [season for season in SEASONS if any(row["season"] == season for row in of.seasons)]
+    if len(shown) < 2:
+        return f"<p>All drives are in one season, {shown[0]}.</p>" if shown else ""
+    whole = {row["vehicle"]: row for row in of.vehicles}
+    parts = []
+    for name, short, _ in PARAMETERS:
+        by_vehicle: dict[str, dict[str, tuple[float, float]]] = defaultdict(dict)
+        for row in of.seasons:
+            if f"{name}_mean" in row and f"{name}_mean" in (own := whole[row["vehicle"]]):
+                middle = own[f"{name}_mean"] / 100
+                change = row[f"{name}_mean"] / middle - 100, row[f"{name}_sd"] / middle
+                by_vehicle[row["vehicle"]][row["season"]] = change
+        if by_vehicle:
+            parts.append(f"<div><h3>{short}</h3>{_changes(by_vehicle, shown)}</div>")
+    note = "Change [%] and its sd in these months of any year, against the vehicle's mean over all drives."
+    note += " C is not reduced to one density of the air. The values are in seasons.parquet."
+    return f'<p class="soft">{note}</p><div class="columns">{"".join(parts)}</div>'
+
+
+def _changes(by_vehicle: Mapping[str, Mapping[str, tuple[float, float]]], shown: Sequence[str]) -> str:
+    """The changes [%] of vehicles by season with their sd, below the median over the vehicles."""
+    medians = {}
+    for season in shown:
+        if there := [changes[season][0] for changes in by_vehicle.values() if season in changes]:
+            medians[season] = float(np.median(there)), 0.0
+    rows = [_change_row("all, median", medians, shown)]
+    rows += [_change_row(html.escape(name), changes, shown) for name, changes in list(by_vehicle.items())[:MAX_ROWS]]
+    head = "".join(f'<th scope="col">{season}</th>' for season in shown)
+    left_out = len(by_vehicle) - MAX_ROWS
+    rest = f'<p class="soft">{left_out} more vehicles are in seasons.parquet.</p>' if left_out > 0 else ""
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="Changes by season"><table class="matrix changes">'
+        f"<thead><tr><td></td>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{rest}"
+    )
+
+
+def _change_row(name: str, changes: Mapping[str, tuple[float, float]], shown: Sequence[str]) -> str:
+    cells = []
+    for season in shown:
+        if season not in changes:
+            cells.append("<td></td>")
+            continue
+        change, sd = changes[season]
+        kind, strength = ("high" if change > 0 else "low"), 60 * min(abs(change) / STRONG_CHANGE, 1)
+        spread = f" ± {sd:.1f}" if sd else ""
+        cells.append(f'<td class="{kind}" style="--r:{strength:.0f}%">{signed(f"{change:+.1f}")}{spread}</td>')
+    return f'<tr><th scope="row">{name}</th>{"".join(cells)}</tr>'
+
+
+def _gaps(of: Tables) -> str:
+    verdicts = Counter(row["verdict"] for row in of.drives if row.get("verdict") and not row.get("segment"))
+    if not verdicts:
+        return "<p>The drives were not diagnosed; <code class='whole'>--diagnose</code> does it.</p>"
+    diagnosed = sum(verdicts.values())
+    by_effect: dict[str, list[Row]] = defaultdict(list)
+    for row in of.effects:
+        by_effect[row["effect"]].append(row)
+    rows: list[tuple[Any, ...]] = []
+    for effect, found in sorted(by_effect.items(), key=lambda item: -len(item[1])):
+        size = with_sd(float(np.median([abs(row["value"]) for row in found])), np.nan, found[0]["unit"])
+        share = 100 * len(found) / diagnosed
+        bar = f'<b class="bar"><i class="after" style="width:{min(share, 100):.1f}%"></i></b>'
+        vehicles = len({row["vehicle"] for row in found})
+        what = html.escape(f"{found[0]['magnitude']} {size}")
+        meter = f'<span class="meter">{bar}{share:.0f} %</span>'
+        rows.append((html.escape(wording.label(effect)), f"{len(found):,}", meter, f"{vehicles:,}", what))
+    said = ", ".join(f"{verdict} {count:,}" for verdict, count in verdicts.most_common())
+    headings = ("cause", "drives", "of the diagnosed", "vehicles", "usual size, absolute")
+    return f"<p>{_count(diagnosed, 'drive')} diagnosed: {html.escape(said)}.</p>{table(headings, rows, 'gaps')}"
+
+
+def _unestimated(rows: Sequence[Row]) -> str:
+    reasons: Counter[tuple[str, str]] = Counter()
+    examples: dict[tuple[str, str], str] = {}
+    for row in rows:
+        if row["status"] != "estimated":
+            text = row["reason"].removeprefix(f"{row['source']}: ")
+            key = row["status"], NUMBERS.sub("…", text)
+            reasons[key] += 1
+            examples.setdefault(key, row["source"])
+    cells = [
+        (html.escape(status), f"{count:,}", html.escape(reason or NOTHING), html.escape(examples[status, reason]))
+        for (status, reason), count in reasons.most_common(MAX_ROWS)
+    ]
+    notes = [f"<li>{html.escape(row['source'])}: {html.escape(row['note'])}</li>" for row in rows if row.get("note")]
+    doubts = f'<h3>Doubts</h3><ul class="advice">{"".join(notes[:MAX_ROWS])}</ul>' if notes else ""
+    return table(("status", "rows", "reason", "for example"), cells, "reasons") + doubts
+
+
+def _terms() -> str:
+    return "<dl>" + "".join(f"<dt>{term}</dt><dd>{html.escape(meaning)}</dd>" for term, meaning in TERMS) + "</dl>"

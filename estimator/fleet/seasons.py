@@ -1,0 +1,53 @@
+"""A vehicle by season: A/m and C of its drives in three months of any year."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from estimator.estimate import Marginal
+from estimator.estimation.evidence import Coefficients
+from estimator.fleet.vehicles import VehicleResult, join
+from estimator.settings import Gate
+from estimator.streaming.row_stream import MIN_SET_CLOCK
+
+SEASONS = ("Dec to Feb", "Mar to May", "Jun to Aug", "Sep to Nov")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeasonResult:
+    """The pooled result of a vehicle's ``loads`` of a season; None where a parameter is not estimated."""
+
+    season: str
+    loads: int
+    rolling: Marginal | None
+    drag: Marginal | None
+
+
+def season_of(t: float) -> str:
+    """The season of a time [s], by UTC; empty where the clock was not set."""
+    return SEASONS[datetime.fromtimestamp(t, UTC).month % 12 // 3] if t >= MIN_SET_CLOCK else ""
+
+
+def by_season(
+    whole: VehicleResult, loads: Sequence[Coefficients], starts: Sequence[float], gate: Gate, scale: float
+) -> tuple[SeasonResult, ...]:
+    """A vehicle by season, given its result over all seasons; none where its drives must not be joined.
+
+    Parameters
+    ----------
+    whole
+        The result of all loads.
+    loads, starts
+        Likelihoods of [1/m, A/m, C/m], one for each load, and when these begin [s].
+    gate, scale
+        As `join` takes them.
+    """
+    if not whole.masses:
+        return ()
+    seasons = [season_of(t) for t in starts]
+    found = []
+    for season in (name for name in SEASONS if name in seasons):
+        chosen = [load for load, name in zip(loads, seasons, strict=True) if name == season]
+        one = whole if len(chosen) == len(loads) else join(whole.vehicle, chosen, gate, scale)
+        found.append(SeasonResult(season=season, loads=len(chosen), rolling=one.rolling, drag=one.drag))
+    return tuple(found)

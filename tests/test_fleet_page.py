@@ -1,0 +1,162 @@
+"""The page of a fleet, and its seasons: the truth of made fleets is in them, whatever logs and vehicles are called."""
+
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_fleets import FIRST, WINTER_DRAG, Case, made
+
+from estimator.config import Config
+from estimator.fleet.engine import Serial
+from estimator.fleet.page import Tables, page
+from estimator.fleet.rows import drive_rows, effect_rows, season_rows, vehicle_rows
+from estimator.fleet.run import Fleet, conclude
+from estimator.fleet.seasons import SEASONS, season_of
+from estimator.report.page.plot import DateAxis
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+def page_of(fleet: Fleet) -> str:
+    return page(
+        Tables(
+            drives=drive_rows(fleet),
+            vehicles=vehicle_rows(fleet, 0.05),
+            seasons=season_rows(fleet),
+            effects=effect_rows(fleet),
+            rate=0.05,
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def year() -> Case:
+    """Six vehicles over a year, C of one too high, and each drive diagnosed."""
+    return made(6, 24, 4, days=15.0, outlier="truck-05", with_diagnosis=True)
+
+
+def test_a_season_is_three_months_of_any_year() -> None:
+    assert {season_of(FIRST), season_of(FIRST - 30 * 86_400), season_of(FIRST + 366 * 86_400)} == {SEASONS[0]}
+    assert [season_of(FIRST + 91.5 * n * 86_400) for n in range(1, 5)] == [*SEASONS[1:], SEASONS[0]]
+    assert season_of(0.0) == ""
+
+
+def test_seasons_recover_what_winter_does_to_drag(year: Case) -> None:
+    ratios = []
+    for vehicle, seasons in zip(year.fleet.vehicles, year.fleet.seasons, strict=True):
+        assert [one.season for one in seasons] == list(SEASONS)
+        assert sum(one.loads for one in seasons) == len(vehicle.masses)
+        drags = [one.drag for one in seasons if one.drag is not None]
+        assert len(drags) == len(SEASONS)
+        ratios.append(drags[0].mean / np.mean([drag.mean for drag in drags[1:]]))
+    assert np.median(ratios) == pytest.approx(WINTER_DRAG, abs=0.04)
+
+
+def test_a_season_of_all_drives_is_the_vehicle_itself() -> None:
+    case = made(2, 3, 1)
+    for vehicle, (season,) in zip(case.fleet.vehicles, case.fleet.seasons, strict=True):
+        assert (season.season, season.loads) == (SEASONS[0], 3)
+        assert (season.rolling, season.drag) == (vehicle.rolling, vehicle.drag)
+
+
+def test_loads_without_a_set_clock_are_in_no_season() -> None:
+    case = made(1, 4, 1)
+    segment = replace(case.fleet.results[0].segments[0], start=100.0)
+    unset = replace(case.fleet.results[0], segments=(segment,))
+    fleet = conclude(case.fleet.grouped, (unset, *case.fleet.results[1:]), Config(), Serial())
+    assert [one.loads for one in fleet.seasons[0]] == [3]
+    assert len(fleet.vehicles[0].masses) == 4
+
+
+def test_the_page_says_what_the_tables_do(year: Case) -> None:
+    document = page_of(year.fleet)
+    assert "<h1>6 vehicles, 144 drives, 144 h</h1>" in document
+    assert '<p class="verdict">1 vehicle out of line</p>' in document
+    (outlier,) = re.findall(r'<table class="data outliers">.*?</table>', document)
+    assert "truck-05" in outlier
+    assert 25 < float(re.findall(r"\+(\d+) %", outlier)[0]) < 50
+    assert document.count('<li class="out">') == 1
+    assert document.count('<li class="in">') == 11  # A/m of six vehicles, and C of the five others
+    assert document.count("h0") >= 144  # a dot a load
+    effects = len(effect_rows(year.fleet))
+    assert f"effect {effects}" in document
+    assert f">{effects:,}</td>" in document
+    assert all(season in document for season in SEASONS)
+
+
+def test_names_are_no_markup_and_the_page_loads_nothing(year: Case) -> None:
+    document = page_of(year.fleet)
+    assert "&lt;cut&gt;.blf" in document
+    assert "<cut>" not in document
+    assert "default-src 'none'" in document
+    assert not re.search(r"<script|https?://|src=|url\(", document)
+
+
+@pytest.mark.parametrize(("vehicles", "drives"), [(1, 1), (3, 2)])
+def test_a_small_fleet_has_a_page_that_says_what_is_missing(vehicles: int, drives: int) -> None:
+    document = page_of(made(vehicles, drives, 2).fleet)
+    assert "Too few vehicles" in document
+    assert "were not diagnosed" in document
+    assert "All drives are in one season, Dec to Feb" in document
+
+
+def test_a_fleet_without_an_estimate_has_a_page() -> None:
+    case = made(2, 2, 2)
+    failed = tuple(
+        replace(one, segments=(), fault=f"source: missing inputs: speed {i}")
+        for i, one in enumerate(case.fleet.results)
+    )
+    document = page_of(conclude(case.fleet.grouped, failed, Config(), Serial()))
+    assert "No vehicle has A/m or C estimated yet" in document
+    assert "missing inputs: speed …" in document
+    assert "4 failed" in document
+
+
+@pytest.mark.parametrize(
+    ("days", "labels"),
+    [
+        (6.0, ["10 Jan", "11 Jan", "12 Jan", "13 Jan", "14 Jan", "15 Jan", "16 Jan"]),
+        (200.0, ["Feb", "Mar", "Apr", "May", "Jun", "Jul"]),
+        (300.0, ["Mar", "May", "Jul", "Sep", "Nov"]),
+        (1300.0, ["Jan 2025", "Jan 2026", "Jan 2027"]),
+    ],
+)
+def test_days_are_labelled_as_dates(days: float, labels: list[str]) -> None:
+    first = np.floor(FIRST / 86_400)
+    x = DateAxis(first, first + days, "")
+    assert [x.text(tick) for tick in x.ticks(8).tolist()] == labels
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield running
+        running.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1100, 400])
+def test_the_page_opens_in_a_browser(browser: Any, year: Case, tmp_path: Path, width: int) -> None:
+    path, said, asked = tmp_path / "fleet.html", [], []
+    path.write_text(page_of(year.fleet), "utf-8")
+    tab = browser.new_page(viewport={"width": width, "height": 900})
+    tab.on("console", lambda message: said.append(message.text))
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.goto(path.as_uri())
+    assert said == []
+    assert asked == [path.as_uri()]
+    outside = "[...document.querySelectorAll('main *')].filter(e => !e.closest('.scroll, thead, svg') && "
+    assert tab.evaluate(outside + f"e.getBoundingClientRect().right > {width}).map(e => e.className)") == []
+    assert tab.evaluate("[...document.querySelectorAll('.track')].every(e => e.getBoundingClientRect().width > 100)")
+    tiny = "[...document.querySelectorAll('p, td, li, dd, .area span')].filter(e => e.innerText && "
+    assert tab.evaluate(tiny + "parseFloat(getComputedStyle(e).fontSize) < 10.5).map(e => e.innerText)") == []
+    tab.close()
