@@ -1,6 +1,7 @@
-"""The two estimators that roadload is compared with find the truth where nothing stands in their way."""
+"""The estimators that roadload is compared with find the truth where nothing stands in their way."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,18 @@ from estimator.config import Config
 from estimator.model.road_load import design
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
+from estimator.units import STANDARD_GRAVITY
 
 TRUTH = np.array([1500.0, 3.5, 22_000.0])  # N, N s^2/m^2, kg
 BRAKING = slice(3000, 3050)  # rows
+WITHOUT_SLOPES = pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("two_forgetting_factors", ("TwoFactors", (1.0, 0.997, 0.4))),
+        ("kalman_with_slope", ("SlopeNoise", (300.0, 0.01, 0.001))),
+        ("band_passed", ("Band", (0.03, 0.4))),
+    ],
+)
 
 
 @pytest.fixture
@@ -20,6 +30,14 @@ def peers(monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "tools")
     yield pytest.importorskip("peers_online")
     sys.modules.pop("peers_online", None)
+
+
+@pytest.fixture
+def over_hills(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "tools")
+    yield pytest.importorskip("peers_hills")
+    for name in ("peers_hills", "peers_online"):
+        sys.modules.pop(name, None)
 
 
 @pytest.fixture
@@ -76,3 +94,18 @@ def test_recursion_equals_least_squares_without_forgetting(peers, rows):
     prior = np.diag((peers.FORCE_NOISE / peers.START_SD) ** 2)
     expected = np.linalg.solve(X.T @ X + prior, X.T @ force + prior @ peers.START)
     np.testing.assert_allclose(found.theta, expected, rtol=1e-8)
+
+
+def uphill(rows):
+    """The same drive over slopes of 1 % that pass in 200 s."""
+    slope = 0.01 * np.sin(2 * np.pi * rows.t / 200)
+    return replace(rows, power=rows.power + TRUTH[2] * STANDARD_GRAVITY * slope * rows.speed)
+
+
+@WITHOUT_SLOPES
+def test_those_who_expect_slopes_find_the_mass_over_hills(over_hills, peers, rows, name, settings):
+    data = peers.stretches(uphill(rows), Config().admission, 0.0)
+    kind, values = settings
+    found = getattr(over_hills, name)(data, getattr(over_hills, kind)(*values), over_hills.Known(*TRUTH[:2]))
+    assert found.mean == pytest.approx(TRUTH[2], rel=0.03)
+    assert found.sd < 0.05 * TRUTH[2]

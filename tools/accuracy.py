@@ -70,11 +70,11 @@ class World:
         return truck, frames_of(record(truck, route, minutes * 60, rng, sensors=sensors).signals)
 
 
-def hills(number: int, rng: np.random.Generator, altimeter: str = "") -> World:
-    """Drive ``number`` of a set, with the ``altimeter`` of ALTIMETERS or, by default, with each in turn."""
+def hills(number: int, rng: np.random.Generator) -> World:
+    """The world of drive ``number`` of a set."""
     return World(
         kind=KINDS[number % 3],
-        altimeter=ALTIMETERS[altimeter or list(ALTIMETERS)[number // 3 % 3]],
+        altimeter=list(ALTIMETERS.values())[number // 3 % 3],
         speed_noise=SPEED_NOISES[number // 9 % 3],
         torque_steps=TORQUE_STEPS[number // 27 % 2],
         slopes=float(rng.uniform(*SLOPES)),
