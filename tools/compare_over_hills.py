@@ -17,7 +17,7 @@ from itertools import count, islice, product
 from typing import Any, TypeVar
 
 import numpy as np
-from accuracy import ALTIMETERS, KINDS, hills
+from accuracy import ALTIMETERS, KINDS, RARELY, hills
 from peers_hills import (
     Band,
     Known,
@@ -33,15 +33,15 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from estimator.config import Config
+from estimator.config import from_dict
 from estimator.estimate import Marginal
 from estimator.samples import Rows
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block
 
 TRAINING_SEED = 5000
-TWO_FACTORS = [TwoFactors(*x) for x in product((0.9999, 1.0), (0.97, 0.99, 0.997), (0.2, 0.4, 0.8))]
-SLOPE_NOISE = [SlopeNoise(*x) for x in product((1e4, 3e4, 1e5), (0.005, 0.01, 0.03), (0.01, 0.03))]
+TWO_FACTORS = [TwoFactors(*x) for x in product((0.9999, 1.0), (0.97, 0.99, 0.997), (0.2, 0.8))]
+SLOPE_NOISE = [SlopeNoise(*x) for x in product((1e4, 5e4), (0.005, 0.02), (0.01, 0.03))]
 BANDS = [Band(*x) for x in product((0.02, 0.05, 0.1, 0.2), (0.4, 0.8, 1.6))]
 LIMITS = (0.02, 0.05)  # errors of the mass below which drives are counted
 Settings = TypeVar("Settings")
@@ -64,7 +64,7 @@ class Drive:
         rng = np.random.default_rng([seed, number])
         world = hills(number, rng)
         truck, frames = world.drive(minutes, rng)
-        config = Config()
+        config = from_dict(RARELY)
         pipeline = Pipeline(config)
         items = [*pipeline.traffic.feed(frames), *pipeline.traffic.finish()]
         rows = Rows.concatenate(*(rows for item in items if isinstance(item, Block) for rows in item.rows))
