@@ -82,7 +82,9 @@ class Gate(Section, frozen=True):
 class Load(Section, frozen=True):
     """When the load may change, and the uncertainty of the parameters that are carried over."""
 
-    stop_s: Positive = 300.0  # standing this long starts a new load segment
+    # Standing this long starts a new load segment. Below 300 s, as for a bus, the driving before stays in use: the mass
+    # is that since the stop, and A / m, C, road and noise are found from the last 15 loads.
+    stop_s: Positive = 300.0
     change_sd: NotNegative = 0.1  # relative sd of what A / m and C may change with the load: trailers differ
     drift_per_hour: NotNegative = 0.03  # relative sd by which A / m and C may wander, growing with the square root
 

@@ -9,7 +9,7 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict, replace
 from estimator.estimate import Estimate
-from estimator.estimation.load_segments import Segment, load_change
+from estimator.estimation.load_segments import Loads, Segment, load_change
 from estimator.preparation.standstill import Standstill
 from estimator.settings import Load, Prior
 from estimator.simulation.recording import record
@@ -73,6 +73,18 @@ def test_what_is_carried_over_is_rolling_coefficient_and_drag():
     assert distance(900, 4.6, 15_000) > best + 4
     later = segment(15_000, 50).carry_over(100 * 3600.0, Load())
     assert np.all(np.diag(later.precision)[:3] < np.diag(belief.precision)[:3])
+
+
+def test_driving_that_stays_in_use_is_not_carried_over_as_well():
+    loads = Loads()
+    loads.show(segment(15_000, 150))
+    loads.start_segment(kept=True)
+    assert not loads.carried_over(0.0, Load()).precision.any()
+    change = loads.show(segment(15_000, 150))
+    assert change is not None
+    assert change.before == 15_000
+    loads.start_segment()
+    assert loads.carried_over(0.0, Load()).precision.any()
 
 
 @pytest.fixture(scope="module")

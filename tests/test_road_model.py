@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimator.estimation import road_fit
-from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood
+from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, earlier_loads
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import (
@@ -318,6 +318,27 @@ def test_the_noise_in_the_regressors_is_the_expectation_over_the_error_of_the_fo
     error = found.std(axis=0) / np.sqrt(len(found))
     assert np.all(np.abs(found.mean(axis=0) - expected) <= 4 * error + 1e-12)
     assert error[0, 0] < 0.05 * expected[0, 0]
+
+
+def test_loads_before_the_present_one_have_masses_of_their_own():
+    before, now, departure = 12_000.0, 16_000.0, 20.5
+    strides = strides_of(60, unknown=(), silence=60, force=np.random.default_rng(3).uniform(5_000, 30_000, 60))
+    drag = C * strides.relative_density * strides.speed_squared
+    m = np.where(strides.t < departure, before, now)
+    strides = replace(strides, a=(strides.force[:, MIDDLE] - drag) / m - A / now)
+    model = RoadModel(strides, 2)
+    likelihood = Likelihood(model, (), np.array([A, C, now]), MIDDLE, (departure,))
+    beta, _, _ = likelihood.solve(model.condition(scales_of(model, slope=1e-3)).gram(likelihood.data))
+    beta = beta / likelihood.unit
+    assert 1 / beta[0] == pytest.approx(now, rel=0.01)
+    assert 1 / (beta[0] + beta[PLAIN]) == pytest.approx(before, rel=0.01)
+
+
+def test_times_belong_to_the_load_of_the_departure_before_them():
+    t = np.array([0.0, 5.0, 10.0, 15.0, 25.0])
+    assert_allclose(earlier_loads(t, ()), np.zeros((5, 0)))
+    assert_allclose(earlier_loads(t, (10.0, 20.0)).T, [[1, 1, 0, 0, 0], [0, 0, 1, 1, 0]])
+    assert_allclose(earlier_loads(t, (10.0, 20.0, 22.0, 30.0)).T, [[1, 1, 0, 0, 0], [0, 0, 1, 1, 0], [0, 0, 0, 0, 1]])
 
 
 # Truth drawn from the model

@@ -56,6 +56,16 @@ def test_the_window_is_bounded_whatever_comes(sequence, capacity, hours):
     assert w.added == added
 
 
+def test_what_is_older_than_a_time_can_be_forgotten():
+    w = window()
+    for start in (0.0, 100.0, 200.0):
+        w.add(block(50, start))
+    w.forget_before(100.0)
+    assert w.samples.t[0] == 100.0
+    assert consistent(w)
+    assert (w.added, w.evicted) == (150, 0)
+
+
 def test_rare_driving_survives_a_flood_of_cruising():
     w, t = window(6000), 0.0
     rng = np.random.default_rng(1)

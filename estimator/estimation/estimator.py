@@ -155,7 +155,7 @@ class Estimator:
 
     def _take(self, piece: Piece[Strides] | Piece[Samples]) -> Iterator[Estimate]:
         if piece.departs:
-            self._start_segment()
+            self._start_segment(float(piece.rows.t[0]))
         self._scale.add(piece.rows)
         self.window.add(piece.block)  # type: ignore[arg-type]  # stage and window were chosen together
         if not len(piece.rows):
@@ -169,11 +169,14 @@ class Estimator:
             if has_news(self._config.gate, self.window.added, self._at_last, len(self.window)):
                 yield self._conclude(newest * STEP)
 
-    def _start_segment(self) -> None:
-        """Begin a load segment: discard the mass, keep A / m and C as a belief."""
+    def _start_segment(self, departure: float | None = None) -> None:
+        """Begin a load segment, after a stop at ``departure`` [s]: discard the mass, keep A / m and C."""
         self.segment += 1
-        self._inference.start_segment()
-        self.window.clear()
+        kept_from = self._inference.start_segment(departure)
+        if kept_from is None:
+            self.window.clear()
+        else:
+            self.window.forget_before(kept_from)
         self._latest = None
         self._at_last = self.window.added
 

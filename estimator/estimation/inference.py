@@ -54,7 +54,7 @@ class Inference:
         self._paper = PaperLikelihood()
         self._loads = Loads()
 
-    def start_segment(self) -> None:
+    def start_segment(self, departure: float | None = None) -> None:
         """Begin a new load: the present segment becomes the one before."""
         self._loads.start_segment()
         self.evidence = None

@@ -3,6 +3,9 @@
 While a vehicle moves its mass is constant. After a stop that is long enough to load or unload, the mass is unknown.
 The drag coefficient C and the rolling coefficient A / m (rolling resistance is proportional to the load) are carried
 over, with a variance that grows with time.
+
+After a stop of less than SHORT_STOP the driving before stays in use instead: its loads have masses of their own, and
+A / m, C, road and noise are those of all of it.
 """
 
 from dataclasses import dataclass
@@ -19,6 +22,8 @@ from estimator.settings import Load
 from estimator.signals import Floats
 
 HOUR = 3600.0  # s
+SHORT_STOP = 300.0  # s of `load.stop_s`: between shorter stops is too little driving to find road and noise from
+KEPT_LOADS = 15  # loads before the present one whose driving stays in use after short stops
 NEW_LOAD_SD = 0.5  # sd of a new load's mass, as a share of the old: empty to full doubles a truck's weight
 MAX_LOG_ODDS = 700.0  # exp overflows beyond; the probability is 0 or 1 in floating point
 
@@ -71,22 +76,25 @@ class Loads:
     def __init__(self) -> None:
         self._shown: Segment | None = None
         self._before: Segment | None = None
+        self._carried: Segment | None = None  # the newest whose driving is used no longer
 
-    def start_segment(self) -> None:
-        """Begin a new load: the present segment becomes the one before."""
+    def start_segment(self, kept: bool = False) -> None:
+        """Begin a new load: the present segment becomes the one before; its driving is ``kept`` in use, or not."""
         if self._shown is not None:
             self._before = self._shown
         self._shown = None
+        if not kept:
+            self._carried = self._before
 
     def forget_vehicle(self) -> None:
-        """Discard both segments: the vehicle may be another one."""
-        self._before = None
+        """Discard all segments: the vehicle may be another one."""
+        self._before = self._carried = None
 
     def carried_over(self, t: float, load: Load) -> Belief:
-        """Belief at time ``t`` [s] from the load before; empty where there was none."""
-        if self._before is None:
+        """Belief at time ``t`` [s] from driving that is used no longer; empty where there was none."""
+        if self._carried is None:
             return Belief(np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS))
-        return self._before.carry_over(t, load)
+        return self._carried.carry_over(t, load)
 
     def show(self, segment: Segment) -> LoadChange | None:
         """Store the segment of the present load; returns whether the mass differs from the load before."""
@@ -98,6 +106,7 @@ class Loads:
         return {
             "shown": None if self._shown is None else self._shown.state(),
             "before": None if self._before is None else self._before.state(),
+            "carried": None if self._carried is None else self._carried.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -110,6 +119,7 @@ class Loads:
         """
         self._shown = optional(state, "shown", Segment.restore)
         self._before = optional(state, "before", Segment.restore)
+        self._carried = optional(state, "carried", Segment.restore)
 
 
 def load_change(before: Segment, after: Segment) -> LoadChange:

@@ -1,8 +1,8 @@
 """The vehicle's parameters from strides, with the road as a state: scales by their posterior mode, then the vehicle.
 
-The coefficients beta = [1/m, A/m, C/m, lag/m, drag/m, offsets ..., -b/m ...] are those of `road_likelihood`. Noise of
-the measured torque in the regressors would pull 1/m towards zero. With its scale known from the same fit the normal
-matrix is corrected (a corrected score: Nakamura 1990, Stefanski 1989):
+The coefficients beta = [1/m, A/m, C/m, lag/m, drag/m, earlier loads ..., offsets ..., -b/m ...] are those of
+`road_likelihood`. Noise of the measured torque in the regressors would pull 1/m towards zero. With its scale known from
+the same fit the normal matrix is corrected (a corrected score: Nakamura 1990, Stefanski 1989):
 
     X'K^-1 X  less  the mean over simulated noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
 
@@ -73,6 +73,7 @@ class RoadFit:
     slope_sd: float
     climbed: float  # [m], all rises of the road together
     torque_share: float  # of the information on 1/m that is noise of the torque
+    departures: tuple[float, ...] = ()  # times [s] before which the load may have changed
 
     @property
     def theta(self) -> Floats:
@@ -156,6 +157,7 @@ def fit(
     refit: bool = True,
     longest_lag: float = float(LAGS.max()),
     orders: bool = True,
+    departures: Sequence[float] = (),
 ) -> RoadFit | None:
     """Fit strides; None where too few have a known force.
 
@@ -175,12 +177,14 @@ def fit(
         Largest lag of power behind speed that is tried [s].
     orders
         Whether road and wander of other orders than the ``known`` are tried.
+    departures
+        Times [s] before which the load may have changed; the mass is that after the last of them.
     """
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES:
         return None
     road_load = first_guess(driven)
-    search = _Search(strides, terms, road_load, longest_lag)
+    search = _Search(strides, terms, road_load, longest_lag, departures)
     if known is not None and known.readings != search.model(known.alpha, known.wander).reading_names:
         known = None
     if known is not None and not refit:
@@ -192,7 +196,7 @@ def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term
     """Of each effect the term, among its ``shapes``, that adds most to the evidence of a fit; its sign counts."""
     terms = [term for each in shapes for term in each]
     model = RoadModel(strides, found.scales.alpha, found.scales.wander)
-    likelihood = Likelihood(model, terms, found.theta[:ROAD_LOAD], found.scales.lag)
+    likelihood = Likelihood(model, terms, found.theta[:ROAD_LOAD], found.scales.lag, found.departures)
     gram = model.condition(found.scales.values).gram(likelihood.data)
     _, information, _ = likelihood.solve(gram)
     base = len(information) - len(terms)
@@ -214,8 +218,16 @@ def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term
 class _Search:
     """The search for the scales, the smoothness of the road and the nearest of LAGS."""
 
-    def __init__(self, strides: Strides, terms: Sequence[Term], road_load: Floats, longest_lag: float) -> None:
+    def __init__(
+        self,
+        strides: Strides,
+        terms: Sequence[Term],
+        road_load: Floats,
+        longest_lag: float,
+        departures: Sequence[float],
+    ) -> None:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
+        self._departures = departures
         self._models: dict[tuple[int, int], RoadModel] = {}
 
     def model(self, alpha: int, wander: int) -> RoadModel:
@@ -226,7 +238,8 @@ class _Search:
 
     def likelihood(self, scales: RoadScales) -> tuple[Likelihood, RoadScales]:
         """The likelihood that belongs to scales."""
-        return Likelihood(self.model(scales.alpha, scales.wander), self._terms, self._road_load, scales.lag), scales
+        model = self.model(scales.alpha, scales.wander)
+        return Likelihood(model, self._terms, self._road_load, scales.lag, self._departures), scales
 
     def best(self, known: RoadScales | None, orders: bool) -> tuple[Likelihood, RoadScales, float]:
         """From scales ``known`` before, or from the centres of their priors; without ``orders``, of the same orders."""
@@ -318,4 +331,5 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
         slope_sd=float(scales.values[4]),
         climbed=float(rises[model.nodes.joined[1:] & (rises > 0)].sum()),
         torque_share=share,
+        departures=likelihood.departures,
     )

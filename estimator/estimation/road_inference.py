@@ -26,7 +26,7 @@ from estimator.estimate import PARAMETERS, Coverage, Estimate, Road, Status
 from estimator.estimation import posterior
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
 from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
-from estimator.estimation.load_segments import Loads, Segment
+from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
 from estimator.estimation.road_fit import RoadFit, RoadScales, best_shapes, fit
@@ -133,12 +133,22 @@ class RoadInference:
         self._loads = Loads()
         self._scales: RoadScales | None = None
         self._fitted = 0  # rows in the window when the scales were found
+        self._departures: tuple[float, ...] = ()  # [s] between the loads in the window
 
-    def start_segment(self) -> None:
-        """Begin a new load: the present segment becomes the one before."""
-        self._loads.start_segment()
-        self._fitted = 0
+    def start_segment(self, departure: float | None = None) -> float | None:
+        """Begin a new load at ``departure`` [s], None at the start of a drive: the present one becomes the one before.
+
+        Returns the time [s] from which on driving stays in use, None where all of it is discarded.
+        """
+        kept = departure is not None and self._config.load.stop_s < SHORT_STOP
+        self._loads.start_segment(kept)
         self.evidence = None
+        if departure is None or not kept:
+            self._fitted, self._departures = 0, ()
+            return None
+        departures = (*self._departures, departure)
+        self._departures = departures[-KEPT_LOADS:]
+        return departures[-KEPT_LOADS - 1] if len(departures) > KEPT_LOADS else -np.inf
 
     def forget_vehicle(self) -> None:
         """Discard the segments: the vehicle may be another one."""
@@ -162,6 +172,7 @@ class RoadInference:
             "loads": self._loads.state(),
             "scales": found,
             "fitted": self._fitted,
+            "departures": list(self._departures),
         }
 
     def restore(self, state: State) -> None:
@@ -176,6 +187,9 @@ class RoadInference:
         self._loads.restore(substate(state, "loads"))
         self._scales = optional(state, "scales", _restored_scales)
         self._fitted = read(state, "fitted", Count)
+        self._departures = tuple(read(state, "departures", list[float]))
+        if np.any(np.diff(self._departures) <= 0):
+            raise StateError("departures: do not rise")
 
     def conclude(
         self, t: float, context: frozenset[Quantity], lag: float, doubt: str, rejected: Counter[str]
@@ -216,7 +230,8 @@ class RoadInference:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
         limit = self._config.kinematics.maximum_lag_s
         terms = self._terms(strides)
-        found = fit(strides, np.random.default_rng(PROBE_SEED), terms, self._scales, grown, limit)
+        rng = np.random.default_rng(PROBE_SEED)
+        found = fit(strides, rng, terms, self._scales, grown, limit, departures=self._departures)
         if found is not None:
             if grown or self._scales is None or found.scales.readings != self._scales.readings:
                 self._fitted = held
@@ -231,7 +246,8 @@ class RoadInference:
         shapes = [each[:1] if isinstance(each[0].shape, Quantity) else each for each in shapes if each]
         if all(len(each) == 1 for each in shapes):
             return tuple(each[0] for each in shapes)
-        plain = fit(strides, rng, (), self._scales, self._scales is None, self._config.kinematics.maximum_lag_s)
+        limit = self._config.kinematics.maximum_lag_s
+        plain = fit(strides, rng, (), self._scales, self._scales is None, limit, departures=self._departures)
         return () if plain is None else best_shapes(strides, plain, shapes)
 
     def _judge(self, t: float, found: RoadFit, lag: float, withheld: Withheld) -> Estimate:
@@ -299,7 +315,9 @@ class RoadInference:
         cuts = [int(known[len(known) * k // PARTS]) for k in range(1, PARTS)]
         inverse, weight = [], []
         for first, end in zip([0, *cuts], [*cuts, len(strides)], strict=True):
-            part = fit(strides[first:end], np.random.default_rng(PROBE_SEED), found.terms, found.scales, refit=False)
+            rng = np.random.default_rng(PROBE_SEED)
+            scales, departures = found.scales, found.departures
+            part = fit(strides[first:end], rng, found.terms, scales, refit=False, departures=departures)
             if part is None or part.beta[0] <= 0 or not part.covariance[0, 0] > 0:
                 return []
             inverse.append(float(part.beta[0]))

@@ -2,10 +2,11 @@
 
 The response is the acceleration, the regressors are the columns of `columns`, and the coefficients
 
-    beta = [1/m, A/m, C/m, lag/m, drag/m, offsets ..., -b/m ...]
+    beta = [1/m, A/m, C/m, lag/m, drag/m, 1/m_k - 1/m ..., offsets ..., -b/m ...]
 
-enter linearly; they are integrated over their priors. Noise of the measured force sits in the regressors too:
-`Likelihood.noise_information` gives the rise of their products.
+enter linearly; they are integrated over their priors. m is the mass of the present load, m_k that of an earlier one,
+where a stop lies between. Noise of the measured force sits in the regressors too: `Likelihood.noise_information` gives
+the rise of their products.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,14 +20,15 @@ from estimator.model.effects.effect import View
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import Conditioned, RoadModel, Scale
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
 
 ROAD_LOAD = 3  # the first coefficients
 LAG, DRAG = 3, 4  # places of the nuisances
-PLAIN = 5  # coefficients without offsets and effects
+PLAIN = 5  # coefficients without loads, offsets and effects
 LAG_SD = 0.15  # s, sd of the prior of the lag that the nearest of LAGS leaves
 DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from what the bus says (gearbox losses)
+LOAD_SD = 0.5  # prior sd of 1/m_k about 1/m, as a share: empty to full doubles a truck's weight
 USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
 MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
@@ -36,8 +38,20 @@ SCALE_TOLERANCE = 0.1  # of the logarithms of the scales, at which the search st
 MAX_EVALUATIONS = 120  # of the likelihood in one search: bounds the cost; with 60 by less than 0.01 sd
 
 
-def columns(strides: Strides, lag: int, terms: Sequence[Term], road_load: Floats) -> Floats:
-    """Regressors (n, PLAIN + terms) of the acceleration, for force at the lag with number ``lag`` of LAGS."""
+def earlier_loads(t: Floats, departures: Sequence[float]) -> Mask:
+    """Which times (n,) [s] belong to each load before the last of the ``departures`` [s] (n, loads that have any)."""
+    number = np.searchsorted(np.array(departures), t, side="right")
+    mask: Mask = number[:, None] == np.unique(number[number < len(departures)])
+    return mask
+
+
+def columns(
+    strides: Strides, lag: int, terms: Sequence[Term], road_load: Floats, departures: Sequence[float] = ()
+) -> Floats:
+    """Regressors (n, PLAIN + earlier loads + terms) of the acceleration, for force at the lag with number ``lag``.
+
+    The load may have changed before each of the ``departures`` [s]; rolling resistance is proportional to it.
+    """
     force = strides.force[:, lag]
     low, high = max(lag - 1, 0), min(lag + 1, len(LAGS) - 1)
     rate = (strides.force[:, high] - strides.force[:, low]) / (LAGS[high] - LAGS[low])
@@ -55,7 +69,9 @@ def columns(strides: Strides, lag: int, terms: Sequence[Term], road_load: Floats
         road_load=road_load,
         climb=np.zeros(len(strides)),
     )
-    return np.column_stack([*plain, *(term.column(view) / strides.speed for term in terms)])
+    pulling = force - C * density * strides.speed_squared
+    loads = pulling[:, None] * earlier_loads(strides.t, departures)
+    return np.column_stack([*plain, loads, *(term.column(view) / strides.speed for term in terms)])
 
 
 class Likelihood:
@@ -71,21 +87,32 @@ class Likelihood:
         [A, C, m] roughly: effects scale with it, and the nuisances' priors are in proportion to 1/m.
     lag
         Place in LAGS.
+    departures
+        Times [s] before which the load may have changed.
     """
 
-    def __init__(self, model: RoadModel, terms: Sequence[Term], road_load: Floats, lag: int) -> None:
-        self.model, self.lag, self.terms = model, lag, tuple(terms)
+    def __init__(
+        self,
+        model: RoadModel,
+        terms: Sequence[Term],
+        road_load: Floats,
+        lag: int,
+        departures: Sequence[float] = (),
+    ) -> None:
+        self.model, self.lag, self.terms, self.departures = model, lag, tuple(terms), tuple(departures)
         self._road_load = road_load
-        X = columns(model.driven, lag, terms, road_load)
+        X = columns(model.driven, lag, terms, road_load, departures)
+        self._plain = X.shape[1] - len(terms)  # coefficients before the offsets
         data = model.given(np.column_stack([model.driven.a, X]))
         inside = data.shape[1] - 1 - X.shape[1]  # offsets of the road's signals follow them
-        self.order = [*range(1, 1 + PLAIN), *range(1 + X.shape[1], data.shape[1]), *range(1 + PLAIN, 1 + X.shape[1])]
+        plain = self._plain
+        self.order = [*range(1, 1 + plain), *range(1 + X.shape[1], data.shape[1]), *range(1 + plain, 1 + X.shape[1])]
         self.data = data[:, [0, *self.order]]
         self.unit = np.maximum(np.sqrt(np.mean(self.data[: len(X), 1:] ** 2, axis=0)), 1e-12)
-        self.unit[PLAIN : PLAIN + inside] = 1.0
+        self.unit[plain : plain + inside] = 1.0
         self.data[:, 1:] /= self.unit
         m = float(road_load[2])
-        sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([1.0] * inside)]
+        sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([LOAD_SD / m] * (plain - PLAIN)), *([1.0] * inside)]
         sds += [USUAL_SDS * term.effect.usual(road_load) / m for term in terms]
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
 
@@ -138,11 +165,11 @@ class Likelihood:
     ) -> Floats:
         """Mean of dX' K^-1 dX (p, p) over simulated errors of the measured force; in own units."""
         driven, total = self.model.driven, np.zeros((len(beta), len(beta)))
-        clean = columns(driven, self.lag, self.terms, self._road_load)
-        places = np.array([*range(PLAIN), *range(len(beta) - len(self.terms), len(beta))])
+        clean = columns(driven, self.lag, self.terms, self._road_load, self.departures)
+        places = np.array([*range(self._plain), *range(len(beta) - len(self.terms), len(beta))])
         for error, rate in force_errors(self.model, scales, float(self.unit[0] / beta[0]), PROBES, rng):
             disturbed = replace(driven, force=driven.force + error[:, None])
-            change = columns(disturbed, self.lag, self.terms, self._road_load) - clean
+            change = columns(disturbed, self.lag, self.terms, self._road_load, self.departures) - clean
             change[:, LAG] = rate
             data = np.zeros((len(self.data), len(places)))
             data[: len(driven)] = change / self.unit[places]

@@ -162,10 +162,19 @@ class Window(Generic[C]):
         return counted.astype(np.int64)
 
     def _drop(self, number: int) -> None:
+        self.evicted += self._remove(number)
+
+    def _remove(self, number: int) -> int:
+        """Take a block away, and return its rows."""
         self._blocks.pop(number)
         cells = self._cells.pop(number)
         self._counts -= self._counted(cells)
-        self.evicted += int(cells.rows.sum())
+        return int(cells.rows.sum())
+
+    def forget_before(self, t: float) -> None:
+        """Forget the blocks that end before time ``t`` [s]."""
+        for number in [number for number, block in self._blocks.items() if block.t[-1] < t]:
+            self._remove(number)
 
     def clear(self) -> None:
         """Forget everything, as after a change of vehicle or an unexplained step in time."""
