@@ -19,7 +19,7 @@ from estimator.streaming.pipeline import Pipeline
 pytestmark = pytest.mark.slow
 
 TOOL = Path(__file__).parents[1] / "tools" / "power_loss.py"
-KILLS = 200
+KILLS = 60
 
 
 def test_killed_at_any_instant_it_goes_on():
@@ -29,8 +29,8 @@ def test_killed_at_any_instant_it_goes_on():
     found = json.loads(done.stdout)
     assert found["kills"] == KILLS
     assert found["failed"] == found["lost"] == found["corrupt"] == 0
-    assert found["longest_loss_s"] <= 6.0
-    assert found["while_saving"] > 0
+    assert found["longest_loss_s"] <= 15.0
+    assert found["while_saving"] >= KILLS // 4
     assert abs(found["mass_error"]) < 0.05
 
 

@@ -1,12 +1,15 @@
-"""Kill an estimator at random times and check its state file: python tools/power_loss.py --kills 1000.
+"""Kill the daemon's loop at random times and check its state file: python tools/power_loss.py --kills 1000.
 
-A child process feeds a simulated drive through the pipeline as fast as it can and saves its state every few seconds
-of driving. It is killed by SIGKILL at a random time; its state file is read and checked, and the next child continues
-from it, at a random later time of the drive. Exit status 1 if a state was older than the interval or damaged.
+A child process turns the daemon's link, loop and worker on a clock that the traffic of a simulated drive sets, as fast
+as it can, and saves its state every few seconds of driving. It is killed by SIGKILL: every other child at a random
+time, the others while they write their state. The state file is read and checked, and the next child continues from
+it, at a random later time of the drive. Exit status 1 if more driving was lost than the interval and BLOCKS, or a state
+was damaged.
 """
 
 import argparse
 import json
+import logging
 import mmap
 import os
 import signal
@@ -14,17 +17,26 @@ import struct
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.checkpoint.store import StateStore, pack
 from estimator.config import Config
+from estimator.daemon.reception.buses import BusSpec
+from estimator.daemon.reception.link import Link
+from estimator.daemon.reception.reader import Batch
+from estimator.daemon.service.assembly import restored
+from estimator.daemon.service.loop import Daemon
+from estimator.daemon.service.worker import Worker
 from estimator.errors import StateError
+from estimator.roles import Role
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
@@ -32,9 +44,12 @@ from estimator.streaming.pipeline import Pipeline
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KEY = "power loss"
-PIECE = 1.0  # s of driving fed at a time
+PIECE = 1.0  # s of driving read at a time
 INTERVAL = 5.0  # s of driving between saves
-MAX_LIFE = 0.06  # s until a child is killed
+BLOCKS = 10.0  # s of driving that wait in blocks, and are in no state yet (README, State)
+MOVING = 1.0  # m/s; a vehicle at rest adds nothing to save
+MAX_LIFE = 0.3  # s until a child is killed
+MAX_WAIT = 20.0  # s for a child to write
 MAX_OUTAGE = 20.0  # s of driving between two children, not recorded
 BREAK = 60.0  # s between two laps of the same drive
 LAST = 1500.0  # s driven after the last cut, for a last estimate
@@ -46,8 +61,12 @@ class Drive:
 
     def __init__(self, minutes: float, seed: int) -> None:
         rng = np.random.default_rng(seed)
-        self._frames = frames_of(record(TRUCK, generate_route("mixed", 1500 * minutes, rng), 60 * minutes, rng).signals)
-        self._lap = float(self._frames.t[-1] - self._frames.t[0]) + BREAK
+        signals = record(TRUCK, generate_route("mixed", 1500 * minutes, rng), 60 * minutes, rng).signals
+        self._frames, speed = frames_of(signals), signals[Role.SPEED]
+        self.epoch = float(self._frames.t[0])  # [s] of the first frame
+        self._lap = float(self._frames.t[-1] - self.epoch) + BREAK
+        grid = np.arange(0.0, self._lap, PIECE)
+        self._is_moving = np.interp(grid, speed.t - speed.t[0], speed.value, right=0.0) > MOVING
 
     def between(self, start: float, stop: float) -> Frames:
         """Frames from ``start`` to ``stop`` seconds of driving."""
@@ -59,12 +78,69 @@ class Drive:
             parts.append(replace(part, t=part.t + lap * self._lap))
         return Frames.concatenate(parts)
 
+    def moving(self, start: float, stop: float) -> float:
+        """Seconds of driving from ``start`` to ``stop`` in which the vehicle moves."""
+        pieces = np.arange(start, stop, PIECE) % self._lap // PIECE
+        return PIECE * int(self._is_moving[pieces.astype(int)].sum())
+
+
+class Traffic:
+    """Clock and reader of a child: every read returns the next piece of the drive and advances the time."""
+
+    def __init__(self, drive: Drive, start: float, witness: "Witness") -> None:
+        self.now = start
+        self._drive, self._witness = drive, witness
+
+    def clock(self) -> float:
+        """Monotonic time [s]: seconds driven."""
+        return self.now
+
+    def wall(self) -> float:
+        """Time of day [s], as that of the frames."""
+        return self._drive.epoch + self.now
+
+    def read(self, timeout: float) -> Batch:
+        """The next piece."""
+        frames = self._drive.between(self.now, self.now + PIECE)
+        self.now += PIECE
+        self._witness[DRIVEN] = self.now
+        return Batch(frames=frames)
+
+    def kernel_drops(self) -> int:
+        """No frames are lost."""
+        return 0
+
+    def buffer_bytes(self) -> int | None:
+        """There is no buffer."""
+        return None
+
+    def is_confirming(self) -> bool:
+        """Nothing is sent."""
+        return False
+
+
+class WitnessedStore(StateStore):
+    """A store that says when it writes, and puts the time of driving into the state."""
+
+    def __init__(self, directory: Path, traffic: Traffic, witness: "Witness") -> None:
+        super().__init__(directory)
+        self._traffic, self._witness = traffic, witness
+
+    def save(self, state: Mapping[str, Any], key: str) -> None:
+        """Write a state as the daemon does."""
+        began = time.monotonic()
+        self._witness[SAVING] = self._traffic.now
+        super().save({**state, "at": self._traffic.now}, key)
+        self._witness[SAVED] = self._traffic.now
+        self._witness[WRITING] = time.monotonic() - began
+
 
 class Witness:
-    """Progress of a child in shared memory: seconds driven, being saved, and saved."""
+    """Progress of a child in shared memory: seconds driven, being saved, and saved; and how long the write took [s]."""
 
     def __init__(self) -> None:
-        self._memory = mmap.mmap(-1, 24)
+        self._memory = mmap.mmap(-1, 32)
+        self[WRITING] = FIRST_WRITING
 
     def __getitem__(self, i: int) -> float:
         value: float = struct.unpack_from("d", self._memory, 8 * i)[0]
@@ -74,44 +150,64 @@ class Witness:
         struct.pack_into("d", self._memory, 8 * i, value)
 
 
-DRIVEN, SAVING, SAVED = range(3)
+DRIVEN, SAVING, SAVED, WRITING = range(4)
+FIRST_WRITING = 0.005  # s, before one was measured
 
 
 def live(drive: Drive, directory: Path, config: Config, witness: Witness, start: float) -> None:
-    """Main function of a child."""
-    store, pipeline = StateStore(directory), Pipeline(config)
-    state, _ = store.load(KEY)
-    if state is not None:
-        pipeline.restore(state["pipeline"])
-    t, due = start, start + INTERVAL
+    """Main function of a child: the daemon, its threads turned in one loop."""
+    traffic = Traffic(drive, start, witness)
+    store = WitnessedStore(directory, traffic, witness)
+    link = Link(
+        BusSpec({"interface": "virtual", "channel": "power"}),
+        None,
+        config.reception,
+        traffic.clock,
+        lambda *_: can.Bus(interface="virtual", channel="power", ignore_config=True),
+        lambda: True,
+        lambda *_: traffic,
+    )
+    worker = Worker(
+        restored(config, store, KEY), config.reception.queue_frames, store, KEY, INTERVAL, clock=traffic.clock
+    )
+    files = (directory / "status.json", directory / "metrics")
+    daemon = Daemon(
+        link, None, worker, None, config.reception.silence_s, *files, clock=traffic.clock, wall=traffic.wall
+    )
     while True:
-        witness[DRIVEN] = t + PIECE
-        for _ in pipeline.feed(drive.between(t, t + PIECE)):
-            pass
-        t += PIECE
-        if t >= due:
-            due = t + INTERVAL
-            witness[SAVING] = t
-            store.save({"at": t, "pipeline": pipeline.state()}, KEY)
-            witness[SAVED] = t
+        link.step()
+        daemon.turn()
+        worker.turn()
+
+
+def wait_for_write(witness: Witness, child: int, rng: np.random.Generator) -> None:
+    """Return at a random time of the child's next write of its state."""
+    deadline = time.monotonic() + MAX_WAIT
+    while witness[SAVING] <= witness[SAVED] and time.monotonic() < deadline:
+        if os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+            return
+    time.sleep(rng.uniform(0, witness[WRITING]))
 
 
 def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.random.Generator) -> dict[str, Any]:
     """Kill ``kills`` children, one after the other, and count the states found."""
     witness, counts, losses = Witness(), dict.fromkeys(COUNTS, 0), [0.0]
     begin, frames, mass = 0.0, 0, float("nan")
-    for _ in range(kills):
+    for kill in range(kills):
         child = os.fork()
         if child == 0:
             try:
                 live(drive, directory, config, witness, begin)
             finally:
                 os._exit(70)  # reached only after an error: a child runs until it is killed
-        time.sleep(rng.uniform(0, MAX_LIFE))
+        if kill % 2:
+            wait_for_write(witness, child, rng)
+        else:
+            time.sleep(rng.uniform(0, MAX_LIFE))
         os.kill(child, signal.SIGKILL)
         counts["failed"] += os.WIFEXITED(os.waitpid(child, 0)[1])
         counts["while_saving"] += witness[SAVING] > witness[SAVED]
-        counts["leftovers"] += any(directory.glob("*.part"))
+        counts["leftovers"] += any(directory.glob("state*.part"))
         state, reason = StateStore(directory).load(KEY)
         counts["previous_used"] += "previous state is used" in reason
         if state is None:
@@ -119,13 +215,13 @@ def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.rando
         else:
             pipeline = Pipeline(config)
             try:
-                pipeline.restore(state["pipeline"])
+                pipeline.restore(state)
             except StateError:
                 counts["corrupt"] += 1
             if state["at"] not in (witness[SAVED], witness[SAVING]) or pipeline.traffic.frames < frames:
                 counts["corrupt"] += 1
             # Driving of this child before its first save and after its last.
-            losses.append(witness[DRIVEN] - max(state["at"], begin))
+            losses.append(drive.moving(max(state["at"], begin), witness[DRIVEN]))
             frames = pipeline.traffic.frames
             witness[SAVING] = witness[SAVED] = state["at"]
         begin = max(witness[DRIVEN], begin) + rng.uniform(0, MAX_OUTAGE)
@@ -150,6 +246,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=20.0, help="length of the simulated drive")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
+    logging.disable()  # every child says that it runs
     drive = Drive(arguments.minutes, arguments.seed)
     with tempfile.TemporaryDirectory() as directory:
         rng = np.random.default_rng(arguments.seed)
@@ -159,7 +256,7 @@ def main() -> int:
     else:
         print("\n".join(f"{name.replace('_', ' '):16} {value:.6g}" for name, value in found.items()))
     bad = found["lost"] + found["corrupt"] + found["failed"]
-    return int(bad > 0 or found["longest_loss_s"] > INTERVAL + PIECE)
+    return int(bad > 0 or found["longest_loss_s"] > INTERVAL + BLOCKS)
 
 
 if __name__ == "__main__":
