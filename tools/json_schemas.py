@@ -14,6 +14,7 @@ from estimator.answers.inspection import InspectionAnswer
 from estimator.answers.run import RunAnswer
 from estimator.answers.simulation import SimulationAnswer
 from estimator.answers.status import StatusAnswer
+from estimator.answers.vehicle import VehicleAnswer
 
 FOLDER = Path(__file__).parents[1] / "docs" / "schema"
 ANSWERS: dict[str, type[Answer]] = {
@@ -24,6 +25,7 @@ ANSWERS: dict[str, type[Answer]] = {
     "run": RunAnswer,
     "simulation": SimulationAnswer,
     "status": StatusAnswer,
+    "vehicle": VehicleAnswer,
 }
 
 

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+from estimator.answers.answer import encode
 from estimator.config import Config
 from estimator.errors import ConfigError, RoadloadError
+from estimator.fleet.exports import export
 from estimator.fleet.page import Tables, page
 from estimator.fleet.priors import as_toml, of_new_vehicle, of_vehicle
 from estimator.fleet.rows import drive_rows, effect_rows, season_rows, vehicle_rows
@@ -12,6 +14,7 @@ from estimator.fleet.tables import DRIVES, EFFECTS, SEASONS, VEHICLES, write_tab
 
 CACHE = "cache"  # folders in the output
 PRIORS = "priors"
+EXPORTS = "exports"
 PAGE = "fleet.html"
 NEW_VEHICLE = "new-vehicle"
 FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
@@ -30,7 +33,8 @@ def prepare(out: Path) -> None:
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; give the name of a folder")
     try:
-        (out / PRIORS).mkdir(parents=True, exist_ok=True)
+        for folder in (PRIORS, EXPORTS):
+            (out / folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RoadloadError(f"{out}: {error.strerror}") from error
 
@@ -66,6 +70,8 @@ def write_fleet(
     if with_page:
         of = Tables(drives=drives, vehicles=vehicles, seasons=seasons, effects=effects, rate=rate)
         texts[out / PAGE] = page(of)
+    exported = {out / EXPORTS / f"{_file_name(one.vehicle)}.json": export(one) for one in found.vehicles}
+    texts |= {path: encode(answer).decode() + "\n" for path, answer in exported.items() if answer is not None}
     write_tables(tables, texts)
     return [*tables, *texts]
 

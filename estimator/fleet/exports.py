@@ -1,0 +1,54 @@
+"""A vehicle for simulators and range planners."""
+
+from estimator.answers.vehicle import CoastDown, Fastsim, FastsimChassis, Shared, Value, Vecto, VehicleAnswer
+from estimator.estimate import Marginal
+from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
+from estimator.units import STANDARD_GRAVITY
+
+FASTSIM_DENSITY = 1.2  # kg/m^3, of FASTSim 3.1 by default, at any elevation
+VECTO_DENSITY = 1.188  # kg/m^3, of VECTO: its reference for the air drag
+FRONTAL_AREA = 10.0  # m^2, about that of a truck; the drag coefficient goes with it
+KMH = 3.6  # km/h in a m/s
+
+
+def export(found: VehicleResult) -> VehicleAnswer | None:
+    """The vehicle; None where A/m or C is not estimated.
+
+    C becomes a drag area by the density that each program uses, so that it finds the same force again.
+    """
+    if found.rolling is None or found.drag is None or found.load is None:
+        return None
+    mass, mass_sd = found.load
+    C, rolling = found.drag.mean, found.rolling.mean
+    coefficient = rolling / STANDARD_GRAVITY
+    return VehicleAnswer(
+        vehicle=found.vehicle,
+        loads=len(found.masses),
+        mass_kg=Value(mean=mass, sd=mass_sd),
+        A_N=_shared(found.rolling, found.scatter[ROLLING], mass),
+        B_N_s_m=0.0,
+        C_N_s2_m2=_shared(found.drag, found.scatter[DRAG]),
+        A_per_mass_N_kg=_shared(found.rolling, found.scatter[ROLLING]),
+        coast_down=CoastDown(F0_N=rolling * mass, F1_N_h_km=0.0, F2_N_h2_km2=C / KMH**2),
+        fastsim=Fastsim(
+            mass_kilograms=mass,
+            chassis=FastsimChassis(
+                drag_coef=_drag_area(C, FASTSIM_DENSITY) / FRONTAL_AREA,
+                frontal_area_square_meters=FRONTAL_AREA,
+                wheel_rr_coef=coefficient,
+                wheel_inertia_kilogram_square_meters=0.0,
+                glider_mass_kilograms=None,
+                cargo_mass_kilograms=None,
+            ),
+        ),
+        vecto=Vecto(CdA=_drag_area(C, VECTO_DENSITY), RRCISO=coefficient),
+    )
+
+
+def _shared(found: Marginal, scatter: float, factor: float = 1.0) -> Shared:
+    return Shared(mean=factor * found.mean, sd=factor * found.sd, scatter=factor * scatter)
+
+
+def _drag_area(C: float, density: float) -> float:
+    """Drag area [m^2] from C [N s^2/m^2]: C = density / 2 * area."""
+    return 2 * C / density
