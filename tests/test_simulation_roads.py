@@ -1,5 +1,6 @@
 """Roads: bends fit their speed, ways back and laps come home, driving cycles become roads."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from estimator.simulation.drive import drive
 from estimator.simulation.driver import speeds_ahead
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.itinerary import plan_route, shaped
-from estimator.simulation.route import generate_route
+from estimator.simulation.route import GRADE_SPACING, MEASURED_WAVES, generate_route
 from estimator.simulation.truck import Truck
 
 HWFET = Path(__file__).parents[1] / "tools" / "cycles" / "hwfet.csv"
@@ -28,6 +29,25 @@ def test_bends_can_be_driven_at_the_speed_of_the_road(kind):
     assert np.abs(lateral).max() < 2.5
     assert 0.2 < lateral.std() < 0.8
     assert np.ptp(route.heading) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "measured"),
+    [
+        ("urban", [0.09, 0.36, 0.26, 0.28, 0.01]),
+        ("mixed", [0.02, 0.26, 0.69, 0.03, 0.01]),
+        ("highway", [0.00, 0.03, 0.17, 0.43, 0.38]),
+    ],
+)
+def test_long_and_short_waves_of_the_grade_have_their_measured_shares(kind, measured):
+    edges = [40.0, 200.0, 800.0, 3200.0, 12_800.0, np.inf]
+    power, points = 0.0, 5000
+    for seed in range(8):
+        grade = generate_route(kind, 1e5, np.random.default_rng(seed), 0.01, MEASURED_WAVES[kind]).grade[:points]
+        power = power + np.abs(np.fft.rfft((grade - grade.mean()) * np.hanning(points))) ** 2 / 8
+    wave = GRADE_SPACING * points / np.maximum(np.arange(len(power)), 1)
+    shares = [power[1:][(wave[1:] >= low) & (wave[1:] < high)].sum() / power[1:].sum() for low, high in pairwise(edges)]
+    assert np.abs(np.subtract(shares, measured)).max() < (0.25 if kind == "mixed" else 0.12)  # one profile of 26 km
 
 
 def test_there_and_back_ends_where_it_began_facing_the_other_way():

@@ -10,6 +10,7 @@ from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import OPTIONAL, Sensors, measure
 from estimator.simulation.truck import Truck
 from estimator.simulation.truth import Truth
+from estimator.units import STANDARD_GRAVITY
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 PERFECT = Sensors(speed_noise=0.0, torque_noise=0.0, torque_white_noise=0.0, torque_lag=0.0)
@@ -54,6 +55,50 @@ def test_rates(truth, role, period):
 
     assert np.all(gaps > 0.0)
     assert np.mean(gaps) == pytest.approx(period, rel=0.01)
+
+
+def error_of_altitude(truth, **sensors):
+    """Error of the altitude [m] (n,) at 1 Hz."""
+    altitude = measure(truth, Sensors(altitude_noise=0.0, **sensors), np.random.default_rng(3))[Role.ALTITUDE]
+    return altitude.value - np.interp(altitude.t, truth.t, truth.altitude)
+
+
+def test_an_altimeter_wanders_slowly_and_is_noisy(truth):
+    wander = error_of_altitude(truth, altitude_wander=5.0, altitude_wander_time=20.0)
+    assert wander.std() == pytest.approx(5.0, rel=0.5)
+    assert np.diff(wander).std() < 0.5
+    white = error_of_altitude(truth, altitude_white_noise=2.0)
+    assert white.std() == pytest.approx(2.0, rel=0.1)
+    assert np.corrcoef(white[1:], white[:-1])[0, 1] == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_gps_receiver_is_late_with_the_altitude():
+    rng = np.random.default_rng(5)
+    truth = drive(TRUCK, generate_route("highway", 20e3, rng, 0.03), 600.0, rng)
+    sensors = Sensors(altitude_noise=0.0, altitude_smoothing=10.0)
+    altitude = measure(truth, sensors, np.random.default_rng(0))[Role.ALTITUDE]
+    at = altitude.t[60:]
+
+    def away(late):
+        return np.abs(altitude.value[60:] - np.interp(at - late, truth.t, truth.altitude)).mean()
+
+    assert away(10.0) < 0.5 * away(0.0)
+
+
+def test_grade_and_accelerometer_pitch_with_the_body(truth):
+    plain, pitching = (
+        measure(truth, Sensors(**more), np.random.default_rng(0))
+        for more in ({}, {"body_pitch": 0.01, "accelerometer_offset": 0.2, "grade_white_noise": 1e-5})
+    )
+    a = np.interp(plain[Role.GRADE].t, truth.t, truth.a)
+    assert np.polyfit(a, pitching[Role.GRADE].value - plain[Role.GRADE].value, 1)[0] == pytest.approx(0.01, rel=0.01)
+    felt = [
+        np.interp(plain[Role.GRADE].t, x.t, x.value)
+        for x in (x[Role.LONGITUDINAL_ACCELERATION] for x in (plain, pitching))
+    ]
+    slope, offset = np.polyfit(a, felt[1] - felt[0], 1)
+    assert slope == pytest.approx(0.01 * STANDARD_GRAVITY, rel=0.1)
+    assert offset == pytest.approx(0.2, abs=0.01)
 
 
 def test_every_role_is_known_and_finite(truth):

@@ -1,8 +1,9 @@
 """Roads by distance: sections with a speed to drive, stops with a dwell time, grade and bends."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
+from math import sqrt
 from typing import Literal
 
 import numpy as np
@@ -96,7 +97,23 @@ _BLOCKS: dict[RoadKind, tuple[tuple[_Road, float], ...]] = {  # kind of road, le
 }
 
 
-def generate_route(kind: RoadKind, length: float, rng: np.random.Generator, grade_sd: float = 0.0) -> Route:
+# Lengths over which the grade of real roads changes [m], and their shares of its variance. Fitted to the shares of
+# waves of 40-200 m, 0.2-0.8, 0.8-3.2, 3.2-12.8 km and longer in the mission profiles of VECTO (2015): urban 9, 36, 26,
+# 28, 1 % (mean of four profiles), regional 2, 26, 69, 3, 1 % (one), long haul 0, 3, 17, 43, 38 % (mean of three).
+MEASURED_WAVES: dict[RoadKind, tuple[tuple[float, float], ...]] = {
+    "urban": ((60.0, 0.54), (250.0, 0.20), (1000.0, 0.26)),
+    "mixed": ((60.0, 0.1), (250.0, 0.9)),
+    "highway": ((250.0, 0.11), (1000.0, 0.60), (4000.0, 0.29)),
+}
+
+
+def generate_route(
+    kind: RoadKind,
+    length: float,
+    rng: np.random.Generator,
+    grade_sd: float = 0.0,
+    waves: Sequence[tuple[float, float]] = ((HILL_LENGTH, 1.0),),
+) -> Route:
     """Generate a road at random.
 
     Parameters
@@ -109,6 +126,9 @@ def generate_route(kind: RoadKind, length: float, rng: np.random.Generator, grad
         Source of randomness.
     grade_sd
         Standard deviation of the grade, rise over run [1]; flat by default.
+    waves
+        Lengths [m] over which the grade changes, and their shares of its variance [1]; those of real roads are
+        `MEASURED_WAVES`.
     """
     starts: list[float] = []
     speeds: list[float] = []
@@ -131,16 +151,23 @@ def generate_route(kind: RoadKind, length: float, rng: np.random.Generator, grad
             stops.append(position)
             dwells.append(3.0 + rng.exponential(16.0))
     points = int(length / GRADE_SPACING) + 2
-    grade = smooth(points, grade_sd, HILL_LENGTH / GRADE_SPACING / 2, rng)
     return Route(
         section_start=np.array(starts),
         section_speed=np.array(speeds),
         stop_position=np.array([*stops, length]),
         stop_dwell=np.array([*dwells, np.inf]),
-        grade=grade,
+        grade=_grade(points, grade_sd, waves, rng),
         curvature=curvature_of(np.array(starts), np.array(speeds), bends, length, rng),
         start_heading=rng.uniform(0.0, 2 * np.pi),
     )
+
+
+def _grade(points: int, sd: float, waves: Sequence[tuple[float, float]], rng: np.random.Generator) -> Floats:
+    """Grade [1] (points,) of a standard deviation, the sum of processes over different lengths."""
+    grade = np.zeros(points)
+    for length, share in waves:
+        grade += smooth(points, sd * sqrt(share), length / GRADE_SPACING / 2, rng)
+    return grade
 
 
 def _roads(kind: RoadKind) -> Iterator[_Road]:

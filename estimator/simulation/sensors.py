@@ -6,10 +6,11 @@ SPN 513 and 4154 do; the nominal friction comes apart and slower, as SPN 514 doe
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import pi
+from math import exp, pi
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimator.signals import Floats, Mask, Role, Series, Signals
 from estimator.simulation.moment import STEP
@@ -66,8 +67,22 @@ class Sensors:
         Standard deviation of sending times [s].
     grade_noise, grade_offset
         Standard deviation of the slow error of the grade, and its offset, rise over run [1].
+    grade_white_noise
+        Standard deviation of white noise on the grade [1].
+    body_pitch
+        By how much the body pitches where the truck accelerates [rad/(m/s^2)]: the sensors of grade and acceleration
+        sit in it. 0.003 is usual for a truck.
+    accelerometer_offset
+        Offset of the longitudinal acceleration [m/s^2].
     altitude_noise
-        Standard deviation of the slow error of the altitude [m].
+        Standard deviation of an error of the altitude that changes over half a minute [m].
+    altitude_white_noise
+        Standard deviation of white noise on the altitude [m].
+    altitude_wander, altitude_wander_time
+        Standard deviation [m] and time [s] of a further error of the altitude: weather and openings of windows for a
+        barometer, the constellation of satellites for a GPS receiver.
+    altitude_smoothing
+        Time constant by which a GPS receiver smooths the altitude [s].
     dropouts
         Share of the time in which a message is lost for seconds [1].
     without
@@ -83,7 +98,14 @@ class Sensors:
     jitter: float = 0.0005
     grade_noise: float = 0.0
     grade_offset: float = 0.0
+    grade_white_noise: float = 0.0
+    body_pitch: float = 0.0
+    accelerometer_offset: float = 0.0
     altitude_noise: float = 1.0
+    altitude_white_noise: float = 0.0
+    altitude_wander: float = 0.0
+    altitude_wander_time: float = 600.0
+    altitude_smoothing: float = 0.0
     dropouts: float = 0.0
     without: frozenset[Role] = field(default_factory=frozenset)
 
@@ -151,9 +173,11 @@ def _brakes(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterato
     pressed = _state(truth, t, truth.braking).value > 0.0
     yield Role.BRAKE_PEDAL, Series(t, np.where(pressed, np.clip(_quantise(pedal, PEDAL_RESOLUTION), 0.0, 1.0), 0.0))
     t = _times(truth, 0.1, sensors, rng)
-    grade = np.interp(t, truth.t, truth.grade) + sensors.grade_offset
+    grade = np.interp(t, truth.t, truth.grade + sensors.body_pitch * truth.a) + sensors.grade_offset
     if sensors.grade_noise > 0.0:
         grade += smooth(len(t), sensors.grade_noise, 20.0 / 0.1, rng)
+    if sensors.grade_white_noise > 0.0:
+        grade += rng.normal(0.0, sensors.grade_white_noise, len(t))
     yield Role.GRADE, Series(t, grade)
     if truth.retarder.any():
         strength = np.interp(t, truth.t, truth.retarder) / truth.retarder.max()
@@ -170,16 +194,31 @@ def _surroundings(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> I
     yield Role.COOLANT_TEMPERATURE, Series(t, _quantise(coolant, 1.0, 273.15))
     t = _times(truth, 1.0, sensors, rng)
     satellites = np.interp(t, truth.t, truth.v) + rng.normal(0.0, 0.05, len(t))
-    altitude = np.interp(t, truth.t, truth.altitude) + smooth(len(t), sensors.altitude_noise, 30.0, rng)
+    altitude = _altitude(truth, t, sensors, rng)
     heading = np.interp(t, truth.t, truth.heading) + rng.normal(0.0, HEADING_NOISE, len(t))
     yield Role.ALTITUDE, Series(t, _quantise(altitude, 0.125))
     yield Role.GPS_SPEED, Series(t, _quantise(np.maximum(satellites, 0.0), SPEED_RESOLUTION))
     yield Role.HEADING, Series(t, _quantise(heading % (2 * pi), pi / 180 / 128) % (2 * pi))
 
 
+def _altitude(truth: Truth, t: Floats, sensors: Sensors, rng: np.random.Generator) -> Floats:
+    """Altitude [m] (n,) with its errors, at times (n,) [s] that are one second apart."""
+    altitude = np.interp(t, truth.t, truth.altitude)
+    if sensors.altitude_smoothing > 0.0:
+        keep = exp(-1.0 / sensors.altitude_smoothing)
+        altitude = altitude[0] + lfilter([1.0 - keep], [1.0, -keep], altitude - altitude[0])
+    altitude = altitude + smooth(len(t), sensors.altitude_noise, 30.0, rng)
+    if sensors.altitude_wander > 0.0:
+        altitude += smooth(len(t), sensors.altitude_wander, sensors.altitude_wander_time, rng)
+    if sensors.altitude_white_noise > 0.0:
+        altitude += rng.normal(0.0, sensors.altitude_white_noise, len(t))
+    return altitude
+
+
 def _stability(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
     t = _times(truth, 0.1, sensors, rng)
-    felt = truth.a + STANDARD_GRAVITY * truth.grade / np.hypot(1.0, truth.grade)
+    rise = truth.grade + sensors.body_pitch * truth.a
+    felt = truth.a + STANDARD_GRAVITY * rise / np.hypot(1.0, rise) + sensors.accelerometer_offset
     for role, true, noise in (
         (Role.YAW_RATE, truth.yaw_rate, YAW_NOISE),
         (Role.LATERAL_ACCELERATION, truth.lateral_acceleration, ACCELERATION_NOISE),
