@@ -1,9 +1,13 @@
 """A day of traffic through the daemon's link, loop and estimator, on a clock that the traffic sets.
 
 The work of the threads runs in one loop, so that a day takes only its computing time. Every hour is another drive of
-one truck, simulated in its own process; between two drives the bus is silent for a minute.
+one truck, simulated in its own process; between two drives the bus is silent for a minute. Two sizes of memory are
+shown: what is resident, and what the C library has given out, for which Python uses no allocator of its own. The first
+also holds what was given back to the C library and not to the kernel.
 """
 
+import ctypes
+import gc
 import json
 import os
 import subprocess
@@ -39,7 +43,7 @@ COLUMNS = ("t", "ident", "length", "data")
 ROW = np.dtype([("t", "f8"), ("ident", "u4"), ("length", "u1"), ("data", "u1", 8)])  # of a file of frames
 NOTHING = Frames.from_messages([])
 EPOCH = 1_700_000_000.0  # s, wall time of the start
-ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
+ENVIRONMENT = {"PYTHONMALLOC": "malloc", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
 
 
 class Day:
@@ -140,6 +144,7 @@ def run(hours: int) -> None:
 
 def report(day: Day, worker: Worker) -> dict[str, Any]:
     """Counters at the end of an hour."""
+    gc.collect()
     latest = worker.knowledge.estimate
     estimates = [latest.mass, latest.A, latest.C] if latest else [None] * 3
     return {
@@ -148,6 +153,7 @@ def report(day: Day, worker: Worker) -> dict[str, Any]:
         "lost": day.sent - worker.pipeline.traffic.frames,
         "saves": worker.saves["saved"],
         "rss_MiB": resident_memory(),
+        "allocated_MiB": allocated_memory(),
         "estimates": [[x.mean, x.sd] if x else None for x in estimates],
     }
 
@@ -158,20 +164,44 @@ def resident_memory() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
+MALLINFO = (
+    *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
+    *("usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"),
+)
+
+
+class MallInfo(ctypes.Structure):
+    """What mallinfo2(3) of glibc 2.33 or newer gives, over all arenas [bytes]."""
+
+    _fields_ = tuple((name, ctypes.c_size_t) for name in MALLINFO)
+
+
+def allocated_memory() -> float | None:
+    """Memory that the C library has given out and not got back [MiB]; None where it does not say."""
+    ask = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if ask is None:
+        return None
+    ask.restype = MallInfo
+    found = ask()
+    return float(found.uordblks + found.hblkhd) / 2**20
+
+
 def show(console: Console, hours: float) -> None:
     """Run the day in a process of its own and print a line for every hour."""
-    table = Table("hour", "frames", "lost", "saves", "times real time", "RSS MiB", "mass kg", "A N", "C N s2/m2")
+    table = Table(
+        "hour", "frames", "lost", "saves", "times real time", "RSS MiB", "allocated MiB", "mass kg", "A N", "C N s2/m2"
+    )
     command = [sys.executable, "-m", "daemon_bench.soak", "--day", str(round(hours))]
     with subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdout=subprocess.PIPE, text=True) as day:
         assert day.stdout is not None
         for line in day.stdout:
             row = json.loads(line)
-            print(f"hour {row['hour']}: {row['frames']:,} frames, RSS {row['rss_MiB']:.1f} MiB", file=sys.stderr)
+            memory = [f"{row[name]:.1f}" if row[name] else "-" for name in ("rss_MiB", "allocated_MiB")]
+            print(f"hour {row['hour']}: {row['frames']:,} frames, {memory[1]} MiB allocated", file=sys.stderr)
             shown = [f"{x[0]:,.4g} ± {x[1]:.2g}" if x else "-" for x in row["estimates"]]
             pace = f"{row['hour'] * (HOUR + PARKED) / row['seconds']:.0f}"
-            memory = f"{row['rss_MiB']:.1f}"
             table.add_row(
-                str(row["hour"]), f"{row['frames']:,}", str(row["lost"]), str(row["saves"]), pace, memory, *shown
+                str(row["hour"]), f"{row['frames']:,}", str(row["lost"]), str(row["saves"]), pace, *memory, *shown
             )
     console.print(table)
     truth = traffic.TRUCK
