@@ -22,6 +22,13 @@ from estimator.answers.fleet import FleetAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
+from estimator.can_io.logs import open_log
+from estimator.config import Config
+from estimator.fleet.cache import Cache
+from estimator.fleet.engine import Serial
+from estimator.fleet.output import CACHE
+from estimator.fleet.run import conclude, run_fleet
+from estimator.fleet.sources import find_logs
 from estimator.simulation.recording import simulate
 from estimator.simulation.truck import Truck
 
@@ -73,6 +80,19 @@ def timed(command: list[str]) -> tuple[FleetAnswer, float, float]:
     return decode(answer.stdout, FleetAnswer), time.perf_counter() - began, used
 
 
+def print_costs(logs: Path, out: Path) -> None:
+    """Frames and bytes of the logs, the largest process so far, and the processor time of all joint fits."""
+    paths = sorted(logs.rglob("*.blf"))
+    frames, size = sum(len(f) for path in paths for f in open_log(path)), sum(path.stat().st_size for path in paths)
+    print(f"{len(paths)} logs, {frames:,} frames, {size / 2**20:,.0f} MiB")
+    print(f"largest process: {getrusage(RUSAGE_CHILDREN).ru_maxrss / 1024:.0f} MiB")
+    config = Config()
+    found = run_fleet(find_logs([str(logs)]), config, Serial(), cache=Cache.of(out / CACHE, config, False))
+    began = time.process_time()
+    conclude(found.grouped, found.results, config, Serial())
+    print(f"joint fits and comparison: {time.process_time() - began:.2f} s of processor time")
+
+
 def inside(rows: list[dict[str, float]], name: str, truth: list[float]) -> str:
     """How many of the 90 % intervals hold the truth, and the relative errors."""
     known = [(row, t) for row, t in zip(rows, truth, strict=True) if row[f"{name}_mean"] is not None]
@@ -108,6 +128,7 @@ def main() -> int:
     for i, name in enumerate(("A_per_mass_N_kg", "C_N_s2_m2")):
         print(f"{name}:", inside(vehicles, name, [made.vehicles[row["vehicle"]][i] for row in vehicles]))
     print("outliers made: ", sorted(OUTLIERS), "found:", answer.outliers)
+    print_costs(logs, out)
     return 0
 
 
