@@ -68,6 +68,22 @@ def hidden(drive) -> Estimate:
 # A road that no signal shows
 
 
+def test_heavy_trucks_on_hilly_highways_are_as_far_off_as_they_say():
+    """At a steady speed nearly all changes of the force are answers to slopes; one of three drives tells no mass."""
+    truck = replace(TRUCK, mass=38e3)
+    estimates = []
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng(seed)
+        road = generate_route("highway", 2000.0 * MINUTES, rng, 0.014)
+        bus = record(truck, road, 60.0 * MINUTES, rng, sensors=Sensors(without=CLIMB)).signals
+        estimates.append(concluded(bus))
+    masses = [estimate.mass for estimate in estimates if estimate.mass is not None]
+    assert len(masses) >= 2
+    for mass in masses:
+        assert abs(mass.mean / truck.mass - 1) < 0.05
+        assert mass.q05 < truck.mass < mass.q95
+
+
 def test_the_mass_is_known_although_nothing_shows_the_hills(hidden):
     assert away(hidden) < 0.02
     assert in_sds(hidden) < 2.58  # inside the 99 % interval

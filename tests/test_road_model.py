@@ -395,3 +395,22 @@ def test_a_fit_finds_the_vehicle_and_the_hills_that_the_strides_were_drawn_with(
 
 def test_too_few_strides_give_no_fit():
     assert road_fit.fit(strides_of(30), np.random.default_rng(0)) is None
+
+
+def test_a_level_road_hides_no_slopes_and_a_hilly_one_more_than_a_flatter_one():
+    """R is the variance that the slopes add to 1/m, in units of that of one stride."""
+    strides = strides_of(120, seed=4)
+    likelihood = likelihood_of(strides)
+    model = likelihood.model
+    found = {}
+    for slope in (model.scales[road_fit.SLOPE].low, 5e-3, 1.5e-2):
+        values = scales_of(model)
+        values[road_fit.SLOPE] = slope
+        scales = road_fit.RoadScales(values=values, alpha=2, wander=ROUGH, readings=(), lag=likelihood.lag)
+        information = likelihood.solve(model.condition(values).gram(likelihood.data))[1]
+        found[slope] = road_fit.hidden_changes(likelihood, scales, information, 1.0)
+        dense = np.linalg.inv(information)[0, 0]
+        assert found[slope] <= len(model.driven) * dense
+    level, some, more = found.values()
+    assert level == 0.0
+    assert 0 < some < more

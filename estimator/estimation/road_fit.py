@@ -6,10 +6,15 @@ the same fit the normal matrix is corrected (a corrected score: Nakamura 1990, S
 
     X'K^-1 X  less  the mean over simulated noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
 
-The correction assumes that the driver reacts to the measured speed alone; drivers also react to the slope itself. So a
-share of the correction (CORRECTION_DOUBT) and a floor for the sd of the mass (FORM_SD) widen the covariance. Both were
-measured on simulated drives over hidden hills: mixed, highway and urban roads, speed noise 0..30 mm/s, torque in 0.125
-and 1 %.
+The likelihood takes the force as given when a slope begins. Drivers and governors answer a share k of it within the
+same stride: the force changes by k m g times the change of the slope, the speed by less, and the mass comes out too
+large by
+
+    k R,   R = g^2 var(change of the slope) / var(change of the acceleration by the driver) = n (s^2 - s_level^2)
+
+with n strides, the relative sd s of the mass, and s_level that on a road known to be level. The share is that of
+ANSWERED. A share of the correction for torque noise (CORRECTION_DOUBT) and a floor for the sd of the mass (FORM_SD)
+widen the covariance.
 """
 
 from collections.abc import Sequence
@@ -33,11 +38,12 @@ from estimator.units import STANDARD_GRAVITY
 MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction counts as sd (BMW i3: 0.13)
 CORRECTION_DOUBT = 0.5  # share of the correction's shift that counts as a standard deviation
 FORM_SD = 0.0025  # relative sd of 1/m from the form of the model on any road (friction in steps of 1 %)
-FORM_SLOPE = 0.4  # sd of 1/m per unit of the slopes' sd where no signal shows them: the driver reacts to slopes
+ANSWERED, ANSWERED_SD = 0.3, 0.2  # share of a slope's change that drivers answer in its stride (simulated one: 0.45)
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 UNKNOWN_SCALE_STEP, KNOWN_SCALE_STEP = 0.7, 0.25  # first steps of the logarithms of scales, unknown or known before
 ROAD_SCALES = (0, 4, 5)  # scales that change with the smoothness of the road
+SLOPE = 4  # scale of the slopes' sd
 VEHICLE_SCALES = (2, 3)  # scales that do not change with the smoothness of the wander
 LAG_PASSES = 4  # alternations of scales and lag; they stop when the lag stays the same
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
@@ -125,19 +131,33 @@ def theta_jacobian(beta: Floats, effects: int) -> Floats:
     return jacobian
 
 
-def with_doubt_of_form(beta: Floats, covariance: Floats, slope_sd: float, hidden: bool) -> Floats:
+def with_doubt_of_form(beta: Floats, covariance: Floats, answered: float, slope_sd: float, hidden: bool) -> Floats:
     """The covariance (p, p) of beta (p,), with the uncertainty from the form of the model added.
 
-    A / m and C / m are proportional to 1 / m, so an error of the form changes the mass alone. Over hidden hills their
-    sd is larger by ROAD_DOUBT, in proportion to the slopes up to an sd of 0.4 %.
+    A / m and C / m are proportional to 1 / m, so an error of the form changes the mass alone; ``answered`` is the sd of
+    1/m by what drivers answer. Over hidden hills the sd of A and C is larger by ROAD_DOUBT, in proportion to the slopes
+    up to an sd of 0.4 %.
     """
-    share = float(np.hypot(FORM_SD, FORM_SLOPE * slope_sd)) if hidden else FORM_SD
+    share = float(np.hypot(FORM_SD, answered))
     form = share * np.concatenate([beta[:ROAD_LOAD], np.zeros(len(beta) - ROAD_LOAD)])
     wider = covariance.copy()
     if hidden:
         swamped = ROAD_DOUBT * min(slope_sd / 4e-3, 1.0)
         wider[1:ROAD_LOAD, 1:ROAD_LOAD] *= 1 + swamped**2
     return wider + np.outer(form, form)
+
+
+def hidden_changes(likelihood: Likelihood, scales: RoadScales, information: Floats, inverse_mass: float) -> float:
+    """R of the module: variance of the slope's changes that no signal shows, over that of the driver's changes.
+
+    ``information`` (p, p) and ``inverse_mass`` in the likelihood's own units.
+    """
+    level = scales.values.copy()
+    level[SLOPE] = likelihood.model.scales[SLOPE].low
+    gram = likelihood.model.condition(level).gram(likelihood.data)
+    _, without, _ = likelihood.solve(gram)
+    variances = [float(np.linalg.inv(each)[0, 0]) for each in (information, without)]
+    return max(len(likelihood.model.driven) * (variances[0] - variances[1]) / inverse_mass**2, 0.0)
 
 
 def first_guess(strides: Strides) -> Floats:
@@ -312,8 +332,11 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
     beta: Floats = corrected @ gram[1:, 0]
     shift = (beta - plain) * (CORRECTION_DOUBT if share <= MAX_NOISE_SHARE else 1.0)
     covariance: Floats = corrected @ information @ corrected + np.outer(shift, shift)
+    changes = hidden_changes(likelihood, scales, information, float(beta[0]))
+    beta[:ROAD_LOAD] *= 1 + ANSWERED * changes
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
-    covariance = with_doubt_of_form(beta, covariance, float(scales.values[4]), hidden=not scales.readings)
+    answered, slope_sd = ANSWERED_SD * changes, float(scales.values[SLOPE])
+    covariance = with_doubt_of_form(beta, covariance, answered, slope_sd, hidden=not scales.readings)
     residual = likelihood.data[:, 0] - likelihood.data[:, 1:] @ (beta * unit)
     n = len(model.driven)
     at_nodes, slope = model.road(conditioned.unknowns(residual))
@@ -328,7 +351,7 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
         strides=model.driven,
         fitted=fitted,
         slope=slope,
-        slope_sd=float(scales.values[4]),
+        slope_sd=slope_sd,
         climbed=float(rises[model.nodes.joined[1:] & (rises > 0)].sum()),
         torque_share=share,
         departures=likelihood.departures,
