@@ -168,7 +168,7 @@ def trc_lines(version: str, start: int, count: int, rng: np.random.Generator) ->
             tail = {"data": f"{ident:>8}  {length}  {data}", "remote": f"{ident:>8}  {length}  RTR"}
             lines.append(f"{number:6}) {int(t * 10):9}  " + tail.get(kind, "FFFFFFFF  4  00 00 00 08"))
         elif version in ("1.1", "1.3"):
-            bus = f"{rng.integers(1, 3)}  " if version == "1.3" else ""
+            bus = f"{1 + int(ident, 16) % 2}  " if version == "1.3" else ""  # no identifier on two channels
             gap = "-  " if version == "1.3" else ""
             tail = {"data": f"Rx  {ident:>8}  {gap}{length}  {data}", "remote": f"Tx  {ident:>8}  {gap}{length}  RTR"}
             lines.append(f"{number:6}) {t:11.1f}  {bus}" + tail.get(kind, "Warng  FFFFFFFF  4  00 00 00 08"))
