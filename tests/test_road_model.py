@@ -414,3 +414,30 @@ def test_a_level_road_hides_no_slopes_and_a_hilly_one_more_than_a_flatter_one():
     level, some, more = found.values()
     assert level == 0.0
     assert 0 < some < more
+
+
+def test_hidden_slopes_count_by_the_strides_of_the_present_load():
+    """The variance is that of the mass since the last departure; so is the number of strides that it is spread over."""
+    strides = strides_of(240, seed=4)
+    changed = float(strides.t[-40])
+    model = RoadModel(strides, 2)
+    likelihood = Likelihood(model, (), np.array([A, C, M]), MIDDLE, (changed,))
+    level = scales_of(model)
+    level[road_fit.SLOPE] = model.scales[road_fit.SLOPE].low
+    informations = [
+        likelihood.solve(model.condition(values).gram(likelihood.data))[1] for values in (scales_of(model), level)
+    ]
+    sloping, flat = (np.linalg.inv(information)[0, 0] for information in informations)
+    scales = road_fit.RoadScales(values=scales_of(model), alpha=2, wander=ROUGH, readings=(), lag=likelihood.lag)
+    present = np.count_nonzero(strides[strides.t >= changed].known)
+    found = road_fit.hidden_changes(likelihood, scales, informations[0], 1.0)
+    assert found == pytest.approx(present * (sloping - flat))
+
+
+def test_hidden_slopes_that_hide_the_mass_count_up_to_a_limit():
+    strides = strides_of(120, seed=4)
+    likelihood = likelihood_of(strides)
+    values = scales_of(likelihood.model)
+    scales = road_fit.RoadScales(values=values, alpha=2, wander=ROUGH, readings=(), lag=likelihood.lag)
+    information = likelihood.solve(likelihood.model.condition(values).gram(likelihood.data))[1]
+    assert road_fit.hidden_changes(likelihood, scales, information, 1e-9) == road_fit.MAX_HIDDEN_CHANGES

@@ -12,9 +12,9 @@ large by
 
     k R,   R = g^2 var(change of the slope) / var(change of the acceleration by the driver) = n (s^2 - s_level^2)
 
-with n strides, the relative sd s of the mass, and s_level that on a road known to be level. The share is that of
-ANSWERED. A share of the correction for torque noise (CORRECTION_DOUBT) and a floor for the sd of the mass (FORM_SD)
-widen the covariance.
+with n strides of the present load, the relative sd s of the mass, and s_level that on a road known to be level. The
+share is that of ANSWERED; above MAX_HIDDEN_CHANGES the first order does not hold, and s is large by itself. A share
+of the correction for torque noise (CORRECTION_DOUBT) and a floor for the sd of the mass (FORM_SD) widen the covariance.
 """
 
 from collections.abc import Sequence
@@ -39,6 +39,7 @@ MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole c
 CORRECTION_DOUBT = 0.5  # share of the correction's shift that counts as a standard deviation
 FORM_SD = 0.0025  # relative sd of 1/m from the form of the model on any road (friction in steps of 1 %)
 ANSWERED, ANSWERED_SD = 0.3, 0.2  # share of a slope's change that drivers answer in its stride (simulated one: 0.45)
+MAX_HIDDEN_CHANGES = 1.0  # of R that is allowed for: the mass falls by 23 %, with an sd of 20 %
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 UNKNOWN_SCALE_STEP, KNOWN_SCALE_STEP = 0.7, 0.25  # first steps of the logarithms of scales, unknown or known before
@@ -150,14 +151,19 @@ def with_doubt_of_form(beta: Floats, covariance: Floats, answered: float, slope_
 def hidden_changes(likelihood: Likelihood, scales: RoadScales, information: Floats, inverse_mass: float) -> float:
     """R of the module: variance of the slope's changes that no signal shows, over that of the driver's changes.
 
-    ``information`` (p, p) and ``inverse_mass`` in the likelihood's own units.
+    It is of the present load, whose mass is asked for. Coefficients of terms are held: what they share with 1/m is not
+    hidden by slopes. ``information`` (p, p) and ``inverse_mass`` in the likelihood's own units.
     """
+    t = likelihood.model.driven.t
+    present = np.count_nonzero(t >= max(likelihood.departures, default=-np.inf))
     level = scales.values.copy()
     level[SLOPE] = likelihood.model.scales[SLOPE].low
     gram = likelihood.model.condition(level).gram(likelihood.data)
     _, without, _ = likelihood.solve(gram)
-    variances = [float(np.linalg.inv(each)[0, 0]) for each in (information, without)]
-    return max(len(likelihood.model.driven) * (variances[0] - variances[1]) / inverse_mass**2, 0.0)
+    base = len(information) - len(likelihood.terms)
+    variances = [float(np.linalg.inv(each[:base, :base])[0, 0]) for each in (information, without)]
+    found = present * (variances[0] - variances[1]) / inverse_mass**2
+    return float(np.clip(found, 0.0, MAX_HIDDEN_CHANGES))
 
 
 def first_guess(strides: Strides) -> Floats:
