@@ -18,13 +18,13 @@ from estimator.checkpoint.validation import State, array, optional, read
 from estimator.errors import StateError
 from estimator.estimate import LoadChange
 from estimator.estimation.moments import PARAMETERS, ROAD_LOAD, Belief
+from estimator.model.road_load import NEW_LOAD_SD
 from estimator.settings import Load
 from estimator.signals import Floats
 
 HOUR = 3600.0  # s
 SHORT_STOP = 300.0  # s of `load.stop_s`: between shorter stops is too little driving to find road and noise from
 KEPT_LOADS = 15  # loads before the present one whose driving stays in use after short stops
-NEW_LOAD_SD = 0.5  # sd of a new load's mass, as a share of the old: empty to full doubles a truck's weight
 MAX_LOG_ODDS = 700.0  # exp overflows beyond; the probability is 0 or 1 in floating point
 
 

@@ -20,6 +20,7 @@ from estimator.model.effects.effect import View
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import Conditioned, RoadModel, Scale
+from estimator.model.road_load import NEW_LOAD_SD
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -28,7 +29,6 @@ LAG, DRAG = 3, 4  # places of the nuisances
 PLAIN = 5  # coefficients without loads, offsets and effects
 LAG_SD = 0.15  # s, sd of the prior of the lag that the nearest of LAGS leaves
 DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from what the bus says (gearbox losses)
-LOAD_SD = 0.5  # prior sd of 1/m_k about 1/m, as a share: empty to full doubles a truck's weight
 USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
 MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
@@ -112,7 +112,7 @@ class Likelihood:
         self.unit[plain : plain + inside] = 1.0
         self.data[:, 1:] /= self.unit
         m = float(road_load[2])
-        sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([LOAD_SD / m] * (plain - PLAIN)), *([1.0] * inside)]
+        sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([NEW_LOAD_SD / m] * (plain - PLAIN)), *([1.0] * inside)]
         sds += [USUAL_SDS * term.effect.usual(road_load) / m for term in terms]
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
 

@@ -8,12 +8,12 @@ import numpy as np
 from estimator.estimate import Marginal, Status
 from estimator.estimation.evidence import Coefficients
 from estimator.fleet.pooling import Mixture, Pooled, pool
+from estimator.model.road_load import NEW_LOAD_SD
 from estimator.settings import Gate
 from estimator.signals import Floats
 
 ROLLING, DRAG = 0, 1  # components of what drives share: A/m [N/kg], C [N s^2/m^2]
 NAMES = ("A/m", "C")
-NEW_LOAD_SD = 0.5  # relative sd of the mass under a future load, if one load is known; of n loads, over sqrt(n)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +64,7 @@ def join(vehicle: str, loads: Sequence[Coefficients], gate: Gate, scale: float, 
     masses = _masses(m, z, V, with_mass, m_variance, pooled)
     means = np.array([mass.mean for mass in masses])
     mean = float(means.mean())
+    # The mean of n known loads is uncertain by NEW_LOAD_SD / sqrt(n).
     spread = float(np.sqrt((NEW_LOAD_SD * mean) ** 2 / len(means) + means.var()))
     return VehicleResult(
         vehicle=vehicle,

@@ -12,6 +12,8 @@ import numpy as np
 
 from estimator.signals import Floats
 
+NEW_LOAD_SD = 0.5  # sd of a new load's mass, as a share of the one before: empty to full doubles a truck's weight
+
 
 def design(v: Floats, a: Floats, density: Floats | float = 1.0) -> Floats:
     """Columns v, v^3, v a (n, 3) of the model before the clip: ``P = design(v, a) @ [A, C, m]``.
