@@ -12,7 +12,8 @@ sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
 import package_vm
 from vm import initramfs
-from vm.debian import Parts
+from vm.debian import Parts, VmError
+from vm.machine import CONSOLE, shown_console
 
 TOOLS = Path(__file__).parents[1] / "tools"
 CONTROL = "Package: small\nVersion: 1.2\nArchitecture: all\nMaintainer: nobody <n@localhost>\nDescription: small\n"
@@ -62,3 +63,18 @@ def test_without_qemu_the_tool_says_so(monkeypatch: pytest.MonkeyPatch, capsys: 
     monkeypatch.setattr(sys, "argv", ["package_vm.py"])
     assert package_vm.main() == 1
     assert capsys.readouterr().err == "error: qemu-system-x86_64 is not installed\n"
+
+
+def test_the_console_is_shown_when_the_machine_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / CONSOLE).write_bytes(b"no init found\xff\n")
+    with pytest.raises(VmError), shown_console(tmp_path):
+        raise VmError("not done after 10 s")
+    assert capsys.readouterr().out.startswith("no init found")
+
+
+def test_a_machine_that_did_not_start_has_no_console_to_show(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown_console(tmp_path):
+        pass
+    assert capsys.readouterr().out == ""

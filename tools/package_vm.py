@@ -19,7 +19,7 @@ from pathlib import Path
 import build_deb
 import numpy as np
 from vm.debian import VmError, system
-from vm.machine import require_qemu, run
+from vm.machine import require_qemu, run, shown_console
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
@@ -61,14 +61,11 @@ def main() -> int:
             require_qemu()
             debian = system()
             prepare(share, options.package)
-            code = run(["python3", "-m", "vm.package_trial"], share, timeout=LONGEST, system=debian)
+            with shown_console(share):
+                code = run(["python3", "-m", "vm.package_trial"], share, timeout=LONGEST, system=debian)
         except VmError as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
-        finally:
-            console = share / "console.txt"
-            if console.exists():
-                sys.stdout.write(console.read_text(errors="replace"))
         checks = json.loads((share / "checks.json").read_text())
     passed = sum(one["passed"] for one in checks)
     print(f"{passed} of {len(checks)} checks passed; {checks[-1]['uptime_s']:.0f} s of the machine's clock", end=", ")

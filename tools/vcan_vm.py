@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from vm.debian import VmError
-from vm.machine import run
+from vm.machine import run, shown_console
 
 
 def main() -> int:
@@ -25,14 +25,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         share = options.share or Path(scratch)
         try:
-            return run(options.command, share, timeout=options.timeout)
+            with shown_console(share):
+                return run(options.command, share, timeout=options.timeout)
         except VmError as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
-        finally:
-            console = share / "console.txt"
-            if console.exists():
-                sys.stdout.write(console.read_text(errors="replace"))
 
 
 if __name__ == "__main__":

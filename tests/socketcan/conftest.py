@@ -25,7 +25,7 @@ from _pytest.runner import runtestprotocol
 sys.path.append(str(Path(__file__).parents[2] / "tools"))
 
 from vm.debian import VmError
-from vm.machine import has_vcan, run
+from vm.machine import CONSOLE, has_vcan, run
 
 HERE = Path(__file__).parent
 GATEWAY = HERE / "gateway"  # hides what is not installed on a gateway, and is slow to import
@@ -102,7 +102,7 @@ class Batch:
             try:
                 self._boot(chosen, Path(folder))
             except VmError as error:
-                console = Path(folder) / "console.txt"
+                console = Path(folder) / CONSOLE
                 started = console.exists()
                 shown = "\n".join(console.read_text(errors="replace").splitlines()[-SHOWN:]) if started else ""
                 self.missing = ("failed" if started else "skipped", f"{error}\n{shown}".strip())
@@ -113,7 +113,7 @@ class Batch:
         command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", *chosen]
         environment = {REPORTS: str(folder / "reports"), "PYTHONPATH": str(GATEWAY)}
         run(command, folder, timeout=LONGEST_BATCH, environment=environment)
-        console = (folder / "console.txt").read_text(errors="replace").splitlines()
+        console = (folder / CONSOLE).read_text(errors="replace").splitlines()
         self.missing = ("failed", "\n".join([self.missing[1], *console[-SHOWN:]]))
 
     def of(self, item: pytest.Item) -> list[pytest.TestReport]:

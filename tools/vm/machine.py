@@ -13,7 +13,8 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from vm import initramfs
@@ -24,6 +25,7 @@ CPU = "Nehalem"  # enough for NumPy (x86-64-v2); with the emulated AVX2 of "max"
 INSTRUCTION = 1  # log2 of the time of an instruction [ns]: 500 million a second, more than a busy host executes
 MEMORY, SYSTEM_MEMORY = 1536, 3072  # MiB; a system of its own is in the memory
 SHARES = "local,security_model=none,multidevs=remap"
+CONSOLE = "console.txt"  # in the shared folder
 
 
 def run(
@@ -42,7 +44,7 @@ def run(
         Program and arguments. Its programs include can-utils and ``ip``; /dev/shm is its temporary folder.
     share
         A folder on the host that the command may write to, at the same path. The console output is written
-        there as ``console.txt``.
+        there as CONSOLE.
     timeout
         Longest time for all of it [s], by the clock of the host.
     environment
@@ -80,7 +82,7 @@ def run(
     (share / "command").write_text("\n".join(script))
     status = share / "status"
     status.unlink(missing_ok=True)
-    with (share / "console.txt").open("wb") as console:
+    with (share / CONSOLE).open("wb") as console:
         try:
             machine = _qemu(debian.kernel, archive, share, system is not None)
             subprocess.run(machine, stdin=subprocess.DEVNULL, stdout=console, stderr=console, timeout=timeout)
@@ -89,6 +91,17 @@ def run(
     if not status.exists():
         raise VmError(f"the machine stopped before the command ended; see {console.name}")
     return int(status.read_text())
+
+
+@contextmanager
+def shown_console(share: Path) -> Iterator[None]:
+    """Print what the machine has written to its console, when the block ends, with an error or without."""
+    try:
+        yield
+    finally:
+        console = share / CONSOLE
+        if console.exists():
+            sys.stdout.write(console.read_text(errors="replace"))
 
 
 def require_qemu() -> None:
