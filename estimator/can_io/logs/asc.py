@@ -5,7 +5,6 @@ times up, and it takes the line after a header without ``internal events logged`
 """
 
 import re
-from collections.abc import Iterable
 
 import can
 import numpy as np
@@ -15,7 +14,6 @@ from estimator.can_io.logs.channels import UNNAMED
 from estimator.can_io.logs.line_layout import NOTHING, Layout
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
-from estimator.can_io.logs.tap import Tap
 from estimator.can_io.logs.text import CUT
 
 EVENT = re.compile(rb"\s*(?P<time>-?\d+\.\d+)\s+\S")
@@ -71,7 +69,7 @@ class AscLog(LineLog):
             else:
                 lines.t[row] = float(match["time"])
                 events.append(row)
-        self._hand_over(lines, events, ended)
+        self._hand_over(lines, events, ended, can.ASCReader)
         if self._relative:
             lines.t[:] = np.cumsum(np.concatenate(([self._clock], lines.t)))[1:]
             self._clock = float(lines.t[-1])
@@ -80,9 +78,6 @@ class AscLog(LineLog):
         """Give a header that says the base alone."""
         base = b"hex" if self.byte_base == 16 else b"dec"
         return b"base " + base + b"  timestamps absolute\nno internal events logged\n"
-
-    def _reader(self, tap: Tap) -> Iterable[can.Message]:
-        return can.ASCReader(tap)
 
     def _channel_of(self, message: can.Message) -> str:
         return str(message.channel + 1) if isinstance(message.channel, int) else UNNAMED  # python-can counts from 0

@@ -1,7 +1,6 @@
 """Comma-separated logs as python-can writes them."""
 
 import re
-from collections.abc import Iterable
 
 import can
 
@@ -9,7 +8,6 @@ from estimator.can_io.frames import CLASSIC_BYTES
 from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Coding, Layout, shown
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
-from estimator.can_io.logs.tap import Tap
 from estimator.errors import LogError
 
 HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
@@ -62,13 +60,10 @@ class CsvLog(LineLog):
         )
 
     def _settle(self, lines: Lines, ended: bool) -> None:
-        self._hand_over(lines, sorted(lines.odd), ended)
+        self._hand_over(lines, sorted(lines.odd), ended, can.CSVReader)
 
     def _reader_head(self) -> bytes:
         return HEADER + b"\n"
-
-    def _reader(self, tap: Tap) -> Iterable[can.Message]:
-        return can.CSVReader(tap)
 
     def _unread(self, line: str) -> None:
         if line.encode().strip() != HEADER:

@@ -5,7 +5,7 @@ grammar leaves open go one by one through the reader of python-can.
 """
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from io import BufferedReader, BytesIO
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from estimator.errors import LogError
 CHUNK = 1 << 21  # bytes read at once
 MAX_LINES = 1 << 16  # parsed at once: more of them in a chunk are no traffic, but would take memory
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+Reader = Callable[[Tap], Iterable[can.Message]]
 
 
 class LineLog(Log):
@@ -72,10 +73,6 @@ class LineLog(Log):
         """Give the lines that the reader of python-can wants before any other."""
         return b""
 
-    def _reader(self, tap: Tap) -> Iterable[can.Message]:
-        """Start python-can's reader."""
-        raise NotImplementedError
-
     def _channel_of(self, message: can.Message) -> str:
         """The channel of a message of python-can, as the log names it."""
         return UNNAMED
@@ -119,8 +116,8 @@ class LineLog(Log):
             raise BadLineError(f"expected a frame, found a line of over {MAX_LINE} bytes")
         return self._layout(line)
 
-    def _hand_over(self, lines: Lines, rows: list[int], ended: bool) -> None:
-        """Have python-can parse some lines."""
+    def _hand_over(self, lines: Lines, rows: list[int], ended: bool, reader: Reader) -> None:
+        """Have the ``reader`` of python-can parse some lines."""
         if not rows:
             return
         head = self._reader_head()
@@ -131,7 +128,7 @@ class LineLog(Log):
         before = head.count(b"\n")
         with Tap(BufferedReader(BytesIO(text)), lambda line: [line], self._unread) as tap:
             try:
-                for message in self._reader(tap):
+                for message in reader(tap):
                     if is_digit_missing(tap.line, message.data, self.byte_digits, self.byte_base):
                         raise ValueError(CUT)
                     tap.answered()

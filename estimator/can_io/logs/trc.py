@@ -1,7 +1,5 @@
 """Trace files of PEAK's PCAN-View."""
 
-from collections.abc import Iterable
-
 import can
 
 from estimator.can_io.logs.channels import UNNAMED
@@ -9,7 +7,6 @@ from estimator.can_io.logs.line_layout import Layout
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.log import ERROR_FRAME
-from estimator.can_io.logs.tap import Tap
 from estimator.can_io.logs.trc_line import layout, read_head
 
 OTHERS = {
@@ -53,13 +50,10 @@ class TrcLog(LineLog):
         if self._head is not None:
             lines.t /= MILLISECONDS
             lines.t += self._head.start
-        self._hand_over(lines, sorted(lines.odd), ended)
+        self._hand_over(lines, sorted(lines.odd), ended, can.TRCReader)
 
     def _reader_head(self) -> bytes:
         return b"".join(line + b"\n" for line in self._keys.values())
-
-    def _reader(self, tap: Tap) -> Iterable[can.Message]:
-        return can.TRCReader(tap)
 
     def _channel_of(self, message: can.Message) -> str:
         is_named = self._head is None or "channel" in self._head.frame.groupindex
