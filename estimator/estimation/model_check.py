@@ -29,7 +29,7 @@ BLOCK_SAMPLES = 50  # 5 s
 MAX_LAG_LEFT = 2 * LAG_SD  # s, after alignment
 MAX_BELIEF_SDS = 5.0  # sd by which a belief and the drive may differ
 MAX_SCALE_DIFFERENCE = 0.1  # by which wheel and GPS speed may differ: worn tyres make 3 %, a wrong unit 60 %
-MIN_SCALE_SPEED = 5.0  # m/s, above which they are compared
+MIN_SCALE_SPEED = 5.0  # m/s, above which they are compared: a GPS error of 0.5 m/s is within MAX_SCALE_DIFFERENCE
 MIN_SCALE_ROWS = 600  # 1 min of rows, for a comparison
 
 

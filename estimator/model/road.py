@@ -37,11 +37,15 @@ from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
 
 SPACING = 25.0  # m between nodes of the road: finer changes no estimate (12.5 m: below 0.05 % of mass)
-MAX_BRIDGE = 1500.0  # m without strides that nodes bridge; slopes beyond are independent
+# m without strides that nodes bridge; slopes beyond are independent. At the usual slope length of 400 m those so far
+# apart are correlated by 1 %.
+MAX_BRIDGE = 1500.0
 ALPHAS = (2, 4)  # orders of the road's Matern process: smoothness 3/2 (crests and dips of roads) and 7/2
 ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
 MIN_PASSAGE = 0.2  # s from node to node: shorter than that of any vehicle (125 m/s)
-MAX_PASSAGE = 60.0  # s from node to node over which a smooth wander goes on
+# s from node to node over which a smooth wander goes on: the usual wander time. Linear elements are good up to there
+# (correlation of the ends 0.45, exactly 0.48); over 300 s the standard deviation comes out 19 % too small.
+MAX_PASSAGE = 60.0
 HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numerically exact
 START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up

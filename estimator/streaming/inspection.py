@@ -21,7 +21,9 @@ from estimator.streaming.log_frames import LogFrames, Progress, no_progress
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block, Interruption
 
-MIN_GAP_PERIODS = 10.0  # usual intervals without a reading that count as a gap
+# Usual intervals without a reading that count as a gap. Chosen by hand: it holds for signals slower than 10 Hz, and
+# changes the list of gaps alone.
+MIN_GAP_PERIODS = 10.0
 MIN_GAP = 1.0  # s: shorter gaps are not listed
 
 

@@ -25,8 +25,12 @@ from estimator.streaming.alignment import Aligner, Readings
 from estimator.streaming.missing_inputs import remedy
 
 BLOCK = 5.0  # s of traffic decoded at a time
-MAX_SILENCE = 30.0  # s without a frame; the signals before and after a longer silence are not joined
-MIN_NEW_DRIVE_SILENCE = 900.0  # s without a frame after which the load may be another one
+# s without a frame, after which rows begin anew. Twice `resampling.MAX_FRESH`, for which a reading counts at the
+# longest: nothing that could be joined is cut.
+MAX_SILENCE = 30.0
+# s without a frame, after which another drive begins, with another load. Chosen by hand: a silence of `load.stop_s`,
+# 300 s as shipped, is a stop already; a larger value would join drives that `diagnose` judges apart.
+MIN_NEW_DRIVE_SILENCE = 900.0
 MAX_GAPS = 1000  # newest gaps that are kept: bounds the memory of a daemon
 MIN_SET_CLOCK = (
     1_577_836_800.0  # s, start of 2020: timestamps before it mean an unset clock, so the downtime is unknown
