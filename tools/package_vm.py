@@ -19,7 +19,7 @@ from pathlib import Path
 import build_deb
 import numpy as np
 from vm.debian import VmError, system
-from vm.machine import require_qemu, run, shown_console
+from vm.machine import EARLY_GATE, QUICK_SAMPLER, require_qemu, run, shown_console
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
@@ -31,21 +31,13 @@ TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # as in tools/demo.py
 DURATION, SEED = 900.0, 3  # s of driving; with this one there is an estimate after 210 s
 PROGRAMS = Path(__file__).parent / "vm"
 LONGEST = 5400.0  # s of the host
-# What an emulated processor, a tenth as fast as a gateway's, cannot do in the time of the drive.
-SETTINGS = """
+SETTINGS = f"""
+{QUICK_SAMPLER}
+{EARLY_GATE}
 [transmit]
 enabled = true
 [service]
 save_interval_s = 10.0
-[sampler]
-likelihood = "instruments"
-[gate]
-interval_s = 5.0
-minimum_samples = 100
-minimum_cells = 2
-cell_count = 3
-coverage = 0.01
-relative_sd = [9.0, 9.0, 9.0]
 """
 
 

@@ -18,6 +18,7 @@ import can
 import numpy as np
 import pytest
 from conftest import ip
+from vm.machine import EARLY_GATE, QUICK_SAMPLER
 
 from estimator.can_io.counter_crc import verify
 from estimator.can_io.frames import Frames
@@ -41,17 +42,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:unclosed <soc
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KNOWN, PLAYED = 400.0, 90.0  # s of driving: before the daemon starts, and at most while it runs
 LONGEST = 60.0  # s for anything here to happen; the machine is slow
-SETTINGS = """
-[sampler]
-likelihood = "instruments" # an emulated machine takes a minute for the first search of the road's scales
-
-[gate]
-interval_s = 5.0
-minimum_samples = 100
-minimum_cells = 2
-cell_count = 3
-coverage = 0.01
-relative_sd = [9.0, 9.0, 9.0]
+SERVICE = """
 [service]
 state_directory = "{folder}"
 runtime_directory = "{folder}"
@@ -68,7 +59,7 @@ def drive() -> Frames:
 @pytest.fixture
 def settings(tmp_path: Path) -> Path:
     path = tmp_path / "roadload.toml"
-    path.write_text(SETTINGS.format(folder=tmp_path))
+    path.write_text(QUICK_SAMPLER + EARLY_GATE + SERVICE.format(folder=tmp_path))
     return path
 
 

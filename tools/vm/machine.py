@@ -26,6 +26,20 @@ INSTRUCTION = 1  # log2 of the time of an instruction [ns]: 500 million a second
 MEMORY, SYSTEM_MEMORY = 1536, 3072  # MiB; a system of its own is in the memory
 SHARES = "local,security_model=none,multidevs=remap"
 CONSOLE = "console.txt"  # in the shared folder
+# Settings of roadload for an emulated processor, a tenth as fast as a gateway's.
+QUICK_SAMPLER = """
+[sampler]
+likelihood = "instruments" # it takes a minute for the first search of the road's scales
+"""
+EARLY_GATE = """
+[gate] # an estimate after a few minutes of driving
+interval_s = 5.0
+minimum_samples = 100
+minimum_cells = 2
+cell_count = 3
+coverage = 0.01
+relative_sd = [9.0, 9.0, 9.0]
+"""
 
 
 def run(
