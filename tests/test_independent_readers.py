@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import pytest
 from daemon_bench import EPOCH, Bench, frame
+from made_estimates import made_estimate
 
 from estimator import config
 from estimator.can_io.j1939 import TP_CM, TP_DT
@@ -18,33 +19,17 @@ from estimator.can_io.publisher import output_groups
 from estimator.can_io.trouble_codes import DM1, codes_of
 from estimator.daemon.service import metrics
 from estimator.daemon.service.worker import Knowledge
-from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
 
 PROMETHEUS = Path(__file__).parents[1] / "tools" / "prometheus"
 RULES, RULE_TESTS = PROMETHEUS / "roadload.rules.yml", PROMETHEUS / "roadload.rules.test.yml"
 LINKTYPE_CAN_SOCKETCAN = 227
 FIELDS = ("j1939.priority", "j1939.pgn", "j1939.src_addr", "j1939.dst_addr", "can.len", "j1939.data", "_ws.malformed")
-MARGINAL = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 
 
 def run(program: str, *arguments: str, text: str = "") -> subprocess.CompletedProcess[str]:
     if shutil.which(program) is None:
         pytest.skip(f"no {program} here")
     return subprocess.run([program, *arguments], input=text, capture_output=True, text=True, timeout=120)
-
-
-def estimate(t: float) -> Estimate:
-    return Estimate(
-        t=t,
-        status=Status.ESTIMATED,
-        reason="",
-        coverage=Coverage(30, 40),
-        admitted=12345,
-        mass=MARGINAL,
-        A=MARGINAL,
-        C=MARGINAL,
-        convergence=Convergence(r_hat=1, ess_bulk=1, acceptance=1, draws=1, chains=3),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +95,7 @@ def test_what_wireshark_reads_of_a_broadcast_in_packets_is_our_trouble_codes(ben
 def test_promtool_finds_no_fault_with_the_metrics(bench: Bench) -> None:
     bench.worker.knowledge = Knowledge(
         t=EPOCH + bench.now,
-        estimate=estimate(EPOCH + bench.now - 20),
+        estimate=made_estimate(EPOCH + bench.now - 20),
         refused={'odd "name"\nwith \\': 2},
         rejected={"standing": 3},
         contested={"CCVS1.WheelBasedVehicleSpeed": "senders disagree"},
@@ -147,7 +132,7 @@ def test_every_alert_is_tested_and_asks_for_metrics_that_there_are(bench: Bench)
     for alert in re.findall(r"alert: (\w+)", rules):
         assert re.search(rf"alertname: {alert}\s+exp_alerts:", tests), alert
     bench.worker.knowledge = Knowledge(
-        t=EPOCH + bench.now, estimate=estimate(EPOCH + bench.now), contested={"EEC1.EngSpeed": "senders disagree"}
+        t=EPOCH + bench.now, estimate=made_estimate(EPOCH + bench.now), contested={"EEC1.EngSpeed": "senders disagree"}
     )
     text = metrics.exposition(bench.daemon.status(bench.now))
     for name in set(re.findall(r"roadload_\w+", rules)):

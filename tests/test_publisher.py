@@ -8,6 +8,7 @@ import cantools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_estimates import made_estimate
 
 from estimator.can_io.counter_crc import crc8, verify
 from estimator.can_io.publisher import Publisher, output_database
@@ -16,7 +17,6 @@ from estimator.errors import ConfigError
 from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
 from estimator.settings import Publish
 
-MARGINAL = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 PUBLISHED = {"mean": "Mean", "q05": "Q05", "q95": "Q95", "sd": "Deviation"}
 
 marginals = st.builds(Marginal, mean=st.floats(), sd=st.floats(), q05=st.floats(), q50=st.floats(), q95=st.floats())
@@ -40,20 +40,6 @@ estimates = st.builds(
         chains=st.just(3),
     ),
 )
-
-
-def estimate(t: float = 0.0, status: Status = Status.ESTIMATED) -> Estimate:
-    return Estimate(
-        t=t,
-        status=status,
-        reason="",
-        coverage=Coverage(30, 40),
-        admitted=12345,
-        mass=MARGINAL,
-        A=MARGINAL,
-        C=MARGINAL,
-        convergence=Convergence(r_hat=1, ess_bulk=1, acceptance=1, draws=1, chains=3),
-    )
 
 
 def decoded(frames: list[can.Message]) -> dict[str, float | str]:
@@ -123,7 +109,7 @@ def test_any_estimate_survives_the_wire(given_estimate: Estimate, age: float) ->
 
 def test_frame_bytes() -> None:
     """A frame written out by hand: 2 kg/bit little endian, counter 0, status 1, CRC."""
-    mass = Publisher(Publish()).poll(0.0, estimate())[1]
+    mass = Publisher(Publish()).poll(0.0, made_estimate())[1]
     assert mass.arbitration_id == 0x18FF61FB
     assert mass.is_extended_id
     body = (13595).to_bytes(2, "little") + (13350).to_bytes(2, "little") + (13850).to_bytes(2, "little") + b"\x10"
@@ -132,7 +118,7 @@ def test_frame_bytes() -> None:
 
 def test_withheld_values_are_the_raw_codes_of_j1939() -> None:
     assert bytes(Publisher(Publish()).poll(0.0, None)[1].data[:6]) == b"\xff" * 6
-    assert bytes(Publisher(Publish()).poll(0.0, estimate(status=Status.INVALID))[1].data[:6]) == b"\x00\xfe" * 3
+    assert bytes(Publisher(Publish()).poll(0.0, made_estimate(status=Status.INVALID))[1].data[:6]) == b"\x00\xfe" * 3
 
 
 def test_without_an_estimate_nothing_is_available() -> None:
@@ -144,8 +130,10 @@ def test_without_an_estimate_nothing_is_available() -> None:
 
 
 def test_cvw_is_off_by_default_and_carries_the_mass() -> None:
-    assert all(frame.arbitration_id >> 8 & 0xFFFF != 0xFE70 for frame in Publisher(Publish()).poll(0.0, estimate()))
-    frame = Publisher(Publish(cvw=True)).poll(0.0, estimate())[-1]
+    assert all(
+        frame.arbitration_id >> 8 & 0xFFFF != 0xFE70 for frame in Publisher(Publish()).poll(0.0, made_estimate())
+    )
+    frame = Publisher(Publish(cvw=True)).poll(0.0, made_estimate())[-1]
     assert frame.arbitration_id == 0x18FE70FB
     assert bytes(frame.data) == b"\xff\xff" + (2719).to_bytes(2, "little") + b"\xff" * 4
 
@@ -153,12 +141,12 @@ def test_cvw_is_off_by_default_and_carries_the_mass() -> None:
 @given(st.integers(0, 253), st.integers(0, 7))
 def test_source_address_and_priority_are_in_the_id(address: int, priority: int) -> None:
     publisher = Publisher(Publish(source_address=address, priority=priority))
-    for frame in publisher.poll(0.0, estimate()):
+    for frame in publisher.poll(0.0, made_estimate()):
         unpacked = cantools.j1939.frame_id_unpack(frame.arbitration_id)
         assert (unpacked.priority, unpacked.pdu_format, unpacked.source_address) == (priority, 0xFF, address)
         assert verify(frame)
     publisher.source_address = 0x80
-    assert all(verify(f) and f.arbitration_id & 0xFF == 0x80 for f in publisher.poll(10.0, estimate()))
+    assert all(verify(f) and f.arbitration_id & 0xFF == 0x80 for f in publisher.poll(10.0, made_estimate()))
 
 
 @pytest.mark.parametrize(

@@ -7,22 +7,16 @@ import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_estimates import made_estimate
 
 from estimator.can_io.publisher import Publisher, output_database
-from estimator.estimate import Coverage, Estimate, Marginal, Status
+from estimator.estimate import Status
 from estimator.settings import Publish
 
 STATUS, MASS = 0x18FF60FB, 0x18FF61FB
-MARGINAL = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 
 starts = st.sampled_from([0.0, 12.3, 1.7e9])
 steps = st.lists(st.floats(0.0, 0.9), min_size=1, max_size=200)
-
-
-def estimate(t: float, status: Status = Status.ESTIMATED) -> Estimate:
-    return Estimate(
-        t=t, status=status, reason="", coverage=Coverage(30, 40), admitted=12345, mass=MARGINAL, A=MARGINAL, C=MARGINAL
-    )
 
 
 def read(frames: list[can.Message], name: str) -> str | float:
@@ -72,7 +66,7 @@ def test_no_burst_after_a_gap_and_stamps_in_order(start: float, distances: list[
 def test_same_polls_same_bytes(polls: list[tuple[float, Status | None]]) -> None:
     def run() -> list[tuple[float, int, bytes]]:
         publisher = Publisher(Publish(cvw=True))
-        frames = [f for t, status in polls for f in publisher.poll(t, status and estimate(t - 5, status))]
+        frames = [f for t, status in polls for f in publisher.poll(t, status and made_estimate(t - 5, status))]
         return [(f.timestamp, f.arbitration_id, bytes(f.data)) for f in frames]
 
     assert run() == run()
@@ -97,45 +91,45 @@ def test_counter_rolls_past_14_and_counts_each_message_alone() -> None:
 def test_change_of_status_is_sent_at_once() -> None:
     publisher = Publisher(Publish())
     publisher.poll(0.0, None)
-    frames = publisher.poll(0.25, estimate(0.25))
+    frames = publisher.poll(0.25, made_estimate(0.25))
     assert len(frames) == 5
     assert all(f.timestamp == 0.25 for f in frames)
     assert read(frames, "MassMean") == 27190
-    assert publisher.poll(1.0, estimate(0.25)) == []
-    frames = publisher.poll(1.1, estimate(1.1, Status.INVALID))
+    assert publisher.poll(1.0, made_estimate(0.25)) == []
+    frames = publisher.poll(1.1, made_estimate(1.1, Status.INVALID))
     assert len(frames) == 5
     assert read(frames, "MassMean") == read(frames, "ADeviation") == "error"
     assert read(frames, "EstimateStatus") == "invalid"
-    assert read(publisher.poll(1.2, estimate(1.2)), "MassMean") == 27190
+    assert read(publisher.poll(1.2, made_estimate(1.2)), "MassMean") == 27190
 
 
 def test_values_are_withdrawn_when_stale_and_return_with_a_new_estimate() -> None:
     publisher = Publisher(Publish(stale_after_s=60.0))
-    assert read(publisher.poll(0.0, estimate(0.0)), "EstimateStatus") == "estimated"
-    publisher.poll(59.5, estimate(0.0))
-    assert publisher.poll(59.9, estimate(0.0)) == []
-    frames = publisher.poll(60.5, estimate(0.0))
+    assert read(publisher.poll(0.0, made_estimate(0.0)), "EstimateStatus") == "estimated"
+    publisher.poll(59.5, made_estimate(0.0))
+    assert publisher.poll(59.9, made_estimate(0.0)) == []
+    frames = publisher.poll(60.5, made_estimate(0.0))
     assert len(frames) == 5
     assert read(frames, "EstimateStatus") == "stale"
     assert {read(frames, name) for name in ("MassQ05", "CMean", "Coverage", "SampleCount")} == {"not available"}
     assert read(frames, "EstimateAge") == 60
-    assert read(publisher.poll(61.0, estimate(60.9)), "MassMean") == 27190
+    assert read(publisher.poll(61.0, made_estimate(60.9)), "MassMean") == 27190
 
 
 def test_clock_set_back_starts_anew_and_does_not_make_an_estimate_young() -> None:
     publisher = Publisher(Publish(stale_after_s=60.0))
-    old = estimate(10_000.0)
+    old = made_estimate(10_000.0)
     publisher.poll(10_030.0, old)
     frames = publisher.poll(5_000.0, old)
     assert [f.timestamp for f in frames] == [5_000.0] * 5
     assert read(frames, "EstimateAge") == 30
     assert [f.timestamp for f in publisher.poll(5_001.5, old)] == [5_001.0]
     assert read(publisher.poll(5_031.0, old), "EstimateStatus") == "stale"
-    assert read(publisher.poll(5_032.0, estimate(5_032.0)), "EstimateAge") == 0
+    assert read(publisher.poll(5_032.0, made_estimate(5_032.0)), "EstimateAge") == 0
 
 
 def test_estimate_from_a_time_to_come_is_not_trusted() -> None:
-    frames = Publisher(Publish()).poll(10.0, estimate(1e6))
+    frames = Publisher(Publish()).poll(10.0, made_estimate(1e6))
     assert read(frames, "EstimateStatus") == "stale"
     assert read(frames, "EstimateAge") == read(frames, "MassMean") == "not available"
 
@@ -151,5 +145,5 @@ def test_jitter_of_time_stamps_sends_nothing_twice(jitter: list[float]) -> None:
 
 def test_jitter_at_the_stale_limit_does_not_toggle_the_status() -> None:
     publisher = Publisher(Publish(stale_after_s=60.0))
-    sent = [publisher.poll(t, estimate(0.0)) for t in (0.0, 60.1, 59.9, 60.2, 59.8, 60.3)]
+    sent = [publisher.poll(t, made_estimate(0.0)) for t in (0.0, 60.1, 59.9, 60.2, 59.8, 60.3)]
     assert [len(frames) for frames in sent] == [5, 5, 0, 0, 0, 0]

@@ -5,29 +5,17 @@ import time
 
 import can
 import pytest
+from made_estimates import MARGINAL, made_estimate
 
 from estimator.can_io.counter_crc import verify
 from estimator.can_io.j1939 import GLOBAL, TP_CM
 from estimator.can_io.publisher import Publisher, output_database
 from estimator.can_io.transport_sender import TransportSender
 from estimator.can_io.trouble_codes import CONFIRM_S, DM1, DM2, TroubleCode, TroubleMemory, codes_of
-from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
 from estimator.settings import Publish
 
 pytestmark = pytest.mark.slow
 
-MASS = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
-ESTIMATE = Estimate(
-    t=0.0,
-    status=Status.ESTIMATED,
-    reason="",
-    coverage=Coverage(30, 40),
-    admitted=12345,
-    mass=MASS,
-    A=MASS,
-    C=MASS,
-    convergence=Convergence(r_hat=1, ess_bulk=1, acceptance=1, draws=1, chains=3),
-)
 PGN_MASS = 0xFF61
 
 
@@ -39,7 +27,7 @@ def test_the_kernels_j1939_stack_hears_what_we_broadcast(buses):
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         peer.bind((buses[0], socket.J1939_NO_NAME, socket.J1939_NO_PGN, socket.J1939_NO_ADDR))
         peer.settimeout(5.0)
-        sent = Publisher(Publish(cvw=True)).poll(0.0, ESTIMATE)
+        sent = Publisher(Publish(cvw=True)).poll(0.0, made_estimate())
         heard = {}
         for message in sent:
             bus.send(message)
@@ -48,7 +36,7 @@ def test_the_kernels_j1939_stack_hears_what_we_broadcast(buses):
     assert heard == {(m.arbitration_id >> 8 & 0x3FFFF, m.arbitration_id & 0xFF): bytes(m.data) for m in sent}
     assert len(heard) == 6
     layout = output_database().get_message_by_name("RoadloadMass")
-    assert layout.decode(heard[PGN_MASS, 0xFB])["MassMean"] == pytest.approx(MASS.mean, abs=1.01)
+    assert layout.decode(heard[PGN_MASS, 0xFB])["MassMean"] == pytest.approx(MARGINAL.mean, abs=1.01)
     assert all(verify(message) for message in sent if message.arbitration_id >> 8 & 0x3FFFF != 0xFE70)
 
 
