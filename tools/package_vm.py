@@ -3,7 +3,7 @@
 Builds the package and one of a higher version, boots a small Debian system with systemd as its first process, and
 installs, runs, upgrades, removes and purges the package there, on a virtual CAN bus on which a simulated truck drives.
 The checks are in tools/vm/package_trial.py; exit status 1 if one fails. Needs qemu-system-x86_64 and, as root, apt;
-about seven minutes of two busy cores, so it is no part of the tests.
+about twelve minutes of two busy cores, so it is no part of the tests.
 """
 
 import argparse

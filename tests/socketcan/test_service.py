@@ -8,8 +8,6 @@ import os
 import re
 import shutil
 import signal
-import socket
-import struct
 import subprocess
 import sys
 import time
@@ -19,6 +17,7 @@ from pathlib import Path
 
 import can
 import pytest
+from vm.guest import FULL_BUS, send_full_bus
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +26,7 @@ UNIT = PROJECT / "tools" / "systemd" / "roadload.service"
 SYSCTL = UNIT.with_name("60-roadload.conf")
 RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 SHOWN = 20  # lines of the daemon's log, when something went wrong
-FULL_BUS, FULL_DURATION = 3817.0, 20.0  # frames/s of 500 kbit/s, s
+FULL_DURATION = 20.0  # s
 SYSTEMD = Path("/lib/systemd/systemd")
 LONGEST = 70.0  # s until the daemon is ready; the machine is slow
 WATCHDOG = 10  # s, so that the test need not wait for longer
@@ -134,25 +133,11 @@ def shipped_limit() -> Iterator[int]:
 def test_the_unit_without_capabilities_loses_no_frame_of_a_full_bus(buses, tmp_path, shipped_limit):
     with service(buses[0], tmp_path) as (receiving, player):
         before = receiving(lambda status: True)
-        count = send_full_bus(player)
+        count = send_full_bus(player.socket, FULL_BUS[500], FULL_DURATION)
         after = receiving(lambda status: status["input"]["frames"] >= before["input"]["frames"] + count)
     assert after["input"]["receive_buffer_bytes"] == 2 * shipped_limit
     assert after["pid"] == before["pid"]
     assert (after["input"]["kernel_drops"], after["input"]["queue_drops"]) == (0, 0)
-
-
-def send_full_bus(player: can.BusABC) -> int:
-    """Send wanted frames at the rate of a full bus; returns their number."""
-    frame = struct.pack("=IB3x8s", 0x18FEF100 | socket.CAN_EFF_FLAG, 8, bytes(8))
-    count, began = round(FULL_BUS * FULL_DURATION), time.monotonic()
-    sent = 0
-    while sent < count:
-        due = min(count, round(FULL_BUS * (time.monotonic() - began)))
-        for _ in range(due - sent):
-            player.socket.send(frame)
-        sent = max(sent, due)
-        time.sleep(0.002)
-    return count
 
 
 def own_folder(pid: int) -> Path | None:

@@ -1,7 +1,10 @@
 """Programs in the machine: the bus and the service, with the standard library only."""
 
 import json
+import socket
+import struct
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,8 @@ BUS = "can0"  # of the shipped unit
 UNIT = "roadload.service"
 SETTINGS = Path("/etc/roadload/roadload.toml")
 STATUS = Path("/run/roadload/status.json")
+FULL_BUS = {250: 1908.0, 500: 3817.0}  # frames/s of 8 bytes with 29-bit ids that fill a bus of so many kbit/s
+WANTED = 0x18FEF100  # CCVS1, which the filters let pass
 
 
 def make_bus() -> None:
@@ -36,3 +41,17 @@ def status() -> dict[str, Any]:
     except (OSError, json.JSONDecodeError):
         return {}
     return content
+
+
+def send_full_bus(sender: socket.socket, rate: float, duration: float) -> int:
+    """Send wanted frames at ``rate`` [frames/s] for ``duration`` [s]; returns their number."""
+    frame = struct.pack("=IB3x8s", WANTED | socket.CAN_EFF_FLAG, 8, bytes(8))
+    count, began = round(rate * duration), time.monotonic()
+    sent = 0
+    while sent < count:
+        due = min(count, round(rate * (time.monotonic() - began)))
+        for _ in range(due - sent):
+            sender.send(frame)
+        sent = max(sent, due)
+        time.sleep(0.002)
+    return count

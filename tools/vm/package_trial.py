@@ -8,6 +8,7 @@ to ``checks.json``.
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 import time
@@ -16,12 +17,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from vm.guest import BUS, SETTINGS, UNIT, make_bus, run, shown, status
+from vm.guest import BUS, FULL_BUS, SETTINGS, UNIT, make_bus, run, send_full_bus, shown, status
 
 STATE = Path("/var/lib/private/roadload/state")  # of a service with DynamicUser
 RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 PROGRAM = Path("/usr/bin/roadload")
 USER = "roadload"
+FULL_DURATION = 20.0  # s
+SETTLED = 5.0  # s after the last frame until it is in the status, which is written every second
 LONGEST = 600.0  # s of the machine for anything to happen
 ESTIMATE_GROUP = "FF61"  # PGN of the broadcast mass, hexadecimal
 # Not the package's: mounted file systems, logs, and the place of systemd and dpkg for what they do at any time.
@@ -154,6 +157,28 @@ def upgraded(first: dict[str, Any], broadcast: Callable[[], list[str]]) -> None:
     )
 
 
+def loaded() -> None:
+    """A full bus and nothing else: the service hears all that was sent."""
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as sender:
+        sender.bind((BUS,))
+        for kbits, rate in FULL_BUS.items():
+            before = settled()
+            count = send_full_bus(sender, rate, FULL_DURATION)
+            after = settled()
+            heard, dropped = after["frames"] - before["frames"], after["dropped"] - before["dropped"]
+            found = f"{heard:,} of {count:,} frames heard at {rate:,.0f} frames/s, {dropped} counted as dropped"
+            check(f"full bus of {kbits} kbit/s", heard == count and not dropped, found)
+
+
+def settled() -> dict[str, int]:
+    """Frames heard and dropped, once everything on the bus is counted."""
+    time.sleep(SETTLED)
+    content = status()
+    bus = content["input"]
+    dropped = bus["kernel_drops"] + bus["queue_drops"] + content["estimator"]["queue_drops"]
+    return {"frames": bus["frames"], "dropped": dropped}
+
+
 def removed() -> None:
     """Remove: service and program are gone, state and settings are kept."""
     (pid,) = shown("MainPID")
@@ -187,6 +212,7 @@ def main() -> int:
             player = subprocess.Popen(["canplayer", f"{BUS}=vcan0"], stdin=log)
             upgraded(started(broadcast), broadcast)
             player.terminate()
+        loaded()
         removed()
         purged(before)
     finally:
