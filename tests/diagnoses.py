@@ -102,7 +102,7 @@ def rich() -> Diagnosis:
         0.983,
         equivalent=("resistance_segment",),
         magnitude=Magnitude("power", 23.4, 1.1, "kW"),
-        gap_closed=GapClosed(0.913, 0.882, 0.937),
+        gap_closed=GapClosed(0.276, 0.241, 0.302),
         rms_before=7_600.0,
         rms_after=3_600.0,
         shift=Shift(35.0, -60.0, 0.02),

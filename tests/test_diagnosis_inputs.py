@@ -167,7 +167,7 @@ def test_a_report_that_cannot_be_is_refused_before_the_work(urban, log, tmp_path
 def several(tmp_path_factory):
     """Bends that cost something on a road with few of them, on one with many, and a drive where they cost nothing."""
     folder = tmp_path_factory.mktemp("several")
-    bends = Effect(name="cornering", magnitude=600.0)
+    bends = Effect(name="cornering", magnitude=550.0)
     return [
         written(drive("mixed", 20, seed, *effects), folder / f"{seed}.blf")
         for seed, effects in ((41, [bends]), (42, [bends]), (43, []))

@@ -418,9 +418,8 @@ def test_any_number_can_be_written(x: float) -> None:
         assert not text.startswith("-")
 
 
-def test_gap_closed_of_several_effects_is_that_of_the_residuals() -> None:
-    expected = 1 - (3.6**2 - 3.3**2) / (13.4**2 - 3.3**2)
-    assert wording.gap_closed(rich()) == pytest.approx(expected)
+def test_gap_closed_of_several_effects_is_the_sum_of_their_shares() -> None:
+    assert wording.gap_closed(rich()) == pytest.approx(0.712 + 0.276)
     assert wording.gap_closed(dataclasses.replace(rich(), effects=rich().effects[:1])) == 0.712
     assert wording.gap_closed(unknown()) is None
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from test_components import A, C, M, driven
 
 from estimator.components.component import Frame, of_effect
-from estimator.components.search import AtRest, DriveState, Form
+from estimator.components.drive_state import AtRest, DriveState, Form
 from estimator.diagnosis import experiment
 from estimator.diagnosis.experiment import Manoeuvre, expected, experiments, manoeuvres
 from estimator.model.effects import BY_NAME

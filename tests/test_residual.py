@@ -12,12 +12,12 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.answers.diagnosis import Verdict
 from estimator.components.formula import Variable, best_formula, judged, units_of
+from estimator.components.model_table import Cause, weigh
 from estimator.components.set_likelihood import SetLikelihood, places_of
 from estimator.errors import InputError
-from estimator.residual.causes import Cause, Form, ResidualLikelihood, forms_of
+from estimator.residual.causes import Form, ResidualLikelihood, forms_of
 from estimator.residual.diagnose import above_zero
 from estimator.residual.inputs import checked
-from estimator.residual.models import weigh
 from estimator.residual.noise import Noise, Scales, fit_noise
 from estimator.residual.shares import held_out
 
@@ -98,8 +98,8 @@ def test_the_table_is_that_of_all_sets():
     data = np.column_stack([y, X])
     likelihood = SetLikelihood(data, lambda Y: Y.T @ Y, np.zeros(0), forms, places_of(0, [1] * 5), np.ones(5))
     causes = [
-        Cause(name="a", is_named=True, forms=(0, 1), log_odds=-1.0),
-        *(Cause(name=str(i), is_named=True, forms=(i,), log_odds=-2.0) for i in (2, 3, 4)),
+        Cause(name="a", is_named=True, forms=(0, 1), log_odds=-1.0, log_forms=np.log(2)),
+        *(Cause(name=str(i), is_named=True, forms=(i,), log_odds=-2.0, log_forms=0.0) for i in (2, 3, 4)),
     ]
     prior = {form: cause.log_prior for cause in causes for form in cause.forms}
     log = {own: likelihood.log_evidence(own) + sum(prior[form] for form in own) for own in enumerated(causes)}

@@ -23,7 +23,7 @@ from rich.table import Table
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.components.budget import NOISE, ROAD, WHITE, Projection
-from estimator.components.search import DriveState
+from estimator.components.drive_state import DriveState
 from estimator.config import Config
 from estimator.diagnosis.drive_data import Record
 from estimator.model.effects import BY_NAME

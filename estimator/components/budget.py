@@ -13,14 +13,14 @@ mean(r part) / mean(r^2), over means of 2 s, and shares sum to one. Effects that
 (a wind too weak to be sure of) are drawn too, each with its prior: the interval of the road is wide by them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.components.component import Component, Frame
+from estimator.components.drive_state import DriveState
 from estimator.components.likelihood import JointLikelihood
-from estimator.components.search import DriveState
 from estimator.estimation.road_likelihood import PLAIN, columns
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.signals import Floats
@@ -31,6 +31,7 @@ UNKNOWN = "unknown: "  # before the name of a nameless process
 ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", f"{UNKNOWN}white force", "other effects"
 DRAWS = 200
 MAX_TRIES = 50  # draws of the amplitudes for each that is kept: draws with wrong signs are rejected
+MIN_SYSTEMATIC = 1e-6  # share that is not noise
 FORM_DOUBT = 0.5  # sd of a share s from wrong forms of the model, over s (1 - s): measured on simulated drives
 SDS_OF_90_PERCENT = 1.645  # standard deviations to either side that hold 90 % of a Gaussian
 MIN_SHARE = 0.01  # of the gap: effects that were not chosen and are below it are summed to one part
@@ -43,7 +44,8 @@ class Part:
 
     ``share`` of the mean square of the plain model's residual with its 90 % interval; ``rms`` [W] of its own;
     ``reached`` [W]: residual on stretches left out of the fit once it is added with the signals there are, None where
-    nothing can be added; ``expected`` [W]: residual if it were known exactly, as by a signal of its own.
+    nothing can be added; ``expected`` [W]: residual if it were known exactly, as by a signal of its own. ``closed``:
+    its share of all that was found; its 90 % interval allows for what may act without having been found.
     """
 
     cause: str
@@ -53,6 +55,7 @@ class Part:
     rms: float
     reached: float | None
     expected: float
+    closed: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,18 +94,20 @@ def budget(
     possible: Sequence[Sequence[Component]],
     unnamed: Sequence[Component | None],
     rng: np.random.Generator,
+    given: Collection[str] = (),
 ) -> Budget:
     """The budget of one drive, or of several together.
 
-    For each drive ``possible`` effects that were not chosen, and the nameless process that counts, or None.
+    For each drive ``possible`` effects that were not chosen, and the nameless process that counts, or None. Causes that
+    are ``given`` are not part of what is closed.
     """
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
     ]
     residual = np.concatenate([each.residual for each in powers])
     total = float(np.sqrt(np.mean(residual**2)))
-    drawn = _joined([each.draws for each in powers])
-    held_out = _joined([each.held_out for each in powers])
+    drawn = _joined([each.draws for each in powers], [np.zeros((len(each.residual), DRAWS)) for each in powers])
+    held_out = _joined([each.held_out for each in powers], [np.zeros(len(each.residual)) for each in powers])
     chosen = {component.name for drive in drives for component in drive.chosen}
     weak = dict.fromkeys(c.name for others in possible for c in others if c.name not in chosen)
     small = [
@@ -110,28 +115,38 @@ def budget(
     ]
     if small:
         drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
-    parts = [_part(cause, residual, draws, held_out.get(cause)) for cause, draws in drawn.items()]
+    shares = {cause: residual @ draws / (residual @ residual) for cause, draws in drawn.items()}
+    all_but_noise = 1 - sum(shares[cause] for cause in (NOISE, WHITE, *given) if cause in shares)
+    found = all_but_noise - sum((shares[cause] for cause in (*weak, OTHERS) if cause in shares), np.zeros(DRAWS))
+    parts = [
+        _part(cause, residual, draws, held_out.get(cause), (found, all_but_noise)) for cause, draws in drawn.items()
+    ]
     left = residual - sum(held_out.values(), np.zeros(len(residual)))
     reached = float(np.sqrt(np.mean(left**2)))
     return Budget(total, reached, tuple(sorted(parts, key=lambda part: -part.share)))
 
 
-def _joined(drives: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
-    """By cause the powers of all drives, one after another; zero on a drive without the cause."""
+def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
+    """By cause the powers of all drives, one after another; ``blank`` on a drive without the cause."""
     causes = dict.fromkeys(cause for each in drives for cause in each)
-    blank = [np.zeros_like(next(iter(each.values()))) for each in drives]
     return {
         cause: np.concatenate([each.get(cause, b) for each, b in zip(drives, blank, strict=True)]) for cause in causes
     }
 
 
-def _part(cause: str, residual: Floats, draws: Floats, held_out: Floats | None) -> Part:
+def _part(
+    cause: str, residual: Floats, draws: Floats, held_out: Floats | None, systematic: tuple[Floats, Floats]
+) -> Part:
+    """The part of a cause; ``systematic`` (d,): shares of all that was found, and of all that is not noise."""
     shares = residual @ draws / (residual @ residual)
     mean = float(shares.mean())
     low, high = (mean - np.quantile(shares, [0.05, 0.95])).tolist()
     form = SDS_OF_90_PERCENT * FORM_DOUBT * abs(mean * (1 - mean))
+    closed, doubted = (np.clip(shares / np.maximum(whole, MIN_SYSTEMATIC), 0.0, 1.0) for whole in systematic)
+    ends = np.quantile(np.concatenate([closed, doubted]), [0.05, 0.95])
     return Part(
         cause=cause,
+        closed=(float(closed.mean()), float(ends[0]), float(ends[1])),
         share=mean,
         q05=mean - float(np.hypot(low, form)),
         q95=mean + float(np.hypot(high, form)),
@@ -155,9 +170,11 @@ def _powers(
         _name(component): joint.data[:n, 1 + joint.places[i]] @ amplitudes[joint.places[i]]
         for i, component in enumerate(components)
     }
-    parts[ROAD] = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
     errors = joint.model.sensor_errors(unknowns)
-    white = residuals[:n] - parts[ROAD] - errors
+    white = residuals[:n] - errors
+    if not drive.is_level:
+        parts[ROAD] = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
+        white = white - parts[ROAD]
     torque, time, _, disturbance = drive.fit.scales.values[:4]
     own = torque**2 * mean_given_ends(DURATION, time)[1] * joint.model.weight**2
     share = (disturbance**2 / (disturbance**2 + own))[:, None]
@@ -224,7 +241,7 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
     places = np.flatnonzero(strides.known)
     n = len(places)
     fold = (np.arange(n) * FOLDS * CHUNKS // n) % FOLDS
-    found: dict[str, Floats] = {name: np.zeros(n) for name in (*names, ROAD)}
+    found: dict[str, Floats] = {name: np.zeros(n) for name in (*names, *([] if drive.is_level else [ROAD]))}
     for k in range(FOLDS):
         out = fold == k
         known = strides.known.copy()
@@ -238,6 +255,8 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
         for i, component in enumerate(drive.chosen):
             amplitude = posterior.mean[joint.places[i]]
             found[names[i]][out] = component.columns(frame) @ amplitude
+        if drive.is_level:
+            continue
         residual = joint.data[:, 0] - joint.data[:, 1:] @ (posterior.mean * joint.unit)
         unknowns = joint.conditioned.unknowns(residual)
         found[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(left, unknowns)

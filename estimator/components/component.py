@@ -13,16 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
+from estimator.estimation.road_likelihood import USUAL_SDS
 from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects.effect import Effect, Timing, View
 from estimator.signals import Floats, Quantity
-from estimator.strides import Strides
-
-TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter ones cannot be separated from slopes
-SPEEDS = (3.0,)  # m/s
-ENGINE_SPEEDS = (15.0,)  # rad/s
-STRENGTHS = (0.1, 0.3, 1.0)  # of what is usual
-GAIN_ERROR = 0.1  # share of the force, usual where a gain wanders
+from estimator.strides import DURATION, Strides
 
 
 @dataclass(frozen=True)
@@ -32,11 +27,12 @@ class Frame:
     strides: Strides  # those whose force is known
     force: Floats  # (n,) [N] at the lag of the drive
     road_load: Floats  # [A, C, m]
+    lag: float  # s of power behind speed
 
     @classmethod
     def of(cls, fit: RoadFit) -> "Frame":
         """From a fit of the road model."""
-        return cls(fit.strides, fit.strides.force[:, fit.scales.lag], np.maximum(fit.theta[:3], 1e-9))
+        return cls(fit.strides, fit.strides.force[:, fit.scales.lag], np.maximum(fit.theta[:3], 1e-9), fit.lag)
 
     def disturbed(self, error: Floats) -> "Frame":
         """With an error [N] (n,) in the measured force."""
@@ -59,6 +55,7 @@ class Frame:
             context=s.context,
             road_load=self.road_load,
             climb=level,
+            duration=DURATION,
         )
 
     def column(self, term: Term) -> Floats:
@@ -79,17 +76,24 @@ class Component:
     """One form that a component may take.
 
     ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes, whose prior is
-    N(0, ``sd``^2), or half of it where ``positive``. ``cost`` is the log prior probability of its times, with the sign
-    changed. ``is_noisy``: noise of the measured force is in its columns.
+    N(0, ``sd``^2), or half of it where ``positive``; a size beyond ``largest`` is something else. ``cost`` is the log
+    prior probability of its times, with the sign changed. ``is_noisy``: noise of the measured force is in its columns.
     """
 
     name: str
     columns: Columns
     sd: float
     positive: bool = False
+    largest: float = np.inf
     cost: float = 0.0
     is_noisy: bool = False
     term: Term | None = None  # None: a nameless process
+    spans: Spans | None = None  # when it acts; None: always, or as its columns say
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether its times were fitted: neither always nor from a standstill on."""
+        return self.spans is not None and (self.term is None or self.term.effect.timing is not Timing.STEP)
 
 
 def of_effect(frame: Frame, effect: Effect, known: frozenset[Quantity]) -> list[Component]:
@@ -109,9 +113,51 @@ def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
         columns=lambda frame: frame.column(term)[:, None],
         sd=effect.usual(frame.road_load),
         positive=effect.positive,
+        largest=effect.limit(frame.road_load),
         cost=cost,
         is_noisy=effect.is_noisy,
         term=term,
+        spans=term.spans,
+    )
+
+
+def as_terms(frame: Frame, process: Component) -> list[Term]:
+    """The columns of a nameless process as terms of a fit, each with the prior of its amplitude."""
+    power = _Powers(frame, process)
+    return [Term(_of_process(process, power, k)) for k in range(power.count)]
+
+
+class _Powers:
+    """Power [W] (n, k) of a process, for the force that a view of the frame's strides has; kept for the last view."""
+
+    def __init__(self, frame: Frame, process: Component) -> None:
+        self._frame, self._process = frame, process
+        self._view: View | None = None
+        self._power = self._of(frame.force)
+        self.count = self._power.shape[1]
+
+    def __call__(self, view: View) -> Floats:
+        if self._process.is_noisy and view is not self._view:
+            self._view, self._power = view, self._of(view.P / view.v)
+        return self._power
+
+    def _of(self, force: Floats) -> Floats:
+        frame = replace(self._frame, force=force)
+        power: Floats = -self._process.columns(frame) * (frame.road_load[2] * frame.strides.speed)[:, None]
+        return power
+
+
+def _of_process(process: Component, power: _Powers, k: int) -> Effect:
+    """An effect whose power is that of one column of a process."""
+    return Effect(
+        name=process.name,
+        equation="",
+        source="",
+        symbol="",
+        unit="1",
+        power=lambda view, shape: power(view)[:, k],
+        usual=lambda road_load: process.sd / USUAL_SDS,
+        positive=False,
     )
 
 
@@ -122,52 +168,3 @@ def _from_standstills(strides: Strides) -> Iterator[Spans]:
         after = stops >= k
         if 0.05 < after.mean() < 0.95:
             yield ((float(strides.t[np.argmax(after)]), float(strides.t[-1])),)
-
-
-def processes(frame: Frame) -> Iterator[Component]:
-    """All nameless processes, in all their lengths and strengths."""
-    A, C, m = frame.road_load.tolist()
-    s = frame.strides
-    over = [
-        ("power over time", _power, 0.3 * m, s.t, TIMES),  # 8 kW for a truck of 27 t
-        ("force over time", _force, 0.3 * A, s.t, TIMES),
-        ("drag over time", _drag, 0.3 * C, s.t, TIMES),
-        ("gain over time", _measured, GAIN_ERROR, s.t, TIMES),
-        ("force over speed", _force, 0.3 * A, s.speed, SPEEDS),
-    ]
-    turns = s.context.get(Quantity.ENGINE_SPEED)
-    if turns is not None and np.isfinite(turns).all():
-        over.append(("power over engine speed", _power, 0.3 * m, turns, ENGINE_SPEEDS))
-    for name, profile, usual, axis, lengths in over:
-        for length in lengths:
-            columns = _along(profile, hats(axis, length))
-            for strength in STRENGTHS:
-                yield Component(name=name, columns=columns, sd=strength * usual, is_noisy=profile is _measured)
-
-
-def _power(frame: Frame) -> Floats:
-    return np.ones(len(frame.strides))
-
-
-def _force(frame: Frame) -> Floats:
-    return frame.strides.speed
-
-
-def _drag(frame: Frame) -> Floats:
-    return frame.strides.speed**3
-
-
-def _measured(frame: Frame) -> Floats:
-    return frame.force * frame.strides.speed
-
-
-def _along(profile: Callable[[Frame], Floats], shapes: Floats) -> Columns:
-    return lambda frame: frame.as_acceleration(shapes * profile(frame)[:, None])
-
-
-def hats(axis: Floats, spacing: float) -> Floats:
-    """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,): they sum to one everywhere."""
-    place = (axis - axis.min()) / spacing
-    peaks = np.arange(int(np.ceil(place.max())) + 1)
-    found: Floats = np.maximum(1 - np.abs(place[:, None] - peaks), 0.0)
-    return found[:, found.any(axis=0)]

@@ -1,154 +1,36 @@
-"""Which components act: the effect with most evidence first, each judged beside the road and those before.
+"""Which components act: a table of models over effects and nameless processes, beside the scales of road and noise.
 
-A form's evidence is averaged over the forms of its effect that the drive allows. An effect of the vehicle has to hold
-in all drives, so its evidence adds up; an event may be in one drive only.
+Noise whose scale was found without the effects is too large, and hides them. So the table is made in rounds: sets of
+one cause more each time, with the scales of road and noise found again beside the most probable set, and times of
+effects that switch proposed beside it. An effect of the vehicle has to hold in all drives, so its evidence adds up; an
+event is a cause on one drive.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import logsumexp
 
-from estimator.components.component import Component, Frame, of_effect, of_term, processes
+from estimator.components.component import Component, Frame, of_effect, of_term
+from estimator.components.drive_state import DriveState, Form, has_free_times
 from estimator.components.likelihood import JointLikelihood
-from estimator.components.set_likelihood import Judged
-from estimator.components.switching import best_times
-from estimator.estimation.road_fit import RoadFit, fit
-from estimator.model.design_matrix import Term
+from estimator.components.model_table import Cause, Chosen, ModelTable, weigh
+from estimator.components.processes import processes, swings, switched
+from estimator.components.switching import is_usual, prior_cost, proposed_times
+from estimator.model.design_matrix import Term, union
 from estimator.model.effects.effect import Effect, Timing
-from estimator.signals import Floats
-from estimator.strides import Strides
+from estimator.signals import Floats, Quantity
 
-MAX_EFFECTS = 4  # effects that are looked for
-PROBE_SEED = 20_042  # of the simulated noise in the corrections
+ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e times as probable
+ODDS_OF_PROCESSES = 0.05  # the same of all nameless processes
+MAX_CAUSES = 5  # in a set
+MAX_ROUNDS = 8  # of table and scales, each found beside the other
+MIN_GAIN, MIN_GAIN_TIMED = 0.001, 0.01  # of the log BF of the largest effect: errors of its form have as much
 
-
-@dataclass(frozen=True)
-class AtRest:
-    """Power [W] of the engine while the vehicle stands, its sd, and the engine's speed [rad/s] then."""
-
-    power: float
-    sd: float
-    engine_speed: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Form:
-    """The best form of an effect on one drive: gain in log evidence, costs and all forms counted; value and sd."""
-
-    component: Component
-    gain: float
-    value: float
-    sd: float
-    trace: Floats  # (n,) its column
-
-
-@dataclass(frozen=True)
-class DriveState:
-    """One drive, the components chosen for it so far, and the fit of the road beside them; ``rest`` None: unknown."""
-
-    strides: Strides
-    fit: RoadFit
-    rest: AtRest | None
-    chosen: tuple[Component, ...] = ()
-
-    @classmethod
-    def of(cls, strides: Strides, rest: AtRest | None) -> "DriveState | None":
-        """The plain start; None where too little is known."""
-        found = fit(strides, np.random.default_rng(PROBE_SEED))
-        return None if found is None or not found.beta[0] > 0 else cls(strides, found, rest)
-
-    def having(self, chosen: tuple[Component, ...]) -> "DriveState":
-        """With other components; scales of road and noise are found again beside them."""
-        terms = tuple(component.term for component in chosen if component.term is not None)
-        rng = np.random.default_rng(PROBE_SEED)
-        found = fit(self.strides, rng, terms, self.fit.scales, orders=False)
-        return self if found is None else replace(self, fit=found, chosen=chosen)
-
-    def joint(self, candidates: Sequence[Component] = ()) -> JointLikelihood:
-        """The likelihood of those chosen, which come first, and of ``candidates``."""
-        components = [*self.chosen, *candidates]
-        joint = JointLikelihood(self.strides, self.fit, components, np.random.default_rng(PROBE_SEED))
-        if self.rest is not None:
-            per_unit = {i: at_rest(component, self.rest) for i, component in enumerate(components)}
-            takers = [i for i, power in per_unit.items() if power]
-            chosen = [i for i in takers if i < len(self.chosen)]
-            for i in chosen[:1] or takers:  # one measurement of the power at rest: it goes to one component
-                joint.observe(i, per_unit[i] / self.rest.sd, self.rest.power / self.rest.sd)
-        return joint
-
-    def forms(self, effects: Sequence[Effect]) -> dict[str, Form]:
-        """The best form of each of ``effects`` that this drive can test and that is not chosen."""
-        known, frame = frozenset(self.strides.context), Frame.of(self.fit)
-        present = {component.name for component in self.chosen}
-        absent = [effect for effect in effects if effect.name not in present]
-        given = [component for effect in absent for component in of_effect(frame, effect, known)]
-        joint, ours = self.joint(given), list(range(len(self.chosen)))
-        places = range(len(ours), len(ours) + len(given))
-        judged = joint.gains(ours, places)
-        found: dict[str, Form] = {}
-        for effect in absent:
-            alike = [i for i, component in enumerate(given) if component.name == effect.name]
-            if alike:
-                found[effect.name] = _best(frame, given, judged, alike)
-            timed = self._timed(joint, ours, effect)
-            if timed is not None and (effect.name not in found or timed.gain > found[effect.name].gain):
-                found[effect.name] = timed
-        return found
-
-    def _timed(self, joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
-        """The form with fitted times; None beside a chosen effect that switches, whose timing errors it would fit."""
-        if effect.timing not in (Timing.WINDOW, Timing.SWITCHING) or None not in effect.shapes:
-            return None
-        if any(c.term is not None and c.term.effect.timing is Timing.SWITCHING for c in self.chosen):
-            return None
-        times = best_times(joint, ours, Term(effect), effect.timing is Timing.WINDOW)
-        if times is None:
-            return None
-        component = of_term(joint.frame, Term(effect, None, times[0]), times[1])
-        column = component.columns(joint.frame)
-        products, score = joint.projected(ours, column)
-        precision = float(products[0, 0]) + component.sd**-2.0
-        gain = 0.5 * float(score[0]) ** 2 / precision - 0.5 * np.log(precision * component.sd**2)
-        return Form(
-            component=component,
-            gain=float(gain) - component.cost,
-            value=float(score[0]) / precision,
-            sd=precision**-0.5,
-            trace=column[:, 0],
-        )
-
-    def unnamed(self) -> tuple[Component, float] | None:
-        """The nameless process with most evidence beside those chosen, and its gain over all its forms."""
-        named = list(processes(Frame.of(self.fit)))
-        joint, ours = self.joint(named), list(range(len(self.chosen)))
-        none = joint.log_evidence(ours)
-        gains = [joint.log_evidence([*ours, i]) - none for i in range(len(ours), len(ours) + len(named))]
-        best: tuple[Component, float] | None = None
-        for name in dict.fromkeys(component.name for component in named):
-            own = [i for i, component in enumerate(named) if component.name == name]
-            gain = float(logsumexp([gains[i] for i in own])) - np.log(len(own))
-            if best is None or gain > best[1]:
-                best = named[max(own, key=lambda i: gains[i])], gain
-        return best
-
-
-def at_rest(component: Component, rest: AtRest) -> float:
-    """Power [W] per unit of magnitude that it takes at rest."""
-    effect = None if component.term is None else component.term.effect
-    return 0.0 if effect is None or effect.at_rest is None else effect.at_rest(rest.engine_speed)
-
-
-def _best(frame: Frame, given: Sequence[Component], judged: Judged, places: Sequence[int]) -> Form:
-    """The form of most evidence, averaged over forms of equal prior probability."""
-    gains = judged.gain[list(places)] - np.array([given[i].cost for i in places])
-    best = places[int(np.argmax(gains))]
-    gain = float(logsumexp(gains)) - np.log(len(places))
-    column = given[best].columns(frame)[:, 0]
-    return Form(
-        component=given[best], gain=gain, value=float(judged.value[best]), sd=float(judged.sd[best]), trace=column
-    )
+Key = tuple[object, ...]
 
 
 @dataclass(frozen=True)
@@ -169,12 +51,6 @@ class Ranked:
         return self.effect.timing is not Timing.ALWAYS
 
     @property
-    def is_timed(self) -> bool:
-        """Whether its switching times are fitted."""
-        term = self.best[1].component.term
-        return term is not None and term.spans is not None
-
-    @property
     def gain(self) -> float:
         """In log evidence of all drives together."""
         gains = [form.gain for form in self.each if form is not None]
@@ -187,21 +63,177 @@ class Ranked:
         return max(found, key=lambda pair: pair[1].gain)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Choice:
-    """An effect that was chosen, and the ranking it was chosen from."""
+    """An effect that acts: how probable, its log Bayes factor beside all others, and the drive that shows it most."""
 
-    ranked: Ranked
-    ranking: tuple[Ranked, ...]
+    effect: Effect
+    probability: float
+    log_bayes_factor: float
+    drive: int
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Explained:
-    """The drives with what was chosen, the choices in order, and the last ranking, which none was chosen from."""
+    """The drives with what acts on them, and the evidence for it.
+
+    ``choices``: the effects of the most probable set, those with most evidence first. ``ranking``: all effects, each
+    alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``unnamed``: the nameless
+    process with most evidence beside the choices, by the numbers of the drives; ``left_over``: its log Bayes factor;
+    ``by_effects`` and ``by_processes``: log Bayes factors of the choices without any process, and of the most probable
+    processes without any effect. ``log_evidence`` of the drives with the most probable set.
+    """
 
     drives: tuple[DriveState, ...]
     choices: tuple[Choice, ...]
     ranking: tuple[Ranked, ...]
+    beside: tuple[Ranked, ...]
+    probability: Mapping[str, float]
+    none: float  # probability that nothing acts
+    unknown: float  # probability that a nameless process acts
+    unnamed: Mapping[int, Component]
+    left_over: float
+    by_effects: float
+    by_processes: float
+    log_evidence: float
+
+
+class _Joint:
+    """The likelihood of all drives for sets of causes' forms, and the table of models by it."""
+
+    def __init__(
+        self, drives: Sequence[DriveState], given: Sequence[tuple[Component, ...]], effects: Sequence[Effect]
+    ) -> None:
+        self.drives, self.given = drives, given
+        found: dict[Key, dict[int, Component]] = defaultdict(dict)
+        for number, drive in enumerate(drives):
+            for key, component in _hypotheses(number, drive, effects).items():
+                found[key][number] = component
+        self.keys, self.each = list(found), list(found.values())
+        own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
+        self._joints = [replace(d, chosen=g).joint(c) for d, g, c in zip(drives, given, own, strict=True)]
+        self._limits = [[_limits(joint, i) for i in range(len(joint.components))] for joint in self._joints]
+        count = [len(start) for start in given]
+        self._places: list[dict[int, int]] = []
+        for each in self.each:
+            self._places.append({number: count[number] for number in each})
+            for number in each:
+                count[number] += 1
+
+    def log_evidence(self, chosen: Sequence[int]) -> float:
+        """Of a set of forms; minus infinity for a set with an effect of impossible size."""
+        total = 0.0
+        for n, joint in enumerate(self._joints):
+            here = self._here(chosen, n)
+            posterior, limits = joint.posterior(here), self._limits[n]
+            if np.any(
+                np.abs(posterior.mean[joint.base_size :]) > np.concatenate([np.empty(0), *(limits[i] for i in here)])
+            ):
+                return -np.inf
+            total += posterior.log_evidence - sum(joint.components[i].cost for i in here)
+        return total
+
+    def unlimited(self, chosen: Sequence[int]) -> float:
+        """Log evidence of a set of forms, whatever the sizes are."""
+        return sum(joint.log_evidence(self._here(chosen, n)) for n, joint in enumerate(self._joints))
+
+    def _here(self, chosen: Sequence[int], number: int) -> list[int]:
+        """Numbers of the components of a set, and those given before them, in the likelihood of one drive."""
+        own = [self._places[i][number] for i in chosen if number in self._places[i]]
+        return [*range(len(self.given[number])), *own]
+
+    def component(self, i: int) -> Component:
+        """One of the components that are form ``i``: they have the same name."""
+        return next(iter(self.each[i].values()))
+
+    def causes(self) -> list[Cause]:
+        """All forms by the cause that they are of."""
+        grouped: dict[Key, list[int]] = defaultdict(list)
+        for i, key in enumerate(self.keys):
+            grouped[key[:2]].append(i)
+        named = {own: self.component(forms[0]).term is not None for own, forms in grouped.items()}
+        number = sum(named.values())
+        return [
+            Cause(
+                name=" ".join(map(str, own)),
+                is_named=named[own],
+                forms=tuple(forms),
+                log_odds=float(
+                    np.log(ODDS_OF_EFFECTS / number if named[own] else ODDS_OF_PROCESSES / (len(named) - number))
+                ),
+                log_forms=float(np.log(max(sum(not self.component(i).cost for i in forms), 1))),
+            )
+            for own, forms in grouped.items()
+        ]
+
+    def gain(self, chosen: Chosen, form: int) -> float:
+        """Log Bayes factor of one form beside the others of a set, its cost not counted."""
+        return self.unlimited(chosen) - self.unlimited([i for i in chosen if i != form])
+
+    def worthwhile(self, chosen: Chosen) -> Chosen:
+        """A set without effects that gain less than the largest one's form may be wrong by."""
+        gains = {i: self.gain(chosen, i) for i in chosen if self.is_named(i)}
+        least = max(gains.values(), default=0.0)
+        small = {i for i in gains if gains[i] < least * (MIN_GAIN_TIMED if self.component(i).is_timed else MIN_GAIN)}
+        return tuple(i for i in chosen if i not in small)
+
+    def is_named(self, i: int) -> bool:
+        """Whether form ``i`` is of an effect."""
+        return self.component(i).term is not None
+
+    def parts(self, chosen: Chosen, named: bool) -> tuple[tuple[Component, ...], ...]:
+        """The effects in a set, or its nameless processes, for each drive."""
+        each = [self.each[i] for i in chosen if self.is_named(i) is named]
+        return tuple(tuple(own[n] for own in each if n in own) for n in range(len(self.drives)))
+
+    def fitted(self, chosen: Chosen) -> tuple[DriveState, ...]:
+        """The drives with the effects of a set, and scales found beside its processes too."""
+        own = zip(self.drives, self.given, self.parts(chosen, True), self.parts(chosen, False), strict=True)
+        return tuple(drive.having((*given, *effects), processes) for drive, given, effects, processes in own)
+
+
+def _limits(joint: JointLikelihood, i: int) -> Floats:
+    """Largest sizes of the amplitudes of a component."""
+    return np.full(len(joint.places[i]), joint.components[i].largest)
+
+
+def _hypotheses(number: int, drive: DriveState, effects: Sequence[Effect]) -> dict[Key, Component]:
+    """All forms of all causes on a drive; a key begins with the name and, for an event, the drive's ``number``."""
+    frame, known = Frame.of(drive.fit), frozenset(drive.strides.context)
+    beside, found = drive.joint(), dict[Key, Component]()
+    for effect in effects:
+        for component in of_effect(frame, effect, known):
+            term = component.term
+            assert term is not None
+            event = number if effect.timing is not Timing.ALWAYS else None
+            found[effect.name, event, term.spans or str(term.shape)] = component
+    for component in drive.chosen:
+        term = component.term
+        if term is not None and term.effect.finer is not None and not isinstance(term.shape, Quantity):
+            for shape in (term.shape, *term.effect.finer(term.shape)):
+                found[term.effect.name, None, str(shape)] = of_term(frame, Term(term.effect, shape))
+    free = [effect for effect in effects if has_free_times(effect)]
+    times = {spans for effect in free for spans in proposed_times(beside, effect)}
+    own = [c.spans for c in drive.chosen if c.is_timed and c.spans]
+    times |= {*own, *(union(a, b) for a, b in combinations(own, 2))}  # what two effects do, one may do
+    for effect in free:
+        for spans in sorted(times):
+            if is_usual(spans, effect):
+                component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect))
+                found[effect.name, number, spans] = component
+    for spans in sorted(times):
+        for process in switched(frame, spans):
+            found[process.name, number, spans] = process
+    for i, process in enumerate(processes(frame)):
+        found[process.name, None, i] = process
+    for i, process in enumerate(swings(beside, list(range(len(drive.chosen))))):
+        found[process.name, number, i] = process
+    return found
 
 
 def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ranked, ...]:
@@ -211,20 +243,95 @@ def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ran
     return tuple(sorted((one for one in joined if any(one.each)), key=lambda one: -one.gain))
 
 
-def search(drives: Sequence[DriveState], effects: Sequence[Effect], needed: Mapping[bool, float]) -> Explained:
-    """Add effects as long as one gains more in log evidence than is ``needed``, by whether its times are free."""
-    states, choices = tuple(drives), list[Choice]()
-    order = ranked(states, effects)
-    while len(choices) < MAX_EFFECTS:
-        best = next((one for one in order if one.gain >= needed[one.is_timed]), None)
-        if best is None:
+def search(drives: Sequence[DriveState], effects: Sequence[Effect]) -> Explained:
+    """Weigh sets of ``effects`` and nameless processes on drives that are one vehicle's.
+
+    A process can hold the place of effects while the noise is fitted beside it. So the noise is first fitted beside
+    effects alone, and processes are weighed from there.
+    """
+    first, given = ranked(drives, effects), [drive.chosen for drive in drives]
+    alone = _converged(tuple(drives), given, effects, is_named=True)
+    return _explained(_converged(alone.states, given, effects, is_named=False), first, effects)
+
+
+@dataclass(frozen=True)
+class _Converged:
+    """The last table, the set chosen from it, and the drives fitted beside that set."""
+
+    joint: _Joint
+    table: ModelTable
+    chosen: Chosen
+    states: tuple[DriveState, ...]
+
+
+def _converged(
+    states: tuple[DriveState, ...], given: Sequence[tuple[Component, ...]], effects: Sequence[Effect], is_named: bool
+) -> _Converged:
+    """Tables and scales, each found beside the other; of effects alone where ``is_named``."""
+    seen: list[tuple[object, ...]] = []
+    for size in range(2, MAX_ROUNDS + 2):
+        joint = _Joint(states, given, effects)
+        causes = [cause for cause in joint.causes() if cause.is_named or not is_named]
+        table = weigh(joint, causes, min(size, MAX_CAUSES))
+        chosen = table.best
+        parts = (*joint.parts(chosen, True), *joint.parts(chosen, False))
+        times = tuple(tuple((c.name, *np.round(c.spans or ()).ravel()) for c in own) for own in parts)
+        if (times in seen or not chosen) and len(chosen) < size:
             break
-        choices.append(Choice(best, order))
-        states = tuple(
-            drive
-            if form is None or (best.is_event and form.gain < needed[best.is_timed])
-            else drive.having((*drive.chosen, form.component))
-            for drive, form in zip(states, best.each, strict=True)
+        seen.append(times)
+        states = joint.fitted(chosen)
+    best = joint.worthwhile(chosen)
+    if best != chosen or not chosen:
+        states = joint.fitted(best)
+    return _Converged(joint, table, best, states)
+
+
+def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[Effect]) -> Explained:
+    joint, table, best, states = found.joint, found.table, found.chosen, found.states
+    causes = joint.causes()
+    whole = joint.unlimited(best)
+    choices = []
+    for effect in effects:
+        own = [i for i in best if joint.component(i).name == effect.name]
+        if own:
+            rest = [i for i in best if i not in own]
+            choices.append(
+                Choice(
+                    effect=effect,
+                    probability=_holding(table, causes, effect.name),
+                    log_bayes_factor=whole - joint.unlimited(rest),
+                    drive=max(joint.each[own[0]], key=lambda n: len(joint.drives[n].strides)),
+                )
+            )
+    named = [i for i in best if joint.component(i).term is not None]
+    beside = joint.unlimited(named)
+    gains = {
+        cause.name: (
+            float(logsumexp([joint.unlimited([*named, i]) - beside for i in cause.forms])) - cause.log_forms,
+            max(cause.forms, key=lambda i: joint.unlimited([*named, i])),
         )
-        order = ranked(states, effects)
-    return Explained(states, tuple(choices), order)
+        for cause in causes
+        if not cause.is_named
+    }
+    left_over, process = max(gains.values())
+    unnamed = [i for cause in causes if not cause.is_named for i in cause.forms]
+    none = joint.unlimited([])
+    alone = [joint.unlimited(own) for own in table.sets if own and set(own) <= set(unnamed)]
+    return Explained(
+        drives=states,
+        choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
+        ranking=first,
+        beside=ranked(states, effects) if choices else first,
+        probability={effect.name: _holding(table, causes, effect.name) for effect in effects},
+        none=table.none,
+        unknown=table.holding(unnamed),
+        unnamed=joint.each[process],
+        left_over=left_over,
+        by_effects=beside - none,
+        by_processes=max([0.0, *(value - none for value in alone)]),
+        log_evidence=sum(state.fit.log_evidence for state in states),
+    )
+
+
+def _holding(table: ModelTable, causes: Sequence[Cause], name: str) -> float:
+    return table.holding([i for cause in causes if cause.name.split()[0] == name for i in cause.forms])

@@ -8,7 +8,7 @@ columns weighted by K^-1,
 up to a constant that all sets share, b^ being the posterior mean. The columns of a base are in every set.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -97,11 +97,15 @@ class SetLikelihood:
         self._total, self._moment = float(products[0, 0]), products[1:, 0]
         self._information = products[1:, 1:]
 
-    def observe(self, index: int, weight: float, value: float) -> None:
-        """Add a measurement ``weight`` x amplitude = ``value``, both over its sd, of a component with one column."""
-        place = self.places[index][0]
-        self._information[place, place] += weight**2
-        self._moment[place] += weight * value
+    def observe(self, weights: Mapping[int, float], value: float) -> None:
+        """Add a measurement: the sum of ``weights`` x amplitudes is ``value``, all over its sd.
+
+        ``weights`` by the numbers of components with one column; those that are not in a set add nothing to the sum.
+        """
+        places = np.array([self.places[index][0] for index in weights], dtype=np.int64)
+        each = np.array(list(weights.values()))
+        self._information[np.ix_(places, places)] += np.outer(each, each)
+        self._moment[places] += each * value
 
     def _precision(self, chosen: Sequence[int]) -> Floats:
         """Of the prior of base and set."""

@@ -8,22 +8,30 @@ with s and G the scores and products of a profile cut into blocks, off everythin
 step of the state would score most. A run of blocks is switched on or off as long as that gains; every run is tried.
 """
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from estimator.components.component import Frame
 from estimator.components.likelihood import JointLikelihood
-from estimator.model.design_matrix import Spans, Term
+from estimator.model.design_matrix import Spans, Term, covered
+from estimator.model.effects.effect import Effect, Timing
 from estimator.signals import Floats, Mask
+from estimator.strides import DURATION
 
 BLOCK_DURATION = 30.0  # s, of strides that share a state
 PROBED_STEPS = 150  # steps whose strength is computed; that of the others is interpolated
 MIN_STEP_DISTANCE = 5  # strides between two steps of the state
 MAX_STEPS = 200  # of the state that are considered: bounds the cost of the exchanges
 CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a change
+MAX_DWELL_FACTOR = 6.0  # by which the mean stretch may be shorter than a usual one, and any stretch longer
 MAX_RUN = 2000.0  # s, of the blocks exchanged at once
 MAX_EXCHANGES = 60  # bounds the cost
+STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, by which an edge is moved
+MOVES = np.concatenate([-STEPS, STEPS])
 MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
 
 
@@ -44,6 +52,96 @@ def best_times(joint: JointLikelihood, chosen: list[int], term: Term, single: bo
     return spans, CHANGE_COST * _changes(on) if single else sum(
         cost(end - start, term.effect.dwells) for start, end in spans
     )
+
+
+def proposed_times(joint: JointLikelihood, effect: Effect) -> set[Spans]:
+    """Times that ``effect`` may have, beside the components of ``joint`` and beside those of them that always act.
+
+    At a steady speed one effect on and another off give the same residual (drafting and a fan), so the times between
+    are proposed as well.
+    """
+    ours = [i for i, component in enumerate(joint.components) if component.name != effect.name]
+    always = [i for i in ours if not joint.components[i].is_timed]
+    single, found = effect.timing is Timing.WINDOW, set[Spans]()
+    own = [c.spans for c in joint.components if c.name == effect.name and c.spans]
+    for beside in [ours] if always == ours else [ours, always]:
+        times = best_times(joint, beside, Term(effect), single)
+        found |= {
+            with_refined_edges(joint, beside, Term(effect, None, spans))
+            for spans in (*own, *(() if times is None else times[:1]))
+        }
+    return found if single else found | {_between(spans, joint.frame.strides.t) for spans in found}
+
+
+def is_usual(spans: Spans, effect: Effect) -> bool:
+    """Whether the mean stretch is not much shorter than a usual dwell, and none much longer; windows may be any."""
+    if effect.timing is Timing.WINDOW:
+        return len(spans) == 1
+    lasting = [end - start for start, end in spans]
+    mean = sum(lasting) / max(len(lasting), 1)
+    longest = MAX_DWELL_FACTOR * max(effect.dwells)
+    return mean > min(effect.dwells) / MAX_DWELL_FACTOR and max(lasting, default=0.0) < longest
+
+
+def prior_cost(spans: Spans, effect: Effect) -> float:
+    """Minus the log prior probability of times of an effect."""
+    if effect.timing is Timing.WINDOW:
+        return 2 * CHANGE_COST
+    return sum(cost(end - start, effect.dwells) for start, end in spans)
+
+
+def _between(spans: Spans, t: Floats) -> Spans:
+    """The times of the drive that are in none of ``spans``."""
+    edges = [float(t[0]), *(edge for span in spans for edge in span), float(t[-1])]
+    return tuple((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
+
+
+def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
+    """Spans of ``term`` whose beginnings and ends are moved by up to the last of STEPS where that adds evidence.
+
+    Moving an edge changes the column of a few strides, so the evidence of any moves follows from one set of products.
+    """
+    spans, t = term.spans or (), joint.frame.strides.t
+    edges = [(i, side) for i in range(len(spans)) for side in (0, 1) if t[0] < spans[i][side] < t[-1]]
+    profile = joint.frame.column(replace(term, spans=None))
+    half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
+    moves = MOVES[np.abs(MOVES) < half]
+    column = joint.frame.column(term)
+    changes = [profile * _moved(t, spans[i][side], move, side) for i, side in edges for move in moves]
+    G, s = joint.projected(chosen, np.column_stack([column, *changes]))
+    sd = term.effect.usual(joint.frame.road_load)
+    taken = np.zeros(len(edges), dtype=np.int64) - 1
+    score, strength, cross = float(s[0]), float(G[0, 0]), G[0].copy()
+    best = float(_evidence(np.array(score), np.array(strength), sd, positive=False))
+    for _ in range(MAX_EXCHANGES):
+        before = best
+        for k in range(len(edges)):
+            own = 1 + k * len(moves) + np.arange(len(moves))
+            if taken[k] >= 0:
+                old = own[taken[k]]
+                score, strength = score - s[old], strength - 2 * cross[old] + G[old, old]
+                cross -= G[old]
+            stay = float(_evidence(np.array(score), np.array(strength), sd, positive=False))
+            gains = _evidence(score + s[own], strength + 2 * cross[own] + np.diag(G)[own], sd, positive=False)
+            taken[k] = int(np.argmax(gains)) if gains.max(initial=-np.inf) > stay else -1
+            best = max(float(gains.max(initial=-np.inf)), stay)
+            if taken[k] >= 0:
+                new = own[taken[k]]
+                score, strength = score + s[new], strength + 2 * cross[new] + G[new, new]
+                cross += G[new]
+        if best <= before + 1e-3:
+            break
+    found = [list(span) for span in spans]
+    for (i, side), move in zip(edges, taken.tolist(), strict=True):
+        if move >= 0:
+            found[i][side] += float(moves[move])
+    return tuple((a, b) for a, b in found)
+
+
+def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
+    """Change (n,) of the share of each stride that is covered, when a span's ``edge`` moves."""
+    between = covered(t, DURATION, ((min(edge, edge + move), max(edge, edge + move)),))
+    return between if (move > 0) == (side == 1) else -between
 
 
 def cost(duration: float, dwells: tuple[float, ...]) -> float:
@@ -144,5 +242,5 @@ def _changes_after(on: Mask, first: np.ndarray, last: np.ndarray, state: bool) -
 
 
 def _spans(frame: Frame, on: Mask) -> Spans:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
-    return tuple((float(frame.strides.t[a]), float(frame.strides.t[e - 1])) for a, e in edges.reshape(-1, 2).tolist())
+    edges, t = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]))), frame.strides.t
+    return tuple((float(t[a]) - DURATION / 2, float(t[e - 1]) + DURATION / 2) for a, e in edges.reshape(-1, 2).tolist())

@@ -1,60 +1,84 @@
 """A formula for what is left without a name: products of speed, acceleration, force, engine speed, time and distance.
 
-It describes, and names nothing. It is judged on the residual averaged over seconds of the longest drive, beside the
-road load and the effects that were chosen, and on stretches that its fit has not seen.
+It describes, and names nothing. It is judged on the motion of the longest drive, beside the road load and the effects
+that were chosen, and on stretches that its fit has not seen.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
-from estimator.components.formula import Variable, best_formula
-from estimator.diagnosis.averaged_residual import Averages, averages_of, weigh
-from estimator.diagnosis.model import Model
+from estimator.components.budget import Projection
+from estimator.components.component import Component
+from estimator.components.drive_state import DriveState
+from estimator.components.formula import Variable, best_formula, judged
 from estimator.diagnosis.result import Described
+from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.signals import Floats, Quantity
 
 MIN_LOG_BF = 5.0  # of a formula, all formulas counted: that of an effect
+SMOOTHED = 5  # strides, 5 s, that the acceleration is averaged over
 FOLDS, CHUNKS = 5, 4  # each fold is so many stretches of the drive
 
 
-def described(model: Model) -> Described | None:
+def described(drive: DriveState) -> Described | None:
     """The formula with most evidence; None where it has too little, or explains nothing of stretches left out."""
-    averages = averages_of(model)
-    rms = float(np.sqrt(np.mean(averages.residual**2)))
+    joint = drive.joint()
+    ours = range(len(drive.chosen))
+    power = drive.fit.residual_power
+    rms = float(np.sqrt(np.mean(power**2)))
 
     def judge(columns: Floats) -> tuple[Floats, Floats, Floats]:
-        weight = weigh(averages, averages.mean(columns), usual=1.0, positive=False)
-        return weight.log_bayes_factor, weight.value, weight.sd
+        return judged(*joint.projected(ours, joint.frame.as_acceleration(columns)))
 
-    found = best_formula(dict(_variables(model)), "W", rms, judge)
+    found = best_formula(dict(_variables(drive)), "W", rms, judge)
     if found is None or found.gain < MIN_LOG_BF:
         return None
-    share = _held_out_share(averages, averages.mean(found.column[:, None])[:, 0])
+    share = _held_out_share(drive, found.column)
     if share <= 0:
         return None
-    return Described(
-        text=found.text, value=found.value, sd=found.sd, unit=found.unit, log_bayes_factor=found.gain, share=share
+    value, sd = _refitted(drive, found.column, rms)
+    return Described(text=found.text, value=value, sd=sd, unit=found.unit, log_bayes_factor=found.gain, share=share)
+
+
+def _refitted(drive: DriveState, column: Floats, rms: float) -> tuple[float, float]:
+    """Factor of a power ``column`` [W] (n,) and its sd, with the mass that the motion has beside it."""
+    own = Component(
+        name="formula",
+        columns=lambda frame: frame.as_acceleration(column)[:, None],
+        sd=rms / float(np.sqrt(np.mean(column**2))),
     )
+    joint = drive.joint([own])
+    posterior = joint.posterior(range(len(joint.components)))
+    scale = 1 / (float(posterior.mean[0]) * float(joint.frame.road_load[2]))
+    return float(posterior.mean[-1]) * scale, float(np.sqrt(posterior.covariance[-1, -1])) * scale
 
 
-def _variables(model: Model) -> Iterator[tuple[str, Variable]]:
-    """Quantities (samples,) that hold no noise of the residual."""
-    s, base = model.samples, model.base
-    yield "v", Variable(s.zv, "m/s")
-    yield "a", Variable(s.za, "m/s^2")
-    yield "F", Variable(base.Z @ base.theta / s.zv, "N")
+def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
+    """Quantities (n,) at the driven strides that hold no noise of the residual."""
+    s = drive.fit.strides
+    A, C, m = drive.fit.theta[:ROAD_LOAD].tolist()
+    a = uniform_filter1d(s.a, SMOOTHED)  # of the measured force, the noise would be in column and residual
+    yield "v", Variable(s.speed, "m/s")
+    yield "a", Variable(a, "m/s^2")
+    yield "F", Variable(A + C * s.relative_density * s.speed_squared + m * a, "N")
     yield "t", Variable(s.t - s.t[0], "s")
-    yield "s", Variable(s.context[Quantity.DISTANCE], "m")
-    if Quantity.ENGINE_SPEED in s.context:
-        yield "n", Variable(s.context[Quantity.ENGINE_SPEED], "rad/s")
+    yield "s", Variable(s.s0, "m")
+    turns = s.context.get(Quantity.ENGINE_SPEED)
+    if turns is not None and np.isfinite(turns).all():
+        yield "n", Variable(turns, "rad/s")
 
 
-def _held_out_share(averages: Averages, column: Floats) -> float:
-    """Share of the squared residual that ``column`` (n,) takes away on stretches left out of both fits."""
-    n, y = len(averages), averages.residual
-    plain = averages.columns / np.sqrt((averages.columns**2).mean(axis=0))
-    wide = np.column_stack([plain, column / np.sqrt(np.mean(column**2))])
+def _held_out_share(drive: DriveState, column: Floats) -> float:
+    """Share of the squared residual, over means of 2 s, that ``column`` (n,) takes away on stretches left out."""
+    off = Projection(drive)
+    taken = [component.columns(drive.joint().frame)[:, 0] for component in drive.chosen]
+    effects = [off(off.as_power(each, 1 / drive.fit.beta[:1])[:, 0]) for each in taken]
+    y, extra = off(off.power), off(column)
+    n = len(y)
+    plain = np.column_stack([np.ones(n), *effects])
+    wide = np.column_stack([plain, extra / np.sqrt(np.mean(extra**2))])
     fold = (np.arange(n) * FOLDS * CHUNKS // n) % FOLDS
     left = {False: 0.0, True: 0.0}
     for k in range(FOLDS):

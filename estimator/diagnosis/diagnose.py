@@ -6,22 +6,17 @@ from dataclasses import fields, replace
 import numpy as np
 
 from estimator.answers.diagnosis import Verdict
-from estimator.diagnosis import facts, findings
-from estimator.diagnosis.averaged_residual import averages_of
-from estimator.diagnosis.averaging import averaged
-from estimator.diagnosis.beside_road import BesideRoad, beside_road
-from estimator.diagnosis.candidates import assess
+from estimator.diagnosis import facts
+from estimator.diagnosis.base import parameter_sd
+from estimator.diagnosis.conclusion import Conclusion, conclude
 from estimator.diagnosis.described import described
 from estimator.diagnosis.drive_data import Record
-from estimator.diagnosis.evidence import parameter_sd
 from estimator.diagnosis.experiment import experiments
-from estimator.diagnosis.isolability import invisible, isolability, not_testable
+from estimator.diagnosis.explanation import explain
+from estimator.diagnosis.isolability import isolability, not_testable
 from estimator.diagnosis.localisation import gap_map, places
-from estimator.diagnosis.model import MIN_SAMPLES, Model, fit, select
-from estimator.diagnosis.multi_drive import Drive
-from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import Diagnosis, Experiment, Finding, Invisible, NotTestable, Shift, Traces
-from estimator.diagnosis.search import search
+from estimator.diagnosis.model import MIN_SAMPLES, Drive, Model, fit, select
+from estimator.diagnosis.result import Diagnosis, Experiment, Finding, NotTestable, Shift, Traces
 from estimator.diagnosis.surrogates import p_value
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
@@ -57,7 +52,7 @@ def diagnose(
     thresholds
         Evidence that names an effect; None: the defaults.
     surrogates
-        Records of noise alone that effects are looked for in as well, for a p-value; none on hills.
+        Records of noise alone that effects are looked for in as well, for a p-value.
     """
     limits = Thresholds() if thresholds is None else thresholds
     plain: list[Drive] = []
@@ -71,9 +66,13 @@ def diagnose(
     missing = tuple(not_testable(effects, frozenset().union(*(record.known for record in records))))
     if not plain:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=_obstacle(records, reason), not_testable=missing)
-    result = search(tuple(plain), effects, limits)
-    outcome = Outcome(result=result, plain=tuple(plain), effects=effects, rng=rng, thresholds=limits)
-    return _report(outcome, missing, surrogates)
+    explanation = explain(plain, effects, limits)
+    if explanation is None:
+        reason = "less than half a minute of the drive shows force and speed without a gap"
+        return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=reason, not_testable=missing)
+    conclusion = conclude(explanation, tuple(plain), limits, rng)
+    found = _report(conclusion, effects, missing)
+    return replace(found, p_value=_p_value(conclusion, effects, surrogates, rng)) if surrogates else found
 
 
 def _obstacle(records: Sequence[Record], reason: str) -> str:
@@ -107,103 +106,72 @@ def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
     return Drive(record, model)
 
 
-def _report(outcome: Outcome, missing: tuple[NotTestable, ...], surrogates: int) -> Diagnosis:
-    """The diagnosis of a finished search, with the road as a state where it can be fitted."""
-    verdict, late, hills = outcome.verdict, findings.lag(outcome), findings.hidden_grade(outcome)
-    if late is not None and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL) and not outcome.result.chosen:
-        verdict = Verdict.EFFECT
-    beside = beside_road(outcome)
-    found = (hills, *findings.chosen(outcome), late)
-    ranking = findings.ranking(outcome, late)
-    if beside is not None and beside.is_on_hills:
-        verdict, found = beside.verdict(), (*beside.findings(found), late)
-        ranking = beside.candidates([finding for finding in found if finding is not None])
-    named = tuple(f for f in found if f is not None) if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
-    before, after = (drives[outcome.longest].model for drives in (outcome.plain, outcome.final))
-    candidates = [c for joint in outcome.result.ranking if (c := joint.each[outcome.longest]) is not None]
-    diagnosis = Diagnosis(
+def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[NotTestable, ...]) -> Diagnosis:
+    """The diagnosis of a conclusion."""
+    verdict, explained, longest = conclusion.verdict(), conclusion.explained, conclusion.longest
+    named = conclusion.findings() if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
+    which = max(range(len(conclusion.plain)), key=lambda i: len(conclusion.plain[i].model.samples))
+    before = conclusion.plain[which].model
+    after = [_with_choices(drive, conclusion, i) for i, drive in enumerate(conclusion.plain)]
+    final, deviation = conclusion.road_load
+    ranking = conclusion.candidates(named)
+    told = {finding.name for finding in named}
+    others = [effect for effect in effects if effect.name not in told and not effect.is_gravity]
+    forms = [form for one in explained.ranking if (form := one.each[which]) is not None]
+    remaining = conclusion.remaining()
+    return Diagnosis(
         verdict=verdict,
         effects=named,
         candidates=ranking,
-        remainder=facts.remainder(outcome),
-        doubtful=facts.doubtful(outcome, verdict, named),
+        remaining_verdict=remaining,
+        remaining_log_bayes_factor=conclusion.left_over,
+        remainder=conclusion.remainder(),
+        formula=described(longest) if remaining is Verdict.UNKNOWN or verdict is Verdict.UNKNOWN else None,
+        doubtful=facts.doubtful(explained, verdict, named),
+        noise_floor=conclusion.budget.floor,
+        rms_base=conclusion.rms_base,
+        rms_final=conclusion.budget.reached,
         base=_road_load(before.road_load),
         base_deviation=_deviation(before),
+        final=final,
+        deviation=deviation,
         where=tuple(places(before)),
-        isolability=isolability(candidates, before),
+        isolability=isolability(conclusion.explained.drives[which], forms),
         not_testable=missing,
-        invisible=_unseen(outcome, beside, named),
-        advice=facts.advice(outcome, verdict, named),
-        experiments=() if beside is None else _experiments(beside, facts.unsettled(outcome, verdict, named), ranking),
+        invisible=conclusion.invisible(others),
+        advice=facts.advice(explained, effects, verdict, named),
+        experiments=_experiments(conclusion, effects, verdict, named, ranking),
         streaming_effects=facts.streaming_effects(named, before.terms) if verdict is Verdict.EFFECT else (),
-        budget=None if beside is None else beside.budget,
-        gap_map=gap_map(before, after),
-        traces=_traces(outcome),
+        budget=conclusion.budget,
+        gap_map=gap_map(before, after[which].model),
+        traces=_traces(conclusion.plain, after),
     )
-    if beside is not None and beside.is_on_hills:
-        return _with_road(diagnosis, beside, outcome.thresholds.min_log_bf_left_process)
-    known = _with_known_road(diagnosis, outcome, hills is not None)
-    return known if hills is not None or not surrogates else replace(known, p_value=_p_value(outcome, surrogates))
 
 
-def _unseen(outcome: Outcome, beside: BesideRoad | None, named: Sequence[Finding]) -> tuple[Invisible, ...]:
-    """Effects that could act without evidence, by the model that judged the others."""
-    told = {finding.name for finding in named}
-    others = [effect for effect in outcome.effects if effect.name not in told]
-    if beside is not None and beside.is_on_hills:
-        return beside.invisible([effect for effect in others if not effect.is_gravity])
-    drive = outcome.final[outcome.longest]
-    model, known = drive.model, drive.record.known
-    at_last = assess(model, averages_of(model), outcome.effects, known, drive.rest)
-    return tuple(invisible(others, at_last, model, known, outcome.thresholds))
+def _with_choices(drive: Drive, conclusion: Conclusion, number: int) -> Drive:
+    """The drive with the effects that were chosen in its plain model."""
+    chosen = [component.term for component in conclusion.explained.drives[number].chosen]
+    present = {term.effect.name for term in drive.model.terms}
+    new = [term for term in chosen if term is not None and term.effect.name not in present]
+    return drive.having((*drive.model.terms, *new)) if new else drive
 
 
 def _experiments(
-    beside: BesideRoad, pairs: Sequence[tuple[Effect, Effect | None]], ranking: Sequence[Finding]
+    conclusion: Conclusion,
+    effects: Sequence[Effect],
+    verdict: Verdict,
+    named: Sequence[Finding],
+    ranking: Sequence[Finding],
 ) -> tuple[Experiment, ...]:
+    pairs = facts.unsettled(conclusion.explained, effects, verdict, named)
     evidence = {finding.name: finding.log_bayes_factor for finding in ranking}
-    return experiments(beside.longest, pairs[:MAX_EXPERIMENTS], evidence)
+    return experiments(conclusion.longest, pairs[:MAX_EXPERIMENTS], evidence)
 
 
-def _p_value(outcome: Outcome, surrogates: int) -> float:
-    ranking, final = outcome.result.ranking, outcome.final
-    return p_value(ranking, final, outcome.effects, outcome.thresholds, surrogates, outcome.rng)
-
-
-def _with_road(diagnosis: Diagnosis, beside: BesideRoad, min_log_bf: float) -> Diagnosis:
-    """The diagnosis with residuals and parameters of the model that has the road as a state."""
-    final, deviation = beside.road_load
-    left = beside.left_over
-    return replace(
-        diagnosis,
-        remaining_verdict=Verdict.UNKNOWN if left > min_log_bf else Verdict.NO_GAP,
-        remaining_log_bayes_factor=left,
-        noise_floor=beside.budget.floor,
-        rms_base=beside.rms_base,
-        rms_final=beside.budget.reached,
-        final=final,
-        deviation=deviation,
-    )
-
-
-def _with_known_road(diagnosis: Diagnosis, outcome: Outcome, hidden: bool) -> Diagnosis:
-    """The diagnosis with residuals and parameters of the road load and the chosen effects."""
-    mean, deviation = averaged(outcome.final[outcome.longest], outcome.thresholds)
-    left = outcome.left.log_bayes_factor
-    remaining = Verdict.NO_GAP
-    if left > outcome.thresholds.min_log_bf_left_process:
-        remaining = Verdict.CANNOT_TELL if outcome.is_altimeter_error else Verdict.UNKNOWN
-    return replace(
-        diagnosis,
-        remaining_verdict=Verdict.CANNOT_TELL if hidden else remaining,
-        remaining_log_bayes_factor=None if hidden else left,
-        formula=described(outcome.final[outcome.longest].model) if remaining is Verdict.UNKNOWN else None,
-        noise_floor=float(np.sqrt(outcome.floor)),
-        rms_base=outcome.steps[0].rms,
-        rms_final=outcome.steps[-1].rms,
-        final=_road_load(mean),
-        deviation=_road_load(deviation),
-    )
+def _p_value(conclusion: Conclusion, effects: Sequence[Effect], count: int, rng: np.random.Generator) -> float:
+    candidates = [effect for effect in effects if not effect.absorbed and not effect.is_gravity]
+    here = max((one.gain for one in conclusion.explained.ranking), default=-np.inf)
+    return p_value(here, conclusion.explained.drives, candidates, count, rng)
 
 
 def _road_load(parameters: Floats) -> Shift:
@@ -215,10 +183,10 @@ def _deviation(model: Model) -> Shift:
     return _road_load(np.array([parameter_sd(model.base, i) for i in range(3)]))
 
 
-def _traces(outcome: Outcome) -> Traces:
+def _traces(plain: Sequence[Drive], final: Sequence[Drive]) -> Traces:
     """Means over a second."""
     parts: dict[str, list[Floats]] = {field.name: [] for field in fields(Traces)}
-    for before, after in zip(outcome.plain, outcome.final, strict=True):
+    for before, after in zip(plain, final, strict=True):
         samples = after.model.samples
         X, _ = columns(samples, before.model.terms, before.model.road_load)
         drive = Traces(

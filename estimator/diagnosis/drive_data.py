@@ -104,7 +104,7 @@ def record(pieces: list[Rows], config: Config) -> Record:
         found.append(maker.admit(samples, piece, rejected))
     idle, idle_speed = _idle(pieces)
     driven, every = Samples.concatenate(found), _whole_speed(pieces)
-    strides = _strides(pieces, config, heard, start) if config.sampler.likelihood == "road" else Strides.none()
+    strides = _strides(pieces, config, heard, start)
     return Record(
         samples=driven,
         start=start,

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.components.search import AtRest, DriveState, Form, at_rest
-from estimator.diagnosis.candidates import IDLE_POWER_SD, IDLE_POWER_SHARE
+from estimator.components.drive_state import AtRest, DriveState, Form, at_rest
+from estimator.diagnosis.explanation import IDLE_POWER_SD, IDLE_POWER_SHARE
 from estimator.diagnosis.result import Experiment
 from estimator.model.effects import Effect
 from estimator.model.effects.effect import Timing

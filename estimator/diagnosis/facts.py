@@ -1,54 +1,60 @@
-"""Facts behind the sentences of a report: remainder, doubtful candidate, advice, effects to configure."""
+"""Facts behind the sentences of a report: doubtful candidate, advice, what is open, effects to configure."""
+
+from collections.abc import Sequence
 
 from estimator.answers.diagnosis import Verdict
-from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Doubtful, Finding, Remainder
+from estimator.components.search import Explained
+from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE, Advice, Doubtful, Finding
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME, Effect
 
-
-def remainder(outcome: Outcome) -> Remainder:
-    """The process with most evidence in the final residual."""
-    left = outcome.left
-    return Remainder(left.name, left.variance**0.5, left.log_bayes_factor)
+MIN_RIVAL = 0.05  # probability from which an effect is a rival of the likeliest one
 
 
-def doubtful(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> Doubtful | None:
-    """The best candidate of a "cannot tell" without named effects; else None."""
+def doubtful(explained: Explained, verdict: Verdict, named: Sequence[Finding]) -> Doubtful | None:
+    """The likeliest candidate of a "cannot tell" without named effects; else None."""
     if verdict is not Verdict.CANNOT_TELL or named:
         return None
-    best = outcome.result.ranking[0]
-    return Doubtful(best.name, best.log_bayes_factor <= outcome.thresholds.min_log_bf(best.is_timed, others=0))
+    return Doubtful(_likeliest(explained)[0], is_weak=True)
 
 
-def advice(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> tuple[Advice, ...]:
+def _likeliest(explained: Explained) -> list[str]:
+    """Names of effects, the most probable first."""
+    return sorted(explained.probability, key=lambda name: -explained.probability[name])
+
+
+def advice(
+    explained: Explained, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
+) -> tuple[Advice, ...]:
     """The signal or manoeuvre that separates each effect from those that this drive cannot tell it apart from."""
     unsure: list[str] = []
     if verdict is Verdict.CANNOT_TELL:
-        unsure += [named[0].name, *named[0].equivalent] if named else [outcome.result.ranking[0].name]
+        unsure += [named[0].name, *named[0].equivalent] if named else _likeliest(explained)[:1]
     elif verdict is Verdict.EFFECT:
         unsure += [other for finding in named for other in finding.equivalent]
         unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
-    breaks = {effect.name: effect.breaks for effect in outcome.effects}
+    breaks = {effect.name: effect.breaks for effect in effects}
     return tuple(Advice(name, breaks[name]) for name in dict.fromkeys(unsure) if name in breaks)
 
 
-def unsettled(outcome: Outcome, verdict: Verdict, named: tuple[Finding, ...]) -> list[tuple[Effect, Effect | None]]:
+def unsettled(
+    explained: Explained, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
+) -> list[tuple[Effect, Effect | None]]:
     """Pairs of effects that the drive does not tell apart, the likelier one first; None: it may be nothing."""
-    effects = {effect.name: effect for effect in outcome.effects}
+    by_name = {effect.name: effect for effect in effects}
     pairs = [(found.name, other) for found in named for other in found.equivalent]
     if named and (pairs or verdict is Verdict.EFFECT):
-        return [(effects[a], effects[b]) for a, b in pairs if a in effects and b in effects]
-    if verdict is not Verdict.CANNOT_TELL or not outcome.result.ranking:
+        return [(by_name[a], by_name[b]) for a, b in pairs if a in by_name and b in by_name]
+    if verdict is not Verdict.CANNOT_TELL:
         return []
-    best, *others = outcome.result.ranking
-    least = best.log_bayes_factor - outcome.thresholds.min_log_bf_lead
-    rivals = [other.effect for other in others if other.log_bayes_factor > least]
-    return [(best.effect, rival) for rival in rivals] or [(best.effect, None)]
+    best, *others = _likeliest(explained)
+    rivals = [by_name[name] for name in others if explained.probability[name] > MIN_RIVAL]
+    return [(by_name[best], rival) for rival in rivals] or [(by_name[best], None)]
 
 
-def streaming_effects(named: tuple[Finding, ...], given: tuple[Term, ...]) -> tuple[str, ...]:
+def streaming_effects(named: Sequence[Finding], given: Sequence[Term]) -> tuple[str, ...]:
     """The ``given`` effects of the streaming model and those found that it can take; empty if it can take none."""
-    found = [f.name for f in named if f.name in BY_NAME and f.magnitude.name == BY_NAME[f.name].symbol and not f.span]
+    sizes = {SHOWN_SLOPE, *(effect.symbol for effect in BY_NAME.values())}  # those that a configuration can hold
+    found = [f.name for f in named if f.name in BY_NAME and f.magnitude.name in sizes and not f.span]
     names = dict.fromkeys([*(term.effect.name for term in given), *(n for n in found if BY_NAME[n].is_streaming)])
     return tuple(names) if found else ()

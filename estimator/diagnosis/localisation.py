@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import false_discovery_control
 from scipy.stats import t as student
 
-from estimator.diagnosis.evidence import block_sums
+from estimator.diagnosis.base import block_sums
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import GapMap, Place
 from estimator.signals import Floats, Quantity

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.diagnosis.evidence import Base, Blocks, blocks_of, fit_base
+from estimator.diagnosis.base import Base, Blocks, blocks_of, fit_base
+from estimator.diagnosis.drive_data import Record
 from estimator.estimation.moments import block_means
 from estimator.model.design_matrix import MASS, PLAIN, Term, columns, views
 from estimator.model.effects import View
@@ -47,6 +48,19 @@ class Model:
         """The samples as measured, and as their instruments see them."""
         own, ring = views(self.samples, self.road_load, self.terms)
         return own, replace(ring, P=self.base.Z @ self.base.theta)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One record with the plain model of it."""
+
+    record: Record
+    model: Model
+
+    def having(self, terms: tuple[Term, ...]) -> "Drive":
+        """The same drive with effects in its model; as before where they cannot be fitted."""
+        model = fit(self.model.samples, terms)
+        return self if model is None else Drive(self.record, model)
 
 
 def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:

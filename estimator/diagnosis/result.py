@@ -9,6 +9,7 @@ from estimator.components.budget import Budget
 from estimator.signals import Floats
 
 HIDDEN_GRADE = "sd of the grade"  # name of the magnitude of a grade that no signal shows
+SHOWN_SLOPE = "slope"  # the same of one that signals show
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
-"""How often noise alone would give an effect as much evidence: surrogates of the drive at hand.
+"""How often noise alone would give causes as much evidence: surrogates of the drive at hand.
 
-A surrogate has the speeds and signals of the drive, and the power of its road load plus a residual whose Fourier phases
-are drawn anew: noise of the same spectrum in which no effect acts (Theiler et al., Physica D 58, 77, 1992). What the
-model lacks and has not named is in that spectrum, which makes the p-value larger.
+A surrogate has the speeds and signals of the drive, and the acceleration of its fit plus a residual whose Fourier
+phases are drawn anew: noise of the same spectrum in which no effect acts (Theiler et al., Physica D 58, 77, 1992). What
+the model lacks and has not named is in that spectrum, which makes the p-value larger.
 """
 
 from collections.abc import Sequence
@@ -10,44 +10,43 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.diagnosis.model import fit
-from estimator.diagnosis.multi_drive import Drive, Joint, ranked
-from estimator.diagnosis.thresholds import Thresholds
-from estimator.model.design_matrix import PLAIN
+from estimator.components.component import Frame
+from estimator.components.drive_state import DriveState
+from estimator.components.search import ranked
+from estimator.estimation.road_likelihood import LAG
 from estimator.model.effects import Effect
 from estimator.signals import Floats
 
 
 def p_value(
-    ranking: Sequence[Joint],
-    final: tuple[Drive, ...],
-    effects: Sequence[Effect],
-    thresholds: Thresholds,
-    count: int,
-    rng: np.random.Generator,
+    here: float, final: Sequence[DriveState], effects: Sequence[Effect], count: int, rng: np.random.Generator
 ) -> float:
-    """Share of records whose best effect has as much evidence as in ``ranking``: ``count`` of noise, and this one.
+    """Share of records whose best effect has as much evidence as ``here``: ``count`` of noise, and this one.
 
     ``final`` drives have the effects that were named in their models.
     """
-    here = _evidence(ranking, thresholds)
     larger = 0
     for _ in range(count):
-        drawn = tuple(_surrogate(drive, rng) for drive in final)
-        larger += _evidence(ranked(drawn, effects), thresholds) >= here
+        drawn = [_surrogate(drive, rng) for drive in final]
+        larger += best_evidence(drawn, effects) >= here
     return (1 + larger) / (1 + count)
 
 
-def _evidence(ranking: Sequence[Joint], thresholds: Thresholds) -> float:
-    """The largest log Bayes factor, over what it takes to name that effect."""
-    return max((j.log_bayes_factor - thresholds.min_log_bf(j.is_timed, others=0) for j in ranking), default=-np.inf)
+def best_evidence(drives: Sequence[DriveState], effects: Sequence[Effect]) -> float:
+    """The largest log Bayes factor of an effect alone, the cost of its times and forms counted."""
+    return max((one.gain for one in ranked(drives, effects)), default=-np.inf)
 
 
-def _surrogate(drive: Drive, rng: np.random.Generator) -> Drive:
-    base, samples = drive.model.base, drive.model.samples
-    power = base.X[:, :PLAIN] @ base.theta[:PLAIN] + with_other_phases(base.residual, rng)
-    model = fit(replace(samples, P=power))
-    return drive if model is None else replace(drive, model=model)
+def _surrogate(drive: DriveState, rng: np.random.Generator) -> DriveState:
+    fit = drive.fit
+    residual = fit.strides.a - fit.fitted
+    frame = Frame.of(fit)
+    columns = np.column_stack([np.zeros(len(residual)), *(c.columns(frame)[:, 0] for c in drive.chosen)])
+    effects = columns[:, 1:] @ fit.theta[LAG + 1 : LAG + 1 + len(drive.chosen)]
+    a = drive.strides.a.copy()
+    a[drive.strides.known] = fit.fitted - effects + with_other_phases(residual, rng)
+    drawn = DriveState.of(replace(drive.strides, a=a), None, drive.is_level, fit.scales)
+    return drive if drawn is None else drawn
 
 
 def with_other_phases(x: Floats, rng: np.random.Generator) -> Floats:

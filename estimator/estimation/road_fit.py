@@ -45,8 +45,8 @@ MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 UNKNOWN_SCALE_STEP, KNOWN_SCALE_STEP = 0.7, 0.25  # first steps of the logarithms of scales, unknown or known before
 ROAD_SCALES = (0, 4, 5)  # scales that change with the smoothness of the road
 SLOPE = 4  # scale of the slopes' sd
+SLOPES = (4, 5)  # scales of the road: the sd of its slopes and their length
 VEHICLE_SCALES = (2, 3)  # scales that do not change with the smoothness of the wander
-LAG_PASSES = 4  # alternations of scales and lag; they stop when the lag stays the same
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
 
@@ -184,6 +184,8 @@ def fit(
     longest_lag: float = float(LAGS.max()),
     orders: bool = True,
     departures: Sequence[float] = (),
+    level: bool = False,
+    road_load: Floats | None = None,
 ) -> RoadFit | None:
     """Fit strides; None where too few have a known force.
 
@@ -205,12 +207,16 @@ def fit(
         Whether road and wander of other orders than the ``known`` are tried.
     departures
         Times [s] before which the load may have changed; the mass is that after the last of them.
+    level
+        Whether the road has no slopes.
+    road_load
+        [A, C, m] that columns and priors of ``terms`` are computed with at first; None: a guess by least squares.
     """
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES:
         return None
-    road_load = first_guess(driven)
-    search = _Search(strides, terms, road_load, longest_lag, departures)
+    road_load = first_guess(driven) if road_load is None else road_load
+    search = _Search(strides, terms, road_load, longest_lag, departures, level)
     if known is not None and known.readings != search.model(known.alpha, known.wander).reading_names:
         known = None
     if known is not None and not refit:
@@ -251,9 +257,11 @@ class _Search:
         road_load: Floats,
         longest_lag: float,
         departures: Sequence[float],
+        level: bool,
     ) -> None:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
         self._departures = departures
+        self._level = level
         self._models: dict[tuple[int, int], RoadModel] = {}
 
     def model(self, alpha: int, wander: int) -> RoadModel:
@@ -272,6 +280,8 @@ class _Search:
         if known is None:
             model = self.model(ALPHAS[0], ROUGH)
             values = np.array([scale.centre for scale in model.scales])
+            if self._level:
+                values[SLOPES[0]] = model.scales[SLOPES[0]].low
             start = RoadScales(
                 values=values, alpha=ALPHAS[0], wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
             )
@@ -284,7 +294,7 @@ class _Search:
             others = [i for i in range(len(scales.values)) if i not in VEHICLE_SCALES]
             order = SMOOTH if scales.wander == ROUGH else ROUGH
             scales, evidence = self._better(scales, evidence, replace(scales, wander=order), others)
-        for alpha in ALPHAS:
+        for alpha in () if self._level else ALPHAS:
             if alpha != scales.alpha:
                 scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha), ROAD_SCALES)
         return *self.likelihood(scales), evidence
@@ -302,26 +312,27 @@ class _Search:
 
     def _improved(self, scales: RoadScales, free: Sequence[int], reach: float) -> tuple[RoadScales, float]:
         likelihood, _ = self.likelihood(scales)
+        free = [i for i in free if not (self._level and i in SLOPES)]
         values, evidence = likelihood.best_scales(scales.values, free, reach)
         return replace(scales, values=values), evidence
 
     def _lagged(self, scales: RoadScales, reach: float) -> tuple[RoadScales, float]:
-        """Scales and the nearest lag of LAGS, each given the other."""
-        evidence = 0.0
-        for _ in range(LAG_PASSES):
+        """Scales and the nearest lag of LAGS, each given the other; of lags that call for each other the better one."""
+        found: dict[int, tuple[RoadScales, float]] = {}
+        while scales.lag not in found:
             scales, evidence = self._improved(scales, range(len(scales.values)), reach)
+            found[scales.lag] = scales, evidence
             likelihood, _ = self.likelihood(scales)
             beta, _, _ = likelihood.solve(likelihood.model.condition(scales.values).gram(likelihood.data))
             beta = beta / likelihood.unit
             m = 1 / float(np.clip(beta[0], 1e-6, 5e-3))
             self._road_load = np.array([beta[1] * m, beta[2] * m, m])
             left = float(np.clip(beta[LAG] * m, -LAG_SPACING, LAG_SPACING))
+            if abs(left) < 0.55 * LAG_SPACING:
+                return scales, evidence
             wanted = np.clip(LAGS[scales.lag] + left, -self._longest_lag, self._longest_lag)
-            lag = int(np.argmin(np.abs(LAGS - wanted)))
-            if lag == scales.lag or abs(left) < 0.55 * LAG_SPACING:
-                break
-            scales, reach = replace(scales, lag=lag), KNOWN_SCALE_STEP
-        return scales, evidence
+            scales, reach = replace(scales, lag=int(np.argmin(np.abs(LAGS - wanted)))), KNOWN_SCALE_STEP
+        return max(found.values(), key=lambda pair: pair[1])
 
 
 def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng: np.random.Generator) -> RoadFit:

@@ -68,6 +68,7 @@ def columns(
         context=strides.context,
         road_load=road_load,
         climb=np.zeros(len(strides)),
+        duration=DURATION,
     )
     pulling = force - C * density * strides.speed_squared
     loads = pulling[:, None] * earlier_loads(strides.t, departures)

@@ -34,7 +34,7 @@ class Term:
     def column(self, view: View) -> Floats:
         """Power [W] (n,) per unit of magnitude."""
         power = self.effect.power(view, self.shape)
-        return power if self.spans is None else power * inside(view.t, self.spans)
+        return power if self.spans is None else power * covered(view.t, view.duration, self.spans)
 
 
 def inside(t: Floats, spans: Spans) -> Floats:
@@ -43,6 +43,17 @@ def inside(t: Floats, spans: Spans) -> Floats:
     begun, ended = np.searchsorted(edges[:, 0], t, side="right"), np.searchsorted(edges[:, 1], t, side="left")
     within: Floats = (begun > ended).astype(float)
     return within
+
+
+def covered(t: Floats, duration: float, spans: Spans) -> Floats:
+    """Share (n,) of the ``duration`` [s] around each time ``t`` [s] (n,) that lies within the ``spans``."""
+    if not duration:
+        return inside(t, spans)
+    edges = np.array(spans).reshape(-1, 2)
+    after = np.clip(t[:, None] + duration / 2, edges[:, 0], edges[:, 1])
+    before = np.clip(t[:, None] - duration / 2, edges[:, 0], edges[:, 1])
+    share: Floats = (after - before).sum(axis=1) / duration
+    return share
 
 
 def union(one: Spans, other: Spans) -> Spans:

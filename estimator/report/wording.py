@@ -116,12 +116,7 @@ def configuration(d: Diagnosis) -> str:
 def gap_closed(d: Diagnosis) -> float | None:
     """Share of the gap that all chosen effects close together; None where it is not known or there was no gap."""
     closed = [effect.gap_closed.fraction for effect in d.effects if effect.gap_closed is not None]
-    if len(d.effects) == 1 or (d.effects and is_hidden(d.effects[0])):
-        return min(sum(closed), 1.0) if closed else None
-    if d.rms_base is None or d.rms_final is None or d.noise_floor is None or d.rms_base <= d.noise_floor:
-        return None
-    floor = d.noise_floor**2
-    return 1 - (d.rms_final**2 - floor) / (d.rms_base**2 - floor) if d.effects else None
+    return min(sum(closed), 1.0) if closed else None
 
 
 def is_hidden(effect: Finding) -> bool:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.components.component import hats
+from estimator.components.model_table import Cause
+from estimator.components.processes import hats
 from estimator.components.set_likelihood import SetLikelihood, places_of
 from estimator.residual.inputs import PROCESS, Record
 from estimator.residual.noise import Noise
@@ -30,21 +31,6 @@ class Form:
     cost: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cause:
-    """A candidate or a nameless process: the numbers of its forms, and the log prior odds that it acts."""
-
-    name: str
-    is_named: bool
-    forms: tuple[int, ...]
-    log_odds: float
-
-    @property
-    def log_prior(self) -> float:
-        """Of each form, against the cause's absence."""
-        return self.log_odds - float(np.log(len(self.forms)))
-
-
 def forms_of(record: Record) -> tuple[list[Form], list[Cause]]:
     """All forms of all causes."""
     forms: list[Form] = []
@@ -53,7 +39,15 @@ def forms_of(record: Record) -> tuple[list[Form], list[Cause]]:
     def add(name: str, is_named: bool, odds: float, own: Sequence[Form]) -> None:
         numbers = tuple(range(len(forms), len(forms) + len(own)))
         forms.extend(own)
-        causes.append(Cause(name=name, is_named=is_named, forms=numbers, log_odds=float(np.log(odds))))
+        causes.append(
+            Cause(
+                name=name,
+                is_named=is_named,
+                forms=numbers,
+                log_odds=float(np.log(odds)),
+                log_forms=float(np.log(len(numbers))),
+            )
+        )
 
     for name, c in record.candidates.items():
         form = Form(cause=name, columns=c.column[:, None], sd=c.sd, positive=c.positive)

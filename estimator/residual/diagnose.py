@@ -14,11 +14,11 @@ from scipy.special import log_ndtr
 from estimator.answers.diagnosis import Verdict
 from estimator.blas_threads import one_blas_thread
 from estimator.components.formula import Variable, best_formula, judged
+from estimator.components.model_table import Cause, Chosen, ModelTable, weigh
 from estimator.errors import InputError
 from estimator.residual.answer import Description, ResidualDiagnosis, Suspect
-from estimator.residual.causes import Cause, Form, ResidualLikelihood, forms_of
+from estimator.residual.causes import Form, ResidualLikelihood, forms_of
 from estimator.residual.inputs import Axis, Candidate, Record, checked, checked_unit
-from estimator.residual.models import Chosen, ModelTable, weigh
 from estimator.residual.noise import Noise, Scales, fit_noise
 from estimator.residual.places import disagreements
 from estimator.residual.shares import budget, held_out

@@ -8,11 +8,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from estimator.components.model_table import Cause, ModelTable
 from estimator.components.set_likelihood import Posterior
 from estimator.residual.answer import Part
-from estimator.residual.causes import Cause, Form, ResidualLikelihood
+from estimator.residual.causes import Form, ResidualLikelihood
 from estimator.residual.inputs import NOISE, Record
-from estimator.residual.models import ModelTable
 from estimator.residual.noise import Noise, Scales
 from estimator.signals import Floats
 

@@ -32,10 +32,9 @@ from blind.tables import as_row
 from blind.truth import Truth
 from estimator.answers.diagnosis import DiagnosisAnswer, Verdict
 from estimator.config import Config
-from estimator.diagnosis.averaged_residual import averages_of
-from estimator.diagnosis.candidates import assess
 from estimator.diagnosis.model import fit, select
 from estimator.diagnosis.result import Diagnosis
+from estimator.model.design_matrix import Term
 from estimator.model.effects import CATALOGUE
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.streaming.drive_extraction import drives
@@ -62,15 +61,16 @@ def library_of(log: Path) -> Library | None:
     model = None if kept is None else fit(record.samples[kept])
     if model is None:
         return None
-    candidates = assess(model, averages_of(model), CATALOGUE, record.known, None)
+    effects = [effect for effect in CATALOGUE if not effect.absorbed and effect.usable_shapes(record.known)]
+    terms = [Term(effect, effect.usable_shapes(record.known)[0]) for effect in effects]
     own, _ = model.views()
     X = model.base.X
-    raw = np.column_stack([own.P, *(candidate.term.column(own) for candidate in candidates)])
+    raw = np.column_stack([own.P, *(term.column(own) for term in terms)])
     rest = raw - X @ np.linalg.lstsq(X, raw, rcond=None)[0]
     spread = rest.std(axis=0)
     usable = spread > 1e-9 * raw.std(axis=0)
     scaled = rest[:, usable] / spread[usable]
-    names = tuple(c.name for c, use in zip(candidates, usable[1:], strict=True) if use)
+    names = tuple(effect.name for effect, use in zip(effects, usable[1:], strict=True) if use)
     return Library(names, scaled[:, 1:], scaled[:, 0])
 
 

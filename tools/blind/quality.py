@@ -71,8 +71,7 @@ def gap_closed_and_times(cases: Sequence[Case]) -> list[Measure]:
         fractions = [c.fraction for c in closed if c is not None and c.fraction is not None]
         if len(fractions) == len(run.named) and truth.stratum == "oracle > 10":
             oracle = truth.gap_closed[key_of(effect.world for effect in hits)]
-            # Each effect closes a share of the gap that remains after the effects before it.
-            promised.append((case, 1.0 - float(np.prod([1.0 - x for x in fractions])) - oracle))
+            promised.append((case, min(sum(fractions), 1.0) - oracle))
             if len(fractions) == 1:
                 inside[truth.drive] = any(c is not None and answer.holds(c, oracle) for c in closed)
         for effect in hits:

@@ -64,6 +64,7 @@ DRAFTING = Effect(
     unit="1",
     power=lambda view, shape: -view.C * view.density * view.v**3,
     usual=always(0.25),
+    largest=0.5,
     timing=Timing.SWITCHING,
     breaks="a change of speed behind the vehicle ahead, or the distance to it on the bus",
 )

@@ -11,6 +11,7 @@ from typing import Any
 from estimator.signals import Floats, Quantity, Role
 
 TYPICAL_MASS = 27e3  # kg, a loaded tractor and semi-trailer
+USUAL_TO_LARGEST = 4.0  # largest magnitude over the usual one, where no other is known
 
 Shape = Any  # what an effect is non-linear in: a time constant [s], a direction [rad], a source, None
 Usual = Callable[[Floats], float]  # usual magnitude for a vehicle with road load [A, C, m]
@@ -45,6 +46,7 @@ class View:
     context: Context
     road_load: Floats
     climb: Floats  # [m/s], vertical speed by a signal in the model; 0 without one
+    duration: float = 0.0  # [s] that each of them is the mean of; 0: values at a time
 
     @property
     def A(self) -> float:
@@ -97,6 +99,8 @@ class Effect:
         Power [W] (n,) per unit of magnitude, given a `View` and one of the ``shapes``.
     usual
         Magnitude that is usual for a vehicle with ``road_load`` = [A, C, m]: scale of its prior.
+    largest
+        Magnitude beyond which it must be something else, as its coefficient; None: four times the usual one.
     positive
         Whether a negative magnitude makes no sense.
     needs
@@ -120,6 +124,9 @@ class Effect:
         Its magnitude is the mass: in the model it joins m instead of adding a parameter.
     absorbed
         A, C and m fit it completely, so no drive gives evidence of it, whatever its size.
+    sized
+        Magnitude from its coefficient, where the column is computed with the acceleration that the force gives the
+        vehicle without the effect; None: they are the same.
     breaks
         Signal or manoeuvre that would show it.
     """
@@ -131,6 +138,7 @@ class Effect:
     unit: str
     power: Callable[[View, Shape], Floats]
     usual: Usual
+    largest: float | None = None
     positive: bool = True
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
@@ -143,6 +151,7 @@ class Effect:
     is_gravity: bool = False
     absorbed: bool = False
     equivalent: tuple[str, ...] = ()
+    sized: Callable[[float], float] | None = None
     breaks: str = ""
 
     def usable_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:
@@ -155,6 +164,10 @@ class Effect:
         """The shapes with which it can be in the streaming model: a signal must show when it acts."""
         usable = self.usable_shapes(known)
         return usable if self.timing is Timing.ALWAYS else tuple(s for s in usable if isinstance(s, Quantity))
+
+    def limit(self, road_load: Floats) -> float:
+        """Magnitude beyond which it must be something else."""
+        return USUAL_TO_LARGEST * self.usual(road_load) if self.largest is None else self.largest
 
     @property
     def wanted(self) -> tuple[Role, ...]:

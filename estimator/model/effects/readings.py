@@ -29,6 +29,7 @@ TORQUE_BIAS = Effect(
     unit="N m",
     power=lambda view, shape: view.context[Quantity.ENGINE_SPEED],
     usual=by_mass(50.0),
+    largest=300.0,
     positive=False,
     needs=(Quantity.ENGINE_SPEED,),
     at_rest=lambda idle: idle,

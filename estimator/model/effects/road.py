@@ -41,9 +41,11 @@ MASS_STEP = Effect(
     unit="1",
     power=lambda view, shape: (view.A + view.m * view.a) * view.v + view.m * STANDARD_GRAVITY * view.climb,
     usual=always(0.3),
+    largest=3.0,
     positive=False,
     timing=Timing.STEP,
     is_noisy=True,
+    sized=lambda share: share / (1 - share),
     breaks="accelerations after the stop, or axle loads on the bus",
 )
 
@@ -82,6 +84,7 @@ CORNERING = Effect(
     unit="N s^4/m^2",
     power=lambda view, shape: view.v * view.context[Quantity.LATERAL_ACCELERATION] ** 2,
     usual=by_mass(600.0),
+    largest=4e3,
     needs=(Quantity.LATERAL_ACCELERATION,),
     breaks="yaw rate or lateral acceleration on the bus, and bends taken without braking",
 )
@@ -94,6 +97,7 @@ BRAKE_USE = Effect(
     unit="N",
     power=lambda view, shape: view.v,
     usual=by_mass(4e3),
+    largest=20e3,
     timing=Timing.SWITCHING,
     dwells=(12.0,),
     breaks="brake switch or brake pressure on the bus",

@@ -7,20 +7,44 @@ table.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.special import logsumexp
 
-from estimator.components.set_likelihood import SetLikelihood
-from estimator.residual.causes import Cause
 from estimator.signals import Floats
 
 WINDOW = 9.0  # in log probability: from sets 8,000 times less probable than the best no step is made
 BEAM = 12  # sets of one step from which the next is made: bounds the cost
 MAX_CAUSES = 5  # in a set
-MAX_STEPS = 2 * MAX_CAUSES  # up to the largest sets, and down again
 
 Chosen = tuple[int, ...]
+
+
+class Evidence(Protocol):
+    """Of sets of forms, by their numbers."""
+
+    def log_evidence(self, chosen: Sequence[int]) -> float:
+        """Of one set, less the costs of its forms."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """A candidate or a nameless process: the numbers of its forms, and the log prior odds that it acts.
+
+    ``log_forms``: log of the number of forms that share these odds; forms with a cost of their own are not among them.
+    """
+
+    name: str
+    is_named: bool
+    forms: tuple[int, ...]
+    log_odds: float
+    log_forms: float
+
+    @property
+    def log_prior(self) -> float:
+        """Of each form, against the cause's absence."""
+        return self.log_odds - self.log_forms
 
 
 @dataclass(frozen=True)
@@ -47,13 +71,13 @@ class ModelTable:
         return float(sum(p for p, own in zip(self.probability, self.sets, strict=True) if wanted & set(own)))
 
 
-def weigh(likelihood: SetLikelihood, causes: Sequence[Cause]) -> ModelTable:
-    """Grow the table from the empty set."""
+def weigh(likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES) -> ModelTable:
+    """Grow the table from the empty set, up to sets of ``max_causes``."""
     of = {form: cause for cause in causes for form in cause.forms}
     log: dict[Chosen, float] = {(): likelihood.log_evidence([])}
     frontier: list[Chosen] = [()]
-    for _ in range(MAX_STEPS):
-        near = {other for own in frontier for other in _neighbours(own, of)} - log.keys()
+    for _ in range(2 * max_causes):  # up to the largest sets, and down again
+        near = {other for own in frontier for other in _neighbours(own, of, max_causes)} - log.keys()
         found = {own: likelihood.log_evidence(own) + sum(of[form].log_prior for form in own) for own in sorted(near)}
         log |= found
         least = max(log.values()) - WINDOW
@@ -67,9 +91,9 @@ def weigh(likelihood: SetLikelihood, causes: Sequence[Cause]) -> ModelTable:
     return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)
 
 
-def _neighbours(own: Chosen, of: Mapping[int, Cause]) -> Iterator[Chosen]:
+def _neighbours(own: Chosen, of: Mapping[int, Cause], max_causes: int) -> Iterator[Chosen]:
     """Sets with one form more, of a cause that is absent, and with one less."""
     present = {of[form].name for form in own}
-    if len(own) < MAX_CAUSES:
+    if len(own) < max_causes:
         yield from (tuple(sorted((*own, form))) for form, cause in of.items() if cause.name not in present)
     yield from (tuple(form for form in own if form != gone) for gone in own)

@@ -1,0 +1,151 @@
+"""One drive, the components chosen for it so far, and the fit of road and noise beside them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from estimator.components.component import Component, Frame, as_terms, of_effect, of_term
+from estimator.components.likelihood import JointLikelihood
+from estimator.components.set_likelihood import Judged
+from estimator.components.switching import best_times
+from estimator.estimation.road_fit import RoadFit, RoadScales, fit
+from estimator.model.design_matrix import Term
+from estimator.model.effects.effect import Effect, Timing
+from estimator.signals import Floats
+from estimator.strides import Strides
+
+PROBE_SEED = 20_042  # of the simulated noise in the corrections
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """Power [W] of the engine while the vehicle stands, its sd, and the engine's speed [rad/s] then."""
+
+    power: float
+    sd: float
+    engine_speed: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """The best form of an effect on one drive: gain in log evidence, costs and all forms counted; value and sd."""
+
+    component: Component
+    gain: float
+    value: float
+    sd: float
+    trace: Floats  # (n,) its column
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveState:
+    """One drive, the components chosen for it so far, and the fit of the road beside them; ``rest`` None: unknown.
+
+    ``is_level``: the road has no slopes.
+    """
+
+    strides: Strides
+    fit: RoadFit
+    rest: AtRest | None
+    chosen: tuple[Component, ...] = ()
+    is_level: bool = False
+
+    @classmethod
+    def of(
+        cls, strides: Strides, rest: AtRest | None, is_level: bool = False, known: RoadScales | None = None
+    ) -> "DriveState | None":
+        """The plain start, from scales ``known`` before; None where too little is known."""
+        found = fit(strides, np.random.default_rng(PROBE_SEED), (), known, level=is_level)
+        if found is None or not found.beta[0] > 0:
+            return None
+        return cls(strides=strides, fit=found, rest=rest, is_level=is_level)
+
+    def having(self, chosen: tuple[Component, ...], processes: tuple[Component, ...] = ()) -> "DriveState":
+        """With other effects; scales of road and noise are found again beside them and beside nameless processes."""
+        frame = Frame.of(self.fit)
+        terms = [component.term for component in chosen if component.term is not None]
+        terms += [term for process in processes for term in as_terms(frame, process)]
+        found = fit(
+            self.strides,
+            np.random.default_rng(PROBE_SEED),
+            tuple(terms),
+            self.fit.scales,
+            orders=False,
+            level=self.is_level,
+            road_load=frame.road_load,
+        )
+        return self if found is None else replace(self, fit=found, chosen=chosen)
+
+    def joint(self, candidates: Sequence[Component] = ()) -> JointLikelihood:
+        """The likelihood of those chosen, which come first, and of ``candidates``."""
+        components = [*self.chosen, *candidates]
+        joint = JointLikelihood(self.strides, self.fit, components, np.random.default_rng(PROBE_SEED))
+        if self.rest is not None:
+            per_unit = {i: at_rest(component, self.rest) for i, component in enumerate(components)}
+            weights = {i: power / self.rest.sd for i, power in per_unit.items() if power}
+            joint.observe(weights, self.rest.power / self.rest.sd)
+        return joint
+
+    def forms(self, effects: Sequence[Effect]) -> dict[str, Form]:
+        """The best form of each of ``effects`` that this drive can test and that is not chosen."""
+        known, frame = frozenset(self.strides.context), Frame.of(self.fit)
+        present = {component.name for component in self.chosen}
+        absent = [effect for effect in effects if effect.name not in present]
+        given = [component for effect in absent for component in of_effect(frame, effect, known)]
+        joint, ours = self.joint(given), list(range(len(self.chosen)))
+        places = range(len(ours), len(ours) + len(given))
+        judged = joint.gains(ours, places)
+        found: dict[str, Form] = {}
+        for effect in absent:
+            alike = [i for i, component in enumerate(given) if component.name == effect.name]
+            if alike:
+                found[effect.name] = _best(frame, given, judged, alike)
+            timed = _timed(joint, ours, effect)
+            if timed is not None and (effect.name not in found or timed.gain > found[effect.name].gain):
+                found[effect.name] = timed
+        return found
+
+
+def at_rest(component: Component, rest: AtRest) -> float:
+    """Power [W] per unit of magnitude that it takes at rest."""
+    effect = None if component.term is None else component.term.effect
+    return 0.0 if effect is None or effect.at_rest is None else effect.at_rest(rest.engine_speed)
+
+
+def has_free_times(effect: Effect) -> bool:
+    """Whether no signal shows when it acts, so that its times are fitted."""
+    return effect.timing in (Timing.WINDOW, Timing.SWITCHING) and None in effect.shapes
+
+
+def _timed(joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
+    """The form with fitted times."""
+    if not has_free_times(effect):
+        return None
+    times = best_times(joint, ours, Term(effect), effect.timing is Timing.WINDOW)
+    if times is None:
+        return None
+    component = of_term(joint.frame, Term(effect, None, times[0]), times[1])
+    column = component.columns(joint.frame)
+    products, score = joint.projected(ours, column)
+    precision = float(products[0, 0]) + component.sd**-2.0
+    gain = 0.5 * float(score[0]) ** 2 / precision - 0.5 * np.log(precision * component.sd**2)
+    return Form(
+        component=component,
+        gain=float(gain) - component.cost,
+        value=float(score[0]) / precision,
+        sd=precision**-0.5,
+        trace=column[:, 0],
+    )
+
+
+def _best(frame: Frame, given: Sequence[Component], judged: Judged, places: Sequence[int]) -> Form:
+    """The form of most evidence, averaged over forms of equal prior probability."""
+    gains = judged.gain[list(places)] - np.array([given[i].cost for i in places])
+    best = places[int(np.argmax(gains))]
+    gain = float(logsumexp(gains)) - np.log(len(places))
+    column = given[best].columns(frame)[:, 0]
+    return Form(
+        component=given[best], gain=gain, value=float(judged.value[best]), sd=float(judged.sd[best]), trace=column
+    )

@@ -1,0 +1,172 @@
+"""Nameless processes: what acts without being in the catalogue, as columns with a prior.
+
+Most are hat functions along an axis, times what they are proportional to. A swing has one period during the whole
+drive; a mass on a spring and a damper rings on after accelerations; a power or a force may be switched.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from scipy.signal import lfilter
+
+from estimator.components.component import Columns, Component, Frame
+from estimator.components.likelihood import JointLikelihood
+from estimator.components.switching import CHANGE_COST
+from estimator.model.design_matrix import Spans, covered
+from estimator.signals import Floats, Quantity
+from estimator.strides import DURATION, LAGS
+
+TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter ones cannot be separated from slopes
+SPEEDS = (3.0,)  # m/s
+ENGINE_SPEEDS = (15.0,)  # rad/s
+STRENGTHS = (0.1, 0.3, 1.0)  # of what is usual
+GAIN_ERROR = 0.1  # share of the force, usual where a gain wanders
+USUAL_POWER = 0.3  # W/kg, 8 kW for a truck of 27 t
+TYPICAL_TURNS = 120.0  # rad/s of an engine, to state the torque that takes a power
+MIN_PERIOD, MAX_PERIOD = 20.0, 600.0  # s, of a swing
+FREQUENCY_STEP = 0.25  # step of its frequency, over the inverse length of the drive
+SWINGS = 3  # periods that are tried
+RING_PERIODS = 1.5 * 1.13 ** np.arange(12)  # s, up to 5.8
+DAMPING_RATIOS = (0.05, 0.15)
+LONGEST_RING = 400.0  # strides of a gap that are counted: it has rung out then
+RINGING_SHARE = 0.1  # of the vehicle's mass that rings, sd of its prior
+USUAL_LAG = (-0.06, 0.12)  # s, of power behind speed: control units send torque later than speed
+LOW_PASS_SD = 0.05  # s^2, of half the square of the time constant of a low-pass of the speed: 0.3 s
+LOW_PASS = "a low-pass of the speed"
+SWITCHED_POWER, SWITCHED_FORCE = 1.2, 0.13  # W/kg and N/kg, usual: 32 kW and twice A for a truck of 27 t
+DWELL_COST = 2.0  # log of the e-foldings from seconds to the drive's length: how long it is on is not known
+SWITCHES = {"a power that switches": "W", "a force that switches": "N"}  # with the units of their size
+SWING, RING = "swings", "a mass that rings on after accelerations"
+
+
+def processes(frame: Frame) -> Iterator[Component]:
+    """All processes but swings, in all their lengths and strengths; a low-pass where the lag is not a usual one."""
+    A, C, m = frame.road_load.tolist()
+    s = frame.strides
+    over = [
+        ("power over time", _power, USUAL_POWER * m, s.t, TIMES),
+        ("force over time", _force, 0.3 * A, s.t, TIMES),
+        ("drag over time", _drag, 0.3 * C, s.t, TIMES),
+        ("gain over time", _measured, GAIN_ERROR, s.t, TIMES),
+        ("force over speed", _force, 0.3 * A, s.speed, SPEEDS),
+    ]
+    turns, gear = s.context.get(Quantity.ENGINE_SPEED), s.context.get(Quantity.GEAR)
+    if turns is not None and np.isfinite(turns).all():
+        over.append(("power over engine speed", _power, USUAL_POWER * m, turns, ENGINE_SPEEDS))
+    for name, profile, usual, axis, lengths in over:
+        for length in lengths:
+            columns = _along(profile, hats(axis, length))
+            for strength in STRENGTHS:
+                yield Component(name=name, columns=columns, sd=strength * usual, is_noisy=profile is _measured)
+    if gear is not None and np.isfinite(gear).all():
+        each = (np.round(gear)[:, None] == np.unique(np.round(gear))).astype(float)
+        for strength in STRENGTHS:
+            yield Component(name="power by gear", columns=_along(_power, each), sd=strength * USUAL_POWER * m)
+    if not USUAL_LAG[0] < frame.lag < USUAL_LAG[1]:
+        yield Component(name=LOW_PASS, columns=_bent, sd=LOW_PASS_SD / m)
+    for period in RING_PERIODS.tolist():
+        for ratio in DAMPING_RATIOS:
+            yield Component(name=RING, columns=_ring(period, ratio), sd=RINGING_SHARE * m, positive=True, is_noisy=True)
+
+
+def swings(joint: JointLikelihood, chosen: list[int]) -> Iterator[Component]:
+    """A power or torque that swings with one period during the whole drive: the periods of most evidence.
+
+    ``joint`` and ``chosen``: the likelihood, and the components beside which it is looked for.
+    """
+    frame, s = joint.frame, joint.frame.strides
+    t, span = s.t - s.t[0], float(np.ptp(s.t))
+    frequencies = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, FREQUENCY_STEP / span)
+    profiles = [_power]
+    turns = s.context.get(Quantity.ENGINE_SPEED)
+    if turns is not None and np.isfinite(turns).all():
+        profiles.append(_torque)
+    rest = joint.weighed_residual(chosen)
+    cost = float(np.log(len(frequencies) * len(profiles)))
+    for profile in profiles:
+        score = np.abs(np.exp(2j * np.pi * np.outer(frequencies, t)) @ (frame.as_acceleration(profile(frame)) * rest))
+        for frequency in frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist():
+            angle = 2 * np.pi * frequency * t
+            columns = _along(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
+            for strength in STRENGTHS:
+                usual = strength * USUAL_POWER * float(frame.road_load[2])
+                yield Component(name=SWING, columns=columns, sd=usual, cost=cost + float(np.log(len(STRENGTHS))))
+
+
+def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
+    """A power and a force that are on in ``spans`` alone, and not for as long as those of any effect usually are."""
+    on = covered(frame.strides.t, DURATION, spans)[:, None]
+    m, cost = float(frame.road_load[2]), len(spans) * (2 * CHANGE_COST + DWELL_COST)
+    for name, profile, usual in zip(SWITCHES, (_power, _force), (SWITCHED_POWER, SWITCHED_FORCE), strict=True):
+        yield Component(name=name, columns=_along(profile, on), sd=usual * m, cost=cost, spans=spans)
+
+
+def _power(frame: Frame) -> Floats:
+    return np.ones(len(frame.strides))
+
+
+def _torque(frame: Frame) -> Floats:
+    return frame.strides.context[Quantity.ENGINE_SPEED] / TYPICAL_TURNS
+
+
+def _force(frame: Frame) -> Floats:
+    return frame.strides.speed
+
+
+def _drag(frame: Frame) -> Floats:
+    return frame.strides.speed**3
+
+
+def _measured(frame: Frame) -> Floats:
+    return frame.force * frame.strides.speed
+
+
+def _along(profile: Callable[[Frame], Floats], shapes: Floats) -> Columns:
+    return lambda frame: frame.as_acceleration(shapes * profile(frame)[:, None])
+
+
+def _bent(frame: Frame) -> Floats:
+    """Second derivative of the force [N/s^2] (n, 1): what a low-pass of the speed does beyond a lag."""
+    force = frame.strides.force
+    middle = int(np.clip(np.argmin(np.abs(force - frame.force[:, None]).sum(axis=0)), 1, force.shape[1] - 2))
+    spacing = float(LAGS[1] - LAGS[0])
+    return ((force[:, middle + 1] - 2 * force[:, middle] + force[:, middle - 1]) / spacing**2)[:, None]
+
+
+def _ring(period: float, ratio: float) -> Columns:
+    return lambda frame: frame.as_acceleration(frame.strides.speed * ringing(frame, period, ratio))[:, None]
+
+
+def ringing(frame: Frame, period: float, ratio: float) -> Floats:
+    """Acceleration x'' [m/s^2] (n,) of a mass on a spring and a damper against the vehicle, averaged over each stride.
+
+    x'' + 2 d w x' + w^2 x = -a, with w = 2 pi over the ``period`` [s], the damping ``ratio`` d, and the acceleration a
+    that the force gives the vehicle on level ground. With its complex mode q,
+
+        q' = L q + a,    L = w (-d + i sqrt(1 - d^2)),    x'' = -a - Im(L^2 q) / Im L
+
+    It rings out in the gaps of a drive.
+    """
+    w = 2 * np.pi / period
+    mode = w * complex(-ratio, np.sqrt(1 - ratio**2))
+    decay = np.exp(mode * DURATION)
+    reached = (decay - 1) / mode  # by q, from an acceleration of 1 during a stride
+    mean = (reached / DURATION - 1) / mode  # of q, over that stride
+    steps = np.minimum(
+        np.rint(np.diff(frame.strides.t, prepend=frame.strides.t[0] - DURATION) / DURATION), LONGEST_RING
+    )
+    at = np.cumsum(steps).astype(np.int64)  # with strides of no acceleration in the gaps
+    a = np.zeros(at[-1] + 1)
+    a[at] = frame.view.a
+    before = np.concatenate([[0.0], lfilter([reached], [1.0, -decay], a)[:-1]])
+    q = before * (decay - 1) / (mode * DURATION) + a * mean
+    ring: Floats = (-a - (mode**2 * q).imag / mode.imag)[at]
+    return ring
+
+
+def hats(axis: Floats, spacing: float) -> Floats:
+    """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,): they sum to one everywhere."""
+    place = (axis - axis.min()) / spacing
+    peaks = np.arange(int(np.ceil(place.max())) + 1)
+    found: Floats = np.maximum(1 - np.abs(place[:, None] - peaks), 0.0)
+    return found[:, found.any(axis=0)]

@@ -1,0 +1,87 @@
+"""What explains the drives: the most probable set of effects and processes, on a level road or beside its slopes.
+
+The same search is made with a level road and, where that leaves evidence of slopes, with the road as a state; the one
+with more evidence explains the drives. An unmodelled force may look like slopes to the force alone, so slopes that are
+too small for a road, or that signals of the road deny, are no hills.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from estimator.components.component import Frame, of_term
+from estimator.components.drive_state import AtRest, DriveState
+from estimator.components.search import Explained, search
+from estimator.diagnosis.model import Drive
+from estimator.diagnosis.thresholds import Thresholds
+from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
+from estimator.model.effects import Effect
+
+IDLE_POWER_SD, IDLE_POWER_SHARE = 800.0, 0.15  # sd of the power at idle: [W], and share of it; torque is coarse there
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The drives with what acts on them; ``slopes``: log Bayes factor of a road that is not level, None if given."""
+
+    explained: Explained
+    is_sloping: bool  # the road is a state in the model
+    slopes: float | None
+    is_hilly: bool  # the slopes are those of a road
+
+    @property
+    def longest(self) -> DriveState:
+        """The drive with most strides, which figures of a single drive are taken from."""
+        return max(self.explained.drives, key=lambda drive: len(drive.fit.strides))
+
+
+def explain(drives: Sequence[Drive], effects: Sequence[Effect], thresholds: Thresholds) -> Explanation | None:
+    """Search for what acts on ``drives``; None where their motion cannot be fitted."""
+    candidates = [effect for effect in effects if not effect.absorbed and not effect.is_gravity]
+    is_given = any(term.effect.is_gravity for drive in drives for term in drive.model.terms)
+    if is_given:
+        states = _states(drives, is_level=False)
+        return None if states is None else Explanation(search(states, candidates), True, None, True)
+    plain = _states(drives, is_level=True)
+    if plain is None:
+        return None
+    level = search(plain, candidates)
+    slopes = sum(log_bayes_factor_of_road(drive.strides, drive.fit) for drive in level.drives)
+    if slopes < thresholds.min_log_bf_slopes:
+        return Explanation(level, False, slopes, False)
+    sloping = _states(drives, is_level=False)
+    if sloping is None:
+        return Explanation(level, False, slopes, False)
+    beside = search(sloping, candidates)
+    gain = min(
+        beside.log_evidence - level.log_evidence,
+        sum(log_bayes_factor_of_road(drive.strides, drive.fit) for drive in beside.drives),
+    )
+    if gain < thresholds.min_log_bf_slopes:
+        return Explanation(level, False, gain, False)
+    return Explanation(beside, True, gain, _is_hilly(beside, thresholds))
+
+
+def _is_hilly(explained: Explained, thresholds: Thresholds) -> bool:
+    """Whether what varies with place is a road: steep enough, and not denied by its signals."""
+    longest = max(explained.drives, key=lambda drive: len(drive.fit.strides))
+    shown = [drive for drive in explained.drives if drive.fit.scales.readings]
+    signals = sum(log_bayes_factor_of_signals(drive.strides, drive.fit) for drive in shown)
+    return longest.fit.slope_sd > thresholds.min_grade_sd and (not shown or signals > thresholds.min_log_bf_effect)
+
+
+def _states(drives: Sequence[Drive], is_level: bool) -> tuple[DriveState, ...] | None:
+    """The drives with the effects that are given; None where one cannot be fitted."""
+    found = [_state(drive, is_level) for drive in drives]
+    states = tuple(state for state in found if state is not None)
+    return states if len(states) == len(drives) else None
+
+
+def _state(drive: Drive, is_level: bool) -> DriveState | None:
+    idling = drive.record.idling
+    rest = None if idling is None else AtRest(idling[0], IDLE_POWER_SD + IDLE_POWER_SHARE * abs(idling[0]), idling[1])
+    state = DriveState.of(drive.record.strides, rest, is_level)
+    if state is None:
+        return None
+    frame = Frame.of(state.fit)
+    terms = [term for term in drive.model.terms if not (term.effect.is_gravity or term.effect.absorbed)]
+    return state.having(tuple(of_term(frame, term) for term in terms)) if terms else state
