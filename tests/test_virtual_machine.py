@@ -35,7 +35,7 @@ def test_a_system_of_its_own_is_unpacked_and_started(tmp_path: Path) -> None:
     assert "exec chroot . /bin/busybox" not in with_system
 
 
-@pytest.mark.parametrize("program", ["package_trial"])
+@pytest.mark.parametrize("program", ["package_trial", "attack_trial"])
 def test_programs_in_the_machine_need_nothing_but_python(program: str) -> None:
     code = f"import sys; sys.path.insert(0, {str(TOOLS)!r}); import vm.{program}"
     done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True)

@@ -36,7 +36,7 @@ def main() -> int:
     parser.add_argument("--only", default="", help="attacks whose name contains this")
     parser.add_argument("--write", action="store_true", help="put the table into docs/adversary.md")
     options = parser.parse_args()
-    drive, config = _drive(options.minutes, options.seed), Config()
+    drive, config = drive_of(options.minutes, options.seed), Config()
     clean = look_at(drive, config)
     rows, outcomes = [_line(*COLUMNS), _line(*["---"] * len(COLUMNS))], []
     for attack in attacks():
@@ -47,8 +47,7 @@ def main() -> int:
     table = "\n".join([*summary(clean, outcomes), "", *rows])
     print(table.partition("\n\n")[0])
     if options.write:
-        before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-        PAGE.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+        write_table(BEGIN, table)
     return int(any(outcome.worst_sd > BIASED_SD for outcome in outcomes))
 
 
@@ -73,13 +72,20 @@ def summary(clean: list[Look], outcomes: list[Outcome]) -> list[str]:
     ]
 
 
+def write_table(begin: str, table: str) -> None:
+    """Put a table into the page, between the line ``begin`` and the next END."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(begin)
+    PAGE.write_text(f"{before}{begin}\n\n{table}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+
+
 def names_on(page: str) -> list[str]:
     """The attacks in the table of a page, in order."""
     table = page.partition(BEGIN)[2].partition(END)[0]
     return [cells[1] for line in table.splitlines() if len(cells := re.split(r" ?\| ?", line)) == 8][2:]
 
 
-def _drive(minutes: float, seed: int) -> Frames:
+def drive_of(minutes: float, seed: int) -> Frames:
+    """A drive of the truck without an attack."""
     rng = np.random.default_rng(seed)
     route = generate_route("mixed", minutes * METRES_PER_MINUTE, rng)
     return frames_of(record(TRUCK, route, minutes * 60, rng).signals)

@@ -1,0 +1,161 @@
+"""Attacks one after the other on one drive: their order and times, and what is made of the values that were heard."""
+
+import json
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "tools"))
+
+import can
+from attacks_vm import heard_in, summary, table
+from bus_attacks.catalogue import attacks
+from bus_attacks.sequence import HELD, LEAD, SLOT, Heard, Slot, Values, chosen, in_sequence, results
+
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io.publisher import output_database
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+
+TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
+TRUE: Values = {"mass": (27_190.0, 100.0), "A": (1739.0, 50.0), "C": (3.74, 0.1)}
+FIRST, BEGAN = 1000.0, 5000.0  # s, of the drive and of the machine's clock
+SLOTS = [Slot(name="one", start=100.0, stop=140.0, end=190.0)]
+
+
+def heard(withheld: tuple[float, float] = (0, 0), wrong: tuple[float, float] = (0, 0), off: float = 0.0) -> list[Heard]:
+    """Values every 5 s for 300 s; none, and wrong ones, between the given times."""
+    found = []
+    for t in np.arange(0.0, 300.0, 5.0).tolist():
+        mass = (27_190.0 + (off if wrong[0] <= t < wrong[1] else 0.0), 100.0)
+        found.append(Heard(t, None if withheld[0] <= t < withheld[1] else TRUE | {"mass": mass}))
+    return found
+
+
+def test_all_attacks_that_begin_in_the_middle_follow_each_other_those_of_a_signal_apart() -> None:
+    order = chosen()
+    assert {one.name for one in order} == {one.name for one in attacks() if one.shares[0] > 0}
+    signals = [" ".join(one.name.split()[:2]) for one in order]
+    repeated = next(k for k, (one, other) in enumerate(pairwise(signals)) if one == other)
+    assert len(set(signals[repeated:-1])) == 1  # there is no other left to be put between
+    assert order[-1].name == "the engine's controller changes its address"
+
+
+def test_each_attack_changes_its_own_part_of_the_drive() -> None:
+    rng = np.random.default_rng(1)
+    drive = frames_of(record(TRUCK, generate_route("mixed", 30_000, rng), LEAD + 2 * SLOT + 60, rng).signals)
+    order = [one for one in chosen() if "torque x 1.3 in turn" in one.name or "speed x 1.1 in turn" in one.name]
+    frames, slots = in_sequence(drive, order)
+    assert [slot.start - drive.t[0] for slot in slots] == [LEAD, LEAD + SLOT]
+    assert [slot.stop - slot.start for slot in slots] == [HELD, HELD]
+    for slot in slots:
+        inside = (frames.t >= slot.start) & (frames.t < slot.stop)
+        assert inside.sum() > ((drive.t >= slot.start) & (drive.t < slot.stop)).sum() + 5 * HELD
+    outside = (frames.t < slots[0].start) | (frames.t > slots[0].stop + 1) & (frames.t < slots[1].start)
+    same = (drive.t < slots[0].start) | (drive.t > slots[0].stop + 1) & (drive.t < slots[1].start)
+    np.testing.assert_array_equal(frames.data[outside], drive.data[same])
+
+
+def test_an_attack_of_one_moment_ends_when_it_begins() -> None:
+    rng = np.random.default_rng(1)
+    drive = frames_of(record(TRUCK, generate_route("mixed", 30_000, rng), LEAD + SLOT, rng).signals)
+    order = [one for one in chosen() if one.name == "one foreign EC1 of 3,250 Nm"]
+    frames, (slot,) = in_sequence(drive, order)
+    assert slot.stop == slot.start
+    assert 0 < len(frames) - len(drive) < 10
+
+
+@pytest.mark.parametrize(
+    ("looks", "verdict"),
+    [
+        (heard(), "unharmed"),
+        (heard(withheld=(110, 150)), "withheld"),
+        (heard(withheld=(110, 300)), "withheld"),
+        (heard(wrong=(120, 125), off=450.0), "silently biased"),
+        (heard(withheld=(110, 150), wrong=(150, 155), off=-450.0), "silently biased"),
+        (heard(wrong=(120, 125), off=350.0), "unharmed"),
+        (heard(withheld=(0, 150)), "no estimate before it"),
+    ],
+)
+def test_verdicts(looks: list[Heard], verdict: str) -> None:
+    (result,) = results(looks, SLOTS, TRUCK)
+    assert result.verdict == verdict
+
+
+def test_times_to_withhold_and_to_come_back() -> None:
+    (result,) = results(heard(withheld=(110, 160)), SLOTS, TRUCK)
+    assert (result.withheld_after, result.back_after) == (10.0, 20.0)
+    (never,) = results(heard(withheld=(110, 300)), SLOTS, TRUCK)
+    assert (never.withheld_after, never.back_after) == (10.0, None)
+
+
+def test_an_attack_that_was_not_heard_to_its_end_has_no_result() -> None:
+    assert results(heard()[:35], SLOTS, TRUCK) == []
+
+
+@pytest.fixture
+def bus_log(tmp_path: Path) -> Path:
+    """A folder with what was heard: a mass 7 and 11 s after the start of the drive, and "not available" after 22 s."""
+    layout = output_database().get_message_by_name("RoadloadMass")
+    filled = {"AliveCounter": 0, "EstimateStatus": 0, "Checksum": 0}
+    known = layout.encode(filled | {"MassMean": 27_000, "MassQ05": 26_836, "MassQ95": 27_164})
+    with can.CanutilsLogWriter(tmp_path / "broadcast.log") as log:
+        for t, data in ((7.0, known), (11.0, known), (22.0, b"\xff" * 8)):
+            log.on_message_received(
+                can.Message(timestamp=BEGAN + t, arbitration_id=layout.frame_id, data=data, is_extended_id=True)
+            )
+    return tmp_path
+
+
+def test_values_are_read_from_the_log_of_the_bus_and_are_gone_when_none_is_sent(bus_log: Path) -> None:
+    (bus_log / "played.json").write_text(json.dumps({"began_s": BEGAN}))
+    found = heard_in(bus_log, FIRST, FIRST + 100.0)
+    assert [one.t - FIRST for one in found] == [0.0, 5.0, 10.0, 15.0, 20.0]
+    assert [one.values is None for one in found] == [True, True, False, False, True]
+    assert found[2].values is not None
+    mean, sd = found[2].values["mass"]
+    assert (mean, round(sd)) == (27_000.0, 100)
+
+
+def test_a_service_that_falls_silent_is_heard_as_withheld_to_the_end_of_the_drive(bus_log: Path) -> None:
+    (bus_log / "played.json").write_text(json.dumps({"began_s": BEGAN, "ended_s": BEGAN + 100.0}))
+    found = heard_in(bus_log, FIRST, FIRST + 100.0)
+    assert found[-1] == Heard(FIRST + 100.0, None)
+
+
+def test_the_table_counts_outcomes_and_those_that_differ() -> None:
+    one = results(heard(withheld=(110, 150)), SLOTS, TRUCK)
+    other = results(heard(), SLOTS, TRUCK)
+    text = table([*one, *other], [*one, *one], "")
+    assert "2 attacks: unharmed 1, withheld 1, silently biased 0" in text
+    assert "The outcome of 1 is that in process." in text
+
+
+def a_status(t: float, frames: int, pid: int = 7) -> str:
+    status = {"pid": pid, "written_s": t, "input": {"frames": frames, "kernel_drops": 2, "queue_drops": 1}}
+    return json.dumps(status | {"estimator": {"queue_drops": 3}})
+
+
+@pytest.mark.parametrize(
+    ("ended", "cut", "said"),
+    [
+        ({"ended_s": BEGAN + 20}, "", "6 of 2,000 received frames were lost; 1 restarts of the service."),
+        (
+            {},
+            '{"pid": 8, "wri',
+            "6 of 2,000 received frames were lost; 1 restarts of the service. "
+            "The run was ended after 15 of 100 s of driving.",
+        ),
+    ],
+)
+def test_losses_and_restarts_are_those_of_the_statuses(
+    ended: dict[str, float], cut: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "played.json").write_text(json.dumps({"began_s": BEGAN} | ended))
+    statuses = [a_status(BEGAN + 5, 900), "{}", a_status(BEGAN + 15, 2000, pid=8)]
+    (tmp_path / "statuses").write_text("\n".join([*statuses, cut]))
+    assert summary(tmp_path, 100.0) == said
