@@ -44,7 +44,8 @@ class JointLikelihood(SetLikelihood):
         self.model = model = RoadModel(strides, fit.scales.alpha, fit.scales.wander)
         base = Likelihood(model, (), fit.theta[:3], fit.scales.lag)
         self.conditioned: Conditioned = model.condition(fit.scales.values)
-        columns = [component.columns(self.frame) for component in components]
+        shared = list({id(component.columns): component for component in components}.values())  # by several strengths
+        columns = [component.columns(self.frame) for component in shared]
         base_size = base.data.shape[1] - 1
         widths = [column.shape[1] for column in columns]
         data = np.zeros((len(base.data), base.data.shape[1] + sum(widths)))
@@ -52,14 +53,18 @@ class JointLikelihood(SetLikelihood):
         if columns:
             data[: len(model.driven), 1 + base_size :] = np.hstack(columns)
         unit = np.concatenate([base.unit, np.ones(sum(widths))])
-        places = places_of(base_size, widths)
+        at = dict(zip([id(one.columns) for one in shared], places_of(base_size, widths), strict=True))
+        places = [at[id(component.columns)] for component in components]
         super().__init__(data, self.conditioned.gram, np.diag(base.prior).copy(), self.components, places, unit)
-        believed = self._information + np.diag(self._precision(range(len(components))))
+        widest = np.concatenate([np.diag(base.prior), np.full(sum(widths), np.inf)])
+        for place, component in zip(places, components, strict=True):
+            widest[place] = np.minimum(widest[place], component.sd**-2.0)
+        believed = self._information + np.diag(widest)
         self._information -= limited(self._noise(base, fit, rng), believed)
 
     def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
-        noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
+        noisy = list({id(one.columns): i for i, one in enumerate(self.components) if one.is_noisy}.values())
         places = np.concatenate([np.array([0, LAG, DRAG]), *(self.places[i] for i in noisy)]).astype(np.int64)
         force, n = self.frame.force, len(self.frame.force)
         total = np.zeros((self.data.shape[1] - 1, self.data.shape[1] - 1))

@@ -28,6 +28,7 @@ ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e tim
 ODDS_OF_PROCESSES = 0.05  # the same of all nameless processes
 MAX_CAUSES = 5  # in a set
 MAX_ROUNDS = 8  # of table and scales, each found beside the other
+MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
 MIN_GAIN, MIN_GAIN_TIMED = 0.001, 0.01  # of the log BF of the largest effect: errors of its form have as much
 
 Key = tuple[object, ...]
@@ -267,23 +268,21 @@ class _Converged:
 def _converged(
     states: tuple[DriveState, ...], given: Sequence[tuple[Component, ...]], effects: Sequence[Effect], is_named: bool
 ) -> _Converged:
-    """Tables and scales, each found beside the other; of effects alone where ``is_named``."""
-    seen: list[tuple[object, ...]] = []
+    """Tables and scales, each found beside the other while that gains; of effects alone where ``is_named``."""
+    costs = 0.0
     for size in range(2, MAX_ROUNDS + 2):
         joint = _Joint(states, given, effects)
         causes = [cause for cause in joint.causes() if cause.is_named or not is_named]
         table = weigh(joint, causes, min(size, MAX_CAUSES))
         chosen = table.best
-        parts = (*joint.parts(chosen, True), *joint.parts(chosen, False))
-        times = tuple(tuple((c.name, *np.round(c.spans or ()).ravel()) for c in own) for own in parts)
-        if (times in seen or not chosen) and len(chosen) < size:
+        fitted, before = joint.fitted(chosen), costs
+        costs = sum(joint.component(i).cost for i in chosen)
+        gained = sum(new.fit.log_evidence - old.fit.log_evidence for new, old in zip(fitted, states, strict=True))
+        if len(chosen) < size and gained - (costs - before) < MIN_ROUND_GAIN:
             break
-        seen.append(times)
-        states = joint.fitted(chosen)
+        states = fitted
     best = joint.worthwhile(chosen)
-    if best != chosen or not chosen:
-        states = joint.fitted(best)
-    return _Converged(joint, table, best, states)
+    return _Converged(joint, table, best, fitted if best == chosen else joint.fitted(best))
 
 
 def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[Effect]) -> Explained:

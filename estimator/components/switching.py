@@ -99,7 +99,8 @@ def _between(spans: Spans, t: Floats) -> Spans:
 def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
     """Spans of ``term`` whose beginnings and ends are moved by up to the last of STEPS where that adds evidence.
 
-    Moving an edge changes the column of a few strides, so the evidence of any moves follows from one set of products.
+    Moving an edge changes the column of a few strides, so the evidence of any moves follows from the products of these
+    strides.
     """
     spans, t = term.spans or (), joint.frame.strides.t
     edges = [(i, side) for i in range(len(spans)) for side in (0, 1) if t[0] < spans[i][side] < t[-1]]
@@ -107,8 +108,15 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
     half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
     moves = MOVES[np.abs(MOVES) < half]
     column = joint.frame.column(term)
-    changes = [profile * _moved(t, spans[i][side], move, side) for i, side in edges for move in moves]
-    G, s = joint.projected(chosen, np.column_stack([column, *changes]))
+    each = [profile * _moved(t, spans[i][side], move, side) for i, side in edges for move in moves]
+    changes = np.array(each).reshape(-1, len(t))
+    near = np.flatnonzero(np.any(changes != 0, axis=0))
+    single = np.zeros((len(t), 1 + len(near)))
+    single[:, 0], single[near, 1 + np.arange(len(near))] = column, 1.0
+    G, s = joint.projected(chosen, single)
+    made = np.zeros((1 + len(near), 1 + len(changes)))
+    made[0, 0], made[1:, 1:] = 1.0, changes[:, near].T
+    G, s = made.T @ G @ made, made.T @ s
     sd = term.effect.usual(joint.frame.road_load)
     taken = np.zeros(len(edges), dtype=np.int64) - 1
     score, strength, cross = float(s[0]), float(G[0, 0]), G[0].copy()
