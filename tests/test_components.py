@@ -245,6 +245,7 @@ def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
         state = DriveState.of(driven(n, power=power), AtRest(float(power[0]), 800.0, 60.0))
         found = search([state], effects)
         assert [choice.name for choice in found.choices] == named
+        assert [component.name for component in found.drives[0].chosen] == named
     (state,) = found.drives
     assert state.joint().posterior([0]).mean[-1] == pytest.approx(15e3, rel=0.1)
 

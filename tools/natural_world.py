@@ -112,7 +112,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     errors = {cause: found.get(cause, 0.0) - truth.get(cause, 0.0) for cause in sorted(causes)}
     named = [[effect.name, *effect.equivalent] for effect in diagnosis.effects if effect.name != "grade"]
     there = {*NATURAL, world.extra, *(("torque_bias",) if "auxiliary_load" in NATURAL else ())}
-    road = parts[ROAD]
+    road = parts.get(ROAD)  # None: the drive is explained by a level road
     return {
         "shown": world.shown,
         "extra": world.extra,
@@ -122,7 +122,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
         "named": [names[0] for names in named],
         "within": sum(abs(error) < MAX_SHARE_ERROR for error in errors.values()),
         "shares": len(errors),
-        "road": [truth[ROAD], road.share, road.q05, road.q95],
+        "road": [truth[ROAD], *((0.0, 0.0, 0.0) if road is None else (road.share, road.q05, road.q95))],
         "worst": max(errors.items(), key=lambda item: abs(item[1])),
     }
 
