@@ -11,7 +11,7 @@ from test_diagnosis_evidence import driven as on_level_road
 
 from estimator.components import switching
 from estimator.components.budget import NOISE, ROAD, budget
-from estimator.components.component import Component, Frame, of_effect
+from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import AtRest, DriveState
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.processes import SWITCHES, hats, processes, swings
@@ -309,6 +309,18 @@ def test_what_switches_and_is_larger_than_any_effect_has_no_name_of_the_catalogu
     assert_allclose(process.spans, spans, atol=0.5)
     (state,) = found.drives
     assert state.joint((process,)).posterior([0]).mean[-1] == pytest.approx(size, rel=0.1)
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
+    """It is the user's choice; others are found beside it."""
+    n, spans = 2400, ((500.0, 800.0), (1300.0, 1600.0))
+    power = 15e3 + 150e3 * covered(np.arange(n) + 0.5, 1.0, spans)
+    plain = DriveState.of(driven(n, power=power), AtRest(15e3, 800.0, 60.0))
+    fan = of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans))
+    state = plain.having((fan,))
+    assert state.joint().posterior([0]).mean[-1] > 2 * fan.largest
+    assert [choice.name for choice in search([state], [BY_NAME["auxiliary_load"]]).choices] == ["auxiliary_load"]
 
 
 def test_the_noise_of_the_force_is_in_a_gain_that_wanders_as_it_is_in_the_mass(strides):

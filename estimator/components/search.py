@@ -16,13 +16,12 @@ from scipy.special import logsumexp
 
 from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState, Form, has_free_times
-from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import Cause, Chosen, ModelTable, weigh
 from estimator.components.processes import processes, swings, switched
 from estimator.components.switching import is_usual, prior_cost, proposed_times
 from estimator.model.design_matrix import Term, union
 from estimator.model.effects.effect import Effect, Timing
-from estimator.signals import Floats, Quantity
+from estimator.signals import Quantity
 
 ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e times as probable
 ODDS_OF_PROCESSES = 0.05  # the same of all nameless processes
@@ -118,7 +117,6 @@ class _Joint:
         self.keys, self.each = list(found), list(found.values())
         own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
         self._joints = [replace(d, chosen=g).joint(c) for d, g, c in zip(drives, given, own, strict=True)]
-        self._limits = [[_limits(joint, i) for i in range(len(joint.components))] for joint in self._joints]
         count = [len(start) for start in given]
         self._places: list[dict[int, int]] = []
         for each in self.each:
@@ -127,14 +125,14 @@ class _Joint:
                 count[number] += 1
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
-        """Of a set of forms; minus infinity for a set with an effect of impossible size."""
+        """Of a set of forms; minus infinity for a set with an effect of impossible size. Those given may be any."""
         total = 0.0
         for n, joint in enumerate(self._joints):
-            here = self._here(chosen, n)
-            posterior, limits = joint.posterior(here), self._limits[n]
-            if np.any(
-                np.abs(posterior.mean[joint.base_size :]) > np.concatenate([np.empty(0), *(limits[i] for i in here)])
-            ):
+            here, given = self._here(chosen, n), len(self.given[n])
+            posterior = joint.posterior(here)
+            largest = [joint.components[i].largest if i >= given else np.inf for i in here]
+            widths = [len(joint.places[i]) for i in here]
+            if np.any(np.abs(posterior.mean[joint.base_size :]) > np.repeat(largest, widths)):
                 return -np.inf
             total += posterior.log_evidence - sum(joint.components[i].cost for i in here)
         return total
@@ -179,8 +177,8 @@ class _Joint:
     def worthwhile(self, chosen: Chosen) -> Chosen:
         """A set without effects that gain less than the largest one's form may be wrong by."""
         gains = {i: self.gain(chosen, i) for i in chosen if self.is_named(i)}
-        least = max(gains.values(), default=0.0)
-        small = {i for i in gains if gains[i] < least * (MIN_GAIN_TIMED if self.component(i).is_timed else MIN_GAIN)}
+        most = max(gains.values(), default=0.0)
+        small = {i for i in gains if gains[i] < most * (MIN_GAIN_TIMED if self.component(i).is_timed else MIN_GAIN)}
         return tuple(i for i in chosen if i not in small)
 
     def is_named(self, i: int) -> bool:
@@ -196,11 +194,6 @@ class _Joint:
         """The drives with the effects of a set, and scales found beside its processes too."""
         own = zip(self.drives, self.given, self.parts(chosen, True), self.parts(chosen, False), strict=True)
         return tuple(drive.having((*given, *effects), processes) for drive, given, effects, processes in own)
-
-
-def _limits(joint: JointLikelihood, i: int) -> Floats:
-    """Largest sizes of the amplitudes of a component."""
-    return np.full(len(joint.places[i]), joint.components[i].largest)
 
 
 def _hypotheses(number: int, drive: DriveState, effects: Sequence[Effect]) -> dict[Key, Component]:
@@ -289,6 +282,8 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
     joint, table, best, states = found.joint, found.table, found.chosen, found.states
     causes = joint.causes()
     whole = joint.unlimited(best)
+    forms = range(len(joint.keys))
+    probability = {e.name: table.holding([i for i in forms if joint.component(i).name == e.name]) for e in effects}
     choices = []
     for effect in effects:
         own = [i for i in best if joint.component(i).name == effect.name]
@@ -297,7 +292,7 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
             choices.append(
                 Choice(
                     effect=effect,
-                    probability=_holding(table, causes, effect.name),
+                    probability=probability[effect.name],
                     log_bayes_factor=whole - joint.unlimited(rest),
                     drive=max(joint.each[own[0]], key=lambda n: len(joint.drives[n].strides)),
                 )
@@ -321,7 +316,7 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
         choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
         ranking=first,
         beside=ranked(states, effects) if choices else first,
-        probability={effect.name: _holding(table, causes, effect.name) for effect in effects},
+        probability=probability,
         none=table.none,
         unknown=table.holding(unnamed),
         unnamed=joint.each[process],
@@ -330,7 +325,3 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
         by_processes=max([0.0, *(value - none for value in alone)]),
         log_evidence=sum(state.fit.log_evidence for state in states),
     )
-
-
-def _holding(table: ModelTable, causes: Sequence[Cause], name: str) -> float:
-    return table.holding([i for cause in causes if cause.name.split()[0] == name for i in cause.forms])

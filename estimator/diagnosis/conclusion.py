@@ -243,7 +243,7 @@ class Conclusion:
             rms_before=self.budget.reached,
             rms_after=self.budget.reached,
             shift=None,
-            span=tuple(span for n, process in unnamed.items() for span in self._clock(n, process.spans or ())),
+            span=tuple(s for n, own in unnamed.items() for s in self._clock(n, own.spans or ())) if parts else (),
             detail=", ".join(self._sized(name) for name in names),
         )
 
