@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from made_strides import made_strides
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from test_diagnosis_evidence import driven as on_level_road
@@ -24,7 +25,6 @@ from estimator.model.design_matrix import Term, covered
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.road import RoadModel
 from estimator.signals import Quantity
-from estimator.strides import LAGS, Strides
 
 M, A, C = 25e3, 1600.0, 3.5
 SEED = 3
@@ -42,25 +42,8 @@ def driven(n=400, seed=SEED, power=None):
     slope = 0.008 * np.sin(2 * np.pi * s[:-1] / 700 + 1.0) + 0.004 * np.sin(2 * np.pi * s[:-1] / 260)
     taken = np.zeros(n) if power is None else power
     force = M * a + A + C * v**2 + M * 9.80665 * slope + taken / v + M * rng.normal(0, 6e-3, n)
-    unknown = np.full(n, np.nan)
-    return Strides(
-        t=t,
-        rows=np.full(n, 10),
-        known=np.ones(n, bool),
-        v0=v0,
-        v1=v1,
-        s0=s[:-1],
-        s1=s[1:],
-        a=a,
-        speed_squared=v**2,
-        force=np.repeat(force[:, None], len(LAGS), axis=1),
-        gearing=np.full(n, 8.0),
-        density=unknown,
-        altitude=unknown,
-        grade=unknown,
-        gravity=unknown,
-        context={Quantity.ELAPSED: t, Quantity.ENGINE_SPEED: 8.0 * v, Quantity.STOPS: np.zeros(n)},
-    )
+    context = {Quantity.ELAPSED: t, Quantity.ENGINE_SPEED: 8.0 * v, Quantity.STOPS: np.zeros(n)}
+    return made_strides(speed, force, context)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_strides import made_strides
 
 from estimator.components.drive_state import DriveState
 from estimator.diagnosis import localisation
@@ -11,7 +12,6 @@ from estimator.diagnosis.model import Model, fit
 from estimator.diagnosis.surrogates import with_other_phases
 from estimator.samples import STEP, Samples
 from estimator.signals import Floats, Quantity
-from estimator.strides import LAGS, Strides
 
 THETA = np.array([1739.0, 3.74, 27_190.0])  # A [N], C [N s^2/m^2], m [kg]
 NOISE = 4e3  # W, sd of the power of a sample
@@ -110,25 +110,8 @@ def driven(extra: Floats | float = 0.0, minutes: float = 40.0) -> DriveState:
     v0, v1 = speed[:-1], speed[1:]
     v, a = 0.5 * (v0 + v1), v1 - v0
     force = THETA[0] + THETA[1] * v**2 + THETA[2] * a + extra / v + rng.normal(0, 60.0, n)
-    s, unknown = np.concatenate([[0.0], np.cumsum(v)]), np.full(n, np.nan)
-    strides = Strides(
-        t=ends[:-1] + 0.5,
-        rows=np.full(n, 10),
-        known=np.ones(n, dtype=bool),
-        v0=v0,
-        v1=v1,
-        s0=s[:-1],
-        s1=s[1:],
-        a=a,
-        speed_squared=v**2,
-        force=np.repeat(force[:, None], len(LAGS), axis=1),
-        gearing=np.full(n, 8.0),
-        density=unknown,
-        altitude=unknown,
-        grade=unknown,
-        gravity=unknown,
-        context={Quantity.ELAPSED: ends[:-1], Quantity.STOPS: np.zeros(n)},
-    )
+    context = {Quantity.ELAPSED: ends[:-1], Quantity.STOPS: np.zeros(n)}
+    strides = made_strides(speed, force, context)
     found = DriveState.of(strides, None, is_level=True)
     assert found is not None
     return found
