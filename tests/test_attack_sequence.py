@@ -11,10 +11,24 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
 import can
-from attacks_vm import heard_in, summary, table
+from attacks_vm import Play, heard_in, summary, table
 from bus_attacks.catalogue import attacks
-from bus_attacks.sequence import HELD, LEAD, SLOT, Heard, Slot, Values, chosen, in_sequence, results
+from bus_attacks.sequence import (
+    HELD,
+    LEAD,
+    SLOT,
+    Heard,
+    Slot,
+    Values,
+    chosen,
+    in_sequence,
+    on_a_drive,
+    result_on_a_drive,
+    results,
+    throughout,
+)
 
+from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.publisher import output_database
 from estimator.simulation.recording import record
@@ -24,6 +38,7 @@ from estimator.simulation.truck import Truck
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 TRUE: Values = {"mass": (27_190.0, 100.0), "A": (1739.0, 50.0), "C": (3.74, 0.1)}
 FIRST, BEGAN = 1000.0, 5000.0  # s, of the drive and of the machine's clock
+DRIVE = Play("", Frames.from_messages([can.Message(timestamp=FIRST), can.Message(timestamp=FIRST + 100.0)]), [])
 SLOTS = [Slot(name="one", start=100.0, stop=140.0, end=190.0)]
 
 
@@ -78,7 +93,7 @@ def test_an_attack_of_one_moment_ends_when_it_begins() -> None:
         (heard(wrong=(120, 125), off=450.0), "silently biased"),
         (heard(withheld=(110, 150), wrong=(150, 155), off=-450.0), "silently biased"),
         (heard(wrong=(120, 125), off=350.0), "unharmed"),
-        (heard(withheld=(0, 150)), "no estimate before it"),
+        (heard(withheld=(0, 150)), "no estimate without it"),
     ],
 )
 def test_verdicts(looks: list[Heard], verdict: str) -> None:
@@ -111,9 +126,49 @@ def bus_log(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_attacks_that_begin_with_the_drive_have_one_of_each_signal_first() -> None:
+    order = throughout()
+    assert {one.name for one in order} == {one.name for one in attacks()} - {one.name for one in chosen()}
+    signals = [" ".join(one.name.split()[:2]) for one in order]
+    kinds = len(set(signals))
+    assert len(set(signals[:kinds])) == kinds
+
+
+@pytest.mark.parametrize(
+    ("looks", "verdict", "withheld_after", "back_after"),
+    [
+        (heard(), "unharmed", None, None),
+        (heard(withheld=(0, 300)), "withheld", 150.0, None),
+        (heard(withheld=(0, 180)), "withheld", 150.0, 180.0),
+        (heard(wrong=(0, 300), off=450.0), "silently biased", None, None),
+    ],
+)
+def test_an_attack_that_begins_with_the_drive_is_held_against_the_drive_without_it(
+    looks: list[Heard], verdict: str, withheld_after: float | None, back_after: float | None
+) -> None:
+    slot = Slot(name="one", start=0.0, stop=0.0, end=300.0)
+    result = result_on_a_drive(looks, heard(withheld=(0, 150)), slot, TRUCK)
+    assert (result.verdict, result.withheld_after, result.back_after) == (verdict, withheld_after, back_after)
+
+
+def test_without_an_estimate_on_the_drive_without_an_attack_nothing_is_said() -> None:
+    slot = Slot(name="one", start=0.0, stop=300.0, end=300.0)
+    none = heard(withheld=(0, 300))
+    assert result_on_a_drive(none, none, slot, TRUCK).verdict == "no estimate without it"
+
+
+def test_a_foreign_frame_before_the_drive_is_an_attack_of_one_moment() -> None:
+    rng = np.random.default_rng(1)
+    drive = frames_of(record(TRUCK, generate_route("mixed", 3000, rng), 60.0, rng).signals)
+    (attack,) = [one for one in throughout() if one.name.startswith("one foreign EEC1")]
+    frames, slot = on_a_drive(drive, attack)
+    assert frames.t[0] < drive.t[0] == slot.start == slot.stop
+    assert len(frames) == len(drive) + 1
+
+
 def test_values_are_read_from_the_log_of_the_bus_and_are_gone_when_none_is_sent(bus_log: Path) -> None:
     (bus_log / "played.json").write_text(json.dumps({"began_s": BEGAN}))
-    found = heard_in(bus_log, FIRST, FIRST + 100.0)
+    found = heard_in(bus_log, DRIVE)
     assert [one.t - FIRST for one in found] == [0.0, 5.0, 10.0, 15.0, 20.0]
     assert [one.values is None for one in found] == [True, True, False, False, True]
     assert found[2].values is not None
@@ -123,7 +178,7 @@ def test_values_are_read_from_the_log_of_the_bus_and_are_gone_when_none_is_sent(
 
 def test_a_service_that_falls_silent_is_heard_as_withheld_to_the_end_of_the_drive(bus_log: Path) -> None:
     (bus_log / "played.json").write_text(json.dumps({"began_s": BEGAN, "ended_s": BEGAN + 100.0}))
-    found = heard_in(bus_log, FIRST, FIRST + 100.0)
+    found = heard_in(bus_log, DRIVE)
     assert found[-1] == Heard(FIRST + 100.0, None)
 
 
@@ -158,4 +213,4 @@ def test_losses_and_restarts_are_those_of_the_statuses(
     (tmp_path / "played.json").write_text(json.dumps({"began_s": BEGAN} | ended))
     statuses = [a_status(BEGAN + 5, 900), "{}", a_status(BEGAN + 15, 2000, pid=8)]
     (tmp_path / "statuses").write_text("\n".join([*statuses, cut]))
-    assert summary(tmp_path, 100.0) == said
+    assert summary(tmp_path, [DRIVE]) == said

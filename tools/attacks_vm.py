@@ -1,10 +1,11 @@
-"""Attacks on a real SocketCAN bus: python tools/attacks_vm.py [--only TEXT] [--folder FOLDER] [--write].
+"""Attacks on a real SocketCAN bus: python tools/attacks_vm.py [--throughout] [--only TEXT] [--folder FOLDER] [--write].
 
 A drive with one attack after the other is played on a virtual CAN bus in a machine with systemd, to the service of the
 Debian package, at the speed of driving: the kernel gives the times of the frames. The parameters that the service
-broadcasts are compared with the truth, and the outcome of every attack with that of the same drive in process.
-``--write`` puts the table into docs/adversary.md. Exit status 1 if a wrong parameter was broadcast. Needs what
-tools/package_vm.py needs; 48 minutes of driving take about as long on a busy host.
+broadcasts are compared with the truth, and the outcome of every attack with that of the same drive in process. With
+``--throughout`` the attacks that begin with the drive are played instead, on a short drive each. ``--write`` puts the
+table into docs/adversary.md. Exit status 1 if a wrong parameter was broadcast. Needs what tools/package_vm.py needs; 48
+minutes of driving take half an hour of an idle processor.
 """
 
 import argparse
@@ -12,25 +13,27 @@ import json
 import sys
 import tempfile
 from bisect import bisect_right
+from dataclasses import dataclass
 from pathlib import Path
 
 import can
 from adversary import TRUCK, drive_of, write_table
-from bus_attacks.sequence import Heard, Result, Values, chosen, duration, in_sequence, looked_up, of_looks, results
-from bus_attacks.trial import BIASED_SD, look_at
+from bus_attacks import sequence
+from bus_attacks.sequence import OWN, Heard, Result, Slot, Values, chosen, duration, looked_up, of_looks
+from bus_attacks.trial import look_at
 from cantools.typechecking import DecodeResultType
 from package_vm import share_package
 from vm.debian import VmError, system
-from vm.machine import CONSOLE, QUICK_SAMPLER, require_qemu, run
+from vm.machine import CONSOLE, EARLY_GATE, QUICK_SAMPLER, require_qemu, run
 
 from estimator import config as configuration
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
 
-BEGIN = "<!-- table: tools/attacks_vm.py -->"
+BEGIN, BEGIN_THROUGHOUT = "<!-- table: tools/attacks_vm.py -->", "<!-- table: tools/attacks_vm.py --throughout -->"
 LONGEST = 5400.0  # s of the host
-SEED = 20261123  # with this one there is an estimate after 345 s
+SEED, SEED_THROUGHOUT = 20261123, 20261124  # with these there is an estimate after 345 s and, by EARLY_GATE, 205 s
 # A shorter contest, so that the next attack can begin sooner; values every second, to see when they are withheld.
 SETTINGS = f"""
 {QUICK_SAMPLER}
@@ -41,43 +44,93 @@ enabled = true
 [publish]
 value_period_s = 1.0
 """
+SETTINGS_THROUGHOUT = f"{SETTINGS}{EARLY_GATE}"
 STALE = 5.0  # s without a broadcast value, five of its periods, after which a receiver has none
 WIDTH_SD = 3.29  # from the 5 % to the 95 % quantile of a normal distribution, in standard deviations
 MESSAGES = {"RoadloadMass": "mass", "RoadloadA": "A", "RoadloadC": "C"}
 
 
+@dataclass(frozen=True)
+class Play:
+    """A log for the machine: its ``name``, the traffic, and when the attacks are."""
+
+    name: str
+    frames: Frames
+    slots: list[Slot]
+
+    @property
+    def first(self) -> float:
+        """Time of the first frame [s]."""
+        return float(self.frames.t[0])
+
+    @property
+    def last(self) -> float:
+        """Time of the last frame [s]."""
+        return float(self.frames.t[-1])
+
+
 def main() -> int:
     """Play, compare, print the table, return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--throughout", action="store_true", help="the attacks that begin with the drive")
     parser.add_argument("--only", default="", help="attacks whose name contains this")
+    parser.add_argument("--first", type=int, help="so many attacks only")
     parser.add_argument("--package", type=Path, help="the package, where it has been built (tools/build_deb.py)")
     parser.add_argument("--folder", type=Path, help="what was heard is kept here; a run that is there is not repeated")
     parser.add_argument("--timeout", type=float, default=LONGEST, help=f"s of the host, default {LONGEST:.0f}")
     parser.add_argument("--write", action="store_true", help="put the table into docs/adversary.md")
     options = parser.parse_args()
-    order = [attack for attack in chosen() if options.only in attack.name]
-    frames, slots = in_sequence(drive_of(duration(len(order)) / 60, SEED), order)
+    plays = (own_drives if options.throughout else one_drive)(options.only, options.first)
+    settings = SETTINGS_THROUGHOUT if options.throughout else SETTINGS
     with tempfile.TemporaryDirectory() as scratch:
         share = options.folder or Path(scratch)
-        if not (share / "played.json").exists():
+        if not _played(share, plays[0]):
             try:
-                play(frames, share, options.package, options.timeout)
+                play_all(plays, settings, share, options.package, options.timeout)
             except VmError as error:
                 print(f"error: {error}", file=sys.stderr)
                 return 1
+        plays = [one for one in plays if has_ended(share, one) or not options.throughout]
         config = configuration.load(share / "settings.toml")
-        found = results(heard_in(share, float(frames.t[0]), float(frames.t[-1])), slots, TRUCK)
-        said = summary(share, float(frames.t[-1] - frames.t[0]))
-    expected = results(of_looks(look_at(frames, config)), slots, TRUCK)
-    text = table(found, expected, said)
+        judged = results_of_drives if options.throughout else results
+        found, said = judged(plays, [heard_in(share, one) for one in plays]), summary(share, plays)
+    text = table(found, judged(plays, [of_looks(look_at(one.frames, config)) for one in plays]), said)
     print(text)
     if options.write:
-        write_table(BEGIN, text)
-    return int(any(one.worst_sd > BIASED_SD for one in found))
+        write_table(BEGIN_THROUGHOUT if options.throughout else BEGIN, text)
+    return int(any(one.is_wrong for one in found))
 
 
-def play(frames: Frames, share: Path, package: Path | None, timeout: float) -> None:
-    """Play the frames in the machine; what it heard is then in the folder ``share``.
+def one_drive(only: str, first: int | None) -> list[Play]:
+    """One attack after the other on one drive."""
+    order = [attack for attack in chosen() if only in attack.name][:first]
+    return [Play("", *sequence.in_sequence(drive_of(duration(len(order)) / 60, SEED), order))]
+
+
+def own_drives(only: str, first: int | None) -> list[Play]:
+    """The drive without an attack, and the same under each of those that begin with it."""
+    order = [attack for attack in sequence.throughout() if only in attack.name][:first]
+    drive = drive_of(OWN / 60, SEED_THROUGHOUT)
+    attacked = (sequence.on_a_drive(drive, attack) for attack in order)
+    plays = [Play(f"-{k:02}", frames, [slot]) for k, (frames, slot) in enumerate(attacked, start=1)]
+    return [Play("-00", drive, []), *plays]
+
+
+def results(plays: list[Play], heard: list[list[Heard]]) -> list[Result]:
+    """What became of the attacks on one drive."""
+    return sequence.results(heard[0], plays[0].slots, TRUCK)
+
+
+def results_of_drives(plays: list[Play], heard: list[list[Heard]]) -> list[Result]:
+    """What became of each attack on a drive of its own; the first drive is the one without an attack."""
+    return [
+        sequence.result_on_a_drive(one, heard[0], play.slots[0], TRUCK)
+        for play, one in zip(plays[1:], heard[1:], strict=True)
+    ]
+
+
+def play_all(plays: list[Play], settings: str, share: Path, package: Path | None, timeout: float) -> None:
+    """Play the traffic in the machine; what it heard is then in the folder ``share``.
 
     Raises
     ------
@@ -88,25 +141,41 @@ def play(frames: Frames, share: Path, package: Path | None, timeout: float) -> N
     debian = system()
     share.mkdir(parents=True, exist_ok=True)
     share_package(share, package)
-    write_log(frames, share / "drive.log")
-    (share / "settings.toml").write_text(SETTINGS)
+    for one in plays:
+        write_log(one.frames, share / f"drive{one.name}.log")
+    (share / "settings.toml").write_text(settings)
     code = run(["python3", "-m", "vm.attack_trial"], share, timeout=timeout, system=debian)
     if code:
-        raise VmError(f"nothing was played; see {share / CONSOLE}")
+        raise VmError(f"not all was played; see {share / CONSOLE}")
 
 
-def heard_in(share: Path, first: float, last: float) -> list[Heard]:
-    """What was on the bus of the machine, at times of the drive, which lasted from ``first`` to ``last`` [s].
+def has_ended(share: Path, play: Play) -> bool:
+    """Whether it was played to its end."""
+    return "ended_s" in _played(share, play)
+
+
+def began(share: Path, play: Play) -> float:
+    """When its playing began, by the machine's clock [s]."""
+    return _played(share, play)["began_s"]
+
+
+def _played(share: Path, play: Play) -> dict[str, float]:
+    path = share / f"played{play.name}.json"
+    found: dict[str, float] = json.loads(path.read_text()) if path.exists() else {}
+    return found
+
+
+def heard_in(share: Path, play: Play) -> list[Heard]:
+    """What was on the bus of the machine, at times of the drive.
 
     None where the values were not available, or were not sent for STALE seconds.
     """
-    played = json.loads((share / "played.json").read_text())
-    ahead = played["began_s"] - first  # of the machine's clock
+    ahead = began(share, play) - play.first  # of the machine's clock
     database = output_database()
     layouts = {message.frame_id >> 8 & 0x3FFFF: message for message in database.messages if message.name in MESSAGES}
     times, values = [], []
     known: dict[str, tuple[float, float] | None] = dict.fromkeys(MESSAGES.values())
-    for message in can.CanutilsLogReader(share / "broadcast.log"):
+    for message in can.CanutilsLogReader(share / f"broadcast{play.name}.log"):
         group = message.arbitration_id >> 8 & 0x3FFFF
         if group not in layouts:
             continue
@@ -119,7 +188,7 @@ def heard_in(share: Path, first: float, last: float) -> list[Heard]:
         index = bisect_right(times, t) - 1
         return values[index] or None if index >= 0 and t - times[index] < STALE else None
 
-    return looked_up(at, first, last if "ended_s" in played else min(last, times[-1]))
+    return looked_up(at, play.first, play.last if has_ended(share, play) else min([play.last, *times[-1:]]))
 
 
 def mean_and_sd(decoded: DecodeResultType, name: str) -> tuple[float, float] | None:
@@ -134,13 +203,13 @@ def table(found: list[Result], expected: list[Result], said: str) -> str:
     columns = ("attack", "outcome", "withheld after", "back after", "largest deviation", "in process")
     rows = [columns, ("---",) * len(columns)]
     for one, other in zip(found, expected, strict=False):
-        there = f"{other.verdict}, {_s(other.withheld_after)}, {_s(other.back_after)}, {other.worst_sd:.1f} sd"
-        name = one.slot.name.removesuffix(", in the middle")
-        rows.append((name, one.verdict, _s(one.withheld_after), _s(one.back_after), f"{one.worst_sd:.1f} sd", there))
+        there = ", ".join((other.verdict, *_figures(other)))
+        name = one.slot.name.removesuffix(", in the middle").removesuffix(", throughout")
+        rows.append((name, one.verdict, *_figures(one), there))
     verdicts = [one.verdict for one in found]
     counts = ", ".join(f"{kind} {verdicts.count(kind)}" for kind in ("unharmed", "withheld", "silently biased"))
     same = sum(one.verdict == other.verdict for one, other in zip(found, expected, strict=False))
-    worst = max((one.worst_sd for one in found), default=0.0)
+    worst = max((one.worst_sd for one in found if one.worst_sd is not None), default=0.0)
     lines = [
         f"{len(found)} attacks: {counts}; largest deviation {worst:.1f} sd. The outcome of {same} is that in process.",
         said,
@@ -150,18 +219,26 @@ def table(found: list[Result], expected: list[Result], said: str) -> str:
     return "\n".join(lines)
 
 
-def summary(share: Path, length: float) -> str:
-    """Lost frames and restarts, by the statuses that were written every few seconds, of ``length`` [s] of driving."""
-    played = json.loads((share / "played.json").read_text())
-    lines = (share / "statuses").read_text().rpartition("\n")[0].splitlines()
-    statuses = [status for line in lines if (status := json.loads(line))]
-    last, restarts = statuses[-1], len({status["pid"] for status in statuses}) - 1
-    lost = sum(last["input"][name] for name in ("kernel_drops", "queue_drops")) + last["estimator"]["queue_drops"]
-    early = f" The run was ended after {last['written_s'] - played['began_s']:,.0f} of {length:,.0f} s of driving."
-    return (
-        f"{lost} of {last['input']['frames']:,} received frames were lost; {restarts} restarts of the service."
-        f"{'' if 'ended_s' in played else early}"
-    )
+def summary(share: Path, plays: list[Play]) -> str:
+    """Lost frames and restarts, by the statuses that were written every few seconds."""
+    frames = lost = restarts = 0
+    length = driven = 0.0
+    for play in plays:
+        lines = (share / f"statuses{play.name}").read_text().rpartition("\n")[0].splitlines()
+        statuses = [status for line in lines if (status := json.loads(line))]
+        last, bus = statuses[-1], statuses[-1]["input"]
+        frames += bus["frames"]
+        lost += bus["kernel_drops"] + bus["queue_drops"] + last["estimator"]["queue_drops"]
+        restarts += len({status["pid"] for status in statuses}) - 1
+        length += play.last - play.first
+        driven += play.last - play.first if has_ended(share, play) else last["written_s"] - began(share, play)
+    early = f" The run was ended after {driven:,.0f} of {length:,.0f} s of driving." if driven < length else ""
+    return f"{lost} of {frames:,} received frames were lost; {restarts} restarts of the service.{early}"
+
+
+def _figures(one: Result) -> tuple[str, str, str]:
+    deviation = "no estimate" if one.worst_sd is None else f"{one.worst_sd:.1f} sd"
+    return _s(one.withheld_after), _s(one.back_after), deviation
 
 
 def _s(seconds: float | None) -> str:

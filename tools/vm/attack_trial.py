@@ -1,7 +1,7 @@
-"""A log played to the installed service: what it broadcasts, and its status every few seconds.
+"""Logs played to the installed service, each to a fresh one: what it broadcasts.
 
-Runs in the machine (`tools/attacks_vm.py` starts it). Beside it are the package, the log, and settings. Writes
-``broadcast.log`` (candump), ``statuses`` (a JSON object a line) and ``played.json``.
+Runs in the machine (`tools/attacks_vm.py` starts it). Beside it are the package, settings, and the logs ``drive*.log``.
+Of ``drive-1.log`` it writes ``broadcast-1.log`` (candump), ``statuses-1`` (a JSON object a line) and ``played-1.json``.
 """
 
 import json
@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-from vm.guest import BUS, SETTINGS, UNIT, make_bus, run, shown, status
+from vm.guest import BUS, SETTINGS, STATE, UNIT, make_bus, run, status
 
 LOG = Path("/tmp/drive.log")
 OURS = "18FF6000:00FFF800"  # PGN FF60 to FF67
@@ -20,42 +20,51 @@ START = 120.0  # s until the service has opened the bus
 
 
 def main() -> int:
-    """Install, play the log to its end."""
+    """Install, play all logs to their ends."""
     make_bus()
-    shutil.copy("drive.log", LOG)
     done = run("dpkg", "--install", "old.deb")
-    shutil.copy("settings.toml", SETTINGS)
-    done = run("systemctl", "start", UNIT) if done.returncode == 0 else done
     if done.returncode:
         print(done.stdout, done.stderr)
         return 1
-    wait_until_open()
-    arguments = ["candump", "-L", f"{BUS},{OURS}"]
-    with Path("broadcast.log").open("w") as heard, Path("statuses").open("w", buffering=1) as statuses:
-        listener = subprocess.Popen(["stdbuf", "-oL", *arguments], stdout=heard)
+    shutil.copy("settings.toml", SETTINGS)
+    for log in sorted(Path().glob("drive*.log")):
+        restart()
+        play(log, log.stem.removeprefix("drive"))
+    return 0
+
+
+def restart() -> None:
+    """A service that knows nothing of what was before, and listens on the bus."""
+    run("systemctl", "stop", UNIT)
+    for kept in STATE.parent.glob(f"{STATE.name}*"):  # the one before, too
+        kept.unlink()
+    done = run("systemctl", "start", UNIT)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    deadline = time.monotonic() + START
+    while not (content := status()) or not content["input"]["open"]:
+        if time.monotonic() > deadline:
+            raise SystemExit(f"the service does not listen: {content}")
+        time.sleep(1.0)
+
+
+def play(given: Path, name: str) -> None:
+    """Play a log to its end, and write what is heard meanwhile."""
+    shutil.copy(given, LOG)
+    played = Path(f"played{name}.json")
+    with Path(f"broadcast{name}.log").open("w") as heard, Path(f"statuses{name}").open("w", buffering=1) as statuses:
+        listener = subprocess.Popen(["stdbuf", "-oL", "candump", "-L", f"{BUS},{OURS}"], stdout=heard)
         began = time.time()
         with LOG.open() as log, subprocess.Popen(["canplayer", f"{BUS}=vcan0"], stdin=log) as player:
-            Path("played.json").write_text(json.dumps({"began_s": began}))
+            played.write_text(json.dumps({"began_s": began}))
             while player.poll() is None:
                 time.sleep(PERIOD)
                 statuses.write(json.dumps(status()) + "\n")
         ended = time.time()
         time.sleep(PERIOD)
         listener.terminate()
-    restarts, pid = shown("NRestarts", "MainPID")
-    played = {"began_s": began, "ended_s": ended, "restarts": int(restarts), "pid": int(pid), "status": status()}
-    Path("played.json").write_text(json.dumps(played))
-    print(f"played in {ended - began:.0f} s of the machine's clock", flush=True)
-    return 0
-
-
-def wait_until_open() -> None:
-    """Wait until the service listens on the bus."""
-    deadline = time.monotonic() + START
-    while not (content := status()) or not content["input"]["open"]:
-        if time.monotonic() > deadline:
-            raise SystemExit(f"the service does not listen: {content}")
-        time.sleep(1.0)
+    played.write_text(json.dumps({"began_s": began, "ended_s": ended}))
+    print(f"{given}: played in {ended - began:.0f} s of the machine's clock", flush=True)
 
 
 if __name__ == "__main__":

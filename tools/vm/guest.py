@@ -12,6 +12,7 @@ BUS = "can0"  # of the shipped unit
 UNIT = "roadload.service"
 SETTINGS = Path("/etc/roadload/roadload.toml")
 STATUS = Path("/run/roadload/status.json")
+STATE = Path("/var/lib/private/roadload/state")  # of a service with DynamicUser
 FULL_BUS = {250: 1908.0, 500: 3817.0}  # frames/s of 8 bytes with 29-bit ids that fill a bus of so many kbit/s
 WANTED = 0x18FEF100  # CCVS1, which the filters let pass
 

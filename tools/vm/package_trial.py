@@ -17,9 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from vm.guest import BUS, FULL_BUS, SETTINGS, UNIT, make_bus, run, send_full_bus, shown, status
+from vm.guest import BUS, FULL_BUS, SETTINGS, STATE, UNIT, make_bus, run, send_full_bus, shown, status
 
-STATE = Path("/var/lib/private/roadload/state")  # of a service with DynamicUser
 RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 PROGRAM = Path("/usr/bin/roadload")
 USER = "roadload"
