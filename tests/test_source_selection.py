@@ -17,7 +17,7 @@ from estimator.can_io.source_selection import Contest, fastest
 from estimator.config import from_dict
 from estimator.errors import StateError
 from estimator.signals import Role
-from estimator.streaming.row_stream import Block, RowStream
+from estimator.streaming.row_stream import Block, Interruption, RowStream
 
 BLOCK = 5.0  # s
 KMH = 256  # raw per km/h
@@ -356,6 +356,29 @@ def test_senders_that_differ_by_lateness_and_calibration_agree(lateness, slope, 
     assert is_disagreement(t, np.ones(50), t + 5, np.ones(50), 1.0, 0.0) is None
 
 
+# Times without traffic, and other recordings
+
+
+def test_a_sender_can_be_replaced_in_a_silence(layouts: Path):
+    rows = [*torque(0x21, 0, value=3250), *torque(0, 8, 13, 18), *sender(5, range(4, 5)), *sender(5, range(10, 13))]
+    traffic = stream(layouts)
+    items = list(traffic.feed(pack(*sorted(rows, key=lambda row: row[0]))))
+    (replaced,) = [item for item in items if isinstance(item, Interruption) and item.is_sender_replaced]
+    assert replaced.start is not None
+    assert not any(replaced.start <= t < replaced.end for t, _, _ in rows)
+    assert traffic.contested == {}
+
+
+def test_a_step_back_in_time_ends_a_contest_and_frees_the_sender(layouts: Path):
+    later = [*sender(5, range(4)), *sender(7, range(2, 4), 1.3, phase=0.05)]
+    traffic = stream(layouts)
+    list(traffic.feed(pack(*sorted((t + 86400, ident, data) for t, ident, data in later))))
+    assert traffic.contested
+    list(traffic.feed(pack(*sender(9, range(4)))))
+    assert traffic.contested == {}
+    assert traffic.sources["BROADCAST.Speed"] == 9
+
+
 # Batches
 
 
@@ -400,10 +423,14 @@ def layouts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def stream(layouts: Path) -> RowStream:
+    signals = {**SPEED["signals"], "brake_switch": "BROADCAST.Switch", **TORQUE["signals"]}
+    return RowStream(from_dict({"bus": {"dbc": [str(layouts)]}, "signals": signals}))
+
+
 def heard(layouts: Path, batches: list[Frames]) -> tuple:
     """All readings of a stream, its counts, senders and contests."""
-    signals = {**SPEED["signals"], "brake_switch": "BROADCAST.Switch", **TORQUE["signals"]}
-    traffic = RowStream(from_dict({"bus": {"dbc": [str(layouts)]}, "signals": signals}))
+    traffic = stream(layouts)
     blocks = [item for batch in batches for item in traffic.feed(batch)] + list(traffic.finish())
     readings = sorted(
         (role, t, str(value))

@@ -221,7 +221,7 @@ class SenderChoice:
         self.source = self._configured
         self._last, self._agreed = {}, set()
         self._rate.forget()
-        self._contest.settle()
+        self._contest = Contest(self._patience)
 
     def state(self) -> dict[str, Any]:
         """The sender and the contest; not what traffic shows again in seconds."""
@@ -369,7 +369,7 @@ class ConstantChoice:
     def release(self) -> None:
         """End a contest; the value stays, for it is a constant of the vehicle, and any address may send it."""
         self.source, self._heard = self._configured, {}
-        self._contest.settle()
+        self._contest = Contest(self._patience)
 
     def state(self) -> dict[str, Any]:
         """The value, its sender and the contest."""

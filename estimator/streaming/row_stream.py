@@ -258,7 +258,7 @@ class RowStream:
             if len(beyond):
                 block, readings = self._decode(self._block_end)
                 if self._decoder.replaced:
-                    yield self._replace(float(block.t[0]), self._block_end)
+                    yield self._replace(self._block_end)
                 yield self._block(block, readings, self._aligner.feed(readings, self._block_end))
                 self._block_end += BLOCK
 
@@ -269,17 +269,20 @@ class RowStream:
         now, self._last = self._last, None
         frames, readings = self._decode(now)
         if self._decoder.replaced:
-            yield self._replace(float(frames.t[0]), now)
+            yield self._replace(now)
         rows = [*self._aligner.feed(readings, now), *self._aligner.finish(now)]
         yield self._block(frames, readings, rows)
 
-    def _replace(self, start: float, end: float) -> Interruption:
-        """Drop the rows still waiting and the engine's constants: they may come from a wrong sender."""
+    def _replace(self, end: float) -> Interruption:
+        """Drop the rows still waiting and the engine's constants: they may come from a wrong sender.
+
+        The interruption is the block up to ``end`` [s], in which there may be no frame: a contest ends in silence, too.
+        """
         self.replacements += 1
         for _ in self._aligner.finish(end):
             pass
         self._aligner.forget()
-        return Interruption(start, end, is_new_drive=True, is_sender_replaced=True)
+        return Interruption(self._block_end - BLOCK, end, is_new_drive=True, is_sender_replaced=True)
 
     def _decode(self, end: float) -> tuple[Frames, Readings]:
         """Readings of the waiting frames, up to the time ``end`` [s]; counts them."""
@@ -320,6 +323,7 @@ class RowStream:
         interruption = Interruption(last, t, is_new_drive=not 0 <= t - last <= MIN_NEW_DRIVE_SILENCE)
         if interruption.is_step_back:
             self._aligner.forget()
+            self._decoder.release()
         yield interruption
 
     def _resume(self, t: float) -> Interruption:
