@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -113,6 +114,17 @@ def test_what_came_before_a_failure_counts_and_the_failure_is_told_next(monkeypa
         assert len(reader.read(1.0).frames) == 1
         with pytest.raises(OSError, match="down"):
             reader.read(1.0)
+
+
+def test_a_socket_that_has_nothing_after_all_is_no_error(
+    pair: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An error wakes the reader, and the thread that sends is told of it first."""
+    here, there = pair
+    reader = SocketReader(there, 1 << 16)
+    here.send(bytes(16))
+    monkeypatch.setattr(time, "sleep", lambda duration: there.recv(16))
+    assert len(reader.read(1.0).frames) == 0
 
 
 def test_other_buses_are_drained_message_by_message() -> None:

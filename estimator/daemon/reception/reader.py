@@ -123,6 +123,8 @@ class SocketReader:
             if not raw:
                 raise
             self._failure = error  # told once and no more by the kernel; what came before it counts
+        if not raw:  # the socket had an error to tell, which a sender was told meanwhile
+            return Batch()
         t = np.frombuffer(b"".join(stamps), dtype=LONG).reshape(-1, 2) @ np.array([1.0, 1e-9])
         return unpack(raw, t, np.array(flags) & CONFIRM != 0)
 
