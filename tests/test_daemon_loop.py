@@ -10,6 +10,7 @@ import pytest
 from daemon_bench import EPOCH, Bench, frame
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_estimates import made_estimate
 from msgspec.structs import replace
 
 from estimator import config
@@ -206,6 +207,20 @@ def test_requests_are_answered_and_refused(sending: Bench) -> None:
     answers = sending.bus.sent[before:]
     assert 0xFF61 in groups(answers)
     assert 0xE8FF in groups(answers)
+
+
+def test_a_request_that_wakes_the_bus_is_not_answered_with_an_estimate_of_the_day_before(sending: Bench) -> None:
+    assert sending.transmitter is not None
+    now, t = sending.now, sending.now + EPOCH
+    sending.transmitter.turn(now, t, made_estimate(t), is_receiving=True)
+    now, t = now + 8 * 3600.0, t + 8 * 3600.0
+    sending.transmitter.turn(now, t, made_estimate(t - 8 * 3600.0), is_receiving=False)
+    before = len(sending.bus.sent)
+    requests = [frame(0x18EAFB21, bytes([group, 0xFF, 0x00])) for group in (0x60, 0x61)]
+    sending.transmitter.hear(Frames.from_messages(requests), Frames.from_messages([]), now)
+    status, mass = sending.bus.sent[before:]
+    assert output_database().decode_message(0x18FF60FB, status.data)["EstimateStatus"] == "stale"
+    assert bytes(mass.data[:6]) == b"\xff" * 6
 
 
 def test_a_flood_of_requests_does_not_become_a_flood_of_answers(sending: Bench) -> None:

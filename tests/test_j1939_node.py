@@ -348,7 +348,7 @@ def test_what_we_do_not_have_is_refused_to_one_and_passed_over_for_all():
 
 def test_what_we_publish_is_sent_on_request():
     publisher = Publisher(Publish(cvw=True))
-    node = settled(answer=lambda pgn, requester: listed(publisher.answer(pgn, None)))
+    node = settled(answer=lambda pgn, requester: listed(publisher.answer(pgn, 0.5, None)))
     publisher.poll(0.5, None)
     for pgn, destination in ((0xFF61, 0xFB), (0xFF60, 0xFF), (CVW, 0xFF)):
         (answer,) = node.hear(request(pgn, destination=destination), 1.0)

@@ -92,7 +92,7 @@ class Publisher:
         """
         renewed = estimate is not None and estimate.t != self._estimate_t
         stepped_back = self._advance(t, estimate)
-        age = self._age(estimate)
+        age = self._age(self._now, estimate)
         status = self._status_of(estimate, age)
         if stepped_back or renewed or status != self._status:
             self._status = status
@@ -104,17 +104,21 @@ class Publisher:
         frames = [self._frame(message, instant, contents) for instant, messages in due for message in messages]
         return sorted(frames, key=lambda frame: frame.timestamp)
 
-    def answer(self, pgn: int, estimate: Estimate | None) -> can.Message | None:
-        """One frame on request, as of the latest poll; None for a group that is not sent."""
-        age = self._age(estimate)
+    def answer(self, pgn: int, t: float, estimate: Estimate | None) -> can.Message | None:
+        """One frame on request at message time ``t`` [s]; None for a group that is not sent.
+
+        The latest poll may be long ago: nothing is polled while the bus sleeps.
+        """
+        now = max(self._now, t)
+        age = self._age(now, estimate)
         contents = _contents(estimate, self._status_of(estimate, age), age)
         for message in (message for _, messages in self._groups for message in messages):
             if message.frame_id & _PGN_MASK == pgn << 8:
-                return self._frame(message, self._now, contents)
+                return self._frame(message, now, contents)
         return None
 
-    def _age(self, estimate: Estimate | None) -> float:
-        age = nan if estimate is None else self._now + self._lost - estimate.t
+    def _age(self, now: float, estimate: Estimate | None) -> float:
+        age = nan if estimate is None else now + self._lost - estimate.t
         # From a time to come, e.g. restored from before the clock was set: its age is unknown.
         return nan if age < -self._slack else age
 

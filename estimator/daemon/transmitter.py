@@ -189,7 +189,7 @@ class Transmitter:
             return answer
         if self.node.address is not None:
             self._publisher.source_address = self.node.address
-        message = self._publisher.answer(pgn, self._estimate)
+        message = self._publisher.answer(pgn, self._t, self._estimate)
         if message is None or self._reason_to_withhold(pgn, message.arbitration_id & 0xFF) is not None:
             return None
         return [message]
