@@ -24,6 +24,7 @@ from estimator.can_io.publisher import output_database, output_groups
 from estimator.config import Config
 from estimator.daemon.reception.reader import Batch
 from estimator.daemon.service import metrics, status_file
+from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.sd_notify import Notifier
 from estimator.daemon.service.worker import Knowledge, Worker
 from estimator.errors import InputError, RoadloadError
@@ -247,6 +248,31 @@ def test_a_reopened_bus_is_claimed_again(sending: Bench) -> None:
     assert groups(sending.bus.sent)[:2] == [0xEAFF, 0xEEFF]
     sending.traffic(2.0)
     assert 0xFF60 in groups(sending.bus.sent)
+
+
+def test_on_two_buses_only_the_one_that_is_sent_on_has_a_say_in_the_address() -> None:
+    inward, outward = Bench(), Bench(config=TRANSMIT, transmit=True)
+    times = {"clock": lambda: inward.now, "wall": lambda: inward.now + EPOCH}
+    assert outward.transmitter is not None
+    daemon = Daemon(inward.link, outward.link, inward.worker, outward.transmitter, 5.0, **times)
+
+    def traffic(seconds: float, *messages: can.Message) -> None:
+        for _ in range(round(seconds / 0.1)):
+            inward.now = outward.now = inward.now + 0.1
+            if inward.link.is_open:
+                inward.put(*messages)
+            inward.link.step(0)
+            outward.link.step(0)
+            daemon.turn()
+
+    traffic(2.0, frame(0x18FEF100))
+    assert outward.transmitter.address == 0xFB
+    before = groups(outward.bus.sent).count(0xFF61)
+    traffic(2.0, frame(0x18EEFFFB, bytes(8)), frame(0x18EAFB21, bytes([0x61, 0xFF, 0x00])), frame(0x18FE7031))
+    assert outward.transmitter.address == 0xFB
+    assert not outward.transmitter.events
+    assert groups(outward.bus.sent).count(0xFF61) == before
+    assert outward.transmitter.foreign_weights == [0x31]
 
 
 def test_on_leaving_receivers_are_told_that_nothing_is_known(tmp_path: Path) -> None:

@@ -127,6 +127,10 @@ class Transmitter:
             self._put(self.node.hear(message, now), now)
         self._hear_transport(frames, pgn, now)
 
+    def hear_elsewhere(self, frames: Frames) -> None:
+        """Take what others sent on a bus that we do not send on: of it, only the weight of the vehicle matters."""
+        self._neighbours.watch(frames[pgn_of(frames.ident) == CVW])
+
     def _hear_transport(self, frames: Frames, pgn: NDArray[np.uint32], now: float) -> None:
         """Take the answers of those we send several packets to, and Commanded Address."""
         if self.diagnostics is not None and self.address is not None:

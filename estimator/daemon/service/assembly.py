@@ -10,11 +10,12 @@ import numpy as np
 
 from estimator import config as configuration
 from estimator.can_io.binding import BoundMessage, bind, load_database
+from estimator.can_io.foreign_senders import CVW
 from estimator.can_io.publisher import output_groups
 from estimator.checkpoint.store import StateStore
 from estimator.config import Config, estimation_key
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
-from estimator.daemon.reception.filters import input_filters, node_filters
+from estimator.daemon.reception.filters import input_filters, node_filters, of_group
 from estimator.daemon.reception.link import Link
 from estimator.daemon.service import faults, file_permissions, folders
 from estimator.daemon.service.boot_id import boot_id
@@ -141,8 +142,8 @@ def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | 
     store = StateStore(state_folder)
     runtime = folders.make(folders.runtime_directory(service), 0o755)
     filters, own = input_filters(plan.messages), node_filters(settings.publish.source_address)
-    wanted = [*filters, *own] if settings.transmit.enabled else filters
-    source = Link(plan.source, wanted if reception.filter else None, reception)
+    heard = [] if not settings.transmit.enabled else own if plan.target is None else [of_group(CVW)]
+    source = Link(plan.source, [*filters, *heard] if reception.filter else None, reception)
     target = None if plan.target is None else Link(plan.target, own if reception.filter else None, reception)
     transmitter = None
     if settings.transmit.enabled:

@@ -75,6 +75,7 @@ class Daemon:
         codes_file: Path | None = None,
     ) -> None:
         self.source, self.target, self.worker, self.transmitter = source, target, worker, transmitter
+        self._output = target or source
         self.listener = Listener(worker, self._broadcast)
         self.state = State.WAITING
         self.detail = ""
@@ -135,12 +136,11 @@ class Daemon:
         if self.worker.failure is not None:
             raise RoadloadError(f"the estimator failed: {self.worker.failure!r}") from self.worker.failure
         if self.transmitter is not None:
-            output = self.target or self.source
-            if output.counts.opened != self._opened:
+            if self._output.counts.opened != self._opened:
                 if self._opened:
                     self.transmitter.restart()
-                self._opened = output.counts.opened
-            if output.is_open:
+                self._opened = self._output.counts.opened
+            if self._output.is_open:
                 self.listener.turn(self._time(self.source).at(now))
         if now >= self._report_due:
             self._report_due = now + REPORT_PERIOD
@@ -196,8 +196,10 @@ class Daemon:
             clock = self._time(link)
             for drained_at, batch in link.take():
                 frames = _at(clock, batch, drained_at)
-                if self.transmitter is not None:
+                if self.transmitter is not None and link is self._output:
                     self.transmitter.hear(frames, batch.own, drained_at)
+                elif self.transmitter is not None:
+                    self.transmitter.hear_elsewhere(frames)
                 if link is self.source and len(frames):
                     self.listener.hear(frames)
 
