@@ -298,6 +298,9 @@ def test_a_contest_and_what_was_believed_outlast_a_restart():
     assert not any(after.replaced)
 
 
+NO_REASON = {"reason": "no reason", "before": None, "until": None, "duration": 30.0}
+
+
 @pytest.mark.parametrize(
     "damage",
     [
@@ -305,6 +308,8 @@ def test_a_contest_and_what_was_believed_outlast_a_restart():
         {"choices": {"BROADCAST.Speed": {"source": 256}}},
         {"contested": {"OTHER.Signal": "values alternate"}},
         {"contested": 1},
+        {"contested": {"BROADCAST.Speed": "no reason"}},
+        {"choices": {"BROADCAST.Speed": {"source": 5, "contest": NO_REASON}}},
     ],
 )
 def test_a_state_that_is_none_is_refused(damage: dict):

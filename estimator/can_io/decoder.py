@@ -14,6 +14,7 @@ from cantools.database.can import Signal
 from numpy.typing import NDArray
 
 from estimator.can_io.binding import BoundMessage, BoundSignal
+from estimator.can_io.contradiction import Contradiction
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import GROUP_MASK, PDU1_LIMIT, MultiPacket, Transport, classify, highest_valid
 from estimator.can_io.source_selection import KIND, NO_ADDRESS, Heard, Kind, choice
@@ -152,7 +153,7 @@ class Decoder:
         StateError
             The state is not that of such a decoder.
         """
-        choices, contested = substate(state, "choices"), read(state, "contested", dict[str, str])
+        choices, contested = substate(state, "choices"), read(state, "contested", dict[str, Contradiction])
         if set(choices) != set(self._choices) or not set(contested) <= set(choices):
             raise StateError("choices: of other signals than are bound")
         for path, each in self._choices.items():

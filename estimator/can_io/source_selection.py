@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from estimator.can_io.binding import BoundMessage, BoundSignal
 from estimator.can_io.contradiction import MAGNITUDE, Contradiction, is_alternating, is_disagreement, is_flickering
 from estimator.checkpoint.validation import State, read, substate
+from estimator.errors import StateError
 from estimator.settings import Bus
 from estimator.signals import DIMENSION, STATE, Floats, Mask, Role
 
@@ -179,6 +180,8 @@ class Contest:
             The state is not that of a contest.
         """
         self.reason, self.before = read(state, "reason", str), read(state, "before", float | None)
+        if self.reason not in ("", *Contradiction):
+            raise StateError(f"reason: {self.reason!r} is none")
         until = read(state, "until", float | None)
         self._until = -np.inf if until is None else until
         longest = MAX_CONTEST_GROWTH * self._shortest
