@@ -24,6 +24,7 @@ from estimator.can_io.logs import open_log
 from estimator.checkpoint.store import StateStore
 from estimator.commands.main import main
 from estimator.daemon.service.assembly import Plan, plan, restored
+from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.supervision import Signals, supervise
 from estimator.daemon.service.worker import Worker
 from estimator.errors import ConfigError, RoadloadError
@@ -325,6 +326,27 @@ def test_two_daemons_do_not_share_a_state(running: Running, settings: Path, tmp_
     until(lambda: bool(shown(tmp_path)))
     with pytest.raises(ConfigError, match="another daemon"):
         supervise(lambda: plan(settings, None, Namespace()), Signals())
+
+
+def test_a_pipeline_that_is_still_at_work_is_not_given_to_the_next_daemon(
+    settings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finish, following = threading.Event(), [plan(settings, None, Namespace()), None]
+
+    def serve(daemon: Daemon, *others: object) -> Plan | None:
+        monkeypatch.setattr(daemon.worker, "_feed", lambda frames, began: finish.wait(PATIENCE))
+        daemon.worker.offer(Frames.from_messages([can.Message(timestamp=1.0)]))
+        daemon.worker.start()
+        until(lambda: not daemon.worker.backlog)
+        daemon.worker.close(timeout=0.0)
+        return following.pop(0)
+
+    monkeypatch.setattr("estimator.daemon.service.supervision._serve", serve)
+    try:
+        with pytest.raises(RoadloadError, match="did not finish"):
+            supervise(lambda: plan(settings, None, Namespace()), Signals())
+    finally:
+        finish.set()
 
 
 def test_signals_are_taken_over_and_given_back() -> None:

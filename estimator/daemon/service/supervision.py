@@ -64,6 +64,8 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
             following = _serve(daemon, plan, make_plan, signals, notifier)
         if following is None:
             return
+        if daemon.worker.is_running:
+            raise RoadloadError("the estimator did not finish before the new configuration could be used; start again")
         # The same vehicle and settings: the pipeline is kept, to the last frame.
         pipeline = daemon.worker.pipeline if following.key == plan.key else None
         plan = following

@@ -112,6 +112,11 @@ class Worker:
         """Frames that found no room."""
         return self._inbox.dropped
 
+    @property
+    def is_running(self) -> bool:
+        """Whether its thread uses the pipeline, which it may after `close`, too."""
+        return self._thread is not None and self._thread.is_alive()
+
     def stuck_for(self, now: float) -> float:
         """For how long [s] the work at hand has taken so far."""
         since = self._busy_since
@@ -131,7 +136,7 @@ class Worker:
         self._inbox.close()
         if self._thread is not None:
             self._thread.join(timeout)
-            if self._thread.is_alive():
+            if self.is_running:
                 log.warning("%s", "the estimator did not finish in time; what it did since the last save is lost")
                 return
         if self.failure is None:  # else what there is may be broken, and is not kept
