@@ -314,7 +314,10 @@ def smooth_friction(w):
 
 def in_batches(curve: FrictionCurve, w, reading) -> np.ndarray:
     return np.concatenate(
-        [curve.refine(w[i : i + 250], reading[i : i + 250], w[i : i + 250]) for i in range(0, len(w), 250)]
+        [
+            curve.refine(w[i : i + 250], reading[i : i + 250], w[i : i + 250], np.array([0, 250]))
+            for i in range(0, len(w), 250)
+        ]
     )
 
 
@@ -354,23 +357,50 @@ def test_friction_is_unknown_where_speed_or_reading_is():
     w = 130 + 40 * np.sin(np.arange(1000) / 300)
     reading = np.round(smooth_friction(w), 2)
     w[100:200], reading[300:400] = np.nan, np.nan
-    refined = FrictionCurve().refine(w, reading, w)
+    refined = FrictionCurve().refine(w, reading, w, np.array([0, 1000]))
     np.testing.assert_array_equal(np.isnan(refined), np.isnan(w) | np.isnan(reading))
-    assert np.isnan(FrictionCurve().refine(np.full(5, np.nan), np.full(5, 0.05), np.full(5, 90.0))).all()
+    none = FrictionCurve().refine(np.full(5, np.nan), np.full(5, 0.05), np.full(5, 90.0), np.array([0, 5]))
+    assert np.isnan(none).all()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_friction_of_many_batches_is_that_of_one_after_the_other(seed):
+    rng = np.random.default_rng(seed)
+    w = 130 + 40 * np.sin(np.arange(2000) / 300)
+    reading = np.where(rng.random(2000) < 0.1, np.nan, np.round(smooth_friction(w), 2))
+    bounds = np.array([0, *np.sort(rng.integers(0, 2000, 12)), 2000])
+    one, many = FrictionCurve(), FrictionCurve()
+    parts = [
+        one.refine(w[low:high], reading[low:high], w[low:high], np.array([0, high - low]))
+        for low, high in pairwise(bounds.tolist())
+    ]
+    np.testing.assert_array_equal(many.refine(w, reading, w, bounds), np.concatenate(parts))
 
 
 def test_lone_gross_errors_are_repaired_and_nothing_else():
     rng = np.random.default_rng(3)
+    whole = np.array([0, 500])
     t = np.arange(500) / 50
     clean = 2e5 + 1e5 * np.sin(t) + 2e3 * rng.standard_normal(500)
     clean[250:] -= 2e5  # a gear change
-    assert np.abs(despike(clean) - clean).max() == 0
+    assert np.abs(despike(clean, whole) - clean).max() == 0
     dirty = clean.copy()
     bad = rng.choice(np.arange(5, 495, 7), 15, replace=False)
     dirty[bad] += rng.choice([-1, 1], 15) * 3e5
-    repaired = despike(dirty)
+    repaired = despike(dirty, whole)
     assert np.abs(repaired - clean)[bad].max() < 5e4
     assert np.array_equal(np.delete(repaired, bad), np.delete(clean, bad))
     unknown = clean.copy()
     unknown[::3] = np.nan
-    assert np.array_equal(np.isnan(despike(unknown)), np.isnan(unknown))
+    assert np.array_equal(np.isnan(despike(unknown, whole)), np.isnan(unknown))
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_errors_of_power_are_judged_in_their_own_block(seed):
+    rng = np.random.default_rng(seed)
+    value = 2e5 + 1e5 * np.sin(np.arange(300) / 40) + 2e3 * rng.standard_normal(300)
+    value[rng.random(300) < 0.03] += 3e5
+    value[rng.random(300) < 0.03] = np.nan
+    bounds = np.array([0, *np.sort(rng.integers(0, 300, 6)), 300])
+    parts = [despike(value[low:high], np.array([0, high - low])) for low, high in pairwise(bounds.tolist())]
+    np.testing.assert_array_equal(despike(value, bounds), np.concatenate(parts))

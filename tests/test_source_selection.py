@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from test_decoder import LARGE, SPEED, TORQUE, TRUCK, announced, broadcast, cut, pack
 
 from estimator.can_io.binding import bind, load_database
-from estimator.can_io.contradiction import is_alternating, is_disagreement
+from estimator.can_io.contest import Contest
+from estimator.can_io.contradiction import are_alternating, is_disagreement
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import Frames
-from estimator.can_io.source_selection import Contest, fastest
+from estimator.can_io.own_rate import fastest
 from estimator.config import from_dict
 from estimator.errors import StateError
 from estimator.signals import Role
@@ -324,7 +325,7 @@ def test_a_state_that_is_none_is_refused(damage: dict):
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 2**32),
-    n=st.integers(0, 300),
+    n=st.integers(1, 300),
     noise=st.floats(0, 0.01),
     step=st.sampled_from([0.0, 1e-3, 0.01]),
     swing=st.floats(0, 0.5),
@@ -335,7 +336,7 @@ def test_no_smooth_signal_with_noise_and_resolution_alternates(seed, n, noise, s
     rng = np.random.default_rng(seed)
     value = 1 + swing * np.sin(2 * np.pi * np.arange(n) / period) + rng.normal(0, noise, n)
     value = np.round(value / step) * step if step else value
-    assert not is_alternating(value, 1.0, step)
+    assert not are_alternating(value, np.array([0, n]), 1.0, step)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
@@ -350,7 +351,7 @@ def test_a_lie_in_between_alternates_however_often_it_comes(seed, times, lie, st
     true = 1 + 0.2 * np.sin(2 * np.pi * np.arange(60) / 50) + rng.normal(0, 0.003, 60)
     value = np.column_stack([true, *[lie * true] * times]).ravel()
     value = np.round(value / step) * step if step else value
-    assert is_alternating(value, 1.0, step)
+    assert are_alternating(value, np.array([0, len(value)]), 1.0, step)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)

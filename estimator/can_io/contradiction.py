@@ -8,8 +8,9 @@ largest values of the first are given at each limit.
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estimator.signals import Floats, Role
+from estimator.signals import Floats, Mask, Role
 
 MAX_LATENESS = 0.3  # s by which two honest senders may differ in time
 TOLERANCE = 0.02  # of the quantity's magnitude, by which two honest senders may differ
@@ -74,29 +75,80 @@ def is_disagreement(
     return abs(float(difference.mean())) > QUANTA * step + TOLERANCE * size + MAX_LATENESS * drift
 
 
-def is_alternating(value: Floats, magnitude: float, step: float) -> bool:
-    """Whether consecutive readings (n,) of one address look like those of two senders in turn.
+def are_alternating(value: Floats, bounds: NDArray[np.intp], magnitude: float, step: float) -> Mask:
+    """Whether consecutive readings of one address look like those of two senders in turn.
 
     Of two senders in strict turn, every other reading is closer than the next one; of any other mixture, readings
     stand out from both their neighbours, all on the same side where one of the two sends much more often. Resolution
     and noise do neither.
+
+    Parameters
+    ----------
+    value
+        Readings (n,), in blocks between ``bounds`` (k + 1,), none of them empty.
+    magnitude
+        Usual magnitude of the quantity [SI].
+    step
+        Resolution of the values [SI].
+
+    Returns
+    -------
+    Mask
+        The blocks (k,) that do.
     """
-    if len(value) < MIN_READINGS:
-        return False
-    size = max(magnitude, float(np.abs(value).mean()))
-    steps = np.diff(value)
-    next_step, next_but_one = np.abs(steps).mean(), np.abs(value[2:] - value[:-2]).mean()
-    if next_step > step + TOLERANCE / 2 * size and next_step > MAX_STEP_RATIO * next_but_one:
-        return True
-    beyond = np.where(steps[:-1] * steps[1:] < 0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
-    if np.count_nonzero(beyond > QUANTA * step + MIN_MATERIAL_STEP * size) > MAX_MATERIAL_SHARE * len(value):
-        return True
-    out = np.flatnonzero(beyond > SLIGHT_QUANTA * step + MIN_SLIGHT_STEP * size)
-    sides = np.sign(steps[out])
-    one_sided = max(abs(sides.sum()), abs((sides * np.sign(value[out + 1])).sum()))
-    return len(out) > MIN_SLIGHT_SHARE * len(value) and bool(one_sided >= MAX_ONE_SIDED_SDS * np.sqrt(len(out)))
+    count = np.diff(bounds)
+    size = np.maximum(magnitude, block_sums(np.abs(value), bounds) / count)
+    steps = _steps(value, bounds, 1)
+    next_step = block_sums(np.abs(steps), bounds) / np.maximum(count - 1, 1)
+    found: Mask = next_step > step + TOLERANCE / 2 * size
+    if found.any():
+        next_but_one = block_sums(np.abs(_steps(value, bounds, 2)), bounds) / np.maximum(count - 2, 1)
+        found &= next_step > MAX_STEP_RATIO * next_but_one
+    found |= _stand_out(
+        value, steps, bounds, QUANTA * step + MIN_MATERIAL_STEP * size, SLIGHT_QUANTA * step + MIN_SLIGHT_STEP * size
+    )
+    return found & (count >= MIN_READINGS)
 
 
-def is_flickering(value: Floats) -> bool:
-    """Whether a switch or gear (n,) changes more often in a block than a driver or a gearbox can."""
-    return int(np.count_nonzero(np.diff(value))) > MAX_CHANGES
+def _steps(value: Floats, bounds: NDArray[np.intp], ahead: int) -> Floats:
+    """From each reading (n,) to that ``ahead`` of it, zero where that is of another block."""
+    steps = np.zeros(len(value))
+    np.subtract(value[ahead:], value[:-ahead], out=steps[:-ahead])
+    for back in range(1, ahead + 1):
+        steps[bounds[1:] - back] = 0.0
+    return steps
+
+
+def _stand_out(value: Floats, steps: Floats, bounds: NDArray[np.intp], material: Floats, slight: Floats) -> Mask:
+    """Blocks (k,) in which too many readings stand out from both neighbours, by the limits (k,) of each block."""
+    beyond = np.zeros(len(value))
+    np.multiply(np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), steps[:-1] * steps[1:] < 0, out=beyond[1:])
+    if beyond.max() <= slight.min():
+        return np.zeros(len(slight), dtype=bool)
+    count = np.diff(bounds)
+    too_many: Mask = block_sums(beyond > np.repeat(material, count), bounds) > MAX_MATERIAL_SHARE * count
+    out = beyond > np.repeat(slight, count)
+    sides, number = np.zeros(len(value)), block_sums(out, bounds)
+    sides[out] = np.sign(value[out] - value[np.flatnonzero(out) - 1])
+    one_sided = np.maximum(*(np.abs(block_sums(each, bounds)) for each in (sides, sides * np.sign(value))))
+    return too_many | (number > MIN_SLIGHT_SHARE * count) & (one_sided >= MAX_ONE_SIDED_SDS * np.sqrt(number))
+
+
+def are_flickering(value: Floats, bounds: NDArray[np.intp]) -> Mask:
+    """In which blocks (k,) a switch or gear (n,) changes more often than a driver or a gearbox can.
+
+    Blocks of 5 s lie between ``bounds`` (k + 1,), none of them empty.
+    """
+    changed = np.diff(value, append=0.0) != 0
+    changed[bounds[1:] - 1] = False  # not from one block to the next
+    found: Mask = block_sums(changed, bounds) > MAX_CHANGES
+    return found
+
+
+def block_sums(values: Floats | Mask, bounds: NDArray[np.intp]) -> Floats:
+    """Sums (k,) of values (n,) in the blocks between ``bounds`` (k + 1,), none of them empty.
+
+    The rounding of each depends on its own block alone.
+    """
+    sums: Floats = np.add.reduceat(values.astype(np.float64, copy=False), bounds[:-1])
+    return sums

@@ -1,101 +1,40 @@
-"""Frames to signals: bits to SI values, whole batches at a time.
+"""Frames to readings of the wanted signals, one block of traffic or many at a time.
 
-Live traffic and logs go through the same code, so they give the same numbers. A value that its sender marks as
-not available, as an error, or that lies outside its declared range becomes NaN and is counted by name.
+Live traffic and logs go through the same code, so they give the same numbers. Frames and values that are refused are
+counted by name.
 """
 
-import math
 from collections import Counter
-from itertools import pairwise
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
-from cantools.database.can import Signal
 from numpy.typing import NDArray
 
-from estimator.can_io.binding import BoundMessage, BoundSignal
+from estimator.can_io.binding import BoundMessage
+from estimator.can_io.carried import CarriedMessage, CarriedSignal, path_of
 from estimator.can_io.contradiction import Contradiction
 from estimator.can_io.frames import EXTENDED, Frames
-from estimator.can_io.j1939 import GROUP_MASK, PDU1_LIMIT, MultiPacket, Transport, classify, highest_valid
-from estimator.can_io.source_selection import KIND, NO_ADDRESS, Heard, Kind, choice
+from estimator.can_io.j1939 import GROUP_MASK, PDU1_LIMIT, MultiPacket, Transport
+from estimator.can_io.signal_values import WORDS, last_byte
+from estimator.can_io.source_selection import KIND, Kind, Verdict, choice
 from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.errors import StateError
 from estimator.settings import Bus
 from estimator.signals import Floats, Mask, Role, Series
 
-Raw = NDArray[np.unsignedinteger[Any]]
-WORDS = (1, 2, 4, 8)  # bytes
-EXACT_BITS = 53  # of a raw value that a floating-point number holds exactly
-
-
-def extract(data: NDArray[np.uint8], signal: Signal) -> Raw:
-    """Raw bits (n,) of a signal of at most 64 bits from payloads (n, whole words), byte order as the DBC says."""
-    little = signal.byte_order == "little_endian"
-    # The DBC's start bit of a big-endian signal is its most significant one, counted in its byte from the lowest.
-    first = signal.start if little else signal.start // 8 * 8 + 7 - signal.start % 8
-    last = first + signal.length - 1
-    size = next((size for size in WORDS if first // (8 * size) == last // (8 * size)), None)
-    if size is None:
-        return _extract_across_words(data, signal)
-    column, bit = divmod(first, 8 * size)
-    word: Raw = np.ascontiguousarray(data).view(f"{'<' if little else '>'}u{size}")[:, column]
-    shift = bit if little else 8 * size - bit - signal.length
-    if shift:
-        word = word >> word.dtype.type(shift)
-    return word if shift + signal.length == 8 * size else word & word.dtype.type((1 << signal.length) - 1)
-
-
-def _extract_across_words(data: NDArray[np.uint8], signal: Signal) -> Raw:
-    """The same byte by byte."""
-    if signal.byte_order == "little_endian":
-        first, shift = divmod(signal.start, 8)
-        count = (shift + signal.length + 7) // 8
-        columns = range(first, first + count)
-    else:
-        first, bit = divmod(signal.start, 8)
-        count = (7 - bit + signal.length + 7) // 8
-        shift = 8 * count - (7 - bit) - signal.length
-        columns = range(first + count - 1, first - 1, -1)
-    raw = np.zeros(len(data), dtype=np.uint64)
-    for place, column in enumerate(columns):
-        byte = data[:, column].astype(np.uint64)
-        move = 8 * place - shift
-        raw |= byte << np.uint64(move) if move >= 0 else byte >> np.uint64(-move)
-    return raw & np.uint64((1 << signal.length) - 1)
-
-
-def last_byte(signal: Signal) -> int:
-    """Number of payload bytes that a frame needs to carry the whole signal."""
-    if signal.byte_order == "little_endian":
-        return (signal.start + signal.length + 7) // 8
-    first, bit = divmod(signal.start, 8)
-    return first + (7 - bit + signal.length + 7) // 8
-
-
-def _number(raw: Raw, signal: Signal) -> Floats:
-    """Scaled value in the DBC's own unit."""
-    if signal.is_float:
-        kinds = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
-        integer, real = kinds[signal.length]
-        value = raw.astype(integer).view(real).astype(np.float64)
-    elif signal.is_signed:
-        top = np.uint64(64 - signal.length)
-        value = ((raw.astype(np.uint64) << top).view(np.int64) >> np.int64(top)).astype(np.float64)
-    else:
-        value = raw.astype(np.float64)
-    return _scaled(value, float(signal.scale), float(signal.offset))
-
-
-def _scaled(value: Floats, scale: float, offset: float) -> Floats:
-    """The same array, scaled and shifted in place."""
-    if scale != 1:
-        value *= scale
-    if offset != 0:
-        value += offset
-    return value
-
-
 NOTHING = Series(np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """Readings by role, of blocks that end at ``ends`` (k,) [s]."""
+
+    readings: dict[Role, list[Series]]
+    ends: Floats
 
 
 class Decoder:
@@ -112,8 +51,10 @@ class Decoder:
         self.contested: dict[str, str] = {}  # reason by MESSAGE.signal, as of the last batch
         self.replaced = False  # in the last batch a sender was replaced because its readings were wrong
         self._messages = messages
-        self._choices = {_path(m, b): choice(m, b, bus) for m in messages for b in m.signals}
-        self._by_pgn = {_path(m, b) for m in messages if m.by_pgn for b in m.signals}
+        self._choices = {path_of(m, b): choice(m, b, bus) for m in messages for b in m.signals}
+        self._by_pgn = {path_of(m, b) for m in messages if m.by_pgn for b in m.signals}
+        paths = Counter(path_of(m, b) for m in messages for b in m.signals)
+        self._shared = {path for path, count in paths.items() if count > 1}  # by several roles
         self._places = Counter(bound.role for message in messages for bound in message.signals)
         self._needs = [max(last_byte(s) for b in m.signals for s in (b.signal, *b.multiplexers)) for m in messages]
         self._transport = Transport()
@@ -164,16 +105,26 @@ class Decoder:
         self.transport_rejected.update(read(state, "transport", dict[str, Count]))
 
     def decode(self, frames: Frames, end: float | None = None) -> dict[Role, list[Series]]:
-        """Signals in a batch of frames, in SI; a role bound to several has a series for each, empty or not.
+        """Signals in one block of frames, in SI; a role bound to several has a series for each, empty or not.
 
-        Senders are judged batch by batch, so what is contested depends on how traffic is cut: give batches of a few
+        Senders are judged block by block, so what is contested depends on how traffic is cut: give blocks of a few
         seconds. ``end`` is the time at which this one ends [s], by default that of its last frame.
         """
-        out: dict[Role, list[Series]] = {}
+        end = end if end is not None else float(frames.t[-1]) if len(frames) else -np.inf
+        return next(self.decode_blocks(frames, np.array([end]))).readings
+
+    def decode_blocks(self, frames: Frames, ends: Floats) -> Iterator[Decoded]:
+        """Signals in blocks of frames in order of time that end at ``ends`` (k,) [s].
+
+        Blocks in which no sender changes or is contradicted are judged at once, to the same effect as one by one.
+        """
+        yield from self._judged(self._carried(frames, ends), ends)
+
+    def _carried(self, frames: Frames, ends: Floats) -> list[CarriedMessage]:
+        """What each message carries in frames that are long enough."""
         group = frames.ident & np.uint32(GROUP_MASK)
         packets = self._transport.feed(frames)
-        end = end if end is not None else float(frames.t[-1]) if len(frames) else -np.inf
-        self.replaced = False
+        carried = []
         for message, need in zip(self._messages, self._needs, strict=True):
             chosen = frames[_is_message(message, frames.ident, group)]
             if message.by_pgn and (broadcasts := [p for p in packets if p.pgn == message.key]):
@@ -183,48 +134,56 @@ class Decoder:
                 whole = chosen.length >= need
                 self.rejected[f"{message.name}: short frame"] += int(np.count_nonzero(~whole))
                 chosen = chosen[whole]
-            self._decode_message(message, chosen, end, out)
+            carried.append(CarriedMessage.of(message, chosen, ends))
+        return carried
+
+    def _judged(self, carried: list[CarriedMessage], ends: Floats) -> Iterator[Decoded]:
+        """Readings of all blocks at once where no sender has to be judged by itself, else by halves."""
+        judges = [judge for message in carried for each in message.signals if (judge := self._judge(each)) is not None]
+        if len(judges) < sum(len(message.signals) for message in carried):
+            halves = [message.halves(ends) for message in carried]
+            half = len(ends) // 2
+            yield from self._judged([first for first, _ in halves], ends[:half])
+            yield from self._judged([second for _, second in halves], ends[half:])
+            return
+        self.replaced = False
+        out: dict[Role, list[Series]] = {}
+        verdicts = iter([judge() for judge in judges])
+        for message in carried:
+            self._take_message(message, list(islice(verdicts, len(message.signals))), out)
         if self.contested:
             self._withhold(out)
-        return out
+        yield Decoded(out, ends)
 
-    def _decode_message(self, message: BoundMessage, frames: Frames, end: float, out: dict[Role, list[Series]]) -> None:
-        useful, spoken_for, carrying = np.zeros((3, len(frames)), dtype=bool)
-        source = _sources(message, frames)
-        for bound in message.signals:
-            if not bound.multiplexers or not len(frames):
-                taken = self._take(message, bound, frames, source, end, out)
-                here = np.ones(len(frames), dtype=bool)
-            else:
-                here = _present(bound, frames)
-                taken = np.zeros(len(frames), dtype=bool)
-                taken[here] = self._take(message, bound, frames[here], source[here], end, out)
+    def _judge(self, carried: CarriedSignal) -> Callable[[], Verdict] | None:
+        """What judges a signal; None where its blocks have to be judged one by one."""
+        choice = self._choices[carried.path]
+        if len(carried.heard.ends) == 1:
+            return partial(choice.judge, carried.heard)
+        return None if carried.path in self._shared else choice.calm(carried.heard)
+
+    def _take_message(self, carried: CarriedMessage, verdicts: list[Verdict], out: dict[Role, list[Series]]) -> None:
+        """Add the readings of a message that may be used, and count its frames."""
+        count = len(carried.t)
+        useful, spoken_for, carrying = np.zeros((3, count), dtype=bool)
+        for each, verdict in zip(carried.signals, verdicts, strict=True):
+            here = each.of_message(np.ones(len(each.heard.t), dtype=bool), count)
+            self._take(each, verdict, out)
             carrying |= here
-            useful |= taken
-            if self._choices[_path(message, bound)].source is not None:
+            useful |= each.of_message(verdict.taken, count)
+            if self._choices[each.path].source is not None:
                 spoken_for |= here
         self.used += int(np.count_nonzero(useful))
         idle = carrying & ~useful
         for reason, mask in (("other source address", idle & spoken_for), ("no valid value", idle & ~spoken_for)):
-            if count := int(np.count_nonzero(mask)):
-                self.rejected[f"{message.name}: {reason}"] += count
+            if number := int(np.count_nonzero(mask)):
+                self.rejected[f"{carried.message.name}: {reason}"] += number
 
-    def _take(
-        self,
-        message: BoundMessage,
-        bound: BoundSignal,
-        part: Frames,
-        source: NDArray[np.uint8],
-        end: float,
-        out: dict[Role, list[Series]],
-    ) -> Mask:
-        """Add the readings of one signal that may be used, NaN where it is contested; returns their mask (n,)."""
-        path = _path(message, bound)
-        value, masks = _values(message, bound, part) if len(part) else (np.empty(0), {})
-        verdict = self._choices[path].judge(Heard(part.t, source, value, end))
-        taken = verdict.taken
+    def _take(self, carried: CarriedSignal, verdict: Verdict, out: dict[Role, list[Series]]) -> None:
+        """Add the readings of one signal that may be used, NaN where it is contested."""
+        path, bound, taken, value = carried.path, carried.bound, verdict.taken, carried.heard.value
         self.replaced |= verdict.replaced
-        for reason, mask in masks.items():
+        for reason, mask in carried.masks.items():
             if count := int(np.count_nonzero(mask & taken)):
                 self.rejected[f"{path}: {reason}"] += count
         if verdict.contested:
@@ -236,8 +195,8 @@ class Decoder:
             self.contested.pop(path, None)
         if taken.any():
             places = out.setdefault(bound.role, [NOTHING] * self._places[bound.role])
-            places[bound.place] = Series(part.t, value) if taken.all() else Series(part.t[taken], value[taken])
-        return taken
+            t = carried.heard.t
+            places[bound.place] = Series(t, value) if taken.all() else Series(t[taken], value[taken])
 
     def _withhold(self, out: dict[Role, list[Series]]) -> None:
         """Make every input of the road load unknown: without one of them, the others give no or a wrong estimate."""
@@ -250,13 +209,6 @@ class Decoder:
             out[role] = [Series(part.t, np.full(len(part.t), np.nan)) for part in parts]
 
 
-def _sources(message: BoundMessage, frames: Frames) -> NDArray[np.uint8]:
-    """Source address (n,) of each frame, NO_ADDRESS where the id holds none."""
-    if not message.by_pgn:
-        return np.full(len(frames), NO_ADDRESS, np.uint8)
-    return (frames.ident & np.uint32(0xFF)).astype(np.uint8)
-
-
 def _is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:
     """Which ids (n,) are those of a message; ``group`` is what they have without priority and source address."""
     if not message.by_pgn:
@@ -266,72 +218,6 @@ def _is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray
     else:
         found = group == EXTENDED | message.key << 8
     return found
-
-
-def _present(bound: BoundSignal, frames: Frames) -> Mask:
-    """In which frames the multiplexers of a signal select it."""
-    here = np.ones(len(frames), dtype=bool)
-    for signal, multiplexer in pairwise((bound.signal, *bound.multiplexers)):
-        selecting = np.array(signal.multiplexer_ids or [], dtype=np.uint64)
-        here &= np.isin(extract(frames.data, multiplexer), selecting)
-    return here
-
-
-def _values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[Floats, dict[str, Mask]]:
-    """SI values, NaN where the sender gave none, and where for which reason."""
-    signal, conversion = bound.signal, bound.conversion
-    raw = extract(frames.data, signal)
-    with np.errstate(over="ignore", invalid="ignore"):  # floating-point signals may hold anything
-        value = _number(raw, signal)
-        if _are_all_usual(message, bound, value):
-            return _scaled(value, conversion.scale, conversion.offset), {}
-        si = _scaled(value.copy(), conversion.scale, conversion.offset)
-        if bound.tangent:
-            np.tan(si, out=si)
-    masks = _no_values(message, signal, raw, value, np.isfinite(si))
-    for mask in masks.values():
-        si[mask] = np.nan
-    return si, masks
-
-
-def _are_all_usual(message: BoundMessage, bound: BoundSignal, value: Floats) -> bool:
-    """Whether the extremes show that every scaled value (n,) of a linear signal is one."""
-    signal, conversion = bound.signal, bound.conversion
-    if signal.is_float or bound.tangent or signal.length > EXACT_BITS or not len(value):
-        return False
-    low, high = _range(signal)
-    if message.j1939 and not signal.is_signed:
-        edge = highest_valid(signal.length) * float(signal.scale) + float(signal.offset)
-        low, high = (low, min(high, edge)) if signal.scale > 0 else (max(low, edge), high)
-    least, most = float(value.min()), float(value.max())
-    extremes = least * conversion.scale + conversion.offset, most * conversion.scale + conversion.offset
-    return low <= least and most <= high and all(map(math.isfinite, extremes))
-
-
-def _range(signal: Signal) -> tuple[float, float]:
-    """The scaled values that the DBC allows."""
-    low, high = signal.minimum, signal.maximum
-    if low is None or high is None or not low < high:
-        return -math.inf, math.inf
-    room = abs(float(signal.scale)) / 2  # half a bit: ranges in DBC files are often written rounded
-    return float(low) - room, float(high) + room
-
-
-def _no_values(message: BoundMessage, signal: Signal, raw: Raw, value: Floats, finite: Mask) -> dict[str, Mask]:
-    """Where there is no value (n,) and why, each with the first reason."""
-    masks: dict[str, Mask] = {}
-    left = np.ones(len(raw), dtype=bool)
-    if message.j1939 and not signal.is_signed:
-        masks["not available"], masks["error"], masks["reserved value"] = classify(raw, signal.length)
-        left = ~np.any(list(masks.values()), axis=0)
-    masks["not a number"] = left & ~finite
-    low, high = _range(signal)
-    masks["out of range"] = left & finite & ((value < low) | (value > high))
-    return masks
-
-
-def _path(message: BoundMessage, bound: BoundSignal) -> str:
-    return f"{message.name}.{bound.signal.name}"
 
 
 def _stack(packets: list[MultiPacket], need: int) -> Frames:

@@ -12,36 +12,25 @@ Traffic is judged in blocks of some seconds. The choice rests on the readings an
 Times are those of messages, so live and replayed traffic are judged alike.
 """
 
-from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Annotated, Any, Protocol
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from estimator.can_io.binding import BoundMessage, BoundSignal
-from estimator.can_io.contradiction import MAGNITUDE, Contradiction, is_alternating, is_disagreement, is_flickering
+from estimator.can_io.contest import Contest
+from estimator.can_io.contradiction import MAGNITUDE, Contradiction, are_alternating, are_flickering, is_disagreement
+from estimator.can_io.heard import NO_ADDRESS, Heard
+from estimator.can_io.own_rate import OwnRate, fastest
 from estimator.checkpoint.validation import State, read, substate
-from estimator.errors import StateError
 from estimator.settings import Bus
 from estimator.signals import DIMENSION, STATE, Floats, Mask, Role
 
 Address = Annotated[int, Meta(ge=0, le=255)]
 
-NO_ADDRESS = 0  # of messages that are matched by their whole id
-MAX_RATE_RATIO = 1.5  # times its own rate, at which more than one node sends under an address
-OWN_RATE_BLOCKS = 12  # newest blocks without a contest, 1 min, whose median is a sender's own rate
-MIN_RATE_BLOCKS = 3  # of them, before that rate counts as known
-MIN_READINGS_FOR_RATE = 6  # readings in a block for a rate
-NEW_RATE_S = 600.0  # s after which a rate that contradicts nothing else counts as the sender's own
-MIN_PERIOD_S = 0.01  # shortest period of a J1939 parameter group
-SLOW_GROUP_HZ = 60.0  # that a group may always reach: EEC3, meant for 4 Hz, is sent with 50 by some
-MAX_NOMINAL_RATES = 4.0  # times the rate of the database that a group may reach, up to the shortest period
-JITTER = 1.2  # times the rate of the shortest period
-MAX_CONTEST_GROWTH = 20  # times the shortest, to which contests grow that follow each other
-RECURRENCE = 10  # times its duration, within which a contest after another counts as the same again
 MIN_RIVAL_READINGS = 3  # readings in a block, below which a sender is no evidence against one with more
 
 
@@ -69,37 +58,6 @@ KIND: dict[Role, Kind] = {role: kind for kind, roles in _KINDS.items() for role 
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """What all addresses sent of one signal in a block that ends at ``end`` [s].
-
-    ``t`` [s], ``source`` (address) and ``value`` [SI], NaN where not valid: all (n,), in order of arrival.
-    """
-
-    t: Floats
-    source: NDArray[np.uint8]
-    value: Floats
-    end: float
-
-    def of(self, chosen: Mask) -> "Heard":
-        """The readings that ``chosen`` (n,) selects."""
-        return Heard(self.t[chosen], self.source[chosen], self.value[chosen], self.end)
-
-    @property
-    def valid(self) -> "Heard":
-        """The readings that hold a value."""
-        finite = np.isfinite(self.value)
-        return self if finite.all() else self.of(finite)
-
-    def by_source(self) -> "dict[int, Heard]":
-        """The readings of each address, the most frequent first, then the lowest."""
-        if len(self.t) and (self.source == self.source[0]).all():
-            return {int(self.source[0]): self}
-        counts = np.bincount(self.source)
-        addresses = sorted(np.flatnonzero(counts).tolist(), key=lambda address: -counts[address])
-        return {address: self.of(self.source == address) for address in addresses}
-
-
-@dataclass(frozen=True, slots=True)
 class Verdict:
     """Which readings of a block are the signal's: ``taken`` (n,).
 
@@ -120,6 +78,9 @@ class Choice(Protocol):
     def judge(self, heard: Heard) -> Verdict:
         """Judge the next block."""
 
+    def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
+        """What judges the next blocks at once, to the same effect; None where each is to be judged by itself."""
+
     def release(self) -> None:
         """Choose anew: another vehicle, or much time, may lie between the blocks."""
 
@@ -128,64 +89,6 @@ class Choice(Protocol):
 
     def restore(self, state: State) -> None:
         """Go on where another choice was."""
-
-
-def fastest(cycle: float | None) -> float:
-    """Rate [1/s] that a J1939 group with this cycle time [s] in the database may reach at one address."""
-    most = JITTER / MIN_PERIOD_S
-    return most if not cycle else min(most, max(SLOW_GROUP_HZ, MAX_NOMINAL_RATES / cycle))
-
-
-class Contest:
-    """A contradiction and the time until it counts as over; ``reason`` is empty while there is none.
-
-    It lasts for ``shortest`` [s] after the last contradiction; one that comes again soon lasts twice as long, because
-    a wrong reading contradicts the others only while the vehicle works.
-    """
-
-    def __init__(self, shortest: float) -> None:
-        self.reason = ""
-        self.before: float | None = None  # address or value in use when it began
-        self._shortest = self._duration = shortest
-        self._until = -np.inf  # [s]
-
-    def extend(self, reason: str, end: float, believed: float | None) -> None:
-        """Take a contradiction in the block that ended at ``end`` [s]."""
-        if not self.reason:
-            self.before = believed
-            recurs = end - self._until < RECURRENCE * self._duration
-            longer = min(2 * self._duration, MAX_CONTEST_GROWTH * self._shortest)
-            self._duration = longer if recurs else self._shortest
-        self.reason, self._until = reason, end + self._duration
-
-    def is_over(self, end: float) -> bool:
-        """Whether nothing has contradicted for long enough at time ``end`` [s]; false while there is no contest."""
-        return bool(self.reason) and end >= self._until
-
-    def settle(self) -> None:
-        """End it."""
-        self.reason, self.before = "", None
-
-    def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
-        until = self._until if np.isfinite(self._until) else None
-        return {"reason": self.reason, "before": self.before, "until": until, "duration": self._duration}
-
-    def restore(self, state: State) -> None:
-        """Go on with another contest.
-
-        Raises
-        ------
-        StateError
-            The state is not that of a contest.
-        """
-        self.reason, self.before = read(state, "reason", str), read(state, "before", float | None)
-        if self.reason not in ("", *Contradiction):
-            raise StateError(f"reason: {self.reason!r} is none")
-        until = read(state, "until", float | None)
-        self._until = -np.inf if until is None else until
-        longest = MAX_CONTEST_GROWTH * self._shortest
-        self._duration = min(max(read(state, "duration", float), self._shortest), longest)
 
 
 class SenderChoice:
@@ -216,8 +119,39 @@ class SenderChoice:
             replaced |= self._follow(senders, heard.end)
         elif senders and self.source is None:
             self.source = next(iter(senders))
-        taken = heard.source == (-1 if self.source is None else self.source)
-        return Verdict(taken, self._contest.reason, replaced)
+        return Verdict(self._is_chosen(heard), self._contest.reason, replaced)
+
+    def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
+        """What judges the next blocks at once: the same sender as before in all that hold a value, uncontradicted."""
+        valid = heard.valid
+        if self._configured is not None:
+            valid = valid.of(valid.source == self._configured)
+        rate = self._rate.copy()
+        if self._contest.reason or (len(valid.t) and not self._is_calm(valid, rate)):
+            return None
+        last = {address: float(part.t[-1]) for address, part in valid.by_source().items()} if len(valid.t) else {}
+
+        def take() -> Verdict:
+            self._last |= last
+            self._rate = rate
+            return Verdict(self._is_chosen(heard))
+
+        return take
+
+    def _is_calm(self, valid: Heard, rate: OwnRate) -> bool:
+        own = valid.of(self._is_chosen(valid))
+        is_alone = len(own.t) == len(valid.t)
+        if not is_alone and self._kind is Kind.MEASURED:
+            return False
+        if not is_alone and np.any((np.diff(own.bounds) == 0) & (np.diff(valid.bounds) > 0)):  # silent, others not
+            return False
+        if self._kind is Kind.AUXILIARY:
+            return True
+        return not (self._repeating(own) or (self._is_rated and any(rate.exceeding(own, self._step))))
+
+    def _is_chosen(self, heard: Heard) -> Mask:
+        chosen: Mask = heard.source == (-1 if self.source is None else self.source)
+        return chosen
 
     def release(self) -> None:
         """Choose anew: another vehicle, or much time, may lie between the blocks."""
@@ -250,13 +184,21 @@ class SenderChoice:
         own = senders[chosen]
         if self._kind is Kind.MEASURED and not self._agree(own, senders, chosen):
             return Contradiction.SENDERS_DISAGREE
-        repeats = is_flickering(own.value) if self._is_state else is_alternating(own.value, self._magnitude, self._step)
-        if repeats and self._is_j1939:
+        if self._repeating(own):
             self._rate.doubt(end)
             return Contradiction.ALTERNATING
-        if self._is_rated and self._rate.is_exceeded(own, self._step):
+        if self._is_rated and any(self._rate.exceeding(own, self._step)):
             return Contradiction.FASTER
         return ""
+
+    def _repeating(self, own: Heard) -> bool:
+        """Whether values alternate in any of the blocks."""
+        if not self._is_j1939:
+            return False
+        bounds = np.unique(own.bounds)  # of blocks with readings
+        if self._is_state:
+            return bool(are_flickering(own.value, bounds).any())
+        return bool(are_alternating(own.value, bounds, self._magnitude, self._step).any())
 
     def _agree(self, own: Heard, senders: dict[int, Heard], chosen: int) -> bool:
         """Whether no other address contradicts the chosen one; stores those that agree with it."""
@@ -295,49 +237,6 @@ class SenderChoice:
         return before is not None and self._kind is Kind.MEASURED and self.source not in self._agreed
 
 
-class OwnRate:
-    """The rate of a sender, learnt from blocks without a contradiction.
-
-    ``highest`` [1/s] is that of any sender of the group. ``follows_value``: the rate may grow with the value, as that
-    of EEC1 with the engine speed (J1939-71).
-    """
-
-    def __init__(self, highest: float, follows_value: bool) -> None:
-        self._highest, self._follows_value = highest, follows_value
-        self.forget()
-
-    def forget(self) -> None:
-        """Learn anew."""
-        self._known: deque[tuple[float, float]] = deque(maxlen=OWN_RATE_BLOCKS)  # [1/s], and over the value
-        self._since: float | None = None  # when the rate began to be exceeded [s]
-
-    def doubt(self, end: float) -> None:
-        """Take a contradiction of values in the block that ended at ``end`` [s]: a rate exceeded is not the own."""
-        self._since = None if self._since is None else end
-
-    def is_exceeded(self, own: Heard, step: float) -> bool:
-        """Whether the valid readings of a block come too fast; a change of rate is not judged at rest."""
-        n, size = len(own.t), float(np.abs(own.value).mean())
-        span = float(own.t[-1] - own.t[0])
-        if n < MIN_READINGS_FOR_RATE or span <= 0:
-            return False
-        rate = (n - 1) / span
-        if rate > self._highest:
-            return True
-        return size > step and self._is_new((rate, rate / size), own.end)
-
-    def _is_new(self, now: tuple[float, float], end: float) -> bool:
-        usual = np.median(self._known, axis=0) if len(self._known) >= MIN_RATE_BLOCKS else np.full(2, np.inf)
-        if now[0] <= MAX_RATE_RATIO * usual[0] or (self._follows_value and now[1] <= MAX_RATE_RATIO * usual[1]):
-            self._since = None
-            self._known.append(now)
-            return False
-        self._since = end if self._since is None else self._since
-        if end - self._since >= NEW_RATE_S:
-            self.forget()
-        return bool(self._known)
-
-
 class ConstantChoice:
     """The value of a constant and its sender: any other value, from whatever address, contests it."""
 
@@ -368,6 +267,24 @@ class ConstantChoice:
             self.source = self._heard[self._value][1]
         taken = valid if self._contest.reason else valid & self._is_believed(heard.value)
         return Verdict(taken, self._contest.reason, replaced)
+
+    def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
+        """What judges the next blocks at once: all values are the one in use."""
+        taken = np.isfinite(heard.value)
+        if self._configured is not None:
+            taken &= heard.source == self._configured
+        known = set(self._heard) | set(np.unique(heard.value[taken]).tolist())
+        if self._contest.reason or not known <= {self._value}:
+            return None
+
+        def take() -> Verdict:
+            if taken.any() and self._value is not None:
+                self.source = int(heard.source[taken][-1])
+                self._heard[self._value] = float(heard.t[taken][-1]), self.source
+            self._heard = {value: at for value, at in self._heard.items() if at[0] >= heard.end - self._patience}
+            return Verdict(taken)
+
+        return take
 
     def release(self) -> None:
         """End a contest; the value stays, for it is a constant of the vehicle, and any address may send it."""

@@ -7,6 +7,7 @@ are held from their last reading.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from estimator.settings import Vehicle
 from estimator.signals import Floats, Mask, Role, Series
 from estimator.streaming.engine_power import EnginePower
 from estimator.streaming.lone_errors import lone_errors
-from estimator.streaming.resampling import Track
+from estimator.streaming.resampling import MAX_FRESH, Track
 
 SETTLE = 3.0  # s, rows lag this far behind the newest reading, so that straight lines have both ends
 NO_CONTEXT = {  # speed and power are computed from them
@@ -30,6 +31,8 @@ NO_CONTEXT = {  # speed and power are computed from them
     Role.PARASITIC_FRACTION,
     Role.REFERENCE_TORQUE,
 }
+# s beyond the rows that wait: engine speeds are looked up at the times of friction readings, as long as these count.
+MEMORY = {Role.ENGINE_SPEED: MAX_FRESH}
 AVERAGED = {Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE}  # gravity is low-passed as speed and power are
 
 SPEEDS = {Role.SPEED, Role.WHEEL_SPEEDS}
@@ -63,23 +66,59 @@ class Aligner:
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
         """Add a batch that ends at time ``now`` [s]; yields the rows that have become complete."""
+        yield from filter(None, self.feed_blocks(readings, np.array([now])))
+
+    def feed_blocks(self, readings: Readings, ends: Floats) -> Iterator[Rows | None]:
+        """Add blocks that end at ``ends`` (k,) [s]; yields for each the rows that have become complete, if any.
+
+        Blocks are added one by one where what is known after one of them alone changes the rows.
+        """
+        if len(ends) > 1 and not self._is_settled(readings, ends):
+            half = len(ends) // 2
+            yield from self.feed_blocks(between(readings, -np.inf, ends[half - 1]), ends[:half])
+            yield from self.feed_blocks(between(readings, ends[half - 1], np.inf), ends[half:])
+            return
         for role, parts in readings.items():
             for i, series in enumerate(parts):
-                self._tracks.setdefault((role, i), Track()).add(series)
+                self._tracks.setdefault((role, i), Track(MEMORY.get(role, 0.0))).add(series)
         if self._despike:
             self._drop_lone_errors()
-        self._engine.extend()
-        horizon = int(np.floor((now - SETTLE) / STEP))
+        self._engine.extend(ends)
+        yield from self._advance(ends)
+
+    def _advance(self, ends: Floats) -> Iterator[Rows | None]:
+        """The rows of blocks that end at ``ends`` (k,) [s], each up to SETTLE before its end; several are settled."""
+        horizons = _horizons(ends)
         if self._next is None:
             starts = [track.t[0] for track in self._tracks.values() if len(track.t)]
             if not starts:
+                yield None
                 return
             self._next = int(np.ceil(min(starts) / STEP))
-        if horizon > self._next:
-            yield self._rows(np.arange(self._next, horizon, dtype=np.int64))
-            self._next = horizon
-            for track in [*self._tracks.values(), self._engine.track]:
-                track.forget(horizon * STEP - SETTLE)
+        first, last = self._next, int(horizons[-1])
+        if last <= first:
+            yield None
+            return
+        rows = self._rows(np.arange(first, last, dtype=np.int64), horizons, ends)
+        self._next = last
+        for track in [*self._tracks.values(), self._engine.track]:
+            track.forget(last * STEP - SETTLE)
+        for low, high in pairwise([0, *(horizons - first).tolist()]):
+            yield rows[low:high]
+
+    def _is_settled(self, readings: Readings, ends: Floats) -> bool:
+        """Whether several blocks can be added at once: no sender is new, and nothing known changes between them."""
+        horizons = _horizons(ends)
+        if self._next is None or horizons[0] <= self._next or not self._engine.is_settled:
+            return False
+        for role, parts in readings.items():
+            for i, series in enumerate(parts):
+                track = self._tracks.get((role, i))
+                if track is None or not track.is_settled(series, ends, horizons * STEP - SETTLE):
+                    return False
+                if self._despike and role in SPEEDS and lone_errors(*track.joined(series)).any():
+                    return False
+        return True
 
     def finish(self, now: float) -> Iterator[Rows]:
         """The rows still waiting at time ``now`` [s], at the end of the traffic; keeps the constants of the engine."""
@@ -109,13 +148,15 @@ class Aligner:
                 self.refused[f"{role.value}: {LONE_ERROR}"] += int(wrong.sum())
                 track.drop(wrong)
 
-    def _rows(self, index: NDArray[np.int64]) -> Rows:
+    def _rows(self, index: NDArray[np.int64], horizons: NDArray[np.int64], ends: Floats) -> Rows:
+        """Rows of blocks that end at ``ends`` (k,) [s], from ``index`` up to their ``horizons`` (k,)."""
         edges = (np.append(index, index[-1] + 1) - 0.5) * STEP
-        speed, speed_there = self._speed(edges)
-        power, power_there = self._engine.track.means(edges)
+        known_to = np.append(ends[:-1], np.inf)[np.searchsorted(horizons, index, side="right")]
+        speed, speed_there = self._speed(edges, known_to)
+        power, power_there = self._engine.track.means(edges, known_to)
         at = index * STEP
         context = {
-            role: track.means(edges)[0] if role in AVERAGED else track.held(at)
+            role: track.means(edges, known_to)[0] if role in AVERAGED else track.held(at)
             for (role, i), track in self._tracks.items()
             if i == 0 and role not in NO_CONTEXT
         }
@@ -123,15 +164,32 @@ class Aligner:
             index=index, speed=speed, power=power, fresh=np.column_stack([speed_there, power_there]), context=context
         )
 
-    def _speed(self, edges: Floats) -> tuple[Floats, Mask]:
+    def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
         """The speed signal, or the mean of the wheel speeds where there is none."""
         wheels = [k for k in self._tracks if k[0] == Role.WHEEL_SPEEDS]
         keys = [(Role.SPEED, 0)] if Role.SPEED in self._bound else wheels
         if not any(key in self._tracks for key in keys):
             return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, dtype=bool)
-        means, there = zip(*(self._tracks[key].means(edges) for key in keys), strict=True)
+        means, there = zip(*(self._tracks[key].means(edges, known_to) for key in keys), strict=True)
         # A wheel without a valid speed is left out; where none has one there is none.
         known = np.isfinite(means)
         total = np.where(known, means, 0.0).sum(axis=0)
         count = known.sum(axis=0)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan), np.any(there, axis=0)
+
+
+def _horizons(ends: Floats) -> NDArray[np.int64]:
+    """Rows (k,) before which all are complete at times ``ends`` (k,) [s]."""
+    horizons: NDArray[np.int64] = np.floor((ends - SETTLE) / STEP).astype(np.int64)
+    return horizons
+
+
+def between(readings: Readings, start: float, end: float) -> dict[Role, list[Series]]:
+    """The readings from ``start`` to before ``end`` [s], of the roles that have any then."""
+    cut = {role: [_part(series, start, end) for series in parts] for role, parts in readings.items()}
+    return {role: parts for role, parts in cut.items() if any(len(part.t) for part in parts)}
+
+
+def _part(series: Series, start: float, end: float) -> Series:
+    low, high = np.searchsorted(series.t, [start, end])
+    return Series(series.t[low:high], series.value[low:high])

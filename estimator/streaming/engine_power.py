@@ -5,16 +5,17 @@ friction torque.
 """
 
 from collections.abc import Mapping, Set
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, read, substate
 from estimator.settings import Positive, Vehicle
 from estimator.signals import Floats, Role, Series
 from estimator.streaming.friction import FrictionCurve
-from estimator.streaming.resampling import Track
+from estimator.streaming.resampling import Track, block_bounds
 
 NO_LIMIT = np.inf
 SPIKE_WINDOW = 5  # readings, for the running median
@@ -88,40 +89,51 @@ class EnginePower:
         self._friction.restore(substate(state, "friction"))
         self._reference = read(state, "reference", Positive | None)
 
-    def extend(self) -> None:
-        """Add the power at the times of all torque readings that are new."""
+    def extend(self, ends: Floats) -> None:
+        """Add the power at the times of all torque readings that are new, in blocks that end at ``ends`` (k,) [s]."""
         if Role.ENGINE_POWER in self._bound:
             given = self._of(Role.ENGINE_POWER)
             new = given.t > self._powered_to
-            self._append(given.t[new], given.value[new])
+            self._append(given.t[new], given.value[new], block_bounds(given.t[new], ends))
             return
-        lead = Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION
-        torque, speed = self._of(lead), self._of(Role.ENGINE_SPEED)
+        torque, speed = self._of(self._lead), self._of(Role.ENGINE_SPEED)
         new = torque.t > self._powered_to
         if not len(speed.t) or not new.any():
             return
         t, value = torque.t[new], torque.value[new]
-        if lead == Role.TORQUE_FRACTION:
-            value = self._net_fraction(t, value) * self._reference_torque(t)
-        self._append(t, value * speed.held(t))
+        bounds = block_bounds(t, ends)
+        if self._lead == Role.TORQUE_FRACTION:
+            value = self._net_fraction(t, value, bounds) * self._reference_torque(t)
+        self._append(t, value * speed.held(t), bounds)
 
-    def _append(self, t: Floats, value: Floats) -> None:
+    @property
+    def is_settled(self) -> bool:
+        """Whether power has been had for so long that further readings change no earlier one."""
+        needed = {Role.ENGINE_POWER} if Role.ENGINE_POWER in self._bound else {self._lead, Role.ENGINE_SPEED}
+        return bool(np.isfinite(self.track.fresh)) and all(len(self._of(role).t) for role in needed)
+
+    @property
+    def _lead(self) -> Role:
+        """The torque at whose times there is a power."""
+        return Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION
+
+    def _append(self, t: Floats, value: Floats, bounds: NDArray[np.intp]) -> None:
         if len(t):
             self._powered_to = float(t[-1])
-            value = despike(value) if self._despike else value
+            value = despike(value, bounds) if self._despike else value
             self.track.add(Series(t, value * self._vehicle.driveline_efficiency))
 
     def _of(self, role: Role) -> Track:
         return self._tracks.get((role, 0), Track())
 
-    def _net_fraction(self, t: Floats, indicated: Floats) -> Floats:
+    def _net_fraction(self, t: Floats, indicated: Floats, bounds: NDArray[np.intp]) -> Floats:
         """Indicated less friction torque, as fractions of the reference torque."""
         fine = self._of(Role.TORQUE_FRACTION_FINE).held(t)
         fraction = indicated + np.where(np.isfinite(fine), fine, 0.0)
         if Role.FRICTION_FRACTION in self._bound:
             friction, speed = self._of(Role.FRICTION_FRACTION), self._of(Role.ENGINE_SPEED)
             speed_then = speed.held(friction.time_of_held(t))
-            fraction = fraction - self._friction.refine(speed.held(t), friction.held(t), speed_then)
+            fraction = fraction - self._friction.refine(speed.held(t), friction.held(t), speed_then, bounds)
         if self._vehicle.subtract_parasitic_losses:
             fraction = fraction - self._of(Role.PARASITIC_FRACTION).held(t)
         return fraction
@@ -142,20 +154,35 @@ class EnginePower:
         return float(known[-1]) if len(known) else self._reference
 
 
-def despike(value: Floats) -> Floats:
+def despike(value: Floats, bounds: NDArray[np.intp]) -> Floats:
     """Readings (n,) with gross errors replaced by the median of their neighbours (Hampel 1974).
 
     A reading is grossly wrong when it is off that median by MIN_SPIKE_SDS robust standard deviations of such
-    differences in the batch. The running median follows ramps and steps, so only lone readings can be.
+    differences in its block between ``bounds`` (k + 1,). The running median follows ramps and steps, so only lone
+    readings can be.
     """
     known = np.flatnonzero(np.isfinite(value))
-    if len(known) < SPIKE_WINDOW:
-        return value
-    x = value[known]
-    around = sliding_window_view(np.pad(x, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)
-    local: Floats = np.median(around, axis=1)
+    x, within = value[known], np.searchsorted(known, bounds)
+    local = _running_median(x, within)
     off = np.abs(x - local)
-    limit = MIN_SPIKE_SDS * MAD_TO_SD * max(float(np.median(off)), MIN_SPREAD_SHARE * float(np.median(np.abs(x))))
+    limit = np.full(len(x), NO_LIMIT)
+    for low, high in pairwise(within.tolist()):
+        if high - low >= SPIKE_WINDOW:
+            spread = float(np.median(off[low:high])), MIN_SPREAD_SHARE * float(np.median(np.abs(x[low:high])))
+            limit[low:high] = MIN_SPIKE_SDS * MAD_TO_SD * max(spread)
     cleaned = value.copy()
     cleaned[known[off > limit]] = local[off > limit]
     return cleaned
+
+
+def _running_median(x: Floats, bounds: NDArray[np.intp]) -> Floats:
+    """Median (n,) of SPIKE_WINDOW readings around each; the first and last of a block stand for those beyond it."""
+    count = np.diff(bounds)
+    first, last = np.repeat(bounds[:-1], count), np.repeat(bounds[1:] - 1, count)
+    place = np.arange(len(x))
+    a, b, c, d, e = (x[np.clip(place + k, first, last)] for k in range(-(SPIKE_WINDOW // 2), SPIKE_WINDOW // 2 + 1))
+    # Neither the smaller of two smaller ones nor the larger of two larger ones is the median of all five.
+    low = np.maximum(np.minimum(a, b), np.minimum(d, e))
+    high = np.minimum(np.maximum(a, b), np.maximum(d, e))
+    median: Floats = np.maximum(np.minimum(low, high), np.minimum(c, np.maximum(low, high)))
+    return median

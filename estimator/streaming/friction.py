@@ -13,9 +13,11 @@ Bins, weights, ridge and memory were chosen by hand: half and twice of each move
 at most 0.13 sd, on three simulated drives of 40 min (hills, highway, city).
 """
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, array
 from estimator.errors import StateError
@@ -38,27 +40,44 @@ class FrictionCurve:
         self._sums = np.zeros((3, BINS))  # of readings in each bin: how many, their engine speeds, their values
         self._levels = np.empty(0)
 
-    def refine(self, engine_speed: Floats, reading: Floats, speed_then: Floats) -> Floats:
+    def refine(self, engine_speed: Floats, reading: Floats, speed_then: Floats, bounds: NDArray[np.intp]) -> Floats:
         """Friction (n,) as a share of reference torque at ``engine_speed`` [rad/s].
 
         ``reading`` (n,) is the last one at each moment, sent when the engine turned at ``speed_then`` [rad/s]. NaN
-        where any is; the readings themselves until they have shown what their step is.
+        where any is; the readings themselves until they have shown what their step is. The curve is fitted anew for
+        each block between ``bounds`` (k + 1,), to all readings up to its end.
         """
         known = np.isfinite(engine_speed) & np.isfinite(reading) & np.isfinite(speed_then)
         speed, value = speed_then[known], reading[known]
-        if len(self._levels) <= MAX_LEVELS:
-            self._levels = np.union1d(self._levels, np.round(value, 6))
-        cell = np.clip(speed / BIN_WIDTH, 0, BINS - 1).astype(np.int64)
-        new = [np.bincount(cell, weights, BINS) for weights in (np.ones(len(cell)), speed, value)]
-        self._sums = np.exp(-len(value) / MEMORY_READINGS) * self._sums + new
-        if not 2 <= len(self._levels) <= MAX_LEVELS:
-            return np.where(known, reading, np.nan)
-        half_step = float(np.diff(self._levels).min()) / 2
+        block = np.searchsorted(bounds[1:], np.flatnonzero(known), side="right")
+        half_step, curve = self._learn(speed, value, np.searchsorted(block, np.arange(len(bounds))))
+        then = _at(curve[block], speed)
+        within = np.clip(then, value - half_step[block], value + half_step[block])
         refined = np.full(len(reading), np.nan)
-        then = self._curve(speed)
-        missed = np.clip(then, value - half_step, value + half_step) - then
-        refined[known] = self._curve(engine_speed[known]) + missed
+        shown = np.isfinite(half_step)[block]
+        refined[known] = np.where(shown, _at(curve[block], engine_speed[known]) + (within - then), value)
         return refined
+
+    def _learn(self, speed: Floats, value: Floats, bounds: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Half a step (k,) and the curve's coefficients (k, DEGREE + 1) after each block of known readings.
+
+        NaN where the readings have not shown what their step is.
+        """
+        blocks = len(bounds) - 1
+        cell = np.clip(speed / BIN_WIDTH, 0, BINS - 1).astype(np.int64)
+        cell += BINS * np.repeat(np.arange(blocks), np.diff(bounds))
+        weights = (np.ones(len(cell)), speed, value)
+        new = np.stack([np.bincount(cell, each, BINS * blocks).reshape(blocks, BINS) for each in weights], axis=1)
+        rounded = np.round(value, 6)
+        is_new = bool(np.setdiff1d(rounded, self._levels).size)
+        half_step, curve = np.full(blocks, np.nan), np.full((blocks, DEGREE + 1), np.nan)
+        for i, (low, high) in enumerate(pairwise(bounds.tolist())):
+            if is_new and len(self._levels) <= MAX_LEVELS:
+                self._levels = np.union1d(self._levels, rounded[low:high])
+            self._sums = np.exp((low - high) / MEMORY_READINGS) * self._sums + new[i]
+            if 2 <= len(self._levels) <= MAX_LEVELS:
+                half_step[i], curve[i] = float(np.diff(self._levels).min()) / 2, self._curve()
+        return half_step, curve
 
     def state(self) -> dict[str, Any]:
         """The state that `restore` reads."""
@@ -77,14 +96,20 @@ class FrictionCurve:
             raise StateError("friction: counts below zero, or levels out of order")
         self._sums, self._levels = sums, levels
 
-    def _curve(self, engine_speed: Floats) -> Floats:
+    def _curve(self) -> Floats:
+        """Coefficients (DEGREE + 1,) of the curve, the constant first."""
         count, speeds, values = self._sums[:, self._sums[0] > 0]
-        powers = _powers(speeds / count)
+        powers = np.vander(speeds / count / SPEED_SCALE, DEGREE + 1, increasing=True)
         weighted = powers.T * np.minimum(count, MAX_BIN_WEIGHT)
         ridge = np.diag([0.0] + [RIDGE] * DEGREE)
-        curve: Floats = _powers(engine_speed) @ np.linalg.solve(weighted @ powers + ridge, weighted @ (values / count))
-        return curve
+        coefficients: Floats = np.linalg.solve(weighted @ powers + ridge, weighted @ (values / count))
+        return coefficients
 
 
-def _powers(engine_speed: Floats) -> Floats:
-    return np.vander(engine_speed / SPEED_SCALE, DEGREE + 1, increasing=True)
+def _at(curve: Floats, engine_speed: Floats) -> Floats:
+    """Values (n,) of curves with coefficients (n, DEGREE + 1) by Horner's rule: each depends on its own row alone."""
+    x = engine_speed / SPEED_SCALE
+    value = curve[:, DEGREE]
+    for power in range(DEGREE - 1, -1, -1):
+        value = value * x + curve[:, power]
+    return value

@@ -5,8 +5,8 @@ arrived, one by one or a million at once.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,14 @@ from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.config import Config
 from estimator.errors import MissingInputsError
 from estimator.samples import STEP, Rows
-from estimator.signals import Role
+from estimator.signals import Floats, Role
 from estimator.streaming import engine_power
-from estimator.streaming.alignment import Aligner, Readings
+from estimator.streaming.alignment import Aligner, Readings, between
 from estimator.streaming.missing_inputs import remedy
+from estimator.streaming.resampling import block_bounds
 
-BLOCK = 5.0  # s of traffic decoded at a time
+BLOCK = 5.0  # s of traffic in which senders are judged, and whose rows are handed on together
+MAX_BLOCKS = 120  # decoded at once, 10 min: bounds the memory where frames are few
 # s without a frame, after which rows begin anew. Twice `resampling.MAX_FRESH`, for which a reading counts at the
 # longest: nothing that could be joined is cut.
 MAX_SILENCE = 30.0
@@ -39,11 +41,20 @@ MIN_SET_CLOCK = (
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A stretch of traffic: its frames in order of time, their readings, and the rows that it completed."""
+    """A stretch of traffic: its frames in order of time, and the rows that it completed.
+
+    ``decoded`` are the readings of the blocks that were decoded with it, and ``span`` its own times among them [s].
+    """
 
     frames: Frames
-    readings: Readings
     rows: tuple[Rows, ...]
+    decoded: Readings
+    span: tuple[float, float]
+
+    @property
+    def readings(self) -> Readings:
+        """Its readings."""
+        return between(self.decoded, *self.span)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,27 +262,48 @@ class RowStream:
             self._block_end = float(frames.t[0]) + BLOCK
         self._last = self._until = float(frames.t[-1])
         while len(frames):
-            beyond = np.flatnonzero(frames.t >= self._block_end)
-            cut = int(beyond[0]) if len(beyond) else len(frames)
+            ends = self._ends_before(float(frames.t[-1]))
+            cut = int(np.searchsorted(frames.t, ends[-1])) if len(ends) else len(frames)
             self._waiting.append(frames[:cut])
             frames = frames[cut:]
-            if len(beyond):
-                block, readings = self._decode(self._block_end)
-                if self._decoder.replaced:
-                    yield self._replace(self._block_end)
-                yield self._block(block, readings, self._aligner.feed(readings, self._block_end))
-                self._block_end += BLOCK
+            if len(ends):
+                yield from self._blocks(ends)
+
+    def _ends_before(self, t: float) -> Floats:
+        """Ends [s] of the next blocks, at most MAX_BLOCKS, that traffic up to time ``t`` [s] completes."""
+        count = min(int(max(t - self._block_end, 0.0) / BLOCK) + 2, MAX_BLOCKS)
+        ends = np.cumsum([self._block_end, *[BLOCK] * (count - 1)])
+        return ends[ends <= t]
 
     def _end(self) -> Iterator[Block | Interruption]:
         """The last block before an interruption or the end of the traffic, with all rows still waiting."""
         if self._last is None:
             return
         now, self._last = self._last, None
-        frames, readings = self._decode(now)
-        if self._decoder.replaced:
-            yield self._replace(now)
-        rows = [*self._aligner.feed(readings, now), *self._aligner.finish(now)]
-        yield self._block(frames, readings, rows)
+        for item in self._blocks(np.array([now])):
+            if isinstance(item, Block):
+                rest = tuple(self._aligner.finish(now))
+                self._count(rest)
+                yield replace(item, rows=(*item.rows, *rest))
+            else:
+                yield item
+
+    def _blocks(self, ends: Floats) -> Iterator[Block | Interruption]:
+        """Blocks of the waiting frames that end at ``ends`` (k,) [s], and interruptions before them."""
+        frames, self._waiting = Frames.concatenate(self._waiting), []
+        bounds = block_bounds(frames.t, ends).tolist()
+        for decoded in self._decoder.decode_blocks(frames, ends):
+            self._note(decoded.readings)
+            if self._decoder.replaced:
+                yield self._replace(float(decoded.ends[0]))
+            self._block_end = float(decoded.ends[-1]) + BLOCK
+            rows = list(self._aligner.feed_blocks(decoded.readings, decoded.ends))
+            self._count([part for part in rows if part is not None])
+            edges = [-np.inf, *decoded.ends[:-1].tolist(), np.inf]
+            for part, start, end in zip(rows, edges[:-1], edges[1:], strict=True):
+                low, high = bounds[:2]
+                del bounds[0]
+                yield Block(frames[low:high], () if part is None else (part,), decoded.readings, (start, end))
 
     def _replace(self, end: float) -> Interruption:
         """Drop the rows still waiting and the engine's constants: they may come from a wrong sender.
@@ -284,32 +316,26 @@ class RowStream:
         self._aligner.forget()
         return Interruption(self._block_end - BLOCK, end, is_new_drive=True, is_sender_replaced=True)
 
-    def _decode(self, end: float) -> tuple[Frames, Readings]:
-        """Readings of the waiting frames, up to the time ``end`` [s]; counts them."""
-        frames = Frames.concatenate(self._waiting)
-        self._waiting = []
-        readings = self._decoder.decode(frames, end)
+    def _note(self, readings: Readings) -> None:
+        """Count readings, and keep the time of the newest valid one of each role."""
         for role, parts in readings.items():
             self.seen[role] += sum(len(part.t) for part in parts)
             for part in parts:
                 if (valid := np.isfinite(part.value)).any():
                     self.newest[role] = float(part.t[valid][-1])
-        return frames, readings
 
-    def _block(self, frames: Frames, readings: Readings, rows: Iterator[Rows] | list[Rows]) -> Block:
-        block = Block(frames, readings, tuple(rows))
-        for part in block.rows:
-            self._count(part)
-        return block
-
-    def _count(self, rows: Rows) -> None:
-        """Count rows that can be used, and note the times of those that cannot."""
-        speed, power = np.isfinite(rows.speed), np.isfinite(rows.power)
+    def _count(self, parts: Sequence[Rows]) -> None:
+        """Count rows that can be used, and note the times of those that cannot; the parts follow each other."""
+        if not parts:
+            return
+        speed = np.isfinite(np.concatenate([rows.speed for rows in parts]))
+        power = np.isfinite(np.concatenate([rows.power for rows in parts]))
+        fresh = np.concatenate([rows.fresh for rows in parts])
         self.valid_rows += int((speed & power).sum())
         self.unusable += Counter({"speed not known": int((~speed).sum()), "power not known": int((~power).sum())})
-        stale = np.concatenate([[False], ~rows.fresh.all(axis=1), [False]])
+        stale = np.concatenate([[False], ~fresh.all(axis=1), [False]])
         edges = np.flatnonzero(np.diff(stale)).reshape(-1, 2)
-        for start, end in ((rows.index[0] + edges) * STEP).tolist():
+        for start, end in ((parts[0].index[0] + edges) * STEP).tolist():
             if self.gaps and start - self.gaps[-1][1] < STEP:
                 start = self.gaps.pop()[0]
             self.gaps.append((start, end))

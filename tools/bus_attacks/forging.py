@@ -8,10 +8,10 @@ from cantools.database.can import Database, Signal
 from numpy.typing import NDArray
 
 from estimator.can_io.binding import load_database
-from estimator.can_io.decoder import extract
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
 from estimator.can_io.j1939_encoder import EPOCH, frames_of
+from estimator.can_io.signal_values import extract
 from estimator.signals import Role, Series
 
 JUST_AFTER = 0.0005  # s, between a frame and its forgery

@@ -3,11 +3,11 @@
 from can.typechecking import CanFilter
 
 from estimator.can_io.binding import BoundMessage
-from estimator.can_io.decoder import last_byte
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED
 from estimator.can_io.j1939 import GLOBAL, PDU1_LIMIT, TP_CM, TP_DT
 from estimator.can_io.j1939_node import ADDRESS_CLAIMED, FREE, REQUEST
 from estimator.can_io.publisher import output_groups
+from estimator.can_io.signal_values import last_byte
 
 PDU1_MASK = 0x03FF0000  # of the id: without the destination address
 PDU2_MASK = 0x03FFFF00

@@ -1,0 +1,150 @@
+"""Values of a signal in payloads: bits to SI, whole batches at a time.
+
+A value that its sender marks as not available, as an error, or that lies outside its declared range becomes NaN.
+"""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from cantools.database.can import Signal
+from numpy.typing import NDArray
+
+from estimator.can_io.binding import BoundMessage, BoundSignal
+from estimator.can_io.frames import Frames
+from estimator.can_io.j1939 import classify, highest_valid
+from estimator.signals import Floats, Mask
+
+Raw = NDArray[np.unsignedinteger[Any]]
+WORDS = (1, 2, 4, 8)  # bytes
+EXACT_BITS = 53  # of a raw value that a floating-point number holds exactly
+
+
+def extract(data: NDArray[np.uint8], signal: Signal) -> Raw:
+    """Raw bits (n,) of a signal of at most 64 bits from payloads (n, whole words), byte order as the DBC says."""
+    little = signal.byte_order == "little_endian"
+    # The DBC's start bit of a big-endian signal is its most significant one, counted in its byte from the lowest.
+    first = signal.start if little else signal.start // 8 * 8 + 7 - signal.start % 8
+    last = first + signal.length - 1
+    size = next((size for size in WORDS if first // (8 * size) == last // (8 * size)), None)
+    if size is None:
+        return _extract_across_words(data, signal)
+    column, bit = divmod(first, 8 * size)
+    word: Raw = np.ascontiguousarray(data).view(f"{'<' if little else '>'}u{size}")[:, column]
+    shift = bit if little else 8 * size - bit - signal.length
+    if shift:
+        word = word >> word.dtype.type(shift)
+    return word if shift + signal.length == 8 * size else word & word.dtype.type((1 << signal.length) - 1)
+
+
+def _extract_across_words(data: NDArray[np.uint8], signal: Signal) -> Raw:
+    """The same byte by byte."""
+    if signal.byte_order == "little_endian":
+        first, shift = divmod(signal.start, 8)
+        count = (shift + signal.length + 7) // 8
+        columns = range(first, first + count)
+    else:
+        first, bit = divmod(signal.start, 8)
+        count = (7 - bit + signal.length + 7) // 8
+        shift = 8 * count - (7 - bit) - signal.length
+        columns = range(first + count - 1, first - 1, -1)
+    raw = np.zeros(len(data), dtype=np.uint64)
+    for place, column in enumerate(columns):
+        byte = data[:, column].astype(np.uint64)
+        move = 8 * place - shift
+        raw |= byte << np.uint64(move) if move >= 0 else byte >> np.uint64(-move)
+    return raw & np.uint64((1 << signal.length) - 1)
+
+
+def last_byte(signal: Signal) -> int:
+    """Number of payload bytes that a frame needs to carry the whole signal."""
+    if signal.byte_order == "little_endian":
+        return (signal.start + signal.length + 7) // 8
+    first, bit = divmod(signal.start, 8)
+    return first + (7 - bit + signal.length + 7) // 8
+
+
+def _number(raw: Raw, signal: Signal) -> Floats:
+    """Scaled value in the DBC's own unit."""
+    if signal.is_float:
+        kinds = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
+        integer, real = kinds[signal.length]
+        value = raw.astype(integer).view(real).astype(np.float64)
+    elif signal.is_signed:
+        top = np.uint64(64 - signal.length)
+        value = ((raw.astype(np.uint64) << top).view(np.int64) >> np.int64(top)).astype(np.float64)
+    else:
+        value = raw.astype(np.float64)
+    return _scaled(value, float(signal.scale), float(signal.offset))
+
+
+def _scaled(value: Floats, scale: float, offset: float) -> Floats:
+    """The same array, scaled and shifted in place."""
+    if scale != 1:
+        value *= scale
+    if offset != 0:
+        value += offset
+    return value
+
+
+def present(bound: BoundSignal, frames: Frames) -> Mask:
+    """In which frames the multiplexers of a signal select it."""
+    here = np.ones(len(frames), dtype=bool)
+    for signal, multiplexer in pairwise((bound.signal, *bound.multiplexers)):
+        selecting = np.array(signal.multiplexer_ids or [], dtype=np.uint64)
+        here &= np.isin(extract(frames.data, multiplexer), selecting)
+    return here
+
+
+def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[Floats, dict[str, Mask]]:
+    """SI values, NaN where the sender gave none, and where for which reason."""
+    signal, conversion = bound.signal, bound.conversion
+    raw = extract(frames.data, signal)
+    with np.errstate(over="ignore", invalid="ignore"):  # floating-point signals may hold anything
+        value = _number(raw, signal)
+        if _are_all_usual(message, bound, value):
+            return _scaled(value, conversion.scale, conversion.offset), {}
+        si = _scaled(value.copy(), conversion.scale, conversion.offset)
+        if bound.tangent:
+            np.tan(si, out=si)
+    masks = _no_values(message, signal, raw, value, np.isfinite(si))
+    for mask in masks.values():
+        si[mask] = np.nan
+    return si, masks
+
+
+def _are_all_usual(message: BoundMessage, bound: BoundSignal, value: Floats) -> bool:
+    """Whether the extremes show that every scaled value (n,) of a linear signal is one."""
+    signal, conversion = bound.signal, bound.conversion
+    if signal.is_float or bound.tangent or signal.length > EXACT_BITS or not len(value):
+        return False
+    low, high = _range(signal)
+    if message.j1939 and not signal.is_signed:
+        edge = highest_valid(signal.length) * float(signal.scale) + float(signal.offset)
+        low, high = (low, min(high, edge)) if signal.scale > 0 else (max(low, edge), high)
+    least, most = float(value.min()), float(value.max())
+    extremes = least * conversion.scale + conversion.offset, most * conversion.scale + conversion.offset
+    return low <= least and most <= high and all(map(math.isfinite, extremes))
+
+
+def _range(signal: Signal) -> tuple[float, float]:
+    """The scaled values that the DBC allows."""
+    low, high = signal.minimum, signal.maximum
+    if low is None or high is None or not low < high:
+        return -math.inf, math.inf
+    room = abs(float(signal.scale)) / 2  # half a bit: ranges in DBC files are often written rounded
+    return float(low) - room, float(high) + room
+
+
+def _no_values(message: BoundMessage, signal: Signal, raw: Raw, value: Floats, finite: Mask) -> dict[str, Mask]:
+    """Where there is no value (n,) and why, each with the first reason."""
+    masks: dict[str, Mask] = {}
+    left = np.ones(len(raw), dtype=bool)
+    if message.j1939 and not signal.is_signed:
+        masks["not available"], masks["error"], masks["reserved value"] = classify(raw, signal.length)
+        left = ~np.any(list(masks.values()), axis=0)
+    masks["not a number"] = left & ~finite
+    low, high = _range(signal)
+    masks["out of range"] = left & finite & ((value < low) | (value > high))
+    return masks

@@ -1,0 +1,101 @@
+"""Many blocks of traffic at once give the same bits as one after the other, whatever is wrong in them."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator.can_io.frames import Frames
+from estimator.can_io.j1939_encoder import frames_of
+from estimator.config import Config
+from estimator.samples import Rows
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck
+from estimator.streaming.row_stream import Block, Interruption, RowStream
+
+pytestmark = pytest.mark.slow
+
+SECONDS = 150.0
+TROUBLES = ("thin", "late start", "silence", "pause", "wrong bits", "second sender", "same sender twice", "step back")
+
+
+@pytest.fixture(scope="module")
+def drive() -> Frames:
+    rng = np.random.default_rng(1)
+    truck = Truck(mass=27_190.0, A=1739.0, C=3.74)
+    return frames_of(record(truck, generate_route("mixed", 5000.0, rng), SECONDS, rng).signals)
+
+
+def troubled(frames: Frames, trouble: str, rng: np.random.Generator) -> Frames:
+    """The frames with one more thing wrong, in a group of one identifier and at times that are drawn."""
+    start, length = frames.t[0] + rng.uniform(0, SECONDS), rng.uniform(0.5, 60)
+    of_group = frames.ident == rng.choice(np.unique(frames.ident))
+    then = (frames.t >= start) & (frames.t < start + length)
+    if trouble == "thin":
+        dropped = of_group.copy()
+        dropped[np.flatnonzero(of_group)[:: int(rng.integers(2, 60))]] = False
+        return frames[~dropped]
+    if trouble == "late start":
+        return frames[~(of_group & (frames.t < start))]
+    if trouble == "silence":
+        return frames[~(of_group & then)]
+    if trouble == "pause":
+        return replace(frames, t=np.where(frames.t >= start, frames.t + rng.choice([4.0, 20.0, 40.0]), frames.t))
+    if trouble == "step back":
+        return Frames.concatenate([frames[frames.t < start], frames[frames.t > start - length]])
+    hit = np.flatnonzero(of_group & then & (rng.random(len(frames)) < rng.choice([0.02, 0.5, 1.0])))
+    if trouble == "wrong bits":
+        data = frames.data.copy()
+        data[hit] = rng.integers(0, 256, (len(hit), data.shape[1]))
+        return replace(frames, data=data)
+    added = frames[hit]
+    data = added.data.copy()
+    data[:, int(rng.integers(0, 8))] ^= np.uint8(rng.integers(0, 64))
+    other = added.ident ^ np.uint32(0x21) if trouble == "second sender" else added.ident
+    joined = Frames.concatenate([frames, Frames(added.t + 0.001, other, added.length, data)])
+    return joined[np.argsort(joined.t, kind="stable")]
+
+
+def heard(parts: Iterable[Frames]) -> tuple[list[object], RowStream]:
+    """All that a stream yields, as bytes, and the stream."""
+    stream = RowStream(Config())
+    items: list[object] = []
+    for item in stream.feed_all(parts):
+        items += [item] if isinstance(item, Interruption) else [*map(as_bytes, item.rows), *readings(item)]
+        items.append(dict(stream.contested))
+    return items, stream
+
+
+def as_bytes(rows: Rows) -> list[object]:
+    columns = [rows.index, rows.speed, rows.power, rows.fresh, *rows.context.values()]
+    return [list(rows.context), *(column.tobytes() for column in columns)]
+
+
+def readings(block: Block) -> list[object]:
+    parts = [(role, part) for role, series in block.readings.items() for part in series if len(part.t)]
+    return [len(block.frames), sorted((role, part.t.tobytes(), part.value.tobytes()) for role, part in parts)]
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(st.sampled_from(TROUBLES), max_size=5), st.integers(0, 2**32 - 1))
+def test_many_blocks_at_once_are_as_one_after_the_other(drive: Frames, troubles: list[str], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    frames = drive
+    for trouble in troubles:
+        frames = troubled(frames, trouble, rng)
+    step = int(rng.integers(50, 400))  # frames; a block has some 800
+    whole, at_once = heard([frames])
+    parts, bit_by_bit = heard(frames[i : i + step] for i in range(0, len(frames), step))
+    assert whole == parts
+    for name in ("errors", "sources", "used", "unusable", "seen", "newest", "gaps", "valid_rows", "replacements"):
+        assert getattr(at_once, name) == getattr(bit_by_bit, name), name
+
+
+def test_a_quiet_drive_is_decoded_many_blocks_at_once(drive: Frames) -> None:
+    blocks = [item for item in RowStream(Config()).feed_all([drive]) if isinstance(item, Block)]
+    assert len(blocks) == SECONDS / 5
+    assert len({id(block.decoded) for block in blocks}) < len(blocks) / 3
