@@ -14,7 +14,6 @@ free (Neumann), where the variance doubles.
 from math import comb, pi, sqrt
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.linalg import cholesky_banded
 from scipy.special import gamma
 
@@ -48,20 +47,12 @@ class MaternField:
         pull = 1 / width
         self._mass, self._off = mass, -pull
         self._diagonal = np.append(pull, 0.0) + np.insert(pull, 0, 0.0)
-        stiffness = (
-            sp.diags_array(self._off, offsets=-1)
-            + sp.diags_array(self._diagonal)
-            + sp.diags_array(self._off, offsets=1)
-        ).tocsr()
+        stiffness = np.stack([np.insert(self._off, 0, 0.0), self._diagonal, np.append(self._off, 0.0)])
         self.alpha, self.size = alpha, n
-        powers = [sp.diags_array(mass).tocsr(), stiffness]
+        powers = [mass[None], stiffness]
         for _ in range(alpha - 1):
-            powers.append(stiffness @ sp.diags_array(1 / mass) @ powers[-1])
-        bands = []
-        for k, power in enumerate(powers):
-            elements = power.tocoo()
-            rows, columns = places[elements.row], places[elements.col]
-            bands.append(comb(alpha, k) * band(rows, columns, elements.data, shape).ravel())
+            powers.append(_product(stiffness, 1 / mass, powers[-1]))
+        bands = [comb(alpha, k) * _lower(power, places, shape).ravel() for k, power in enumerate(powers)]
         self._touched = np.flatnonzero(np.any(bands, axis=0))
         self._powers = np.array(bands)[:, self._touched]
 
@@ -88,3 +79,24 @@ class MaternField:
             - (self.alpha - 1) * np.log(self._mass).sum()
             + self.size * np.log(tau)
         )
+
+
+def _product(stiffness: Floats, scale: Floats, power: Floats) -> Floats:
+    """Diagonals (2 r + 3, N) of the matrix S diag(scale) P.
+
+    Row r + d of diagonals (2 r + 1, N) holds the elements (i, i + d) at places i; S has those of r = 1.
+    """
+    product = np.zeros((len(power) + 2, power.shape[1]))
+    for ahead in (1, 0, -1):  # what is rolled over the ends meets zeros of S
+        factor = stiffness[1 + ahead] * np.roll(scale, -ahead)
+        product[1 + ahead : 1 + ahead + len(power)] += factor * np.roll(power, -ahead, axis=1)
+    return product
+
+
+def _lower(diagonals: Floats, places: Places, shape: tuple[int, int]) -> Floats:
+    """The band of ``shape`` of a symmetric matrix with diagonals (2 r + 1, N) on ``places`` (N,)."""
+    middle, n = len(diagonals) // 2, len(places)
+    below = range(min(middle + 1, n))
+    rows = np.concatenate([places[down:] for down in below])
+    columns = np.concatenate([places[: n - down] for down in below])
+    return band(rows, columns, np.concatenate([diagonals[middle - down, down:] for down in below]), shape)
