@@ -11,7 +11,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
 import can
-from attacks_vm import Play, heard_in, summary, table
+from attacks_vm import Play, has_ended, heard_in, summary, table
 from bus_attacks.catalogue import attacks
 from bus_attacks.sequence import (
     HELD,
@@ -174,6 +174,15 @@ def test_values_are_read_from_the_log_of_the_bus_and_are_gone_when_none_is_sent(
     assert found[2].values is not None
     mean, sd = found[2].values["mass"]
     assert (mean, round(sd)) == (27_000.0, 100)
+
+
+@pytest.mark.parametrize(
+    ("content", "ended"), [("", False), ('{"began_s": 1.0}', False), ('{"began_s": 1.0, "ended_s": 2.0}', True)]
+)
+def test_a_drive_in_which_the_machine_stopped_has_not_ended(content: str, ended: bool, tmp_path: Path) -> None:
+    assert not has_ended(tmp_path, DRIVE)
+    (tmp_path / "played.json").write_text(content)
+    assert has_ended(tmp_path, DRIVE) == ended
 
 
 def test_a_service_that_falls_silent_is_heard_as_withheld_to_the_end_of_the_drive(bus_log: Path) -> None:
