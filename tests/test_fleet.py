@@ -306,6 +306,20 @@ def test_a_worker_that_dies_costs_its_task_only() -> None:
     assert answers[3].reason.startswith("2 workers died of it")
 
 
+def test_workers_keep_no_record_of_what_they_did() -> None:
+    """Dask's profiler keeps one for an hour, which grows by 0.3 MiB/s."""
+    pytest.importorskip("distributed")
+    with dask_engine(None, 1) as engine:
+        answers = dict(engine.map(_is_profiled, [0]))
+    assert answers == {0: False}
+
+
+def _is_profiled(_: int) -> bool:
+    from distributed import get_worker
+
+    return "profile" in get_worker().periodic_callbacks
+
+
 def _fragile(number: int) -> int:
     if number == 13:
         os._exit(1)
