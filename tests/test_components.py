@@ -5,6 +5,8 @@ from itertools import product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_strides import made_strides
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
@@ -16,12 +18,12 @@ from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import AtRest, DriveState
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.processes import SWITCHES, hats, processes, swings
-from estimator.components.search import search
+from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.estimation.road_fit import best_shapes, fit
 from estimator.estimation.road_likelihood import LAG
-from estimator.model.design_matrix import Term, covered
+from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.road import RoadModel
 from estimator.signals import Quantity
@@ -111,6 +113,20 @@ def test_what_a_set_imitates_is_the_change_of_its_fit(strides, quiet):
     other._information = joint._information  # corrected for the noise of the torque
     change = other.posterior(chosen).mean - before
     assert_allclose(size * joint.imitated(chosen, left_out), change, rtol=1e-5, atol=1e-9 * np.abs(before).max())
+
+
+def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, quiet):
+    """One of one column or several, positive or not, of possible size or not, with a cost; beside sets of any."""
+    joint = joint_of(strides, quiet)
+    wandering = next(c for c in processes(joint.frame) if c.name == "force over speed")
+    own = [replace(component, cost=0.1 * i) for i, component in enumerate([*joint.components, wandering])]
+    own += [replace(own[0], largest=1e-3), replace(own[1], positive=not own[1].positive)]
+    joint = JointLikelihood(strides, quiet, own, np.random.default_rng(2))
+    for chosen in ([], [0], [1, 3], [len(joint.components) - 3, 2]):
+        others = [i for i in range(len(own)) if i not in chosen]
+        one_by_one = [joint.log_evidence([*chosen, i]) for i in others]
+        assert_allclose(joint.with_each(chosen, others), one_by_one, rtol=1e-9, atol=1e-6)
+    assert np.isinf(joint.log_evidence([len(own) - 2]))
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
@@ -226,11 +242,35 @@ def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     effects = [effect for effect in CATALOGUE if not effect.absorbed and not effect.is_gravity]
     for power, named in ((np.zeros(n), []), (np.full(n, 15e3), ["auxiliary_load"])):
         state = DriveState.of(driven(n, power=power), AtRest(float(power[0]), 800.0, 60.0))
-        found = search([state], effects)
+        found = Search((state,), effects).explained()
         assert [choice.name for choice in found.choices] == named
         assert [component.name for component in found.drives[0].chosen] == named
     (state,) = found.drives
     assert state.joint().posterior([0]).mean[-1] == pytest.approx(15e3, rel=0.1)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=20), st.lists(st.booleans(), min_size=1, max_size=20))
+def test_times_of_one_or_both_and_of_one_alone_are_those_of_every_moment(one, other):
+    def spans(on):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
+        return tuple((float(a), float(b)) for a, b in edges.reshape(-1, 2))
+
+    def within(times, k):
+        return any(start < k + 0.5 < end for start, end in times)
+
+    size = max(len(one), len(other))
+    a, b = spans(one), spans(other)
+    for k in range(size):
+        assert within(union(a, b), k) == (within(a, k) or within(b, k))
+        assert within(without(a, b), k) == (within(a, k) and not within(b, k))
+
+
+def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked_for():
+    state = DriveState.of(driven(600, power=np.full(600, 15e3)), None)
+    found = Search((state,), [BY_NAME["auxiliary_load"]]).explained().log_evidence
+    for least, is_reached in ((found - 1, True), (found + 1000, False)):
+        again = Search((state,), [BY_NAME["auxiliary_load"]]).explained_above(least)
+        assert (again is not None) == is_reached
 
 
 def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
@@ -238,7 +278,7 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     on = (np.arange(n) % 800) > 500
     state = DriveState.of(driven(n, power=60e3 * on), None)
     effects = [BY_NAME["auxiliary_cycling"]]
-    found = search([state], effects)
+    found = Search((state,), effects).explained()
     (state,) = found.drives
     (component,) = state.chosen
     starts = np.array([span[0] for span in component.spans])
@@ -285,7 +325,7 @@ def test_what_switches_and_is_larger_than_any_effect_has_no_name_of_the_catalogu
     on = covered(np.arange(n) + 0.5, 1.0, spans)
     power = size * on * (driven(n).speed if unit == "N" else 1.0)
     names = ("auxiliary_cycling", "drafting", "brake_use", "resistance_segment")
-    found = search([DriveState.of(driven(n, power=power), None)], [BY_NAME[name] for name in names])
+    found = Search((DriveState.of(driven(n, power=power), None),), [BY_NAME[name] for name in names]).explained()
     assert found.choices == ()
     process = found.unnamed[0]
     assert SWITCHES[process.name] == unit
@@ -303,7 +343,9 @@ def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
     fan = of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans))
     state = plain.having((fan,))
     assert state.joint().posterior([0]).mean[-1] > 2 * fan.largest
-    assert [choice.name for choice in search([state], [BY_NAME["auxiliary_load"]]).choices] == ["auxiliary_load"]
+    assert [choice.name for choice in Search((state,), [BY_NAME["auxiliary_load"]]).explained().choices] == [
+        "auxiliary_load"
+    ]
 
 
 def test_the_noise_of_the_force_is_in_a_gain_that_wanders_as_it_is_in_the_mass(strides):
@@ -323,7 +365,8 @@ def test_what_is_smaller_than_the_error_of_a_large_effects_form_is_not_added():
     n = 2400
     t = np.arange(n) % 800
     power = 55e3 * ((t > 500) + 0.1 * (t > 700))
-    found = search([DriveState.of(driven(n, power=power), None)], [BY_NAME["auxiliary_cycling"], BY_NAME["drafting"]])
+    state = DriveState.of(driven(n, power=power), None)
+    found = Search((state,), [BY_NAME["auxiliary_cycling"], BY_NAME["drafting"]]).explained()
     assert [choice.name for choice in found.choices] == ["auxiliary_cycling"]
 
 
@@ -333,7 +376,7 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     on = (np.arange(n) % 800) > 500
     power = 60e3 * on
     strides = driven(n, power=power)
-    found = search([DriveState.of(strides, None)], [BY_NAME["auxiliary_cycling"]])
+    found = Search((DriveState.of(strides, None),), [BY_NAME["auxiliary_cycling"]]).explained()
     whole = budget(found.drives, [[]], [None], np.random.default_rng(1))
     assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
     # The true parts, off the plain columns as the residual is.

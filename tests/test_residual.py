@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.answers.diagnosis import Verdict
 from estimator.components.formula import Variable, best_formula, judged, units_of
-from estimator.components.model_table import Cause, weigh
+from estimator.components.model_table import WINDOW, Cause, weigh
 from estimator.components.set_likelihood import SetLikelihood, places_of
 from estimator.errors import InputError
 from estimator.residual.causes import Form, ResidualLikelihood, forms_of
@@ -109,6 +109,21 @@ def test_the_table_is_that_of_all_sets():
         exact = sum(w for own, w in weights.items() if set(own) & set(cause.forms)) / sum(weights.values())
         assert table.holding(cause.forms) == pytest.approx(exact, abs=2e-3)
     assert table.none == pytest.approx(weights[()] / sum(weights.values()), abs=2e-3)
+
+
+def test_what_explains_most_alone_is_exchanged_for_what_explains_more_beside_others():
+    rng = np.random.default_rng(6)
+    first, second, other = rng.normal(size=(3, 200))
+    X = np.column_stack([first, second, first + 0.7 * second + 0.3 * other])
+    y = 8 * (first + second) + rng.normal(size=200)
+    forms = [Form(cause=str(i), columns=X[:, [i]], sd=10.0) for i in range(3)]
+    likelihood = SetLikelihood(
+        np.column_stack([y, X]), lambda Y: Y.T @ Y, np.zeros(0), forms, places_of(0, [1] * 3), np.ones(3)
+    )
+    causes = [Cause(name=str(i), is_named=True, forms=(i,), log_odds=-1.0, log_forms=0.0) for i in range(3)]
+    alone = [likelihood.log_evidence([i]) for i in range(3)]
+    assert alone[2] > max(alone[:2]) + WINDOW
+    assert weigh(likelihood, causes, max_causes=2).best == (0, 1)
 
 
 def test_evidence_is_that_of_the_dense_density_and_of_quadrature():

@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 from estimator.components.component import Component, Frame, as_terms, of_effect, of_term
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.set_likelihood import Judged
-from estimator.components.switching import best_times
+from estimator.components.switching import Switching
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import Effect, Timing
@@ -97,12 +97,12 @@ class DriveState:
         joint, ours = self.joint(given), list(range(len(self.chosen)))
         places = range(len(ours), len(ours) + len(given))
         judged = joint.gains(ours, places)
-        found: dict[str, Form] = {}
+        switching, found = Switching(joint), dict[str, Form]()
         for effect in absent:
             alike = [i for i, component in enumerate(given) if component.name == effect.name]
             if alike:
                 found[effect.name] = _best(frame, given, judged, alike)
-            timed = _timed(joint, ours, effect)
+            timed = _timed(switching, joint, ours, effect) if has_free_times(effect) else None
             if timed is not None and (effect.name not in found or timed.gain > found[effect.name].gain):
                 found[effect.name] = timed
         return found
@@ -119,11 +119,9 @@ def has_free_times(effect: Effect) -> bool:
     return effect.timing in (Timing.WINDOW, Timing.SWITCHING) and None in effect.shapes
 
 
-def _timed(joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
+def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
     """The form with fitted times."""
-    if not has_free_times(effect):
-        return None
-    times = best_times(joint, ours, Term(effect), effect.timing is Timing.WINDOW)
+    times = switching.best(ours, effect)
     if times is None:
         return None
     component = of_term(joint.frame, Term(effect, None, times[0]), times[1])

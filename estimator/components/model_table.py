@@ -1,11 +1,11 @@
 """The table of models: sets of causes with their posterior probabilities.
 
 Sets gain and lose one form at a time from those within Occam's window of the best (Madigan & Raftery 1994): a nameless
-process that stands for two candidates at first is left behind once both are there. Probabilities are sums over the
-table.
+process that stands for two candidates at first is left behind once both are there. The best one exchanges forms too:
+what explains most alone need not do so beside others. Probabilities are sums over the table.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,6 +26,9 @@ class Evidence(Protocol):
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
         """Of one set, less the costs of its forms."""
+
+    def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
+        """Of the set with each of ``others`` added (c,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +80,15 @@ def weigh(likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_C
     log: dict[Chosen, float] = {(): likelihood.log_evidence([])}
     frontier: list[Chosen] = [()]
     for _ in range(2 * max_causes):  # up to the largest sets, and down again
-        near = {other for own in frontier for other in _neighbours(own, of, max_causes)} - log.keys()
-        found = {own: likelihood.log_evidence(own) + sum(of[form].log_prior for form in own) for own in sorted(near)}
+        found: dict[Chosen, float] = {}
+        for own in frontier:
+            smaller = [tuple(form for form in own if form != gone) for gone in own]
+            found |= {one: likelihood.log_evidence(one) for one in smaller if one not in log and one not in found}
+            for base in (own, *smaller) if own == frontier[0] else (own,):
+                added = _addable(base, of, max_causes)
+                larger = [tuple(sorted((*base, form))) for form in added]
+                found |= dict(zip(larger, likelihood.with_each(base, added).tolist(), strict=True))
+        found = {own: found[own] + sum(of[form].log_prior for form in own) for own in sorted(found.keys() - log.keys())}
         log |= found
         least = max(log.values()) - WINDOW
         frontier = [own for own in sorted(found, key=lambda own: -found[own]) if found[own] > least][:BEAM]
@@ -91,9 +101,7 @@ def weigh(likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_C
     return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)
 
 
-def _neighbours(own: Chosen, of: Mapping[int, Cause], max_causes: int) -> Iterator[Chosen]:
-    """Sets with one form more, of a cause that is absent, and with one less."""
+def _addable(own: Chosen, of: Mapping[int, Cause], max_causes: int) -> list[int]:
+    """Forms of causes that are absent from a set; none once it is full."""
     present = {of[form].name for form in own}
-    if len(own) < max_causes:
-        yield from (tuple(sorted((*own, form))) for form, cause in of.items() if cause.name not in present)
-    yield from (tuple(form for form in own if form != gone) for gone in own)
+    return [form for form, cause in of.items() if cause.name not in present] if len(own) < max_causes else []

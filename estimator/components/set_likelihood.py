@@ -21,7 +21,10 @@ from estimator.signals import Floats
 
 
 class Prior(Protocol):
-    """Of the amplitudes of a component: N(0, ``sd``^2), or half of it; ``cost``: -log probability of its form."""
+    """Of the amplitudes of a component: N(0, ``sd``^2), or half of it; ``cost``: -log probability of its form.
+
+    Amplitudes beyond ``largest`` are impossible.
+    """
 
     @property
     def sd(self) -> float:
@@ -30,6 +33,10 @@ class Prior(Protocol):
     @property
     def positive(self) -> bool:
         """Whether its one amplitude cannot be negative."""
+
+    @property
+    def largest(self) -> float:
+        """Of its amplitudes."""
 
     @property
     def cost(self) -> float:
@@ -135,9 +142,51 @@ class SetLikelihood:
         own = self.unit[places]
         return Posterior(mean / own, covariance / np.outer(own, own), self.base_size, float(log))
 
-    def log_evidence(self, chosen: Sequence[int]) -> float:
-        """Of the set with numbers in ``chosen``, less the cost of its times."""
+    def unlimited(self, chosen: Sequence[int]) -> float:
+        """Log evidence of the set with numbers in ``chosen``, less the cost of its times, whatever the sizes are."""
         return self.posterior(chosen).log_evidence - sum(self.priors[i].cost for i in chosen)
+
+    def log_evidence(self, chosen: Sequence[int]) -> float:
+        """The same; minus infinity where a size is impossible."""
+        posterior = self.posterior(chosen)
+        possible = np.all(np.abs(posterior.mean[self.base_size :]) <= self._limits(chosen))
+        return posterior.log_evidence - sum(self.priors[i].cost for i in chosen) if possible else -np.inf
+
+    def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
+        """Log evidence (c,) of the set with each of ``others`` added, as `log_evidence` of the larger set gives it."""
+        narrow = [k for k, i in enumerate(others) if len(self.places[i]) == 1]
+        found = np.array([self.log_evidence([*chosen, i]) if len(self.places[i]) > 1 else 0.0 for i in others])
+        if narrow:
+            found[narrow] = self._with_each_column(chosen, [others[k] for k in narrow])
+        return found
+
+    def _with_each_column(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
+        """`with_each` for components of one column.
+
+        A column more, of value x and variance s^2 beside the set, changes the set's amplitudes b and covariance S to
+
+            b - W x,   S + W W' s^2,   W = S (its products with the set)
+        """
+        posterior, places = self.posterior(chosen), self._set(chosen)[0]
+        covariance = posterior.covariance * np.outer(self.unit[places], self.unit[places])
+        judged, new = self.gains(chosen, others), np.concatenate([self.places[i] for i in others])
+        turned = covariance @ self._information[np.ix_(places, new)]
+        own = slice(self.base_size, None)
+        mean = (posterior.mean * self.unit[places])[own, None] - turned[own] * judged.value
+        sd = np.sqrt(np.diag(covariance)[own, None] + (turned[own] * judged.sd) ** 2)
+        positive = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
+        before = posterior.mean[own] / np.sqrt(np.diag(posterior.covariance)[own])
+        signs = (log_ndtr(mean / sd) - log_ndtr(before)[:, None])[positive].sum(axis=0)
+        costs = sum(self.priors[i].cost for i in chosen) + np.array([self.priors[i].cost for i in others])
+        units = self.unit[places][own, None]
+        possible = np.all(np.abs(mean / units) <= self._limits(chosen)[:, None], axis=0)
+        possible &= np.abs(judged.value / self.unit[new]) <= self._limits(others)
+        found: Floats = np.where(possible, posterior.log_evidence + judged.gain + signs - costs, -np.inf)
+        return found
+
+    def _limits(self, chosen: Sequence[int]) -> Floats:
+        """Of the amplitudes of a set."""
+        return np.concatenate([np.empty(0), *(np.full(len(self.places[i]), self.priors[i].largest) for i in chosen)])
 
     def gains(self, chosen: Sequence[int], candidates: Sequence[int]) -> Judged:
         """What each of ``candidates`` with one column adds to a set, costs not counted."""

@@ -8,7 +8,8 @@ with s and G the scores and products of a profile cut into blocks, off everythin
 step of the state would score most. A run of blocks is switched on or off as long as that gains; every run is tried.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,7 +24,8 @@ from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
 
 BLOCK_DURATION = 30.0  # s, of strides that share a state
-PROBED_STEPS = 150  # steps whose strength is computed; that of the others is interpolated
+PROFILE_DIGITS = 9  # of a profile, over its largest value: effects whose profiles are equal to so many share products
+PROBED_STEPS = 60  # steps whose strength is computed; that of the others is interpolated
 MIN_STEP_DISTANCE = 5  # strides between two steps of the state
 MAX_STEPS = 200  # of the state that are considered: bounds the cost of the exchanges
 CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a change
@@ -35,42 +37,74 @@ MOVES = np.concatenate([-STEPS, STEPS])
 MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
 
 
-def best_times(joint: JointLikelihood, chosen: list[int], term: Term, single: bool) -> tuple[Spans, float] | None:
-    """Spans in which ``term`` acts, and the cost of their changes; None where no times gain.
+@dataclass(frozen=True)
+class _Cut:
+    """A profile cut into blocks: their numbers (n,) by stride, lengths [s], products and scores off a set."""
 
-    ``single``: once, from some time to another.
-    """
-    column, t = joint.frame.column(term), joint.frame.strides.t
-    steps = np.zeros(len(t), dtype=bool)
-    steps[likely_steps(joint, chosen, column)] = True
-    block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
-    labels = np.cumsum(steps | np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False))
-    on = _states(joint, chosen, term, single, labels)
-    if not on.any() or on.mean() > MAX_ON_SHARE:
-        return None
-    spans = _spans(joint.frame, on)
-    return spans, CHANGE_COST * _changes(on) if single else sum(
-        cost(end - start, term.effect.dwells) for start, end in spans
-    )
+    labels: NDArray[np.int64]
+    lengths: Floats
+    products: Floats
+    score: Floats
 
 
-def proposed_times(joint: JointLikelihood, effect: Effect) -> set[Spans]:
-    """Times that ``effect`` may have, beside the components of ``joint`` and beside those of them that always act.
+class Switching:
+    """Times of effects beside components of one likelihood; effects with one profile share its products."""
 
-    At a steady speed one effect on and another off give the same residual (drafting and a fan), so the times between
-    are proposed as well.
-    """
-    ours = [i for i, component in enumerate(joint.components) if component.name != effect.name]
-    always = [i for i in ours if not joint.components[i].is_timed]
-    single, found = effect.timing is Timing.WINDOW, set[Spans]()
-    own = [c.spans for c in joint.components if c.name == effect.name and c.spans]
-    for beside in [ours] if always == ours else [ours, always]:
-        times = best_times(joint, beside, Term(effect), single)
-        found |= {
-            with_refined_edges(joint, beside, Term(effect, None, spans))
-            for spans in (*own, *(() if times is None else times[:1]))
-        }
-    return found if single else found | {_between(spans, joint.frame.strides.t) for spans in found}
+    def __init__(self, joint: JointLikelihood) -> None:
+        self._joint = joint
+        self._cuts: dict[tuple[tuple[int, ...], bytes], _Cut] = {}
+
+    def best(self, chosen: Sequence[int], effect: Effect, own: Sequence[int] = ()) -> tuple[Spans, float] | None:
+        """Spans in which ``effect`` acts beside a set, and the cost of their changes; None where no times gain.
+
+        ``own``: components of the effect with times that were found before; changes from them are likely too.
+        """
+        column, single = self._joint.frame.column(Term(effect)), effect.timing is Timing.WINDOW
+        size = float(column[np.argmax(np.abs(column))])
+        profile = np.round(column / size, PROFILE_DIGITS)
+        key = (*chosen, *own), profile.tobytes()
+        if key not in self._cuts:
+            self._cuts[key] = self._cut(list(chosen), profile, list(own))
+        cut, sd = self._cuts[key], effect.usual(self._joint.frame.road_load)
+        blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths)
+        on = blocks[cut.labels]
+        if not on.any() or on.mean() > MAX_ON_SHARE:
+            return None
+        spans = _spans(self._joint.frame, on)
+        return spans, CHANGE_COST * _changes(on) if single else prior_cost(spans, effect)
+
+    def _cut(self, chosen: list[int], column: Floats, own: list[int]) -> _Cut:
+        """A ``column`` (n,) cut where its state most likely changes beside a set, and at regular times."""
+        t, steps = self._joint.frame.strides.t, np.zeros(len(self._joint.frame.strides), dtype=bool)
+        steps[likely_steps(self._joint, chosen, column)] = True
+        if own:
+            steps[likely_steps(self._joint, [*chosen, *own], column)] = True
+            edges = np.array([edge for i in own for span in self._joint.components[i].spans or () for edge in span])
+            steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
+        block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
+        regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
+        there, place = np.unique(np.cumsum(steps | regular), return_inverse=True)
+        columns = np.zeros((len(t), len(there)))
+        columns[np.arange(len(t)), place] = column
+        products, score = self._joint.projected(chosen, columns)
+        first = np.searchsorted(place, np.arange(len(there)))
+        return _Cut(place, np.append(t[first[1:]], t[-1]) - t[first], products, score)
+
+    def proposed(self, effect: Effect) -> set[Spans]:
+        """Times that ``effect`` may have beside the other components of the likelihood.
+
+        At a steady speed one effect on and another off give the same residual (drafting and a fan), so the times
+        between are proposed as well.
+        """
+        components = self._joint.components
+        beside = [i for i, component in enumerate(components) if component.name != effect.name]
+        own = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
+        best = self.best(beside, effect, own)
+        times = [*(components[i].spans for i in own), *(() if best is None else best[:1])]
+        found = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
+        if effect.timing is Timing.WINDOW:
+            return found
+        return found | {_between(spans, self._joint.frame.strides.t) for spans in found}
 
 
 def is_usual(spans: Spans, effect: Effect) -> bool:
@@ -173,18 +207,6 @@ def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> N
     clarity = np.abs(scores) / np.sqrt(strength)
     peaks, found = find_peaks(clarity, distance=MIN_STEP_DISTANCE, height=0.0)
     return peaks[np.argsort(-found["peak_heights"], kind="stable")[:MAX_STEPS]]
-
-
-def _states(joint: JointLikelihood, chosen: list[int], term: Term, single: bool, labels: Floats) -> Mask:
-    """The states (n,) of strides, the same for those that share a label."""
-    there, place = np.unique(labels, return_inverse=True)
-    columns = np.zeros((len(labels), len(there)))
-    columns[np.arange(len(labels)), place] = joint.frame.column(term)
-    products, score = joint.projected(chosen, columns)
-    first = np.searchsorted(place, np.arange(len(there)))
-    lengths = np.append(joint.frame.strides.t[first[1:]], joint.frame.strides.t[-1]) - joint.frame.strides.t[first]
-    sd = term.effect.usual(joint.frame.road_load)
-    return exchanged(products, score, sd, term.effect.positive, single, lengths)[place]
 
 
 def exchanged(G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats) -> Mask:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import AtRest, DriveState
-from estimator.components.search import Explained, search
+from estimator.components.search import Explained, Search
 from estimator.diagnosis.model import Drive
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
@@ -36,37 +36,58 @@ class Explanation:
 
 def explain(drives: Sequence[Drive], effects: Sequence[Effect], thresholds: Thresholds) -> Explanation | None:
     """Search for what acts on ``drives``; None where their motion cannot be fitted."""
-    candidates = [effect for effect in effects if not effect.absorbed and not effect.is_gravity]
-    is_given = any(term.effect.is_gravity for drive in drives for term in drive.model.terms)
-    if is_given:
-        states = _states(drives, is_level=False)
-        return None if states is None else Explanation(search(states, candidates), True, None, True)
+    candidates = [effect for effect in effects if not (effect.absorbed or effect.is_gravity)]
+    if any(term.effect.is_gravity for drive in drives for term in drive.model.terms):
+        given = _states(drives, is_level=False)
+        return None if given is None else Explanation(Search(given, candidates).explained(), True, None, True)
     plain = _states(drives, is_level=True)
     if plain is None:
         return None
-    level = search(plain, candidates)
-    slopes = sum(log_bayes_factor_of_road(drive.strides, drive.fit) for drive in level.drives)
+    level, slopes = None, _slopes(plain)
     if slopes < thresholds.min_log_bf_slopes:
-        return Explanation(level, False, slopes, False)
-    sloping = _states(drives, is_level=False)
+        level = Search(plain, candidates).explained()
+        slopes = _slopes(level.drives)
+    sloping = None if slopes < thresholds.min_log_bf_slopes else _states(drives, is_level=False)
     if sloping is None:
+        return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
+    return _on_either_road(plain, level, sloping, candidates, thresholds)
+
+
+def _on_either_road(
+    plain: tuple[DriveState, ...],
+    level: Explained | None,
+    sloping: tuple[DriveState, ...],
+    candidates: Sequence[Effect],
+    thresholds: Thresholds,
+) -> Explanation:
+    """The explanation with more evidence of drives that seem to have slopes; ``level``: that on a level road, if known.
+
+    Over hills the search on a level road would take many rounds to explain the slopes by effects, so it comes second.
+    """
+    search = Search(sloping, candidates)
+    slopes = _slopes(search.alone)
+    if slopes < thresholds.min_log_bf_slopes:
+        return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
+    beside = search.explained()
+    is_shown = _is_shown(beside, thresholds)
+    least = beside.log_evidence - (0.0 if is_shown else thresholds.min_log_bf_slopes)
+    level = level or Search(plain, candidates).explained_above(least)
+    if level is not None and level.log_evidence > least:
         return Explanation(level, False, slopes, False)
-    beside = search(sloping, candidates)
-    gain = min(
-        beside.log_evidence - level.log_evidence,
-        sum(log_bayes_factor_of_road(drive.strides, drive.fit) for drive in beside.drives),
-    )
-    if gain < thresholds.min_log_bf_slopes:
-        return Explanation(level, False, gain, False)
-    return Explanation(beside, True, gain, _is_hilly(beside, thresholds))
+    slopes = min([_slopes(beside.drives), *([beside.log_evidence - level.log_evidence] if level else [])])
+    longest = max(beside.drives, key=lambda drive: len(drive.fit.strides))
+    return Explanation(beside, True, slopes, is_shown is not False and longest.fit.slope_sd > thresholds.min_grade_sd)
 
 
-def _is_hilly(explained: Explained, thresholds: Thresholds) -> bool:
-    """Whether what varies with place is a road: steep enough, and not denied by its signals."""
-    longest = max(explained.drives, key=lambda drive: len(drive.fit.strides))
-    shown = [drive for drive in explained.drives if drive.fit.scales.readings]
-    signals = sum(log_bayes_factor_of_signals(drive.strides, drive.fit) for drive in shown)
-    return longest.fit.slope_sd > thresholds.min_grade_sd and (not shown or signals > thresholds.min_log_bf_effect)
+def _slopes(drives: Sequence[DriveState]) -> float:
+    """Log Bayes factor of a road with slopes under the drives, beside what they are fitted beside."""
+    return sum(log_bayes_factor_of_road(drive.strides, drive.fit) for drive in drives)
+
+
+def _is_shown(explained: Explained, thresholds: Thresholds) -> bool | None:
+    """Whether signals of the road confirm the slopes that the force shows; None where there are no signals."""
+    signals = [log_bayes_factor_of_signals(d.strides, d.fit) for d in explained.drives if d.fit.scales.readings]
+    return bool(sum(signals) > thresholds.min_log_bf_effect) if signals else None
 
 
 def _states(drives: Sequence[Drive], is_level: bool) -> tuple[DriveState, ...] | None:

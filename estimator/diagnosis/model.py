@@ -65,8 +65,8 @@ class Drive:
 
 def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
     """Samples (n,) whose model power, by their instruments, is clearly above 0; None where there are too few."""
-    settled = away_from_changes(samples.t, terms)
-    kept = settled
+    away = away_from_changes(samples.t, terms)
+    kept = away
     road_load: Floats = np.zeros(3)
     for _ in range(MAX_PASSES):
         if kept.sum() < MIN_SAMPLES:
@@ -79,7 +79,7 @@ def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
         predicted = Z @ fitted.theta
         slow = MAD_TO_SD * float(np.median(np.abs(block_means(fitted.residual, BLOCK_SAMPLES))))
         pulling = predicted > min(MIN_POWER_SDS * slow, MAX_POWER_SHARE * float(np.abs(samples.P).mean()))
-        previous, kept = kept, pulling & settled
+        previous, kept = kept, pulling & away
         if np.array_equal(kept, previous):
             break
     return kept if kept.sum() >= MIN_SAMPLES else None

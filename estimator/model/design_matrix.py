@@ -67,6 +67,18 @@ def union(one: Spans, other: Spans) -> Spans:
     return tuple(joined)
 
 
+def without(one: Spans, other: Spans) -> Spans:
+    """Times that are within ``one`` and not within the other."""
+    left: list[tuple[float, float]] = []
+    for start, end in one:
+        for other_start, other_end in sorted(other):
+            if start < other_end and other_start < end:
+                left += [(start, other_start)] if start < other_start else []
+                start = max(start, other_end)
+        left += [(start, end)] if start < end else []
+    return tuple(left)
+
+
 def views(samples: Samples, road_load: Floats, terms: tuple[Term, ...] = ()) -> tuple[View, View]:
     """``samples`` as measured, and with the quantities of their instruments.
 

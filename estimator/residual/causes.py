@@ -28,6 +28,7 @@ class Form:
     columns: Floats
     sd: float
     positive: bool = False
+    largest: float = np.inf
     cost: float = 0.0
 
 
