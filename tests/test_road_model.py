@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_strides import made_strides
 from numpy.testing import assert_allclose
 
 from estimator.estimation import road_fit
@@ -395,6 +396,11 @@ def test_a_fit_finds_the_vehicle_and_the_hills_that_the_strides_were_drawn_with(
 
 def test_too_few_strides_give_no_fit():
     assert road_fit.fit(strides_of(30), np.random.default_rng(0)) is None
+
+
+def test_a_speed_that_is_stuck_gives_no_fit():
+    stuck = made_strides(np.full(57, 16.08), np.full(56, 262.7), {})
+    assert road_fit.fit(stuck, np.random.default_rng(0)) is None
 
 
 def test_a_level_road_hides_no_slopes_and_a_hilly_one_more_than_a_flatter_one():

@@ -187,7 +187,7 @@ def fit(
     level: bool = False,
     road_load: Floats | None = None,
 ) -> RoadFit | None:
-    """Fit strides; None where too few have a known force.
+    """Fit strides; None where too few have a known force, or none of these accelerates (a speed that is stuck).
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def fit(
         [A, C, m] that columns and priors of ``terms`` are computed with at first; None: a guess by least squares.
     """
     driven = strides[strides.known]
-    if len(driven) < MIN_STRIDES:
+    if len(driven) < MIN_STRIDES or not driven.a.any():
         return None
     road_load = first_guess(driven) if road_load is None else road_load
     search = _Search(strides, terms, road_load, longest_lag, departures, level)
