@@ -15,10 +15,9 @@ from scipy.special import logsumexp
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState, Form
 from estimator.components.hypotheses import Hypotheses, Times
-from estimator.components.model_table import Chosen, ModelTable, weigh
+from estimator.components.model_table import MAX_CAUSES, Chosen, ModelTable, weigh
 from estimator.model.effects.effect import Effect, Timing
 
-MAX_CAUSES = 5  # in a set
 MAX_ROUNDS = 8  # of table and scales, each found beside the other
 MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
 
