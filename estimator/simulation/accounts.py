@@ -20,8 +20,8 @@ from estimator.simulation.truck import Truck
 from estimator.simulation.truth import Truth
 from estimator.units import STANDARD_GRAVITY
 
-FAN_RATIO = 1.1  # fan turns per engine turn
-FAN_SLIP = 0.2  # share of that a released fan clutch passes on
+FAN_SPEED = 220.0  # rad/s, of a hydraulic fan, whose power does not depend on the engine's speed
+FAN_SLIP = 0.2  # share of it while the fan is released
 RETARDER_SPEED = 4.0  # m/s, below which the service brake does all
 
 Ledgers = Mapping[tuple[str, str], Floats]
@@ -108,7 +108,7 @@ def settle(
         ambient_temperature=temperature[0] if temperature else np.full(len(s), STANDARD_TEMPERATURE),
         coolant_temperature=_coolant(truck, course, actions),
         pressure=pressure_at(altitude),
-        fan_speed=FAN_RATIO * engine_speed * np.where(runs, 1.0, FAN_SLIP),
+        fan_speed=FAN_SPEED * np.where(runs, 1.0, FAN_SLIP),
         reading=reading,
         effects=effects,
         active={name: action.active for name, action in actions.items() if action.active},
