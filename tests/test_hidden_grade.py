@@ -28,7 +28,7 @@ def diagnose(tmp_path):
     return diagnosis
 
 
-@pytest.mark.parametrize("seed", [1])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_an_altimeter_too_noisy_to_show_hills_does_not_deny_them(diagnose, seed):
     answer = diagnose("highway", seed, Effect(name="grade", magnitude=0.005), 20.0)
     assert named(answer) == ["grade"]
@@ -36,9 +36,8 @@ def test_an_altimeter_too_noisy_to_show_hills_does_not_deny_them(diagnose, seed)
 
 
 @pytest.mark.parametrize("seed", [2])
-@pytest.mark.parametrize("altitude_noise", [1.0, 20.0])
-def test_on_a_rough_road_that_an_altimeter_shows_flat_there_are_no_hills(diagnose, seed, altitude_noise):
-    answer = diagnose("highway", seed, Effect(name="road_surface", magnitude=0.6), altitude_noise)
+def test_on_a_rough_road_that_an_altimeter_shows_flat_there_are_no_hills(diagnose, seed):
+    answer = diagnose("highway", seed, Effect(name="road_surface", magnitude=0.6), 1.0)
     assert (answer["verdict"], named(answer)) == ("unknown effect", [])
 
 

@@ -85,9 +85,9 @@ def _slopes(drives: Sequence[DriveState]) -> float:
 
 
 def _is_shown(explained: Explained, thresholds: Thresholds) -> bool | None:
-    """Whether signals of the road confirm the slopes that the force shows; None where there are no signals."""
-    signals = [log_bayes_factor_of_signals(d.strides, d.fit) for d in explained.drives if d.fit.scales.readings]
-    return bool(sum(signals) > thresholds.min_log_bf_effect) if signals else None
+    """Whether signals of the road confirm the slopes that the force shows or deny them; None: they tell neither."""
+    signals = sum(log_bayes_factor_of_signals(d.strides, d.fit) for d in explained.drives if d.fit.scales.readings)
+    return None if abs(signals) < thresholds.min_log_bf_effect else bool(signals > 0)
 
 
 def _states(drives: Sequence[Drive], is_level: bool) -> tuple[DriveState, ...] | None:
