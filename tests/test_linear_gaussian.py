@@ -7,7 +7,16 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from estimator.model.linear_gaussian import Factor, NotPositiveDefiniteError, Observations, band, bandwidth
+from estimator.model.linear_gaussian import (
+    MIN_BLOCK,
+    Factor,
+    NotPositiveDefiniteError,
+    Observations,
+    band,
+    bandwidth,
+    both_triangles,
+    with_squares,
+)
 
 REACH = 3  # places that one observation spans at most
 
@@ -84,7 +93,8 @@ def test_a_factor_solves_whitens_and_has_the_determinant(problem):
     right = np.random.default_rng(0).normal(size=(len(problem.prior), 2))
     whitened = factor.whiten(right)
     solved = np.linalg.solve(problem.prior, right)
-    assert_allclose(factor.log_determinant, np.linalg.slogdet(problem.prior)[1], rtol=1e-9, atol=1e-9)
+    doubt = 1e-9 + np.finfo(float).eps * np.linalg.cond(problem.prior)
+    assert_allclose(factor.log_determinant, np.linalg.slogdet(problem.prior)[1], rtol=1e-9, atol=doubt)
     assert_allclose(whitened.T @ whitened, right.T @ solved, rtol=1e-6, atol=1e-9)
     assert_allclose(factor.solve(right), solved, rtol=1e-6, atol=1e-9 * np.abs(solved).max())
 
@@ -107,3 +117,30 @@ def test_gram_and_determinant_of_the_data_are_those_of_the_dense_covariance(prob
 def test_what_is_not_positive_definite_is_refused():
     with pytest.raises(NotPositiveDefiniteError):
         Factor.of(np.array([[1.0, 1.0], [2.0, 0.0]]))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5 * MIN_BLOCK), st.integers(0, 2 * MIN_BLOCK))
+def test_the_covariance_within_the_band_is_that_of_the_dense_inverse(seed, size, reach):
+    rng = np.random.default_rng(seed)
+    root = np.tril(np.triu(rng.normal(size=(size, size)), -reach)) / np.sqrt(1 + reach) + 2 * np.eye(size)
+    precision = root @ root.T
+    rows, columns = np.nonzero(np.abs(np.subtract.outer(np.arange(size), np.arange(size))) <= reach)
+    stored = band(rows, columns, precision[rows, columns], (reach + 1, size))
+    found, expected = Factor.of(stored).covariance(), np.linalg.inv(precision)
+    assert found.shape == (reach + 1, size)
+    for down in range(min(reach + 1, size)):
+        assert_allclose(found[down, : size - down], np.diag(expected, -down), rtol=1e-7, atol=1e-9)
+
+
+@given(problems)
+def test_what_unknowns_add_to_the_variance_of_observations_is_a_product_with_their_covariance(problem):
+    covariance = problem.prior  # any positive definite matrix within the band
+    found = problem.observations.variance(both_triangles(banded(covariance)))
+    assert_allclose(found, np.diag(problem.A @ covariance @ problem.A.T), rtol=1e-9, atol=1e-9)
+
+
+@given(problems)
+def test_squares_of_columns_are_added_within_the_band(problem):
+    columns = np.random.default_rng(1).normal(size=(len(problem.prior), 3))
+    found = with_squares(banded(problem.prior), columns)
+    assert_allclose(found, banded(problem.prior + columns @ columns.T))

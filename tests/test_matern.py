@@ -130,3 +130,30 @@ def test_a_node_alone_has_a_precision_of_its_own():
     found, log_determinant = precision_and_determinant(field, 1, 5, 0.01, 300.0)
     assert found == pytest.approx(by_the_formula(*alone, 4, 0.01, 300.0))
     assert log_determinant == pytest.approx(np.log(found[0, 0]))
+
+
+@given(stretches, st.sampled_from([2, 3, 4]), st.floats(1e-2, 1.0), st.floats(50.0, 300.0))
+def test_score_and_response_are_derivatives_of_the_dense_gaussian(steps, alpha, sd, length):
+    nodes = np.concatenate([[0.0], np.cumsum([step for step, _ in steps])])
+    joined = np.array([False, *(join for _, join in steps)])
+    n, rng, step = len(nodes), np.random.default_rng(5), 1e-5
+    field = MaternField(nodes, joined, alpha, np.arange(n), (alpha + 1, n))
+    Q = by_the_formula(nodes, joined, alpha, sd, length)
+    root = rng.normal(size=(n, n)) * sd
+    products = root @ root.T
+    stored = np.zeros((alpha + 1, n))
+    for down in range(min(alpha + 1, n)):
+        stored[down, : n - down] = np.diag(products, -down) * (1 if down == 0 else 2)
+    x = sd * rng.normal(size=n)
+    found, response = field.score(stored, sd, length), field.response(x, sd, length)
+    for i, (by_sd, by_length) in enumerate(((step, 0.0), (0.0, step))):
+        ends = [
+            by_the_formula(nodes, joined, alpha, sd * np.exp(s * by_sd), length * np.exp(s * by_length))
+            for s in (1, -1)
+        ]
+        change = (ends[0] - ends[1]) / (2 * step)
+        each = np.linalg.solve(Q, change)  # V' = -V Q' V
+        expected = 0.5 * (np.trace(each) - np.trace(change @ products))
+        doubt = 1e-4 + np.finfo(float).eps * np.linalg.cond(Q) / step  # differences of the dense matrix are as exact
+        assert found[i] == pytest.approx(expected, rel=1e-3, abs=doubt * (1 + np.abs(np.trace(Q @ products))))
+        assert_allclose(response[:, i], -each @ x, rtol=1e-3, atol=doubt * np.abs(x).max())

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends
+from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
 
 
 def covariance(t, linked, variance, time):
@@ -82,3 +82,33 @@ def test_a_long_memory_makes_the_mean_that_of_both_ends():
     weight, own = mean_given_ends(1.0, 1e4)
     assert weight == pytest.approx(0.5)
     assert 0 < own < 1e-4
+
+
+@pytest.mark.parametrize("time", [0.05, 0.3, 1.0, 5.0, 60.0])
+def test_the_change_of_the_mean_with_the_memory_is_a_difference_of_two(time):
+    step = 1e-4
+    (more, own_more), (less, own_less) = (mean_given_ends(1.0, time * np.exp(sign * step)) for sign in (1, -1))
+    by_weight, by_own = mean_given_ends_by_time(1.0, time)
+    assert by_weight == pytest.approx(np.log(more / less) / (2 * step), rel=1e-5, abs=1e-9)
+    assert by_own == pytest.approx((own_more - own_less) / (2 * step), rel=1e-3, abs=1e-7)
+
+
+@given(chains, st.floats(0.1, 10.0), st.floats(0.5, 50.0))
+def test_score_and_response_are_derivatives_of_the_dense_gaussian(steps, sd, time):
+    t = np.concatenate([[0.0], np.cumsum([dt for dt, _ in steps])])
+    linked, n, rng = np.array([link for _, link in steps]), len(steps) + 1, np.random.default_rng(3)
+    chain, places = Chain(t, 2 * np.arange(n), linked), 2 * np.arange(n)  # others stand between
+    products = rng.normal(size=(n, n))
+    products = products @ products.T
+    stored = np.zeros((3, 2 * n))
+    stored[0, places], stored[2, places[:-1]] = np.diag(products), 2 * np.diag(products, -1)
+    x, step = rng.normal(size=n), 1e-5
+    found, response = chain.score(stored, sd, time), chain.response(x, sd, time)
+    K = covariance(t, linked, sd**2, time)
+    for i, (by_sd, by_time) in enumerate(((step, 0.0), (0.0, step))):
+        ends = [covariance(t, linked, sd**2 * np.exp(2 * s * by_sd), time * np.exp(s * by_time)) for s in (1, -1)]
+        change = (ends[0] - ends[1]) / (2 * step)
+        inverse = np.linalg.inv(K)
+        expected = 0.5 * np.trace(inverse @ change @ (inverse @ products - np.eye(n)))
+        assert found[i] == pytest.approx(expected, rel=1e-4, abs=1e-5 * (1 + np.abs(inverse @ products).max()))
+        assert_allclose(response[:, i], change @ inverse @ x, rtol=1e-4, atol=1e-5 * np.abs(x).max())

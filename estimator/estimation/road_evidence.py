@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.estimation.road_fit import UNKNOWN_SCALE_STEP, RoadFit
+from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
+from estimator.estimation.scale_search import most_probable
 from estimator.model.road import RoadModel
 from estimator.strides import Strides
 
@@ -35,5 +36,5 @@ def _log_evidence(strides: Strides, found: RoadFit, is_level: bool) -> float:
         slope = names.index("slope")
         start[slope] = model.scales[slope].low
         free = [i for i in free if names[i] not in ("slope", "slope length")]
-    values, _ = likelihood.best_scales(start, free, UNKNOWN_SCALE_STEP)
+    values, _ = most_probable(likelihood, start, free)
     return likelihood.log_evidence(values)

@@ -29,6 +29,7 @@ from estimator.estimation.road_likelihood import (
     columns,
     limited,
 )
+from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import Term
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH, RoadModel
 from estimator.signals import Floats
@@ -42,11 +43,8 @@ ANSWERED, ANSWERED_SD = 0.3, 0.2  # share of a slope's change that drivers answe
 MAX_HIDDEN_CHANGES = 1.0  # of R that is allowed for: the mass falls by 23 %, with an sd of 20 %
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
-UNKNOWN_SCALE_STEP, KNOWN_SCALE_STEP = 0.7, 0.25  # first steps of the logarithms of scales, unknown or known before
-ROAD_SCALES = (0, 4, 5)  # scales that change with the smoothness of the road
 SLOPE = 4  # scale of the slopes' sd
 SLOPES = (4, 5)  # scales of the road: the sd of its slopes and their length
-VEHICLE_SCALES = (2, 3)  # scales that do not change with the smoothness of the wander
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
 
@@ -285,42 +283,36 @@ class _Search:
             start = RoadScales(
                 values=values, alpha=ALPHAS[0], wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
             )
-            scales, evidence = self._lagged(start, UNKNOWN_SCALE_STEP)
+            scales, evidence = self._lagged(start)
         else:
-            scales, evidence = self._lagged(known, KNOWN_SCALE_STEP)
+            scales, evidence = self._lagged(known)
             if not orders:
                 return *self.likelihood(scales), evidence
         if scales.readings:
-            others = [i for i in range(len(scales.values)) if i not in VEHICLE_SCALES]
             order = SMOOTH if scales.wander == ROUGH else ROUGH
-            scales, evidence = self._better(scales, evidence, replace(scales, wander=order), others)
+            scales, evidence = self._better(scales, evidence, replace(scales, wander=order))
         for alpha in () if self._level else ALPHAS:
             if alpha != scales.alpha:
-                scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha), ROAD_SCALES)
+                scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha))
         return *self.likelihood(scales), evidence
 
-    def _better(
-        self, scales: RoadScales, evidence: float, other: RoadScales, changed: Sequence[int]
-    ) -> tuple[RoadScales, float]:
-        """The ``scales``, or those of ``other`` orders where these have more evidence once ``changed`` are found."""
-        varied, found = self._improved(other, changed, UNKNOWN_SCALE_STEP)
-        return (
-            self._improved(varied, range(len(varied.values)), KNOWN_SCALE_STEP)
-            if found > evidence
-            else (scales, evidence)
-        )
+    def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float]:
+        """The ``scales``, or the most probable of ``other`` orders where these have more evidence."""
+        varied, found = self._improved(other)
+        return (varied, found) if found > evidence else (scales, evidence)
 
-    def _improved(self, scales: RoadScales, free: Sequence[int], reach: float) -> tuple[RoadScales, float]:
+    def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
+        """The most probable scales from those given."""
         likelihood, _ = self.likelihood(scales)
-        free = [i for i in free if not (self._level and i in SLOPES)]
-        values, evidence = likelihood.best_scales(scales.values, free, reach)
+        free = [i for i in range(len(scales.values)) if not (self._level and i in SLOPES)]
+        values, evidence = most_probable(likelihood, scales.values, free)
         return replace(scales, values=values), evidence
 
-    def _lagged(self, scales: RoadScales, reach: float) -> tuple[RoadScales, float]:
+    def _lagged(self, scales: RoadScales) -> tuple[RoadScales, float]:
         """Scales and the nearest lag of LAGS, each given the other; of lags that call for each other the better one."""
         found: dict[int, tuple[RoadScales, float]] = {}
         while scales.lag not in found:
-            scales, evidence = self._improved(scales, range(len(scales.values)), reach)
+            scales, evidence = self._improved(scales)
             found[scales.lag] = scales, evidence
             likelihood, _ = self.likelihood(scales)
             beta, _, _ = likelihood.solve(likelihood.model.condition(scales.values).gram(likelihood.data))
@@ -331,7 +323,7 @@ class _Search:
             if abs(left) < 0.55 * LAG_SPACING:
                 return scales, evidence
             wanted = np.clip(LAGS[scales.lag] + left, -self._longest_lag, self._longest_lag)
-            scales, reach = replace(scales, lag=int(np.argmin(np.abs(LAGS - wanted)))), KNOWN_SCALE_STEP
+            scales = replace(scales, lag=int(np.argmin(np.abs(LAGS - wanted))))
         return max(found.values(), key=lambda pair: pair[1])
 
 

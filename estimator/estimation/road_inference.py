@@ -35,7 +35,8 @@ from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term
 from estimator.model.effects import named
-from estimator.model.road import ALPHAS, ROUGH, SCALES, SMOOTH
+from estimator.model.road import ALPHAS, ROUGH, SMOOTH
+from estimator.model.road_scales import SCALES
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 

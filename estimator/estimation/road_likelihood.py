@@ -13,14 +13,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import View
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
-from estimator.model.road import Conditioned, RoadModel, Scale
+from estimator.model.road import Conditioned, RoadModel
 from estimator.model.road_load import NEW_LOAD_SD
+from estimator.model.road_score import Score, score
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -34,8 +34,6 @@ VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far
 MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
 # Shifts are the largest of the mass, in its sd, on three simulated drives of 40 min (hills, highway, city).
 PROBES = 8  # simulated noises that the correction is averaged over; with 4 and 16 the mass shifts by 0.03 sd
-SCALE_TOLERANCE = 0.1  # of the logarithms of the scales, at which the search stops; with 0.05 and 0.2 by 0.11 sd
-MAX_EVALUATIONS = 120  # of the likelihood in one search: bounds the cost; with 60 by less than 0.01 sd
 
 
 def earlier_loads(t: Floats, departures: Sequence[float]) -> Mask:
@@ -124,42 +122,23 @@ class Likelihood:
         return beta, information, float(gram[0, 0] - gram[1:, 0] @ beta)
 
     def log_evidence(self, scales: Floats) -> float:
-        """Log marginal likelihood of ``scales`` (k,), coefficients integrated out, up to a constant of the model."""
+        """Log marginal likelihood of ``scales`` (k,), coefficients integrated out, up to a constant of the model.
+
+        Minus infinity where they lie too far apart for floating point.
+        """
         try:
             conditioned = self.model.condition(scales)
         except NotPositiveDefiniteError:
-            return -1e10
+            return -np.inf
         _, information, misfit = self.solve(conditioned.gram(self.data))
         volume = float(np.linalg.slogdet(information)[1] - np.log(np.diag(self.prior)).sum())
         return -0.5 * (conditioned.log_determinant + volume + misfit)
 
-    def best_scales(self, start: Floats, free: Sequence[int], reach: float) -> tuple[Floats, float]:
-        """Scales (k,) at the mode of their posterior, from ``start``, and the log evidence there with their prior.
-
-        Those with numbers in ``free`` are varied, at first by a factor of exp(``reach``).
-        """
-        scales: Sequence[Scale] = self.model.scales
-        centre, spread = np.log([s.centre for s in scales]), np.array([s.spread for s in scales])
-
-        place, origin = list(free), np.log(start)
-
-        def loss(varied: Floats) -> float:
-            logarithms = origin.copy()
-            logarithms[place] = varied
-            prior = float(np.sum(((logarithms - centre) / spread) ** 2))
-            return 0.5 * prior - self.log_evidence(np.exp(logarithms))
-
-        bounds = [(np.log(scales[i].low), np.log(scales[i].high)) for i in place]
-        found = minimize(
-            loss,
-            origin[place],
-            method="COBYQA",
-            bounds=bounds,
-            options={"initial_tr_radius": reach, "final_tr_radius": SCALE_TOLERANCE, "maxfev": MAX_EVALUATIONS},
-        )
-        best = start.copy()
-        best[place] = np.exp(found.x)
-        return best, -float(found.fun)
+    def score(self, scales: Floats) -> Score:
+        """How the log evidence changes with the logarithms of ``scales`` (k,)."""
+        conditioned = self.model.condition(scales)
+        beta, information, _ = self.solve(conditioned.gram(self.data))
+        return score(conditioned, scales, self.data, beta, information)
 
     def noise_information(
         self, scales: Floats, conditioned: Conditioned, beta: Floats, rng: np.random.Generator

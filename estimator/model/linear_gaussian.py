@@ -9,7 +9,8 @@ L = Q + A' R^-1 A, is banded too, and a banded Cholesky factor gives, for any co
 
     Y' K^-1 Y = Y' R^-1 Y - (A' R^-1 Y)' L^-1 (A' R^-1 Y),      log|K| = log|R| + log|L| - log|Q|
 
-where K = R + A Q^-1 A' is the covariance of the data (Woodbury identity; Rue & Held 2005, chapter 2).
+where K = R + A Q^-1 A' is the covariance of the data (Woodbury identity; Rue & Held 2005, chapter 2). The covariance
+L^-1 is dense, but its elements within the band follow from those of the factor (Takahashi, Fagan & Chen 1973).
 
 Bands are stored as LAPACK stores the lower triangle: ``band[d, j]`` is the element (j + d, j).
 """
@@ -18,12 +19,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpbtrf, dtbtrs
+from scipy.linalg.lapack import dpbtrf, dtbtrs, dtrtri
 
 from estimator.signals import Floats
 
 Places = NDArray[np.int64]
+
+MIN_BLOCK = 16  # unknowns of a block: narrower bands go as fast
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -44,6 +48,22 @@ def band(rows: Places, columns: Places, values: Floats, shape: tuple[int, int]) 
     stored = np.zeros(shape)
     np.add.at(stored, ((rows - columns)[lower], columns[lower]), values[lower])
     return stored
+
+
+def both_triangles(stored: Floats) -> Floats:
+    """A band whose elements off the diagonal count twice, so that sums over it are sums over the whole matrix."""
+    whole = 2 * stored
+    whole[0] = stored[0]
+    return whole
+
+
+def with_squares(stored: Floats, columns: Floats) -> Floats:
+    """A band (bandwidth + 1, size) plus that of the sum of x x' over ``columns`` x (size, c)."""
+    total = stored.copy()
+    total[0] += np.einsum("ij,ij->i", columns, columns)
+    for down in range(1, min(len(total), len(columns))):
+        total[down, :-down] += np.einsum("ij,ij->i", columns[down:], columns[:-down])
+    return total
 
 
 class Observations:
@@ -78,6 +98,11 @@ class Observations:
         """The band of A' R^-1 A, for variances (n,)."""
         stored: Floats = (self._square @ (1 / variance)).reshape(self._shape)
         return stored
+
+    def variance(self, products: Floats) -> Floats:
+        """What unknowns of `both_triangles` of a covariance add to the variance of each observation (n,)."""
+        spread: Floats = self._square.T @ products.ravel()
+        return spread
 
     def gathered(self, scaled: Floats) -> Floats:
         """A' times columns (n, c)."""
@@ -130,3 +155,40 @@ class Factor:
         solved, _ = dtbtrs(self.lower, columns, uplo="L", trans="T")
         solution: Floats = solved
         return solution
+
+    def covariance(self) -> Floats:
+        """The band (bandwidth + 1, size) of L^-1.
+
+        With the factor cut into blocks D on the diagonal and E below them, from the last block to the first:
+
+            S_ki = -S_kk G,   S_ii = (D D')^-1 + G' S_kk G,   G = E D^-1,   k = i + 1
+        """
+        reach, size = len(self.lower) - 1, self.lower.shape[1]
+        width = max(reach, MIN_BLOCK)
+        number = -(-size // width)
+        padded = np.zeros((reach + 1, number * width))
+        padded[0, size:] = 1.0
+        padded[:, :size] = self.lower
+        blocks, stored = _blocks(number, width, reach)
+        stored[:] = padded.reshape(stored.shape)
+        inverse = np.array([dtrtri(block.T, lower=0)[0].T for block in blocks[:, :width]])
+        own = inverse.transpose(0, 2, 1) @ inverse
+        turned = blocks[:-1, width:] @ inverse[:-1]
+        blocks, stored = _blocks(number, width, reach)
+        blocks[-1, :width] = own[-1]
+        for i in range(number - 2, -1, -1):
+            below = blocks[i + 1, :width] @ turned[i]
+            blocks[i, :width] = own[i] + turned[i].T @ below
+            blocks[i, width:] = -below
+        return stored.reshape(reach + 1, -1)[:, :size]
+
+
+def _blocks(number: int, width: int, reach: int) -> tuple[Floats, Floats]:
+    """Zeros (number, 2 width, width), blocks on the diagonal over those below, and the same memory as a band.
+
+    The second is (reach + 1, number, width), with element (d, i, j) at (i, j + d, j) of the first.
+    """
+    blocks = np.zeros((number, 2 * width, width))
+    block, row, column = blocks.strides
+    stored = as_strided(blocks, (reach + 1, number, width), (row, block, row + column))
+    return blocks, stored

@@ -14,10 +14,10 @@ free (Neumann), where the variance doubles.
 from math import comb, pi, sqrt
 
 import numpy as np
-from scipy.linalg import cholesky_banded
+from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.special import gamma
 
-from estimator.model.linear_gaussian import Places, band
+from estimator.model.linear_gaussian import Factor, Places, band
 from estimator.signals import Floats
 
 
@@ -48,7 +48,7 @@ class MaternField:
         self._mass, self._off = mass, -pull
         self._diagonal = np.append(pull, 0.0) + np.insert(pull, 0, 0.0)
         stiffness = np.stack([np.insert(self._off, 0, 0.0), self._diagonal, np.append(self._off, 0.0)])
-        self.alpha, self.size = alpha, n
+        self.alpha, self.size, self.places = alpha, n, places
         powers = [mass[None], stiffness]
         for _ in range(alpha - 1):
             powers.append(_product(stiffness, 1 / mass, powers[-1]))
@@ -56,10 +56,24 @@ class MaternField:
         self._touched = np.flatnonzero(np.any(bands, axis=0))
         self._powers = np.array(bands)[:, self._touched]
 
+    @property
+    def _nu(self) -> float:
+        """Smoothness."""
+        return self.alpha - 0.5
+
     def _kappa_tau(self, sd: float, length: float) -> tuple[float, float]:
-        nu = self.alpha - 0.5
+        nu = self._nu
         kappa = sqrt(2 * nu) / length
         return kappa, float(gamma(nu)) / (float(gamma(self.alpha)) * sqrt(4 * pi) * kappa ** (2 * nu) * sd**2)
+
+    def _factors(self, kappa: float, tau: float) -> Floats:
+        """Of the powers (alpha + 1,) that the precision is the sum of."""
+        factors: Floats = tau * kappa ** (2.0 * (self.alpha - np.arange(self.alpha + 1)))
+        return factors
+
+    def _operator(self, kappa: float) -> Floats:
+        """The band (2, N) of kappa^2 M + G."""
+        return np.vstack([kappa**2 * self._mass + self._diagonal, np.append(self._off, 0.0)])
 
     def add_precision(self, target: Floats, sd: float, length: float) -> float:
         """Add the precision for ``sd`` and correlation ``length`` to a band ``target`` (bandwidth + 1, size).
@@ -67,18 +81,30 @@ class MaternField:
         Returns log|Q|.
         """
         kappa, tau = self._kappa_tau(sd, length)
-        factors = tau * kappa ** (2.0 * (self.alpha - np.arange(self.alpha + 1)))
-        target.ravel()[self._touched] += factors @ self._powers
-        return self._log_determinant(kappa, tau)
-
-    def _log_determinant(self, kappa: float, tau: float) -> float:
-        operator = np.vstack([kappa**2 * self._mass + self._diagonal, np.append(self._off, 0.0)])
-        diagonal = cholesky_banded(operator, lower=True)[0]
+        target.ravel()[self._touched] += self._factors(kappa, tau) @ self._powers
+        diagonal = cholesky_banded(self._operator(kappa), lower=True)[0]
         return float(
             2 * self.alpha * np.log(diagonal).sum()
             - (self.alpha - 1) * np.log(self._mass).sum()
             + self.size * np.log(tau)
         )
+
+    def score(self, products: Floats, sd: float, length: float) -> Floats:
+        """Derivative (2,) of the log density by log ``sd`` and log ``length``, for `both_triangles` of the products."""
+        kappa, tau = self._kappa_tau(sd, length)
+        each = self._factors(kappa, tau) * (self._powers @ products.ravel()[self._touched])
+        orders = 2 * (self.alpha - np.arange(self.alpha + 1)) - 2 * self._nu  # of kappa in the factors
+        inverse = Factor.of(self._operator(kappa)).covariance()[0]
+        by_kappa = (
+            self.alpha * kappa**2 * float(self._mass @ inverse) - self._nu * self.size - 0.5 * float(orders @ each)
+        )
+        return np.array([each.sum() - self.size, -by_kappa])
+
+    def response(self, x: Floats, sd: float, length: float) -> Floats:
+        """V' V^-1 ``x`` (N, 2) with V the covariance and V' its derivative by log ``sd`` and log ``length``."""
+        kappa, _ = self._kappa_tau(sd, length)
+        smoothed = solveh_banded(self._operator(kappa), self._mass * x, lower=True)
+        return np.column_stack([2 * x, 2 * self.alpha * kappa**2 * smoothed - 2 * self._nu * x])
 
 
 def _product(stiffness: Floats, scale: Floats, power: Floats) -> Floats:

@@ -29,20 +29,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.linear_gaussian import Factor, NotPositiveDefiniteError, Observations, Places, bandwidth
+from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
 from estimator.model.matern import MaternField
-from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends
+from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
+from estimator.model.road_nodes import SIGNALS, Nodes, Reading
+from estimator.model.road_scales import SCALES, SIGNAL_SCALES
 from estimator.signals import Floats
 from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
 
-SPACING = 25.0  # m between nodes of the road: finer changes no estimate (12.5 m: below 0.05 % of mass)
-# m without strides that nodes bridge; slopes beyond are independent. At the usual slope length of 400 m those so far
-# apart are correlated by 1 %.
-MAX_BRIDGE = 1500.0
 ALPHAS = (2, 4)  # orders of the road's Matern process: smoothness 3/2 (crests and dips of roads) and 7/2
 ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
-MIN_PASSAGE = 0.2  # s from node to node: shorter than that of any vehicle (125 m/s)
 # s from node to node over which a smooth wander goes on: the usual wander time. Linear elements are good up to there
 # (correlation of the ends 0.45, exactly 0.48); over 300 s the standard deviation comes out 19 % too small.
 MAX_PASSAGE = 60.0
@@ -50,100 +47,20 @@ HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numericall
 START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up
 _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the stride's mean
-SIGNALS = ("altitude", "grade", "gravity")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scale:
-    """A scale of the noise or of the road: lognormal prior ``centre`` and ``spread`` of the logarithm, and bounds."""
+class Acting:
+    """A process among the unknowns, and what it is conditioned with.
 
-    name: str
-    centre: float
-    spread: float
-    low: float
-    high: float
+    ``sd`` of it and its ``memory``, a correlation time [s] or length [m]; ``by`` (2, k): how the logarithms of both
+    change with those of the scales.
+    """
 
-
-# Centres and spreads are those of ordinary roads and sensors; drives of an hour override them.
-SCALES = (
-    Scale(name="torque noise", centre=5e-3, spread=1.0, low=1e-4, high=1.0),  # m/s^2, at the median gearing
-    Scale(name="torque noise time", centre=0.5, spread=0.5, low=0.05, high=5.0),  # s
-    Scale(name="speed noise", centre=4e-3, spread=1.0, low=2e-4, high=0.2),  # m/s, of the mean over EDGE rows
-    Scale(name="disturbance", centre=5e-4, spread=0.5, low=1e-4, high=0.2),  # m/s^2, of what no signal shows
-    Scale(name="slope", centre=8e-3, spread=1.2, low=1e-4, high=0.08),  # sine
-    Scale(name="slope length", centre=400.0, spread=0.6, low=60.0, high=3000.0),  # m
-)
-SIGNAL_SCALES = {
-    "altitude": (
-        Scale(name="altitude noise", centre=0.3, spread=1.0, low=0.02, high=50.0),  # m
-        Scale(name="altitude wander", centre=2.0, spread=1.2, low=0.05, high=300.0),  # m
-        Scale(name="altitude wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
-    ),
-    "grade": (
-        Scale(name="grade noise", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
-        Scale(name="grade wander", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
-        Scale(name="grade wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
-    ),
-    "gravity": (
-        Scale(name="gravity noise", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
-        Scale(name="gravity wander", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
-        Scale(name="gravity wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
-    ),
-}
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """Points of the road [m] (N,), ascending; ``joined`` to the one before; ``t`` [s] when they were passed."""
-
-    s: Floats
-    joined: NDArray[np.bool_]
-    t: Floats
-
-    @classmethod
-    def under(cls, strides: Strides) -> "Nodes":
-        """Nodes every SPACING around all ``strides``, gaps up to MAX_BRIDGE filled."""
-        cells = np.unique(np.floor(np.concatenate([strides.s0, strides.s1]) / SPACING).astype(np.int64))
-        steps = np.diff(cells)
-        bridged = steps * SPACING <= MAX_BRIDGE
-        extra = [np.arange(a + 1, b) for a, b in zip(cells[:-1][bridged], cells[1:][bridged], strict=True) if b > a + 1]
-        points = np.unique(np.concatenate([cells, cells + 1, *extra]))
-        s = points * SPACING
-        along = np.concatenate([strides.s0, strides.s1[-1:]])
-        times = np.concatenate([strides.t - DURATION / 2, strides.t[-1:] + DURATION / 2])
-        joined = np.insert(np.diff(points) == 1, 0, False)
-        least = MIN_PASSAGE * np.arange(len(s))
-        return cls(s, joined, np.maximum.accumulate(np.interp(s, along, times) - least) + least)
-
-    def between(self, s: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """For each distance ``s`` (n,) [m] the node at or before it (n,), and the share of the way to the next (n,)."""
-        before = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2).astype(np.int64)
-        return before, (s - self.s[before]) / (self.s[before + 1] - self.s[before])
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One signal of the road averaged over the strides near each node: values (k,) at ``nodes`` (k,)."""
-
-    name: str
-    nodes: NDArray[np.int64]
-    values: Floats
-    counts: Floats
-
-    @classmethod
-    def of(cls, name: str, strides: Strides, nodes: Nodes) -> "Reading | None":
-        """The signal ``name`` of SIGNALS; None where it is missing or has fewer than two values."""
-        values = getattr(strides, name)
-        there = np.isfinite(values)
-        if there.sum() < 2:
-            return None
-        values = values[there] / (STANDARD_GRAVITY if name == "gravity" else 1.0)
-        before, share = nodes.between(0.5 * (strides.s0 + strides.s1)[there])
-        nearest = before + (share > 0.5)
-        count = np.bincount(nearest, minlength=len(nodes.s)).astype(float)
-        total = np.bincount(nearest, values, len(nodes.s))
-        heard = np.flatnonzero(count)
-        return cls(name, heard, total[heard] / count[heard], count[heard])
+    process: Chain | MaternField
+    sd: float
+    memory: float
+    by: Floats
 
 
 class RoadModel:
@@ -252,7 +169,8 @@ class RoadModel:
             self._fixed += self._maps[1].information(np.full(len(maps[1][0]), HEIGHT_SD**2))
             self._fixed += self._maps[2].information(np.full(len(maps[2][0]), START_HEIGHT_SD**2))
         self._field = MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
-        self._noise = Chain(self._ends_t, self._force_error, self._linked)
+        self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
+        self._force_noise = Chain(self._ends_t, self._force_error, self._linked)
         self._wanders = [self._wandering(places) for places in self._wander]
 
     def _wandering(self, places: Places) -> Chain | MaternField:
@@ -289,17 +207,49 @@ class RoadModel:
             at = stop
         return data
 
-    def noise_of(self, scales: Floats) -> tuple[list[Floats], float, float]:
-        """Variances of all observations, sd and correlation time [s] of the force's error, for ``scales`` (k,)."""
+    def acting(self, scales: Floats) -> tuple[Acting, ...]:
+        """All processes among the unknowns, for ``scales`` (k,) in the order of `scales`."""
+        torque, time, speed, _, slope, length = scales[: len(SCALES)]
+        unit = np.eye(len(scales))
+        weight, _ = mean_given_ends(DURATION, time)
+        turned = mean_given_ends_by_time(DURATION, time)[0] * unit[1]
+        force = np.array([unit[0] + turned, unit[1]])
+        processes = [
+            Acting(process=self._speed_noise, sd=speed, memory=1.0, by=np.array([unit[2], 0 * unit[2]])),
+            Acting(process=self._force_noise, sd=2 * weight * torque, memory=time, by=force),
+            Acting(process=self._field, sd=slope, memory=length, by=unit[4:6]),
+        ]
+        for i, process in enumerate(self._wanders):
+            at = len(SCALES) + 3 * i + 1
+            processes.append(Acting(process=process, sd=scales[at], memory=scales[at + 1], by=unit[at : at + 2]))
+        return tuple(processes)
+
+    def variances(self, scales: Floats) -> list[Floats]:
+        """Variances of the observations of each kind, for ``scales`` (k,)."""
         torque, time, _, disturbance = scales[:4]
-        weight, own = mean_given_ends(DURATION, time)
-        variances = [torque**2 * own * self.weight**2 + disturbance**2]
+        _, own = mean_given_ends(DURATION, time)
+        found = [torque**2 * own * self.weight**2 + disturbance**2]
         counts = list(self.counts[1:])
         if self.has_altitude:
-            variances += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
+            found += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
         for i, reading in enumerate(self.readings):
-            variances.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0))
-        return variances, 2 * weight * torque, time
+            found.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0))
+        return found
+
+    def variances_by(self, scales: Floats) -> Floats:
+        """How the variances of all observations change with the logarithms of the scales: (sum of counts, k)."""
+        torque, time, _, disturbance = scales[:4]
+        _, own = mean_given_ends(DURATION, time)
+        variances, ends = self.variances(scales), np.cumsum(self.counts)
+        change = np.zeros((ends[-1], len(scales)))
+        n = self.counts[0]
+        change[:n, 0] = 2 * torque**2 * own * self.weight**2
+        change[:n, 1] = torque**2 * mean_given_ends_by_time(DURATION, time)[1] * self.weight**2
+        change[:n, 3] = 2 * disturbance**2
+        first = len(self.counts) - len(self.readings)
+        for i in range(len(self.readings)):
+            change[ends[first + i - 1] : ends[first + i], len(SCALES) + 3 * i] = 2 * variances[first + i]
+        return change
 
     def condition(self, scales: Floats) -> "Conditioned":
         """The model with its ``scales`` (k,), in the order of `scales`.
@@ -309,17 +259,12 @@ class RoadModel:
         NotPositiveDefiniteError
             The scales lie too far apart for floating point.
         """
-        variances, force, time = self.noise_of(scales)
+        variances = self.variances(scales)
         precision = self._fixed.copy()
         for observed, variance, fixed in zip(self._maps, variances, self._is_fixed, strict=True):
             if not fixed:
                 precision += observed.information(variance)
-        log_prior = -2 * len(self._speed_error) * np.log(scales[2])
-        precision[0, self._speed_error] += scales[2] ** -2
-        log_prior += self._noise.add_precision(precision, force, time)
-        log_prior += self._field.add_precision(precision, scales[4], scales[5])
-        for i, process in enumerate(self._wanders):
-            log_prior += process.add_precision(precision, *scales[len(SCALES) + 3 * i + 1 : len(SCALES) + 3 * i + 3])
+        log_prior = sum(each.process.add_precision(precision, each.sd, each.memory) for each in self.acting(scales))
         factor = Factor.of(precision)
         log_noise = float(sum(np.log(variance).sum() for variance in variances))
         return Conditioned(self, np.concatenate(variances), factor, log_noise + factor.log_determinant - log_prior)
@@ -335,6 +280,10 @@ class RoadModel:
     def observed(self, unknowns: Floats) -> Floats:
         """A times unknowns (size,)."""
         return np.concatenate([observed.observed(unknowns) for observed in self._maps])
+
+    def variance(self, products: Floats) -> Floats:
+        """What unknowns of a covariance, as `both_triangles`, add to the variances of all observations."""
+        return np.concatenate([observed.variance(products) for observed in self._maps])
 
     def road(self, unknowns: Floats) -> tuple[Floats, Floats]:
         """Slope at the nodes, and at the driven strides, of ``unknowns`` (size,)."""
@@ -391,6 +340,3 @@ class Conditioned:
         """Draws (size, d) of all unknowns from their posterior, one for each column of residuals (sum of counts, d)."""
         mean = self.factor.solve(self.model.gathered(residuals / self.variance[:, None]))
         return mean + self.factor.unwhiten(rng.standard_normal(mean.shape))
-
-
-__all__ = ["ALPHAS", "Conditioned", "NotPositiveDefiniteError", "RoadModel", "Scale"]

@@ -1,0 +1,42 @@
+"""Scales of the road and of the noise of all signals: what each may be before a drive is seen."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """A scale of the noise or of the road: lognormal prior ``centre`` and ``spread`` of the logarithm, and bounds."""
+
+    name: str
+    centre: float
+    spread: float
+    low: float
+    high: float
+
+
+# Centres and spreads are those of ordinary roads and sensors; drives of an hour override them.
+SCALES = (
+    Scale(name="torque noise", centre=5e-3, spread=1.0, low=1e-4, high=1.0),  # m/s^2, at the median gearing
+    Scale(name="torque noise time", centre=0.5, spread=0.5, low=0.05, high=5.0),  # s
+    Scale(name="speed noise", centre=4e-3, spread=1.0, low=2e-4, high=0.2),  # m/s, of the mean over EDGE rows
+    Scale(name="disturbance", centre=5e-4, spread=0.5, low=1e-4, high=0.2),  # m/s^2, of what no signal shows
+    Scale(name="slope", centre=8e-3, spread=1.2, low=1e-4, high=0.08),  # sine
+    Scale(name="slope length", centre=400.0, spread=0.6, low=60.0, high=3000.0),  # m
+)
+SIGNAL_SCALES = {
+    "altitude": (
+        Scale(name="altitude noise", centre=0.3, spread=1.0, low=0.02, high=50.0),  # m
+        Scale(name="altitude wander", centre=2.0, spread=1.2, low=0.05, high=300.0),  # m
+        Scale(name="altitude wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
+    ),
+    "grade": (
+        Scale(name="grade noise", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="grade wander", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="grade wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
+    ),
+    "gravity": (
+        Scale(name="gravity noise", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="gravity wander", centre=5e-3, spread=1.2, low=1e-4, high=0.3),  # sine
+        Scale(name="gravity wander time", centre=60.0, spread=1.0, low=5.0, high=3000.0),  # s
+    ),
+}

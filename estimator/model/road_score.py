@@ -1,0 +1,64 @@
+"""How the evidence of a road model changes with the scales of road and noise.
+
+With the unknowns x and the coefficients beta integrated out, the derivative of the log evidence by a scale is the
+posterior mean of that of log p(data, x, beta) (Fisher's identity), which needs second moments within the band alone.
+Its second derivative is near minus the average information (Gilmour, Thompson & Cullis 1995): with V the covariance
+of the data and V_i its derivative by the logarithm of scale i,
+
+    1/2 r_i' V^-1 r_j,   r_i = V_i V^-1 data
+
+which is that of the score, observed and expected, on average. It is never negative.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.model.linear_gaussian import both_triangles, with_squares
+from estimator.model.road import Conditioned
+from estimator.signals import Floats
+
+
+@dataclass(frozen=True)
+class Score:
+    """By the logarithms of the scales: ``gradient`` (k,) of the log evidence and its average ``information`` (k, k)."""
+
+    gradient: Floats
+    information: Floats
+
+
+def score(conditioned: Conditioned, scales: Floats, data: Floats, beta: Floats, precision: Floats) -> Score:
+    """At ``scales`` (k,), which the model is ``conditioned`` with.
+
+    Parameters
+    ----------
+    conditioned
+        The model with these scales.
+    scales
+        In the order of `RoadModel.scales`.
+    data
+        Data, and columns of the coefficients (n, 1 + p).
+    beta, precision
+        Posterior mean (p,) of the coefficients and inverse of their covariance (p, p).
+    """
+    model, variance = conditioned.model, conditioned.variance
+    spread = np.linalg.cholesky(np.linalg.inv(precision))
+    columns = np.column_stack([data[:, 0] - data[:, 1:] @ beta, data[:, 1:] @ spread])
+    unknowns = conditioned.factor.solve(model.gathered(columns / variance[:, None]))
+    rest = columns - model.observed(unknowns)
+    covariance = conditioned.factor.covariance()
+    moments = both_triangles(with_squares(covariance, unknowns))
+    misfit = np.einsum("ij,ij->i", rest, rest) + model.variance(both_triangles(covariance))
+
+    by = model.variances_by(scales)
+    gradient = 0.5 * (misfit / variance - 1) / variance @ by
+    answer = np.zeros((model.size, len(scales)))  # of the unknowns, to the covariance's change
+    for acting in model.acting(scales):
+        places = acting.process.places
+        gradient += acting.process.score(moments, acting.sd, acting.memory) @ acting.by
+        answer[places] += acting.process.response(unknowns[places, 0], acting.sd, acting.memory) @ acting.by
+    answers = model.observed(answer) + by * (rest[:, 0] / variance)[:, None]
+    gram = conditioned.gram(np.column_stack([data[:, 1:], answers]))
+    p = len(beta)
+    shared = gram[:p, p:]
+    return Score(gradient, 0.5 * (gram[p:, p:] - shared.T @ np.linalg.solve(precision, shared)))
