@@ -35,6 +35,8 @@ class Role(StrEnum):
     AIR_PRESSURE = "air_pressure"
     COOLANT_TEMPERATURE = "coolant_temperature"
     FAN_SPEED = "fan_speed"
+    BATTERY_VOLTAGE = "battery_voltage"
+    BATTERY_CURRENT = "battery_current"
 
 
 class Quantity(StrEnum):
@@ -45,6 +47,8 @@ class Quantity(StrEnum):
     HEADING = "heading"  # [rad], clockwise from north
     LATERAL_ACCELERATION = "lateral acceleration"  # [m/s^2]
     FAN_SPEED = "fan speed"  # [rad/s]
+    BATTERY_CURRENT = "battery current"  # [A], with the sign of the bus
+    BRAKE = "brake"  # share of the pedal's way, or 1
     CLIMB_BY_GRADE = "climb by grade"  # [m/s], vertical speed
     CLIMB_BY_ALTITUDE = "climb by altitude"  # [m/s]
     CLIMB_BY_ACCELEROMETER = "climb by accelerometer"  # [m/s]
@@ -82,5 +86,7 @@ _DIMENSIONS: dict[str, tuple[Role, ...]] = {
     "rad": (Role.HEADING,),
     "K": (Role.AMBIENT_TEMPERATURE, Role.COOLANT_TEMPERATURE),
     "Pa": (Role.AIR_PRESSURE,),
+    "V": (Role.BATTERY_VOLTAGE,),
+    "A": (Role.BATTERY_CURRENT,),
 }
 DIMENSION: dict[Role, str] = {role: unit for unit, roles in _DIMENSIONS.items() for role in roles}

@@ -28,6 +28,7 @@ class Vehicle(Section, frozen=True):
     driveline_efficiency: Annotated[float, Meta(ge=0.01, le=1)] = 1.0  # wheel power over crank power
     reference_torque_Nm: Positive | None = None  # instead of the EC1 broadcast
     subtract_parasitic_losses: bool = False  # some ECUs already count them as friction
+    discharge_current: Literal["positive", "negative"] = "positive"  # sign of battery_current while it drives
 
 
 class Bus(Section, frozen=True):

@@ -230,6 +230,8 @@ def powertrain(*roles: Role) -> dict[Role, Series]:
         Role.FRICTION_FRACTION: FRICTION,
         Role.PARASITIC_FRACTION: PARASITIC,
         Role.REFERENCE_TORQUE: REFERENCE,
+        Role.BATTERY_VOLTAGE: 380.0,
+        Role.BATTERY_CURRENT: 60.0,
     }
     period = {Role.FRICTION_FRACTION: 0.25, Role.PARASITIC_FRACTION: 0.25, Role.REFERENCE_TORQUE: 5.0}
     readings = {role: every(period.get(role, 0.02), 0, 20, value[role]) for role in roles}
@@ -252,6 +254,22 @@ FORMULAS = {
     ),
     "reference of the configuration": (PERCENT, {"reference_torque_Nm": 2000.0}, F * 2000 * W),
     "configuration before bus": ((*PERCENT, Role.REFERENCE_TORQUE), {"reference_torque_Nm": 2000.0}, F * 2000 * W),
+    "battery": ((Role.BATTERY_CURRENT, Role.BATTERY_VOLTAGE), {}, 380.0 * 60.0),
+    "battery, the other sign": (
+        (Role.BATTERY_CURRENT, Role.BATTERY_VOLTAGE),
+        {"discharge_current": "negative"},
+        -380.0 * 60.0,
+    ),
+    "torque before battery": (
+        (Role.BATTERY_CURRENT, Role.BATTERY_VOLTAGE, Role.ENGINE_TORQUE, Role.ENGINE_SPEED),
+        {},
+        900 * W,
+    ),
+    "battery before percent": (
+        (Role.BATTERY_CURRENT, Role.BATTERY_VOLTAGE, *PERCENT, Role.REFERENCE_TORQUE),
+        {},
+        380.0 * 60.0,
+    ),
     "efficiency": ((Role.ENGINE_POWER,), {"driveline_efficiency": 0.95}, 0.95 * 123e3),
     "efficiency of torque": ((Role.ENGINE_TORQUE, Role.ENGINE_SPEED), {"driveline_efficiency": 0.9}, 0.9 * 900 * W),
 }

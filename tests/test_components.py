@@ -15,7 +15,7 @@ from test_diagnosis_evidence import driven as on_level_road
 from estimator.components import switching
 from estimator.components.budget import NOISE, ROAD, budget
 from estimator.components.component import Component, Frame, of_effect, of_term
-from estimator.components.drive_state import AtRest, DriveState
+from estimator.components.drive_state import DriveState
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.processes import SWITCHES, hats, processes, swings
 from estimator.components.search import Search
@@ -25,6 +25,7 @@ from estimator.estimation.road_fit import best_shapes, fit
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
+from estimator.model.effects.effect import AtRest
 from estimator.model.road import RoadModel
 from estimator.signals import Quantity
 
@@ -241,7 +242,7 @@ def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     n = 2400
     effects = [effect for effect in CATALOGUE if not effect.absorbed and not effect.is_gravity]
     for power, named in ((np.zeros(n), []), (np.full(n, 15e3), ["auxiliary_load"])):
-        state = DriveState.of(driven(n, power=power), AtRest(float(power[0]), 800.0, 60.0))
+        state = DriveState.of(driven(n, power=power), (AtRest(power=float(power[0]), sd=800.0, engine_speed=60.0),))
         found = Search((state,), effects).explained()
         assert [choice.name for choice in found.choices] == named
         assert [component.name for component in found.drives[0].chosen] == named
@@ -266,7 +267,7 @@ def test_times_of_one_or_both_and_of_one_alone_are_those_of_every_moment(one, ot
 
 
 def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked_for():
-    state = DriveState.of(driven(600, power=np.full(600, 15e3)), None)
+    state = DriveState.of(driven(600, power=np.full(600, 15e3)))
     found = Search((state,), [BY_NAME["auxiliary_load"]]).explained().log_evidence
     for least, is_reached in ((found - 1, True), (found + 1000, False)):
         again = Search((state,), [BY_NAME["auxiliary_load"]]).explained_above(least)
@@ -276,7 +277,7 @@ def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked
 def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     n = 2400
     on = (np.arange(n) % 800) > 500
-    state = DriveState.of(driven(n, power=60e3 * on), None)
+    state = DriveState.of(driven(n, power=60e3 * on))
     effects = [BY_NAME["auxiliary_cycling"]]
     found = Search((state,), effects).explained()
     (state,) = found.drives
@@ -291,7 +292,7 @@ def test_ends_of_a_span_are_found_to_a_tenth_of_a_second():
     t = np.arange(n) + 0.5
     spans = ((300.3, 420.8), (700.6, 790.2))
     strides = driven(n, power=60e3 * covered(t, 1.0, spans))
-    state = DriveState.of(strides, None)
+    state = DriveState.of(strides)
     rough = tuple((round(a) + 2.0, round(b) - 2.0) for a, b in spans)
     found = switching.with_refined_edges(state.joint(), [], Term(BY_NAME["auxiliary_cycling"], None, rough))
     assert_allclose(found, spans, atol=0.35)  # the noise of a stride is 15 % of what the load takes
@@ -325,7 +326,7 @@ def test_what_switches_and_is_larger_than_any_effect_has_no_name_of_the_catalogu
     on = covered(np.arange(n) + 0.5, 1.0, spans)
     power = size * on * (driven(n).speed if unit == "N" else 1.0)
     names = ("auxiliary_cycling", "drafting", "brake_use", "resistance_segment")
-    found = Search((DriveState.of(driven(n, power=power), None),), [BY_NAME[name] for name in names]).explained()
+    found = Search((DriveState.of(driven(n, power=power)),), [BY_NAME[name] for name in names]).explained()
     assert found.choices == ()
     process = found.unnamed[0]
     assert SWITCHES[process.name] == unit
@@ -339,7 +340,7 @@ def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
     """It is the user's choice; others are found beside it."""
     n, spans = 2400, ((500.0, 800.0), (1300.0, 1600.0))
     power = 15e3 + 150e3 * covered(np.arange(n) + 0.5, 1.0, spans)
-    plain = DriveState.of(driven(n, power=power), AtRest(15e3, 800.0, 60.0))
+    plain = DriveState.of(driven(n, power=power), (AtRest(power=15e3, sd=800.0, engine_speed=60.0),))
     fan = of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans))
     state = plain.having((fan,))
     assert state.joint().posterior([0]).mean[-1] > 2 * fan.largest
@@ -350,7 +351,7 @@ def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
 
 def test_the_noise_of_the_force_is_in_a_gain_that_wanders_as_it_is_in_the_mass(strides):
     """Mass and mean gain have one column: counted in one alone, its noise would drive them apart."""
-    plain = DriveState.of(strides, None)
+    plain = DriveState.of(strides)
     frame = Frame.of(plain.fit)
     wide = max((p for p in processes(frame) if p.name == "gain over time"), key=lambda p: p.sd)
     beside = plain.having((), (wide,)).fit
@@ -365,7 +366,7 @@ def test_what_is_smaller_than_the_error_of_a_large_effects_form_is_not_added():
     n = 2400
     t = np.arange(n) % 800
     power = 55e3 * ((t > 500) + 0.1 * (t > 700))
-    state = DriveState.of(driven(n, power=power), None)
+    state = DriveState.of(driven(n, power=power))
     found = Search((state,), [BY_NAME["auxiliary_cycling"], BY_NAME["drafting"]]).explained()
     assert [choice.name for choice in found.choices] == ["auxiliary_cycling"]
 
@@ -376,7 +377,7 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     on = (np.arange(n) % 800) > 500
     power = 60e3 * on
     strides = driven(n, power=power)
-    found = Search((DriveState.of(strides, None),), [BY_NAME["auxiliary_cycling"]]).explained()
+    found = Search((DriveState.of(strides),), [BY_NAME["auxiliary_cycling"]]).explained()
     whole = budget(found.drives, [[]], [None], np.random.default_rng(1))
     assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
     # The true parts, off the plain columns as the residual is.
@@ -406,7 +407,7 @@ def test_a_cause_of_one_drive_only_counts_among_several():
         sd=8e3,
         term=Term(BY_NAME["auxiliary_load"]),
     )
-    loaded, plain = (DriveState.of(driven(n, seed, np.full(n, 15e3)), None) for seed in (1, 2))
+    loaded, plain = (DriveState.of(driven(n, seed, np.full(n, 15e3))) for seed in (1, 2))
     for drives in ((loaded.having((load,)), plain), (plain, loaded.having((load,)))):
         whole = budget(drives, [[], []], [None, None], np.random.default_rng(1))
         assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)

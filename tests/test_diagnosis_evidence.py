@@ -112,7 +112,7 @@ def driven(extra: Floats | float = 0.0, minutes: float = 40.0) -> DriveState:
     force = THETA[0] + THETA[1] * v**2 + THETA[2] * a + extra / v + rng.normal(0, 60.0, n)
     context = {Quantity.ELAPSED: ends[:-1], Quantity.STOPS: np.zeros(n)}
     strides = made_strides(speed, force, context)
-    found = DriveState.of(strides, None, is_level=True)
+    found = DriveState.of(strides, is_level=True)
     assert found is not None
     return found
 

@@ -8,10 +8,11 @@ from numpy.testing import assert_allclose
 from test_components import A, C, M, driven
 
 from estimator.components.component import Frame, of_effect
-from estimator.components.drive_state import AtRest, DriveState, Form
+from estimator.components.drive_state import DriveState, Form
 from estimator.diagnosis import experiment
 from estimator.diagnosis.experiment import Manoeuvre, expected, experiments, manoeuvres
 from estimator.model.effects import BY_NAME
+from estimator.model.effects.effect import AtRest
 from estimator.signals import Quantity
 from estimator.strides import LAGS, Strides
 
@@ -22,7 +23,7 @@ def state() -> DriveState:
     hilly = driven()
     noise = np.random.default_rng(5).normal(0, 6e-3, len(hilly))
     force = M * hilly.a + A + C * hilly.speed**2 + M * noise
-    found = DriveState.of(replace(hilly, force=np.repeat(force[:, None], len(LAGS), axis=1)), None)
+    found = DriveState.of(replace(hilly, force=np.repeat(force[:, None], len(LAGS), axis=1)))
     assert found is not None
     return found
 
@@ -98,7 +99,7 @@ def test_idling_tells_a_load_of_the_engine_where_it_is_not_known(state: DriveSta
     (idling,) = [choice for choice in experiment.choices(state, acting, other, EVIDENCE) if "idling" in choice.what]
     assert idling.now == 2.0
     assert idling.expected - 2.0 == pytest.approx(0.5 * (1.5e4 / (800 + 0.15 * 1.5e4)) ** 2)  # inertia takes none there
-    known = replace(state, rest=AtRest(1.5e4, 1e3, 63.0))
+    known = replace(state, rests=(AtRest(power=1.5e4, sd=1e3, engine_speed=63.0),))
     assert not any("idling" in choice.what for choice in experiment.choices(known, acting, other, EVIDENCE))
 
 

@@ -55,7 +55,7 @@ def test_a_load_that_swings_is_seen_with_its_period(period):
     moved = replace(strides, force=force)
     own = replace(frame, strides=moved, force=force[:, 0])
     held = 0.1 * 27_190.0 * ringing(own, period, 0.1)
-    state = type(plain).of(replace(moved, force=force + held[:, None]), None, is_level=True)
+    state = type(plain).of(replace(moved, force=force + held[:, None]), is_level=True)
     assert state is not None
     rings = [c for c in processes(Frame.of(state.fit)) if c.name == RING]
     joint = state.joint(rings)

@@ -77,7 +77,7 @@ def draw(number: int, seed: int, minutes: float) -> World:
 
 def true_shares(recording: Recording, drive: Record) -> dict[str, float]:
     """Share of each effect of the truck in the plain model's residual, by its name in the diagnosis."""
-    state = DriveState.of(drive.strides, None)
+    state = DriveState.of(drive.strides)
     assert state is not None
     off, truth = Projection(state), recording.truth
     t = state.fit.strides.t - drive.start

@@ -1,8 +1,9 @@
 """Diagnosis of real recordings with signals withheld and then revealed: predicted against measured gap closed.
 
-python tools/real_recordings.py [--only bmw|vt|kenworth|surrogates] [--trip TripA02 ...] [--surrogates N] [--json]
+python tools/real_recordings.py [--only bmw|battery|vt|kenworth|surrogates] [--trip TripA02 ...] [--surrogates N]
 
 * A BMW i3, 29 trips: accelerometer and elevation withheld, so the road's grade is a gap; then each of them revealed.
+* The same trips with the power of the battery: heater and air conditioner, which have signals, are withheld.
 * A class-8 truck at 1 Hz (tools/table_to_log.py): elevation withheld, then revealed, with the mass by either.
 * A Kenworth, three drives of 30 s: too short for a diagnosis.
 * Surrogates of the BMW's trips, clean drives with the noise of real ones: every named effect is a false alarm.
@@ -21,6 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeVar
 
+import can
 import numpy as np
 import vt_truck
 from rich.console import Console
@@ -31,13 +33,15 @@ from table import read_table
 
 from estimator import config
 from estimator.answers.answer import Answer, decode
-from estimator.answers.diagnosis import DiagnosisAnswer
+from estimator.answers.diagnosis import DiagnosisAnswer, Magnitude
 from estimator.answers.run import RunAnswer
+from estimator.can_io.binding import load_database
 from estimator.errors import InputError, RoadloadError
 
 ROOT = Path(__file__).parents[1]
 MIN_ROWS = 480  # of a recording of the truck, one a second
 SEED = 1  # of the surrogates
+COLD, WARM = 180.0, 600.0  # s at the beginning of a trip, and at its end
 WIDE = 180  # columns, where the output is no terminal
 Answers = TypeVar("Answers", bound=Answer)
 
@@ -168,6 +172,43 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
         }
 
 
+FED = ("HeaterPower", "AirConditionerPower")  # signals of the power [kW] of what the battery feeds
+FED_BY_BATTERY = ("cabin_heater", "auxiliary_load", "auxiliary_cycling")  # effects
+
+
+def battery(folder: Path, trips: list[str]) -> Iterator[dict[str, str]]:
+    """Per trip: effects named on the battery's power, against the mean power of heater and air conditioner [kW].
+
+    That is of the first three minutes, of the last ten, and by how much the first is larger.
+    """
+    dbc = folder / "bmw_i3" / "bmw_i3.dbc"
+    message = load_database([str(dbc)]).get_message_by_name("ENVIRONMENT")
+    for log in bmw_logs(folder, trips):
+        said = diagnose(log, "--config", ROOT / "dbc" / "bmw_i3_battery.toml", "--dbc", dbc)
+        with can.LogReader(log) as frames:
+            sent = [frame for frame in frames if frame.arbitration_id == message.frame_id]
+        t = np.array([frame.timestamp for frame in sent])
+        values = [message.decode_simple(bytes(frame.data)) for frame in sent]
+        fed = np.array([sum(float(str(each[name])) for name in FED) for each in values])
+        first, last = fed[t < t[0] + COLD].mean(), fed[t > t[-1] - WARM].mean()
+        sizes = {each.name: each.magnitude for each in said.effects if each.name in FED_BY_BATTERY}
+        yield {
+            "trip": log.stem,
+            "kW first": f"{first:.2f}",
+            "kW last": f"{last:.2f}",
+            "kW falls by": f"{first - last:.2f}",
+            "cabin heater [kW]": _size(sizes.get("cabin_heater")),
+            "auxiliary load [kW]": _size(sizes.get("auxiliary_load")),
+            "auxiliary cycling [kW]": _size(sizes.get("auxiliary_cycling")),
+            "verdict": said.verdict.value,
+            "named besides": " + ".join(name for name in named(said) if name not in FED_BY_BATTERY) or "-",
+        }
+
+
+def _size(found: Magnitude | None) -> str:
+    return "-" if found is None or found.value is None else f"{found.value / 1e3:.2f} +- {(found.sd or 0.0) / 1e3:.2f}"
+
+
 def _mass(log: Path, *arguments: str | Path) -> str:
     """Mass by `roadload estimate` [t] with its 90 % interval, or the reason why there is none."""
     mass = roadload(RunAnswer, "estimate", log, *arguments).parameters.mass_kg
@@ -273,7 +314,7 @@ def print_table(title: str, rows: list[dict[str, str]]) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Diagnose the chosen recordings and print a table for each vehicle."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=["bmw", "vt", "kenworth", "surrogates"])
+    parser.add_argument("--only", choices=["bmw", "battery", "vt", "kenworth", "surrogates"])
     parser.add_argument("--trip", action="append", default=[], metavar="NAME", help="of the BMW; default: all")
     parser.add_argument("--surrogates", type=int, default=54, metavar="N", help="how many in all; default: %(default)s")
     parser.add_argument("--json", action="store_true")
@@ -287,6 +328,7 @@ def main(arguments: list[str] | None = None) -> int:
             work = Path(temporary)
             tables = {
                 "bmw": lambda: bmw(folder, work, options.trip),
+                "battery": lambda: battery(folder, options.trip),
                 "vt": lambda: vt(folder, work),
                 "kenworth": lambda: kenworth(folder),
                 "surrogates": lambda: surrogates(folder, work, options.trip, options.surrogates),

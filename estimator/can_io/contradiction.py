@@ -34,6 +34,8 @@ MAGNITUDE = {  # what the quantity usually is on the road, at least: smaller val
     Role.PARASITIC_FRACTION: 0.1,
     Role.BRAKE_PEDAL: 0.3,
     Role.RETARDER_FRACTION: 0.3,
+    Role.BATTERY_VOLTAGE: 200.0,  # V
+    Role.BATTERY_CURRENT: 50.0,  # A
 }
 
 

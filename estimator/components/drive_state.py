@@ -12,20 +12,11 @@ from estimator.components.set_likelihood import Judged
 from estimator.components.switching import Switching
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit
 from estimator.model.design_matrix import Term
-from estimator.model.effects.effect import Effect, Timing
+from estimator.model.effects.effect import AtRest, Effect, Timing
 from estimator.signals import Floats
 from estimator.strides import Strides
 
 PROBE_SEED = 20_042  # of the simulated noise in the corrections
-
-
-@dataclass(frozen=True)
-class AtRest:
-    """Power [W] of the engine while the vehicle stands, its sd, and the engine's speed [rad/s] then."""
-
-    power: float
-    sd: float
-    engine_speed: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,26 +32,26 @@ class Form:
 
 @dataclass(frozen=True, kw_only=True)
 class DriveState:
-    """One drive, the components chosen for it so far, and the fit of the road beside them; ``rest`` None: unknown.
+    """One drive, the components chosen for it so far, and the fit of the road beside them.
 
-    ``is_level``: the road has no slopes.
+    ``rests``: the power while the vehicle stood, as far as it is known. ``is_level``: the road has no slopes.
     """
 
     strides: Strides
     fit: RoadFit
-    rest: AtRest | None
+    rests: tuple[AtRest, ...] = ()
     chosen: tuple[Component, ...] = ()
     is_level: bool = False
 
     @classmethod
     def of(
-        cls, strides: Strides, rest: AtRest | None, is_level: bool = False, known: RoadScales | None = None
+        cls, strides: Strides, rests: tuple[AtRest, ...] = (), is_level: bool = False, known: RoadScales | None = None
     ) -> "DriveState | None":
         """The plain start, from scales ``known`` before; None where too little is known."""
         found = fit(strides, np.random.default_rng(PROBE_SEED), (), known, level=is_level)
         if found is None or not found.beta[0] > 0:
             return None
-        return cls(strides=strides, fit=found, rest=rest, is_level=is_level)
+        return cls(strides=strides, fit=found, rests=rests, is_level=is_level)
 
     def having(self, chosen: tuple[Component, ...], processes: tuple[Component, ...] = ()) -> "DriveState":
         """With other effects; scales of road and noise are found again beside them and beside nameless processes."""
@@ -82,10 +73,10 @@ class DriveState:
         """The likelihood of those chosen, which come first, and of ``candidates``."""
         components = [*self.chosen, *candidates]
         joint = JointLikelihood(self.strides, self.fit, components, np.random.default_rng(PROBE_SEED))
-        if self.rest is not None:
-            per_unit = {i: at_rest(component, self.rest) for i, component in enumerate(components)}
-            weights = {i: power / self.rest.sd for i, power in per_unit.items() if power}
-            joint.observe(weights, self.rest.power / self.rest.sd)
+        for rest in self.rests:
+            per_unit = {i: at_rest(component, rest) for i, component in enumerate(components)}
+            weights = {i: power / rest.sd for i, power in per_unit.items() if power}
+            joint.observe(weights, rest.power / rest.sd)
         return joint
 
     def forms(self, effects: Sequence[Effect]) -> dict[str, Form]:
@@ -110,8 +101,8 @@ class DriveState:
 
 def at_rest(component: Component, rest: AtRest) -> float:
     """Power [W] per unit of magnitude that it takes at rest."""
-    effect = None if component.term is None else component.term.effect
-    return 0.0 if effect is None or effect.at_rest is None else effect.at_rest(rest.engine_speed)
+    term = component.term
+    return 0.0 if term is None or term.effect.at_rest is None else term.effect.at_rest(rest, term.shape)
 
 
 def has_free_times(effect: Effect) -> bool:

@@ -380,7 +380,10 @@ def _closed(part: Part | None) -> GapClosed | None:
 
 
 def _correlation(one: np.ndarray, other: np.ndarray) -> float:
-    return 0.0 if len(one) != len(other) else abs(float(np.corrcoef(one, other)[0, 1]))
+    """Of two courses, whatever the sign; 0 where one of them is constant, or of another drive."""
+    if len(one) != len(other) or not (np.ptp(one) and np.ptp(other)):
+        return 0.0
+    return abs(float(np.corrcoef(one, other)[0, 1]))
 
 
 def _magnitude(effect: Effect, value: float, sd: float) -> Magnitude:

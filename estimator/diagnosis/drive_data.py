@@ -7,17 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.config import Config
+from estimator.diagnosis.standing import rests
+from estimator.model.effects.effect import AtRest
 from estimator.preparation import kinematics, smoothing
 from estimator.preparation.sample_maker import SampleMaker
 from estimator.preparation.smoothing import Kernels
 from estimator.preparation.striding import Strider
 from estimator.samples import STEP, Rows, Samples
-from estimator.signals import Floats, Quantity, Role
+from estimator.signals import Floats, Quantity
 from estimator.strides import Strides
 
 MAX_STANDING_SPEED = 0.5  # m/s
 MIN_STOP = 10.0  # s, in which a load could change
-MIN_IDLE = 30.0  # s at rest, from which the mean idle power is used
 BREAK = 10.0  # s of NaN between pieces of a drive, where only their order matters
 MIN_KNOWN_SHARE = 0.5  # of the drive, for which a quantity must be known to be used
 
@@ -27,29 +28,21 @@ class Record:
     """Admitted samples of one drive, the lag [s] that was taken out, and rows not used by reason.
 
     It is the whole of a log, or one of several drives in it: ``log`` says which, ``log_start`` when that began [s].
-    ``idle`` holds the power [W] of rows at rest, ``idle_speed`` the engine speed [rad/s] then. ``speed`` [m/s] is that
-    of every STEP from the start, straight across what is not known; ``smoother`` made the samples of it. ``strides``
-    are all of the same drive, for the model with the road as a state.
+    ``rests``: the power while the vehicle stood. ``speed`` [m/s] is that of every STEP from the start, straight across
+    what is not known; ``smoother`` made the samples of it. ``strides`` are all of the same drive, for the model with
+    the road as a state.
     """
 
     samples: Samples
     start: float  # [s] time of the first row
     lag: float
     rejected: Counter[str]
-    idle: Floats
-    idle_speed: Floats
+    rests: tuple[AtRest, ...]
     speed: Floats
     smoother: Kernels
     strides: Strides = field(default_factory=Strides.none)
     log: int = 0
     log_start: float = 0.0
-
-    @property
-    def idling(self) -> tuple[float, float] | None:
-        """Mean power [W] and engine speed [rad/s] at rest; None where the engine hardly ran there."""
-        if len(self.idle) < MIN_IDLE / STEP:
-            return None
-        return float(np.median(self.idle)), float(np.median(self.idle_speed))
 
     def at(self, samples: Samples) -> NDArray[np.int64]:
         """Where in ``speed`` each of the samples is (n,)."""
@@ -73,8 +66,7 @@ def record(pieces: list[Rows], config: Config) -> Record:
             start=0.0,
             lag=0.0,
             rejected=rejected,
-            idle=nothing,
-            idle_speed=nothing,
+            rests=(),
             speed=nothing,
             smoother=smoother,
         )
@@ -102,7 +94,6 @@ def record(pieces: list[Rows], config: Config) -> Record:
         for values in samples.context.values():
             _bridge(values)
         found.append(maker.admit(samples, piece, rejected))
-    idle, idle_speed = _idle(pieces)
     driven, every = Samples.concatenate(found), _whole_speed(pieces)
     strides = _strides(pieces, config, heard, start)
     return Record(
@@ -110,8 +101,7 @@ def record(pieces: list[Rows], config: Config) -> Record:
         start=start,
         lag=lag,
         rejected=rejected,
-        idle=idle,
-        idle_speed=idle_speed,
+        rests=rests(pieces, start),
         speed=every,
         smoother=smoother,
         strides=strides,
@@ -173,14 +163,3 @@ def _halts(speed: Floats) -> Floats:
     long = ends[(ends - starts) >= MIN_STOP / STEP]
     count: Floats = np.searchsorted(long, np.arange(len(speed)), side="right").astype(float)
     return count
-
-
-def _idle(pieces: list[Rows]) -> tuple[Floats, Floats]:
-    """Power [W] and engine speed [rad/s] of rows at rest with the engine running."""
-    power, engine = [], []
-    for piece in pieces:
-        speed = piece.context.get(Role.ENGINE_SPEED, np.full(len(piece), np.nan))
-        rest = (piece.speed == 0) & np.isfinite(piece.power) & (speed > 0)
-        power.append(piece.power[rest])
-        engine.append(speed[rest])
-    return np.concatenate(power), np.concatenate(engine)

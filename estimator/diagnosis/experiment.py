@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.components.drive_state import AtRest, DriveState, Form, at_rest
-from estimator.diagnosis.explanation import IDLE_POWER_SD, IDLE_POWER_SHARE
+from estimator.components.drive_state import DriveState, Form, at_rest
 from estimator.diagnosis.result import Experiment
+from estimator.diagnosis.standing import IDLE_SD, IDLE_SHARE
 from estimator.model.effects import Effect
-from estimator.model.effects.effect import Timing
+from estimator.model.effects.effect import AtRest, Timing
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, ROWS, Strides
 
@@ -77,7 +77,7 @@ def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mappi
     trust = float(np.clip(evidence[a] / acting.gain, 0.0, 1.0)) if acting.gain > 0 else 0.0
     alone = expected(state, acting, other, None)
     found = [(m.name, m.minutes, trust * (expected(state, acting, other, m) - alone)) for m in manoeuvres(state)]
-    if state.rest is None:
+    if not state.rests:
         found.append(("two minutes of idling at rest", 2.0, _at_rest(acting, other)))
     term = acting.component.term
     if acting.component.cost and term is not None and term.effect.timing is not Timing.STEP:
@@ -102,7 +102,7 @@ def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Man
 def _at_rest(acting: Form, other: Form | None) -> float:
     """Log Bayes factor to expect of the power at idle, which each effect would change by its own share."""
     power = [0.0 if form is None else form.value * at_rest(form.component, IDLE) for form in (acting, other)]
-    sd = IDLE_POWER_SD + IDLE_POWER_SHARE * abs(power[0])
+    sd = IDLE_SD + IDLE_SHARE * abs(power[0])
     return 0.5 * ((power[0] - power[1]) / sd) ** 2
 
 

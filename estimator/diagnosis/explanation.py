@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from estimator.components.component import Frame, of_term
-from estimator.components.drive_state import AtRest, DriveState
+from estimator.components.drive_state import DriveState
 from estimator.components.search import Explained, Search
 from estimator.diagnosis.model import Drive
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.model.effects import Effect
-
-IDLE_POWER_SD, IDLE_POWER_SHARE = 800.0, 0.15  # sd of the power at idle: [W], and share of it; torque is coarse there
 
 
 @dataclass(frozen=True)
@@ -98,9 +96,7 @@ def _states(drives: Sequence[Drive], is_level: bool) -> tuple[DriveState, ...] |
 
 
 def _state(drive: Drive, is_level: bool) -> DriveState | None:
-    idling = drive.record.idling
-    rest = None if idling is None else AtRest(idling[0], IDLE_POWER_SD + IDLE_POWER_SHARE * abs(idling[0]), idling[1])
-    state = DriveState.of(drive.record.strides, rest, is_level)
+    state = DriveState.of(drive.record.strides, drive.record.rests, is_level)
     if state is None:
         return None
     frame = Frame.of(state.fit)

@@ -45,7 +45,7 @@ def _surrogate(drive: DriveState, rng: np.random.Generator) -> DriveState:
     effects = columns[:, 1:] @ fit.theta[LAG + 1 : LAG + 1 + len(drive.chosen)]
     a = drive.strides.a.copy()
     a[drive.strides.known] = fit.fitted - effects + with_other_phases(residual, rng)
-    drawn = DriveState.of(replace(drive.strides, a=a), None, drive.is_level, fit.scales)
+    drawn = DriveState.of(replace(drive.strides, a=a), (), drive.is_level, fit.scales)
     return drive if drawn is None else drawn
 
 

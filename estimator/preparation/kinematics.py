@@ -83,9 +83,13 @@ def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
         Quantity.HEADING: Role.HEADING,
         Quantity.LATERAL_ACCELERATION: Role.LATERAL_ACCELERATION,
         Quantity.FAN_SPEED: Role.FAN_SPEED,
+        Quantity.BATTERY_CURRENT: Role.BATTERY_CURRENT,
         Quantity.TEMPERATURE: Role.AMBIENT_TEMPERATURE,
     }
     found |= {quantity: rows.context[role] for quantity, role in same.items() if role in rows.context}
+    for role in (Role.BRAKE_PEDAL, Role.BRAKE_SWITCH):
+        if role in rows.context:
+            found[Quantity.BRAKE] = rows.context[role]
     if Role.YAW_RATE in rows.context and Quantity.LATERAL_ACCELERATION not in found:
         found[Quantity.LATERAL_ACCELERATION] = rows.context[Role.YAW_RATE] * rows.plausible_speed
     return found

@@ -17,7 +17,7 @@ from estimator.checkpoint.validation import State
 from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
 from estimator.signals import Floats, Mask, Role, Series
-from estimator.streaming.engine_power import EnginePower
+from estimator.streaming.engine_power import BATTERY, EnginePower, is_electric
 from estimator.streaming.lone_errors import lone_errors
 from estimator.streaming.resampling import MAX_FRESH, Track
 
@@ -57,6 +57,7 @@ class Aligner:
         self.refused: Counter[str] = Counter()
         self._bound, self._despike = bound, despike
         self._tracks: dict[tuple[Role, int], Track] = {}
+        self._hidden = NO_CONTEXT if is_electric(bound) else NO_CONTEXT | BATTERY
         self._engine = EnginePower(vehicle, bound, despike, self._tracks)
         self._next: int | None = None
 
@@ -158,7 +159,7 @@ class Aligner:
         context = {
             role: track.means(edges, known_to)[0] if role in AVERAGED else track.held(at)
             for (role, i), track in self._tracks.items()
-            if i == 0 and role not in NO_CONTEXT
+            if i == 0 and role not in self._hidden
         }
         return Rows(
             index=index, speed=speed, power=power, fresh=np.column_stack([speed_there, power_there]), context=context

@@ -1,7 +1,7 @@
 """Power at the wheels, at the times of the torque readings (J1939-71: percent torques refer to SPN 544).
 
-The bus gives the power itself; or torque and engine speed; or torque as a fraction of the reference torque, less the
-friction torque.
+The bus gives the power itself; or torque and engine speed; or voltage and current of the battery that drives; or torque
+as a fraction of the reference torque, less the friction torque.
 """
 
 from collections.abc import Mapping, Set
@@ -26,12 +26,22 @@ MIN_SPREAD_SHARE = 0.02  # sd over the usual power: with a smaller one, a step o
 MAD_TO_SD = 1.4826  # of a Gaussian
 
 
+BATTERY = frozenset({Role.BATTERY_VOLTAGE, Role.BATTERY_CURRENT})
+
+
+def is_electric(bound: Set[Role]) -> bool:
+    """Whether the power is that of the battery: its roles are ``bound``, and none that is nearer to the wheels."""
+    return bound >= BATTERY and not bound & {Role.ENGINE_POWER, Role.ENGINE_TORQUE}
+
+
 def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:
     """Roles without which there is no power, given those that are ``bound``."""
     if Role.ENGINE_POWER in bound:
         return [Role.ENGINE_POWER]
     if Role.ENGINE_TORQUE in bound:
         return [Role.ENGINE_TORQUE, Role.ENGINE_SPEED]
+    if is_electric(bound):
+        return sorted(BATTERY)
     roles = [Role.TORQUE_FRACTION, Role.ENGINE_SPEED]
     if Role.FRICTION_FRACTION in bound:
         roles.append(Role.FRICTION_FRACTION)
@@ -96,26 +106,31 @@ class EnginePower:
             new = given.t > self._powered_to
             self._append(given.t[new], given.value[new], block_bounds(given.t[new], ends))
             return
-        torque, speed = self._of(self._lead), self._of(Role.ENGINE_SPEED)
-        new = torque.t > self._powered_to
-        if not len(speed.t) or not new.any():
+        lead, other = (self._of(role) for role in self._factors)
+        new = lead.t > self._powered_to
+        if not len(other.t) or not new.any():
             return
-        t, value = torque.t[new], torque.value[new]
+        t, value = lead.t[new], lead.value[new]
         bounds = block_bounds(t, ends)
-        if self._lead == Role.TORQUE_FRACTION:
+        if Role.TORQUE_FRACTION in self._factors:
             value = self._net_fraction(t, value, bounds) * self._reference_torque(t)
-        self._append(t, value * speed.held(t), bounds)
+        elif Role.BATTERY_CURRENT in self._factors and self._vehicle.discharge_current == "negative":
+            value = -value
+        self._append(t, value * other.held(t), bounds)
 
     @property
     def is_settled(self) -> bool:
         """Whether power has been had for so long that further readings change no earlier one."""
-        needed = {Role.ENGINE_POWER} if Role.ENGINE_POWER in self._bound else {self._lead, Role.ENGINE_SPEED}
+        needed = (Role.ENGINE_POWER,) if Role.ENGINE_POWER in self._bound else self._factors
         return bool(np.isfinite(self.track.fresh)) and all(len(self._of(role).t) for role in needed)
 
     @property
-    def _lead(self) -> Role:
-        """The torque at whose times there is a power."""
-        return Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION
+    def _factors(self) -> tuple[Role, Role]:
+        """What the power is a product of; there is one at the times of the first."""
+        if is_electric(self._bound):
+            return Role.BATTERY_CURRENT, Role.BATTERY_VOLTAGE
+        torque = Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION
+        return torque, Role.ENGINE_SPEED
 
     def _append(self, t: Floats, value: Floats, bounds: NDArray[np.intp]) -> None:
         if len(t):

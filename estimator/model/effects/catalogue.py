@@ -6,7 +6,7 @@ They are tried, and printed where nothing ranks them, in the order of the list.
 from collections.abc import Sequence
 
 from estimator.errors import ConfigError
-from estimator.model.effects import air, powertrain, readings, road
+from estimator.model.effects import air, electric, powertrain, readings, road
 from estimator.model.effects.effect import Effect
 
 CATALOGUE: tuple[Effect, ...] = (
@@ -15,6 +15,8 @@ CATALOGUE: tuple[Effect, ...] = (
     air.AIR_DENSITY,
     road.WARM_UP,
     powertrain.VISCOUS_DRAG,
+    powertrain.OIL_WARM_UP,
+    powertrain.COLD_LOSS,
     readings.TORQUE_GAIN,
     powertrain.LOAD_LOSS,
     readings.TORQUE_BIAS,
@@ -30,6 +32,8 @@ CATALOGUE: tuple[Effect, ...] = (
     readings.TIME_LAG,
     readings.SPEED_FILTER,
     air.DRAFTING,
+    electric.REGENERATION_LOSS,
+    electric.CABIN_HEATER,
 )
 
 BY_NAME = {effect.name: effect for effect in CATALOGUE}

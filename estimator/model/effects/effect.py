@@ -22,6 +22,8 @@ SOURCES: dict[Quantity, tuple[Role, ...]] = {  # any one of the roles will do
     Quantity.HEADING: (Role.HEADING,),
     Quantity.LATERAL_ACCELERATION: (Role.LATERAL_ACCELERATION, Role.YAW_RATE),
     Quantity.FAN_SPEED: (Role.FAN_SPEED,),
+    Quantity.BATTERY_CURRENT: (Role.BATTERY_CURRENT,),
+    Quantity.BRAKE: (Role.BRAKE_SWITCH, Role.BRAKE_PEDAL),
     Quantity.CLIMB_BY_GRADE: (Role.GRADE,),
     Quantity.CLIMB_BY_ALTITUDE: (Role.ALTITUDE,),
     Quantity.CLIMB_BY_ACCELEROMETER: (Role.LONGITUDINAL_ACCELERATION,),
@@ -64,6 +66,19 @@ class View:
         return float(self.road_load[2])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AtRest:
+    """Power [W] taken while the vehicle stood, and its sd [W].
+
+    ``engine_speed`` [rad/s] then, 0 of a motor that stands too; ``elapsed`` [s] since the drive began.
+    """
+
+    power: float
+    sd: float
+    engine_speed: float
+    elapsed: float = 0.0
+
+
 class Timing(StrEnum):
     """When an effect acts, where no signal shows it."""
 
@@ -104,7 +119,7 @@ class Effect:
     positive
         Whether a negative magnitude makes no sense.
     needs
-        Quantities without which it cannot be computed.
+        Quantities without which it cannot be computed, or cannot be.
     shapes
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one of several sources.
     finer
@@ -114,7 +129,7 @@ class Effect:
     timing
         When it acts.
     at_rest
-        Power [W] per unit of magnitude that it takes while the vehicle stands and the engine idles [rad/s].
+        Power [W] per unit of magnitude that it takes while the vehicle stands, of one of the ``shapes``.
     dwells
         How long [s] it usually stays on, or off, where it switches.
     is_noisy
@@ -145,7 +160,7 @@ class Effect:
     finer: Callable[[Shape], tuple[Shape, ...]] | None = None
     describe: Callable[[Shape], str] | None = None
     timing: Timing = Timing.ALWAYS
-    at_rest: Callable[[float], float] | None = None
+    at_rest: Callable[[AtRest, Shape], float] | None = None
     dwells: tuple[float, ...] = (200.0,)
     is_noisy: bool = False
     is_gravity: bool = False

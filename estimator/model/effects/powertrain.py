@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from estimator.model.effects.effect import TYPICAL_MASS, Effect, Shape, Timing, View, by_mass
+from estimator.model.effects.cold import cold, finer_times, told_time
+from estimator.model.effects.effect import TYPICAL_MASS, Effect, Shape, Timing, View, always, by_mass
 from estimator.signals import Floats, Quantity
 
+OIL_TIMES = tuple(60.0 * minutes for minutes in (6, 10, 16, 25, 40))  # s
 FAN_EXPONENT = 3  # power of a fan over its speed
 
 
@@ -28,6 +30,37 @@ VISCOUS_DRAG = Effect(
     breaks="a coast-down over a wide range of speed, or A from a data sheet",
 )
 
+OIL_WARM_UP = Effect(
+    name="oil_warm_up",
+    equation="B v^2 exp(-t / tau)",
+    source="churning of cold oil in axles and gearbox, which warms apart from the tyres",
+    symbol="B when cold",
+    unit="N s/m",
+    power=lambda view, time: view.v**2 * cold(view, time),
+    usual=lambda road_load: 0.25 * float(road_load[0]) / 20.0,
+    needs=(Quantity.ELAPSED,),
+    shapes=OIL_TIMES,
+    finer=finer_times,
+    describe=told_time,
+    breaks="a drive that starts with warm oil",
+)
+
+COLD_LOSS = Effect(
+    name="cold_loss",
+    equation="e abs(P) exp(-t / tau)",
+    source="cold gears and tyres lose a share of what they transmit (halves of winter trips differ in mass)",
+    symbol="share lost when cold",
+    unit="1",
+    power=lambda view, time: np.abs(view.P) * cold(view, time),
+    usual=always(0.05),
+    needs=(Quantity.ELAPSED,),
+    shapes=OIL_TIMES,
+    finer=finer_times,
+    describe=told_time,
+    is_noisy=True,
+    breaks="a drive that starts with a warm driveline",
+)
+
 LOAD_LOSS = Effect(
     name="load_loss",
     equation="k F^2 v",
@@ -49,7 +82,7 @@ AUXILIARY_LOAD = Effect(
     power=lambda view, shape: np.ones_like(view.v),
     usual=by_mass(8e3),
     largest=40e3,
-    at_rest=lambda idle: 1.0,
+    at_rest=lambda rest, shape: 1.0,
     breaks="two minutes of idling at rest",
 )
 

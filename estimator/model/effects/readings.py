@@ -32,7 +32,7 @@ TORQUE_BIAS = Effect(
     largest=300.0,
     positive=False,
     needs=(Quantity.ENGINE_SPEED,),
-    at_rest=lambda idle: idle,
+    at_rest=lambda rest, shape: rest.engine_speed,
     breaks="driving the same speed in several gears, or coasting in gear",
 )
 

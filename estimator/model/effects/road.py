@@ -1,7 +1,6 @@
 """Effects between the vehicle and the road: gravity, load, tyres and brakes."""
 
-import numpy as np
-
+from estimator.model.effects.cold import cold, finer_times, told_time
 from estimator.model.effects.effect import Effect, Shape, Timing, View, always, by_mass
 from estimator.signals import Floats, Quantity
 from estimator.units import STANDARD_GRAVITY
@@ -12,11 +11,6 @@ WARM_UP_TIMES = tuple(60.0 * minutes for minutes in (6, 10, 16, 25, 40, 60))  # 
 def _climbing(view: View, source: Shape) -> Floats:
     climb: Floats = STANDARD_GRAVITY * view.context[source]
     return climb
-
-
-def _warming(view: View, time: Shape) -> Floats:
-    warming: Floats = view.A * view.v * np.exp(-view.context[Quantity.ELAPSED] / time)
-    return warming
 
 
 GRADE = Effect(
@@ -55,12 +49,12 @@ WARM_UP = Effect(
     source="rolling resistance of tyres falls as they warm (ISO 28580; SAE J2452)",
     symbol="cold excess of A",
     unit="1",
-    power=_warming,
+    power=lambda view, time: view.A * view.v * cold(view, time),
     usual=always(0.25),
     needs=(Quantity.ELAPSED,),
     shapes=WARM_UP_TIMES,
-    finer=lambda time: tuple(time * share for share in (0.8, 0.87, 0.93, 1.08, 1.16, 1.25)),
-    describe=lambda time: f"time constant {time / 60:.0f} min",
+    finer=finer_times,
+    describe=told_time,
     breaks="a drive that starts with warm tyres",
 )
 

@@ -1,0 +1,53 @@
+"""The power that a vehicle takes while it stands: what tells losses that do not go with its motion.
+
+Of an engine it is one figure for the drive: torque is coarse at idle, by the same share at every stop. A battery's
+power is exact, and what it feeds may decay, so there is one figure for every minute of the drive with a stop in it.
+"""
+
+import numpy as np
+
+from estimator.model.effects.effect import AtRest
+from estimator.samples import STEP, Rows
+from estimator.signals import Floats, Role
+
+MIN_IDLE = 30.0  # s at rest with the engine running, from which its power is used
+IDLE_SD, IDLE_SHARE = 800.0, 0.15  # sd of the power at idle: [W], and share of it
+INTERVAL, MIN_REST = 60.0, 5.0  # s, of a figure of a battery's power, and at rest within
+# sd of a battery's power at rest: [W], and share of it. 90 minutes of rest of a BMW i3, against its heater and air
+# conditioner, which switch within the minute.
+REST_SD, REST_SHARE = 200.0, 0.1
+
+
+def rests(pieces: list[Rows], start: float) -> tuple[AtRest, ...]:
+    """The power at rest in the ``pieces`` of a drive that began at ``start`` [s]; none where it stood too shortly."""
+    standing = [_standing(piece, start) for piece in pieces]
+    power, engine, elapsed = (np.concatenate(parts) for parts in zip(*standing, strict=True))
+    if any(Role.BATTERY_CURRENT in piece.context for piece in pieces):
+        minute = np.floor(elapsed / INTERVAL)
+        each = [minute == k for k in np.unique(minute)]
+        least, sd, share = MIN_REST, REST_SD, REST_SHARE
+    else:
+        each = [np.ones(len(power), dtype=np.bool_)]
+        least, sd, share = MIN_IDLE, IDLE_SD, IDLE_SHARE
+    return tuple(
+        AtRest(
+            power=(taken := float(np.median(power[part]))),
+            sd=sd + share * abs(taken),
+            engine_speed=float(np.median(engine[part])),
+            elapsed=float(elapsed[part].mean()),
+        )
+        for part in each
+        if np.count_nonzero(part) >= least / STEP
+    )
+
+
+def _standing(rows: Rows, start: float) -> tuple[Floats, Floats, Floats]:
+    """Power [W], engine speed [rad/s] and time since the start [s] of rows at rest with the engine or motor on."""
+    blank = np.full(len(rows), np.nan)
+    engine = rows.context.get(Role.ENGINE_SPEED, blank)
+    if Role.BATTERY_CURRENT in rows.context:
+        engine, is_on = np.zeros(len(rows)), np.isfinite(rows.context[Role.BATTERY_CURRENT])
+    else:
+        is_on = engine > 0
+    rest = (rows.speed == 0) & np.isfinite(rows.power) & is_on
+    return rows.power[rest], engine[rest], rows.t[rest] - start

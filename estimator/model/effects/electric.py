@@ -1,0 +1,45 @@
+"""Effects on the power of a battery that drives: conversion losses, and what else the battery feeds.
+
+A loss in proportion to the power in both directions is a gain error; what is left is that driving and regenerating
+lose different shares. That shows only where the bus says that the service brake is off.
+"""
+
+import numpy as np
+
+from estimator.model.effects.cold import cold, finer_times, told_time
+from estimator.model.effects.effect import Effect, always, by_mass
+from estimator.signals import Quantity
+
+HEATER_TIMES = tuple(60.0 * minutes for minutes in (2, 3, 5, 8, 12, 20))  # s
+
+
+REGENERATION_LOSS = Effect(
+    name="regeneration_loss",
+    equation="r max(-P, 0)",
+    source="motor, inverter and battery lose a share of the braking power, beyond what driving loses",
+    symbol="share lost",
+    unit="1",
+    power=lambda view, shape: np.maximum(-view.P, 0.0),
+    usual=always(0.25),
+    largest=2.0,
+    needs=(Quantity.BATTERY_CURRENT, Quantity.BRAKE),
+    is_noisy=True,
+    breaks="the motor's torque on the bus",
+)
+
+CABIN_HEATER = Effect(
+    name="cabin_heater",
+    equation="Ph exp(-t / tau)",
+    source="cabin and battery are heated from cold (battery power at rest, Argonne D3)",
+    symbol="Ph",
+    unit="W",
+    power=cold,
+    usual=by_mass(40e3),
+    largest=40e3,
+    needs=(Quantity.BATTERY_CURRENT, Quantity.ELAPSED),
+    shapes=HEATER_TIMES,
+    finer=finer_times,
+    describe=told_time,
+    at_rest=lambda rest, time: float(np.exp(-rest.elapsed / time)),
+    breaks="the heater's power on the bus",
+)
