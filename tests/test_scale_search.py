@@ -48,6 +48,16 @@ def test_from_elsewhere_the_same_mode_is_reached():
         assert_allclose(np.log(scales), np.log(modes[0][0]), atol=0.1)
 
 
+@pytest.mark.parametrize("factor", [1 / 30, 30])
+def test_from_far_away_where_steps_meet_bounds_the_same_mode_is_reached(factor):
+    found = likelihood(("altitude",))
+    scales, free = found.model.scales, range(len(found.model.scales))
+    low, high = (np.array([getattr(scale, end) for scale in scales]) for end in ("low", "high"))
+    _, near = most_probable(found, centres(found.model), free)
+    _, value = most_probable(found, np.clip(factor * centres(found.model), low, high), free)
+    assert value == pytest.approx(near, abs=0.05)
+
+
 def test_scales_that_are_not_free_stay_and_count_no_prior():
     found = likelihood()
     start = centres(found.model)

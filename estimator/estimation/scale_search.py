@@ -64,16 +64,16 @@ class _Search:
             return logs, value
         for _ in range(MAX_STEPS):
             gradient, curvature, moving = self._slopes(logs)
-            while True:
+            gain = expected = 0.0
+            while gain <= 0 and damping < MAX_DAMPING:
                 new = self._stepped(logs, gradient, curvature, moving, damping)
                 move = new - logs
                 expected = float(gradient @ move - 0.5 * move @ curvature @ move)
-                if expected < MIN_GAIN or damping > MAX_DAMPING:
-                    return logs, value
-                gain = self._value(new) - value
-                if gain > 0:
-                    break
-                damping = MUCH_MORE * max(damping, DAMPING)
+                gain = self._value(new) - value if expected > MIN_GAIN else 0.0  # a bound may leave a step no gain
+                if gain <= 0:
+                    damping = MUCH_MORE * max(damping, DAMPING)
+            if gain <= 0:
+                break
             damping *= LESS if gain > GOOD * expected else MORE if gain < POOR * expected else 1.0
             logs, value = new, value + gain
         return logs, value
@@ -83,5 +83,5 @@ class _Search:
         own = curvature[np.ix_(moving, moving)]
         step = np.linalg.solve(own + damping * np.diag(np.diag(own)), gradient[moving])
         new = logs.copy()
-        new[moving] += np.clip(step, -MAX_STEP, MAX_STEP)
+        new[moving] += step * min(1.0, MAX_STEP / max(float(np.abs(step).max(initial=0.0)), MAX_STEP))
         return self.inside(new)

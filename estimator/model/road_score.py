@@ -42,7 +42,8 @@ def score(conditioned: Conditioned, scales: Floats, data: Floats, beta: Floats, 
         Posterior mean (p,) of the coefficients and inverse of their covariance (p, p).
     """
     model, variance = conditioned.model, conditioned.variance
-    spread = np.linalg.cholesky(np.linalg.inv(precision))
+    unit = 1 / np.sqrt(np.diag(precision))
+    spread = unit[:, None] * np.linalg.inv(np.linalg.cholesky(precision * np.outer(unit, unit))).T
     columns = np.column_stack([data[:, 0] - data[:, 1:] @ beta, data[:, 1:] @ spread])
     unknowns = conditioned.factor.solve(model.gathered(columns / variance[:, None]))
     rest = columns - model.observed(unknowns)
