@@ -1,54 +1,25 @@
-"""What may act on the drives of a vehicle: effects and nameless processes in all their forms, and their evidence.
+"""Sets of candidates, and their evidence over all drives of a vehicle.
 
 An effect of the vehicle has to hold in all drives, so its evidence adds up; an event is a cause on one drive.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 
-from estimator.components.component import Component, Frame, of_effect, of_term
-from estimator.components.drive_state import DriveState, has_free_times
+from estimator.components.candidates import Candidate
+from estimator.components.component import Component
+from estimator.components.drive_state import DriveState
 from estimator.components.model_table import Cause, Chosen
-from estimator.components.processes import processes, swings, switched
-from estimator.components.switching import Switching, is_usual, prior_cost
-from estimator.model.design_matrix import Spans, Term, union, without
-from estimator.model.effects.effect import Effect, Timing
-from estimator.signals import Floats, Quantity
+from estimator.signals import Floats
 
 ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e times as probable
 ODDS_OF_PROCESSES = 0.05  # the same of all nameless processes
 MIN_GAIN, MIN_GAIN_TIMED = 0.001, 0.01  # of the log BF of the largest effect: errors of its form have as much
 
 Key = tuple[object, ...]
-
-
-class Times:
-    """Times that effects may have on each drive: those beside the effects chosen last, and beside none with times.
-
-    Times are proposed anew once the noise was fitted beside other effects or processes.
-    """
-
-    def __init__(self, effects: Sequence[Effect]) -> None:
-        self._free = [effect for effect in effects if has_free_times(effect)]
-        self._latest: dict[int, tuple[Key, set[Spans]]] = {}
-        self._untimed: dict[int, set[Spans]] = {}
-
-    def of(self, number: int, drive: DriveState) -> list[Spans]:
-        """On one drive; what two of its chosen effects do, one may do."""
-        beside = tuple((term.effect.name, term.spans) for term in drive.fit.terms)
-        if number not in self._latest or self._latest[number][0] != beside:
-            switching = Switching(drive.joint())
-            found = {spans for effect in self._free for spans in switching.proposed(effect)}
-            self._latest[number] = beside, found
-            if not any(component.is_timed for component in drive.chosen):
-                self._untimed[number] = found
-        own = [component.spans for component in drive.chosen if component.is_timed and component.spans]
-        both = {union(a, b) for a, b in combinations(own, 2)}
-        return sorted({*own, *both, *self._latest[number][1], *self._untimed.get(number, ())})
 
 
 class Hypotheses:
@@ -60,27 +31,21 @@ class Hypotheses:
         Of one vehicle, with the scales of road and noise.
     given
         Components that are in every set, for each drive; they may be of any size.
-    effects
-        That may act besides.
-    times
-        That effects may have.
-    with_processes
-        Whether nameless processes may act too.
+    candidates
+        That may act besides, for each drive.
     """
 
     def __init__(
         self,
         drives: Sequence[DriveState],
         given: Sequence[tuple[Component, ...]],
-        effects: Sequence[Effect],
-        times: Times,
-        with_processes: bool,
+        candidates: Sequence[Iterable[Candidate]],
     ) -> None:
         self.drives, self.given = drives, given
         found: dict[Key, dict[int, Component]] = defaultdict(dict)
-        for number, drive in enumerate(drives):
-            for key, component in _forms(number, drive, effects, times.of(number, drive), with_processes).items():
-                found[key][number] = component
+        for number, own_candidates in enumerate(candidates):
+            for one in own_candidates:
+                found[one.cause, number if one.is_event else None, one.form][number] = one.component
         self.keys, self.each = list(found), list(found.values())
         own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
         known = [tuple(replace(component, largest=np.inf) for component in each) for each in given]  # of any size
@@ -168,39 +133,3 @@ class Hypotheses:
         """The drives with the effects of a set, and scales found beside its processes too."""
         own = zip(self.drives, self.given, self.parts(chosen, True), self.parts(chosen, False), strict=True)
         return tuple(drive.having((*given, *effects), processes) for drive, given, effects, processes in own)
-
-
-def _forms(
-    number: int, drive: DriveState, effects: Sequence[Effect], times: Sequence[Spans], with_processes: bool
-) -> dict[Key, Component]:
-    """All forms of all causes on a drive; a key begins with the name and, for an event, the drive's ``number``."""
-    frame, known = Frame.of(drive.fit), frozenset(drive.strides.context)
-    found = dict[Key, Component]()
-    for effect in effects:
-        for component in of_effect(frame, effect, known):
-            term = component.term
-            assert term is not None
-            event = number if effect.timing is not Timing.ALWAYS else None
-            found[effect.name, event, term.spans or str(term.shape)] = component
-    for component in drive.chosen:
-        term = component.term
-        if term is not None and term.effect.finer is not None and not isinstance(term.shape, Quantity):
-            for shape in (term.shape, *term.effect.finer(term.shape)):
-                found[term.effect.name, None, str(shape)] = of_term(frame, Term(term.effect, shape))
-    for effect in filter(has_free_times, effects):
-        own = [c.spans for c in drive.chosen if c.name == effect.name and c.is_timed and c.spans]
-        changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
-        for spans in sorted({*times, *changed}):
-            if is_usual(spans, effect):
-                component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect))
-                found[effect.name, number, spans] = component
-    if not with_processes:
-        return found
-    for spans in times:
-        for process in switched(frame, spans):
-            found[process.name, number, spans] = process
-    for i, process in enumerate(processes(frame)):
-        found[process.name, None, i] = process
-    for i, process in enumerate(swings(drive.joint(), list(range(len(drive.chosen))))):
-        found[process.name, number, i] = process
-    return found

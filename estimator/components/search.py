@@ -12,9 +12,10 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
+from estimator.components.candidates import Candidates
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState, Form
-from estimator.components.hypotheses import Hypotheses, Times
+from estimator.components.hypotheses import Hypotheses
 from estimator.components.model_table import MAX_CAUSES, Chosen, ModelTable, weigh
 from estimator.model.effects.effect import Effect, Timing
 
@@ -130,7 +131,7 @@ class Search:
     def __init__(self, drives: tuple[DriveState, ...], effects: Sequence[Effect]) -> None:
         self._drives, self._effects = drives, effects
         self._given = [drive.chosen for drive in drives]
-        self._times = Times(effects)
+        self._candidates = Candidates(effects)
 
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
@@ -164,7 +165,8 @@ class Search:
         """
         found, value = None, log_evidence(states)
         for size in range(2, MAX_ROUNDS + 2):
-            joint = Hypotheses(states, self._given, self._effects, self._times, with_processes)
+            candidates = [self._candidates.on(number, state, with_processes) for number, state in enumerate(states)]
+            joint = Hypotheses(states, self._given, candidates)
             causes = joint.causes()
             table = weigh(joint, causes, min(size, MAX_CAUSES))
             fitted, before = joint.fitted(table.best), value

@@ -1,0 +1,102 @@
+"""What may act on a drive: effects in all their forms, with signals or with times, and nameless processes."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from estimator.components.component import Component, Frame, of_effect, of_term
+from estimator.components.drive_state import DriveState, has_free_times
+from estimator.components.processes import processes, swings, switched
+from estimator.components.switching import Switching, is_usual, prior_cost
+from estimator.model.design_matrix import Spans, Term, union, without
+from estimator.model.effects.effect import Effect, Timing
+from estimator.signals import Quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One form of a ``cause``, told from its others by ``form``; ``is_event``: on another drive it is another cause."""
+
+    cause: str
+    is_event: bool
+    form: object
+    component: Component
+
+
+class Candidates:
+    """All that may act on the drives of a vehicle, for ``effects`` of the catalogue.
+
+    An effect's times are those proposed beside the effects chosen last, and beside none with times. They are proposed
+    anew once the noise was fitted beside other effects or processes.
+    """
+
+    def __init__(self, effects: Sequence[Effect]) -> None:
+        self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
+        self._latest: dict[int, tuple[object, set[Spans]]] = {}
+        self._untimed: dict[int, set[Spans]] = {}
+
+    def on(self, number: int, drive: DriveState, with_processes: bool) -> Iterator[Candidate]:
+        """On the drive with this ``number``; of two equal forms the later one counts."""
+        frame, times = Frame.of(drive.fit), self._times(number, drive)
+        yield from self._as_the_bus_tells(frame, drive)
+        yield from _finer(frame, drive.chosen)
+        yield from self._at_times(frame, drive.chosen, times)
+        if with_processes:
+            yield from _nameless(frame, drive, times)
+
+    def _times(self, number: int, drive: DriveState) -> list[Spans]:
+        """At which effects may act; what two of the chosen effects do, one may do."""
+        beside = tuple((term.effect.name, term.spans) for term in drive.fit.terms)
+        if number not in self._latest or self._latest[number][0] != beside:
+            switching = Switching(drive.joint())
+            found = {spans for effect in self._timed for spans in switching.proposed(effect)}
+            self._latest[number] = beside, found
+            if not any(component.is_timed for component in drive.chosen):
+                self._untimed[number] = found
+        own = [component.spans for component in drive.chosen if component.is_timed and component.spans]
+        both = {union(a, b) for a, b in combinations(own, 2)}
+        return sorted({*own, *both, *self._latest[number][1], *self._untimed.get(number, ())})
+
+    def _as_the_bus_tells(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+        """Effects that act always, or when signals show it."""
+        known = frozenset(drive.strides.context)
+        for effect in self._effects:
+            for component in of_effect(frame, effect, known):
+                term = component.term
+                assert term is not None
+                yield Candidate(
+                    cause=effect.name,
+                    is_event=effect.timing is not Timing.ALWAYS,
+                    form=term.spans or str(term.shape),
+                    component=component,
+                )
+
+    def _at_times(self, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]) -> Iterator[Candidate]:
+        """Effects at fitted times, and at those that were chosen for them with others added or taken away."""
+        for effect in self._timed:
+            own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
+            changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
+            for spans in sorted({*times, *changed}):
+                if is_usual(spans, effect):
+                    component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect))
+                    yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
+
+
+def _finer(frame: Frame, chosen: Sequence[Component]) -> Iterator[Candidate]:
+    """Shapes near those that were chosen."""
+    for term in (component.term for component in chosen):
+        if term is not None and term.effect.finer is not None and not isinstance(term.shape, Quantity):
+            for shape in (term.shape, *term.effect.finer(term.shape)):
+                component = of_term(frame, Term(term.effect, shape))
+                yield Candidate(cause=term.effect.name, is_event=False, form=str(shape), component=component)
+
+
+def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
+    """Processes without a name."""
+    for spans in times:
+        for process in switched(frame, spans):
+            yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
+    for i, process in enumerate(processes(frame)):
+        yield Candidate(cause=process.name, is_event=False, form=i, component=process)
+    for i, process in enumerate(swings(drive.joint(), list(range(len(drive.chosen))))):
+        yield Candidate(cause=process.name, is_event=True, form=i, component=process)

@@ -1,0 +1,135 @@
+"""The rules of the search: when its rounds end, which times are candidates, and which road explains the drives."""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_strides import made_strides
+
+from estimator.components import search
+from estimator.components.candidates import Candidates
+from estimator.components.component import Frame, of_term
+from estimator.components.drive_state import DriveState
+from estimator.components.search import Search
+from estimator.components.switching import Switching
+from estimator.diagnosis import explanation
+from estimator.diagnosis.thresholds import Thresholds
+from estimator.model.design_matrix import Spans, Term
+from estimator.model.effects import BY_NAME
+from estimator.signals import Quantity
+
+Round = tuple[tuple[int, ...], float]  # the best set of a table, and its log evidence with scales of its own
+
+
+def state(log_evidence: float) -> Any:
+    return SimpleNamespace(fit=SimpleNamespace(log_evidence=log_evidence), chosen=())
+
+
+def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round]) -> float:
+    """Log evidence of the drives that a search ends with, whose tables go by ``script``."""
+    waiting = iter(script)
+
+    class Scripted:
+        def __init__(self, *arguments: object) -> None:
+            self.chosen, self.value = next(waiting)
+
+        def causes(self) -> list[object]:
+            return []
+
+        def fitted(self, chosen: object) -> tuple[Any, ...]:
+            return (state(self.value),)
+
+        def log_prior(self, chosen: object, causes: object) -> float:
+            return 0.0
+
+        def worthwhile(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
+            return chosen
+
+    monkeypatch.setattr(search, "Hypotheses", Scripted)
+    monkeypatch.setattr(search, "weigh", lambda joint, causes, size: SimpleNamespace(best=joint.chosen))
+    (found,) = Search((state(0.0),), ()).alone
+    return float(found.fit.log_evidence)
+
+
+def test_a_set_with_less_evidence_by_its_own_scales_ends_the_rounds(monkeypatch):
+    assert rounds(monkeypatch, [((1, 2), 30.0), ((1, 3, 4), 20.0)]) == 30.0
+
+
+def test_rounds_go_on_while_the_set_grows_or_its_evidence_does(monkeypatch):
+    assert rounds(monkeypatch, [((1, 2), 30.0), ((1, 2, 3), 30.2), ((1, 2, 3), 35.0), ((1, 2, 3), 35.3)]) == 35.3
+
+
+def test_rounds_end_with_one_that_hardly_gains(monkeypatch):
+    assert rounds(monkeypatch, [((1,), 30.0), ((1,), 30.5)]) == 30.5
+
+
+# Times
+
+
+def driven(n: int = 400) -> DriveState:
+    rng = np.random.default_rng(4)
+    speed = 15 + 4 * np.sin(np.arange(n + 1) / 15)
+    force = 20e3 * np.diff(speed) + 2e3 + rng.normal(0, 100.0, n)
+    context = {Quantity.ELAPSED: np.arange(n) + 0.5, Quantity.STOPS: np.zeros(n)}
+    found = DriveState.of(made_strides(speed, force, context), is_level=True)
+    assert found is not None
+    return found
+
+
+def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one_and_taken_away(monkeypatch):
+    brake, own, other = BY_NAME["brake_use"], ((50.0, 80.0), (200.0, 230.0)), ((70.0, 90.0),)
+    plain = driven()
+    chosen = plain.having((of_term(Frame.of(plain.fit), Term(brake, None, own), 1.0),))
+    monkeypatch.setattr(Switching, "proposed", lambda self, effect: {other})
+    candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]])
+
+    def times(of: DriveState, cause: str) -> set[Spans | None]:
+        return {one.component.spans for one in candidates.on(0, of, with_processes=False) if one.cause == cause}
+
+    assert times(plain, "brake_use") == {other}
+    with_other, without_other = ((50.0, 90.0), (200.0, 230.0)), ((50.0, 70.0), (200.0, 230.0))
+    assert times(chosen, "brake_use") == {own, other, with_other, without_other}
+    assert times(chosen, "auxiliary_cycling") == {own, other}
+
+
+# The road
+
+
+@pytest.mark.parametrize(
+    ("level", "signals", "is_sloping", "is_hilly"),
+    [
+        (90.0, None, False, False),  # 10 less than beside slopes, which no signal confirms
+        (80.0, None, True, True),
+        (90.0, 0.1, False, False),  # signals that tell neither count as none
+        (80.0, -0.1, True, True),
+        (90.0, 40.0, True, True),  # confirmed
+        (101.0, 40.0, False, False),
+        (80.0, -40.0, True, False),  # denied: no hills, but not a level road without a gap either
+    ],
+)
+def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one(
+    monkeypatch, level, signals, is_sloping, is_hilly
+):
+    """Beside slopes the drives have a log evidence of 100."""
+    scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
+    fit = SimpleNamespace(strides=np.zeros(9), slope_sd=0.01, scales=scales, log_evidence=0.0)
+    drive = SimpleNamespace(fit=fit, strides=None)
+
+    class Found:
+        def __init__(self, drives: tuple[Any, ...], effects: object) -> None:
+            self.is_sloping, self.alone = drives == ("sloping",), (drive,)
+
+        def explained(self) -> Any:
+            return SimpleNamespace(drives=(drive,), log_evidence=100.0 if self.is_sloping else level)
+
+        def explained_above(self, least: float) -> Any:
+            return self.explained() if level > least else None
+
+    monkeypatch.setattr(explanation, "Search", Found)
+    monkeypatch.setattr(explanation, "_states", lambda drives, is_level: ("level" if is_level else "sloping",))
+    monkeypatch.setattr(explanation, "_slopes", lambda states: 50.0)
+    monkeypatch.setattr(explanation, "log_bayes_factor_of_signals", lambda strides, fit: signals)
+    found = explanation.explain([SimpleNamespace(model=SimpleNamespace(terms=()))], [], Thresholds())
+    assert (found.is_sloping, found.is_hilly) == (is_sloping, is_hilly)
