@@ -40,7 +40,7 @@ FORCE_BY_PLACE = "force over distance"  # what slopes are that no road has
 SLOPE_LENGTH = 300.0  # m, after which a road has another slope
 STRETCHES = 20  # of a drive, whose residuals are independent
 SHOWN_IN_PART, SHOWN = 0.1, 0.9  # of what a known road would take from the square of the residual, by its signals
-MAX_FORM_SHARE = 0.05  # of the evidence of a lag: errors of its form give as much to other effects
+MAX_FORM_SHARE = 0.05  # of the evidence of a lag: errors of its form give as much to effects computed from power
 LONGEST_LAG = 0.8  # s: shifts of power up to 0.6 s are tried, beyond 0.8 s the columns are extrapolated
 MIN_EXCESS_SDS = 4.0  # sd of the lag by which it must lie outside USUAL_LAG
 
@@ -126,10 +126,14 @@ class Conclusion:
 
     @property
     def is_outdone(self) -> bool:
-        """Whether what has no name acts too, and explains more without the effects than they do without it."""
+        """Whether what has no name acts too, and explains more without the effects than they do without it.
+
+        What a low-pass explains beside them is the lag's, where that is named.
+        """
         likely = self.explained.unknown > self.thresholds.min_probability_no_gap
         by_processes = self.explained.by_processes if likely else 0.0
-        return self.explained.by_effects < max(by_processes, self.by_place)
+        bent = self.explained.left_over if self._is_low_pass and self.lag() is not None else 0.0
+        return self.explained.by_effects + bent < max(by_processes, self.by_place)
 
     def remaining(self) -> Verdict:
         """Whether something without a name is left beside what was named."""
@@ -217,7 +221,7 @@ class Conclusion:
         late = self.lag()
         if late is not None:
             least = MAX_FORM_SHARE * late.log_bayes_factor
-            choices = tuple(choice for choice in choices if choice.log_bayes_factor > least)
+            choices = tuple(c for c in choices if not c.effect.is_noisy or c.log_bayes_factor > least)
         return (*road, *(self._finding(choice) for choice in choices), *(() if late is None else (late,)))
 
     def candidates(self, named: Sequence[Finding]) -> tuple[Finding, ...]:
