@@ -480,3 +480,24 @@ def altitude_of(strides):
     fine = np.arange(0.0, s[-1] + 5, 5.0)
     slope = 0.008 * np.sin(2 * np.pi * fine / 700 + 1.0) + 0.004 * np.sin(2 * np.pi * fine / 260)
     return np.interp(s, fine, np.cumsum(slope) * 5.0)
+
+
+def test_a_load_step_accelerates_with_what_other_effects_leave_of_the_force():
+    """With a fan of 40 kW and half the mass more, columns without each other would be wrong by a half."""
+    n, rng, step, fan = 900, np.random.default_rng(8), 0.5, 40e3
+    speed = 12 + 4 * np.sin(2 * np.pi * np.arange(n + 1) / 70)
+    v, a = 0.5 * (speed[1:] + speed[:-1]), np.diff(speed)
+    after, on = np.arange(n) >= n // 2, np.arange(n) // 90 % 2 == 1
+    force = (1 + step * after) * (M * a + A) + C * v**2 + fan * on / v + M * rng.normal(0, 2e-3, n)
+    context = {Quantity.ELAPSED: np.arange(n) + 0.5, Quantity.STOPS: after.astype(float)}
+    state = DriveState.of(made_strides(speed, force, context), is_level=True)
+    spans = tuple((float(k), float(k + 90)) for k in range(90, n, 180))
+    for _ in range(3):
+        frame = Frame.of(state.fit)
+        (loaded,) = of_effect(frame, BY_NAME["mass_step"], frozenset(context))
+        state = state.having((of_term(frame, Term(BY_NAME["auxiliary_cycling"], None, spans)), loaded))
+    found_fan, found_share = state.fit.theta[LAG + 1 :]
+    assert found_fan == pytest.approx(fan, rel=0.02)
+    assert BY_NAME["mass_step"].sized(found_share) == pytest.approx(step, rel=0.02)
+    assert state.fit.theta[2] == pytest.approx(M, rel=0.01)
+    assert_allclose(state.fit.taken, state.fit.theta[LAG + 1] * on / v, rtol=1e-6, atol=1.0)

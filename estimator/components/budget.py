@@ -251,7 +251,7 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
         joint = state.joint()
         posterior = joint.posterior(range(len(drive.chosen)))
         left = strides[places[out]]
-        frame = replace(Frame.of(drive.fit), strides=left, force=left.force[:, drive.fit.scales.lag])
+        frame = Frame.of(replace(drive.fit, strides=left))
         for i, component in enumerate(drive.chosen):
             amplitude = posterior.mean[joint.places[i]]
             found[names[i]][out] = component.columns(frame) @ amplitude

@@ -4,7 +4,8 @@ An effect of the catalogue has one column, its power per unit of magnitude. A na
 along an axis, times what it is proportional to, all with the same prior. So both are judged by the same likelihood.
 
 In the equation of motion a power h comes as the acceleration -h / (m v). Columns that hold the acceleration take the
-one that the force gives the vehicle on level ground, (F - A - C v^2) / m: the measured one has the road in it.
+one that the force gives the vehicle on level ground, less what effects chosen before have taken of it: the measured one
+has the road in it.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,14 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
-from estimator.estimation.road_likelihood import USUAL_SDS
+from estimator.estimation.road_likelihood import USUAL_SDS, view_of
 from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects.effect import Effect, Timing, View
 from estimator.signals import Floats, Quantity
-from estimator.strides import DURATION, Strides
+from estimator.strides import Strides
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Frame:
     """The strides of a drive and an estimate of the vehicle, from which columns are computed."""
 
@@ -28,11 +29,18 @@ class Frame:
     force: Floats  # (n,) [N] at the lag of the drive
     road_load: Floats  # [A, C, m]
     lag: float  # s of power behind speed
+    taken: Floats  # (n,) [N] of the force, by effects that are known
 
     @classmethod
     def of(cls, fit: RoadFit) -> "Frame":
         """From a fit of the road model."""
-        return cls(fit.strides, fit.strides.force[:, fit.scales.lag], np.maximum(fit.theta[:3], 1e-9), fit.lag)
+        return cls(
+            strides=fit.strides,
+            force=fit.strides.force[:, fit.scales.lag],
+            road_load=np.maximum(fit.theta[:3], 1e-9),
+            lag=fit.lag,
+            taken=fit.taken,
+        )
 
     def disturbed(self, error: Floats) -> "Frame":
         """With an error [N] (n,) in the measured force."""
@@ -41,22 +49,7 @@ class Frame:
     @property
     def view(self) -> View:
         """The quantities that effects are computed from, with the acceleration on level ground."""
-        s = self.strides
-        A, C, m = self.road_load.tolist()
-        density = s.relative_density
-        felt = (self.force - A - C * density * s.speed_squared) / m
-        level = np.zeros(len(s))
-        return View(
-            t=s.t,
-            v=s.speed,
-            a=felt,
-            P=self.force * s.speed,
-            density=density,
-            context=s.context,
-            road_load=self.road_load,
-            climb=level,
-            duration=DURATION,
-        )
+        return view_of(self.strides, self.force, self.road_load, self.taken)
 
     def column(self, term: Term) -> Floats:
         """Acceleration [m/s^2] (n,) per unit of a term's magnitude."""
@@ -158,6 +151,7 @@ def _of_process(process: Component, power: _Powers, k: int) -> Effect:
         power=lambda view, shape: power(view)[:, k],
         usual=lambda road_load: process.sd / USUAL_SDS,
         positive=False,
+        is_noisy=True,  # or its columns are known at the frame's strides only
     )
 
 

@@ -66,6 +66,7 @@ class DriveState:
             orders=False,
             level=self.is_level,
             road_load=frame.road_load,
+            taken=frame.taken,
         )
         return self if found is None else replace(self, fit=found, chosen=chosen)
 

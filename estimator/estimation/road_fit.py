@@ -19,6 +19,7 @@ of the correction for torque noise (CORRECTION_DOUBT) and a floor for the sd of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from estimator.estimation.road_likelihood import (
     Likelihood,
     columns,
     limited,
+    taken_by,
 )
 from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import Term
@@ -84,6 +86,12 @@ class RoadFit:
     def theta(self) -> Floats:
         """A [N], C [N s^2/m^2], m [kg], lag [s] and then the effects' magnitudes (4 + effects,), at beta."""
         return theta_of(self.beta, len(self.terms))
+
+    @cached_property
+    def taken(self) -> Floats:
+        """Force [N] (n,) that the effects take from acceleration, but for those computed from it."""
+        force = self.strides.force[:, self.scales.lag]
+        return taken_by(self.strides, force, self.theta[:ROAD_LOAD], self.terms, self.theta[LAG + 1 :])
 
     @property
     def lag(self) -> float:
@@ -184,6 +192,7 @@ def fit(
     departures: Sequence[float] = (),
     level: bool = False,
     road_load: Floats | None = None,
+    taken: Floats | float = 0.0,
 ) -> RoadFit | None:
     """Fit strides; None where too few have a known force, or none of these accelerates (a speed that is stuck).
 
@@ -209,12 +218,14 @@ def fit(
         Whether the road has no slopes.
     road_load
         [A, C, m] that columns and priors of ``terms`` are computed with at first; None: a guess by least squares.
+    taken
+        Force [N] (n,) that the terms take from acceleration, roughly.
     """
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES or not driven.a.any():
         return None
     road_load = first_guess(driven) if road_load is None else road_load
-    search = _Search(strides, terms, road_load, longest_lag, departures, level)
+    search = _Search(strides, terms, road_load, longest_lag, departures, level, taken)
     if known is not None and known.readings != search.model(known.alpha, known.wander).reading_names:
         known = None
     if known is not None and not refit:
@@ -256,8 +267,10 @@ class _Search:
         longest_lag: float,
         departures: Sequence[float],
         level: bool,
+        taken: Floats | float,
     ) -> None:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
+        self._taken = taken
         self._departures = departures
         self._level = level
         self._models: dict[tuple[int, int], RoadModel] = {}
@@ -271,7 +284,7 @@ class _Search:
     def likelihood(self, scales: RoadScales) -> tuple[Likelihood, RoadScales]:
         """The likelihood that belongs to scales."""
         model = self.model(scales.alpha, scales.wander)
-        return Likelihood(model, self._terms, self._road_load, scales.lag, self._departures), scales
+        return Likelihood(model, self._terms, self._road_load, scales.lag, self._departures, self._taken), scales
 
     def best(self, known: RoadScales | None, orders: bool) -> tuple[Likelihood, RoadScales, float]:
         """From scales ``known`` before, or from the centres of their priors; without ``orders``, of the same orders."""
@@ -319,6 +332,8 @@ class _Search:
             beta = beta / likelihood.unit
             m = 1 / float(np.clip(beta[0], 1e-6, 5e-3))
             self._road_load = np.array([beta[1] * m, beta[2] * m, m])
+            sizes, driven = -beta[len(beta) - len(self._terms) :] * m, likelihood.model.driven
+            self._taken = taken_by(driven, driven.force[:, scales.lag], self._road_load, self._terms, sizes)
             left = float(np.clip(beta[LAG] * m, -LAG_SPACING, LAG_SPACING))
             if abs(left) < 0.55 * LAG_SPACING:
                 return scales, evidence

@@ -43,24 +43,17 @@ def earlier_loads(t: Floats, departures: Sequence[float]) -> Mask:
     return mask
 
 
-def columns(
-    strides: Strides, lag: int, terms: Sequence[Term], road_load: Floats, departures: Sequence[float] = ()
-) -> Floats:
-    """Regressors (n, PLAIN + earlier loads + terms) of the acceleration, for force at the lag with number ``lag``.
+def view_of(strides: Strides, force: Floats, road_load: Floats, taken: Floats | float) -> View:
+    """What effects are computed from, for a ``force`` [N] (n,) of which other effects have ``taken`` a part [N].
 
-    The load may have changed before each of the ``departures`` [s]; rolling resistance is proportional to it.
+    The acceleration is that on level ground, (F - taken - A - C v^2) / m: the measured one has the road in it.
     """
-    force = strides.force[:, lag]
-    low, high = max(lag - 1, 0), min(lag + 1, len(LAGS) - 1)
-    rate = (strides.force[:, high] - strides.force[:, low]) / (LAGS[high] - LAGS[low])
-    density = strides.relative_density
-    plain = [force, -np.ones(len(strides)), -density * strides.speed_squared, rate, np.minimum(force, 0.0)]
     A, C, m = road_load.tolist()
-    level = (force - A - C * density * strides.speed_squared) / m  # the measured acceleration has the road in it
-    view = View(
+    density = strides.relative_density
+    return View(
         t=strides.t,
         v=strides.speed,
-        a=level,
+        a=(force - taken - A - C * density * strides.speed_squared) / m,
         P=force * strides.speed,
         density=density,
         context=strides.context,
@@ -68,7 +61,37 @@ def columns(
         climb=np.zeros(len(strides)),
         duration=DURATION,
     )
-    pulling = force - C * density * strides.speed_squared
+
+
+def taken_by(strides: Strides, force: Floats, road_load: Floats, terms: Sequence[Term], sizes: Floats) -> Floats:
+    """Force [N] (n,) that ``terms`` of these ``sizes`` take from acceleration, but for those computed from it."""
+    view, total = view_of(strides, force, road_load, 0.0), np.zeros(len(strides))
+    for term, size in zip(terms, sizes.tolist(), strict=True):
+        if not term.effect.is_noisy:
+            total += size * term.column(view) / strides.speed
+    return total
+
+
+def columns(
+    strides: Strides,
+    lag: int,
+    terms: Sequence[Term],
+    road_load: Floats,
+    departures: Sequence[float] = (),
+    taken: Floats | float = 0.0,
+) -> Floats:
+    """Regressors (n, PLAIN + earlier loads + terms) of the acceleration, for force at the lag with number ``lag``.
+
+    The load may have changed before each of the ``departures`` [s]; rolling resistance is proportional to it. What the
+    terms have ``taken`` of the force [N] (n,), as far as it is known, accelerates no load.
+    """
+    force = strides.force[:, lag]
+    low, high = max(lag - 1, 0), min(lag + 1, len(LAGS) - 1)
+    rate = (strides.force[:, high] - strides.force[:, low]) / (LAGS[high] - LAGS[low])
+    density = strides.relative_density
+    plain = [force, -np.ones(len(strides)), -density * strides.speed_squared, rate, np.minimum(force, 0.0)]
+    view = view_of(strides, force, road_load, taken)
+    pulling = force - taken - float(road_load[1]) * density * strides.speed_squared
     loads = pulling[:, None] * earlier_loads(strides.t, departures)
     return np.column_stack([*plain, loads, *(term.column(view) / strides.speed for term in terms)])
 
@@ -88,6 +111,8 @@ class Likelihood:
         Place in LAGS.
     departures
         Times [s] before which the load may have changed.
+    taken
+        Force [N] (n,) that the terms take, roughly.
     """
 
     def __init__(
@@ -97,10 +122,11 @@ class Likelihood:
         road_load: Floats,
         lag: int,
         departures: Sequence[float] = (),
+        taken: Floats | float = 0.0,
     ) -> None:
         self.model, self.lag, self.terms, self.departures = model, lag, tuple(terms), tuple(departures)
-        self._road_load = road_load
-        X = columns(model.driven, lag, terms, road_load, departures)
+        self._road_load, self._taken = road_load, taken
+        X = self._columns(model.driven)
         self._plain = X.shape[1] - len(terms)  # coefficients before the offsets
         data = model.given(np.column_stack([model.driven.a, X]))
         inside = data.shape[1] - 1 - X.shape[1]  # offsets of the road's signals follow them
@@ -114,6 +140,9 @@ class Likelihood:
         sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([NEW_LOAD_SD / m] * (plain - PLAIN)), *([1.0] * inside)]
         sds += [USUAL_SDS * term.effect.usual(road_load) / m for term in terms]
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
+
+    def _columns(self, driven: Strides) -> Floats:
+        return columns(driven, self.lag, self.terms, self._road_load, self.departures, self._taken)
 
     def solve(self, gram: Floats) -> tuple[Floats, Floats, float]:
         """Coefficients (p,), their information (p, p) and -2 log likelihood without log|K|; in own units."""
@@ -145,11 +174,11 @@ class Likelihood:
     ) -> Floats:
         """Mean of dX' K^-1 dX (p, p) over simulated errors of the measured force; in own units."""
         driven, total = self.model.driven, np.zeros((len(beta), len(beta)))
-        clean = columns(driven, self.lag, self.terms, self._road_load, self.departures)
+        clean = self._columns(driven)
         places = np.array([*range(self._plain), *range(len(beta) - len(self.terms), len(beta))])
         for error, rate in force_errors(self.model, scales, float(self.unit[0] / beta[0]), PROBES, rng):
             disturbed = replace(driven, force=driven.force + error[:, None])
-            change = columns(disturbed, self.lag, self.terms, self._road_load, self.departures) - clean
+            change = self._columns(disturbed) - clean
             change[:, LAG] = rate
             data = np.zeros((len(self.data), len(places)))
             data[: len(driven)] = change / self.unit[places]
