@@ -115,3 +115,12 @@ def test_a_manoeuvre_counts_as_far_as_the_search_has_found_the_same_evidence(sta
 
 def test_a_pair_that_the_drive_cannot_judge_is_left_out(state: DriveState) -> None:
     assert experiments(state, [(BY_NAME["cornering"], BY_NAME["auxiliary_load"])], EVIDENCE) == ()
+
+
+def test_a_drive_that_is_never_slow_has_manoeuvres_but_no_starts(state: DriveState) -> None:
+    strides = state.fit.strides
+    fast = replace(strides, v0=strides.v0 + 30.0, v1=strides.v1 + 30.0)
+    names = [m.name for m in experiment.manoeuvres(replace(state, fit=replace(state.fit, strides=fast)))]
+    assert any("minutes each at" in name for name in names)
+    assert not any("starts from rest" in name for name in names)
+    assert any("starts from rest" in m.name for m in experiment.manoeuvres(state))

@@ -121,11 +121,12 @@ def manoeuvres(state: DriveState) -> Iterator[Manoeuvre]:
         lowered=(1,),
     )
     rising = np.arange(float(strides.v0.min()), min(START_SPEED, top), START_ACCELERATION * DURATION)
-    yield Manoeuvre(
-        name=f"{STARTS} starts from rest to {3.6 * rising[-1]:.0f} km/h",
-        parts=(rising,) * STARTS,
-        from_rest=True,
-    )
+    if len(rising) > 1:  # the drive has speeds below START_SPEED
+        yield Manoeuvre(
+            name=f"{STARTS} starts from rest to {3.6 * rising[-1]:.0f} km/h",
+            parts=(rising,) * STARTS,
+            from_rest=True,
+        )
     rolling = _rolled(state, steady[-1], steady[0])
     yield Manoeuvre(
         name=f"{COASTS} times coasting in gear from {3.6 * steady[-1]:.0f} km/h",
