@@ -83,5 +83,5 @@ class _Search:
         own = curvature[np.ix_(moving, moving)]
         step = np.linalg.solve(own + damping * np.diag(np.diag(own)), gradient[moving])
         new = logs.copy()
-        new[moving] += step * min(1.0, MAX_STEP / max(float(np.abs(step).max(initial=0.0)), MAX_STEP))
+        new[moving] += step * (MAX_STEP / max(float(np.abs(step).max(initial=0.0)), MAX_STEP))
         return self.inside(new)
