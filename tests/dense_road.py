@@ -91,7 +91,7 @@ class Dense:
     """Covariance of motion and readings, part by part, as the module's docstring has it."""
 
     def __init__(self, model: RoadModel, scales: Floats) -> None:
-        torque, time, speed, disturbance, sd, length = scales[:6]
+        torque, time, speed, disturbance, sd, length, power, memory = scales[:8]
         driven, nodes = model.strides[model.strides.known], model.nodes
         n = len(driven)
         before, after = driven.t - DURATION / 2, driven.t + DURATION / 2
@@ -111,6 +111,11 @@ class Dense:
         cross = sum(ou(one, after, time) - ou(one, before, time) for one in ends) * together
         self.force_with_rate = torque**2 * np.outer(weight, weight) * share * cross / DURATION
         K = K + self.force + disturbance**2 * np.eye(n)
+        # Power that no signal shows.
+        share, own = mean_given_ends(DURATION, memory)
+        covariance = sum(ou(one, other, memory) for one in ends for other in ends) * together
+        slowness = np.median(driven.speed) / driven.speed
+        K = K + power**2 * np.outer(slowness, slowness) * (share**2 * covariance + own * np.eye(n))
         # The road, looked up at five points of a stride.
         theta = dense_field(nodes, model.alpha, sd, length)
         identity = np.eye(len(nodes.s))

@@ -191,9 +191,10 @@ def test_evidence_of_an_effect_adds_up_over_logs(several):
 
 @pytest.mark.slow
 def test_an_event_may_be_in_one_log_only(several, tmp_path):
-    fan = written(drive("highway", 20, 3, Effect(name="auxiliary_cycling", magnitude=30e3)), tmp_path / "fan.blf")
-    alone, beside = ask("diagnose", fan), ask("diagnose", several[2], fan)
-    assert named(alone) == named(beside) == ["auxiliary_cycling"]
+    wet = Effect(name="resistance_segment", magnitude=0.4, start=500.0, end=900.0)
+    log = written(drive("highway", 20, 3, wet), tmp_path / "wet.blf")
+    alone, beside = ask("diagnose", log), ask("diagnose", several[2], log)
+    assert named(alone) == named(beside) == ["resistance_segment"]
     assert beside["effects"][0]["magnitude"] == alone["effects"][0]["magnitude"]
     assert beside["effects"][0]["span_s"] == alone["effects"][0]["span_s"]
     assert set(alone["effects"][0]["span_log"]) == {0}

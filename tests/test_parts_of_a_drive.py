@@ -7,6 +7,7 @@ from estimator.estimation.road_fit import RoadFit, RoadScales
 from estimator.estimation.road_inference import Change
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.model.road import ALPHAS
+from estimator.model.road_scales import SCALES
 from estimator.strides import Strides
 
 INVERSE = 1 / 27_190.0  # 1/kg
@@ -18,7 +19,7 @@ def change(share: float, sd_before: float, sd_after: float) -> Change:
 
 
 def fitted(beta: list[float], sds: list[float], strides: Strides) -> RoadFit:
-    scales = RoadScales(values=np.ones(6), alpha=ALPHAS[0], readings=(), lag=0, wander=ALPHAS[0])
+    scales = RoadScales(values=np.ones(len(SCALES)), alpha=ALPHAS[0], readings=(), lag=0, wander=ALPHAS[0])
     return RoadFit(
         beta=np.array(beta),
         covariance=np.diag(np.square(sds)),

@@ -235,6 +235,21 @@ def test_a_fit_finds_the_vehicle_and_the_hills_that_the_strides_were_drawn_with(
     assert found.torque_share < 0.1
 
 
+def test_power_that_no_signal_shows_is_told_from_noise_of_the_torque():
+    strides = strides_of(250, seed=3, unknown=(), silence=250)
+    likelihood = likelihood_of(strides)
+    model = likelihood.model
+    truth = scales_of(model, torque_noise=1e-4, slope=1e-4, power_noise=0.05, power_noise_time=1.5)
+    strides.a[:] = strides.force[:, MIDDLE] / M - A / M - C / M * strides.speed_squared
+    strides.a[:] += drawn(model, truth, np.random.default_rng(4), 1)[:, 0]
+    found = road_fit.fit(strides, np.random.default_rng(5), level=True)
+    scales = found.scales.named(model)
+    assert scales["power noise"] == pytest.approx(0.05, rel=0.2)
+    assert scales["torque noise"] < 0.01
+    sd = np.sqrt(np.diag(found.theta_covariance()))
+    assert np.all(np.abs(found.theta[:3] - [A, C, M]) < 3 * sd[:3])
+
+
 def test_too_few_strides_give_no_fit():
     assert road_fit.fit(strides_of(30), np.random.default_rng(0)) is None
 

@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 
 from estimator.estimation.scale_search import most_probable
 from estimator.model.road import SMOOTH
+from estimator.model.road_scales import POWER, SCALES, SPEED
 from estimator.signals import Floats
 
 
@@ -72,16 +73,16 @@ def test_a_scale_beyond_its_bounds_ends_on_the_bound():
     strides = strides_of(120, seed=8, unknown=(), silence=120)
     strides.a[:] *= 100  # far more noise than any bound allows
     found = likelihood_of(strides)
-    best, _ = most_probable(found, centres(found.model), range(6))
+    best, _ = most_probable(found, centres(found.model), range(len(SCALES)))
     low, high = (np.array([getattr(scale, end) for scale in found.model.scales]) for end in ("low", "high"))
     assert np.all((best >= low * (1 - 1e-9)) & (best <= high * (1 + 1e-9)))
-    assert best[2] == pytest.approx(high[2])
+    assert best[SPEED] == pytest.approx(high[SPEED])
 
 
 def test_scales_too_far_apart_for_floating_point_are_given_back():
     found = likelihood()
     start = centres(found.model)
-    start[2], start[4] = 1e12, 1e-12  # of the speed's noise and of the slope
+    start[SPEED], start[POWER] = 1e14, 1e-14
     best, value = most_probable(found, start, [0])
     assert value == -np.inf
     assert_allclose(best, start)

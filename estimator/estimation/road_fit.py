@@ -34,6 +34,7 @@ from estimator.estimation.road_likelihood import (
 from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import Term
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH, RoadModel
+from estimator.model.road_scales import LENGTH, POWER, SLOPE, TORQUE
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -45,8 +46,6 @@ ANSWERED, ANSWERED_SD = 0.3, 0.2  # share of a slope's change that drivers answe
 MAX_HIDDEN_CHANGES = 1.0  # of R that is allowed for: the mass falls by 23 %, with an sd of 20 %
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
-SLOPE = 4  # scale of the slopes' sd
-SLOPES = (4, 5)  # scales of the road: the sd of its slopes and their length
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
 
@@ -292,11 +291,12 @@ class _Search:
             model = self.model(ALPHAS[0], ROUGH)
             values = np.array([scale.centre for scale in model.scales])
             if self._level:
-                values[SLOPES[0]] = model.scales[SLOPES[0]].low
+                values[SLOPE] = model.scales[SLOPE].low
             start = RoadScales(
                 values=values, alpha=ALPHAS[0], wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
             )
             scales, evidence = self._lagged(start)
+            scales, evidence = self._better(scales, evidence, _exchanged(scales))
         else:
             scales, evidence = self._lagged(known)
             if not orders:
@@ -317,7 +317,7 @@ class _Search:
     def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
         """The most probable scales from those given."""
         likelihood, _ = self.likelihood(scales)
-        free = [i for i in range(len(scales.values)) if not (self._level and i in SLOPES)]
+        free = [i for i in range(len(scales.values)) if not (self._level and i in (SLOPE, LENGTH))]
         values, evidence = most_probable(likelihood, scales.values, free)
         return replace(scales, values=values), evidence
 
@@ -340,6 +340,13 @@ class _Search:
             wanted = np.clip(LAGS[scales.lag] + left, -self._longest_lag, self._longest_lag)
             scales = replace(scales, lag=int(np.argmin(np.abs(LAGS - wanted))))
         return max(found.values(), key=lambda pair: pair[1])
+
+
+def _exchanged(scales: RoadScales) -> RoadScales:
+    """With the noise of torque for that of power and the other way round: a search may end far from the mode."""
+    values, places = scales.values.copy(), [TORQUE, TORQUE + 1, POWER, POWER + 1]
+    values[places] = np.roll(values[places], 2)
+    return replace(scales, values=values)
 
 
 def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng: np.random.Generator) -> RoadFit:

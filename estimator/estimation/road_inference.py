@@ -36,7 +36,7 @@ from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term
 from estimator.model.effects import named
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
-from estimator.model.road_scales import SCALES
+from estimator.model.road_scales import LENGTH, POWER, SCALES, TORQUE
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -47,7 +47,7 @@ MIN_GROWTH = 1.5
 # Limits of a fit that describes the drive; in brackets the worst of five simulated drives and of seven of a BMW i3.
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.009, 0.013)
-MAX_TORQUE_NOISE = 0.3  # m/s^2 of torque noise over mass (0.02, 0.15)
+MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.15)
 MAX_LAG = 0.5  # s, between power and speed: beyond, the time stamps are wrong (0.07, 0.05)
 PARTS = 4  # of the window, between which the mass may have changed
 MIN_MASS_CHANGE_SDS = 4.0  # difference of two masses, in its sd: Gaussian noise exceeds it in 6e-5 of comparisons
@@ -406,7 +406,7 @@ def _misfit(found: RoadFit) -> str:
         return "speed does not change with force: a wrong signal?"
     if found.slope_sd > MAX_SLOPE_SD:
         return f"only slopes of {100 * found.slope_sd:.0f} % would explain the drive: a wrong signal?"
-    if found.scales.values[0] > MAX_TORQUE_NOISE:
+    if found.scales.values[[TORQUE, POWER]].max() > MAX_NOISE:
         return "force and acceleration are hardly correlated: a wrong signal?"
     if abs(found.lag) > MAX_LAG:
         return f"power and speed are {found.lag:+.1f} s apart: check their time stamps"
@@ -433,4 +433,4 @@ def _advice(name: str, found: RoadFit) -> str:
 def _road(found: RoadFit) -> Road:
     """The road of an estimate."""
     climbed = found.climbed if found.scales.readings else None
-    return Road(found.slope_sd, float(found.scales.values[5]), found.scales.readings, climbed)
+    return Road(found.slope_sd, float(found.scales.values[LENGTH]), found.scales.readings, climbed)

@@ -20,6 +20,7 @@ from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import Conditioned, RoadModel
 from estimator.model.road_load import NEW_LOAD_SD
+from estimator.model.road_scales import TORQUE
 from estimator.model.road_score import Score, score
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
@@ -204,8 +205,9 @@ def force_errors(
     model: RoadModel, scales: Floats, mass: float, number: int, rng: np.random.Generator
 ) -> Iterator[tuple[Floats, Floats]]:
     """Simulated errors [N] (n,) of the measured force of each driven stride, and their rates [N/s] (n,)."""
-    weight, own = mean_given_ends(DURATION, scales[1])
-    keep, size = np.exp(-DURATION / scales[1]), scales[0] * mass
+    time, size = scales[TORQUE + 1], scales[TORQUE] * mass
+    weight, own = mean_given_ends(DURATION, time)
+    keep = np.exp(-DURATION / time)
     for _ in range(number):
         before, after = (size * ends for ends in ou_at_ends(model, keep, rng))
         white = np.sqrt(own) * size * rng.standard_normal(len(model.driven))

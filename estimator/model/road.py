@@ -3,15 +3,18 @@
 Newton's second law over a stride, solved for the acceleration (the driver reacts to past speed, not to the slopes
 ahead, so force and speed are predetermined while acceleration is not):
 
-    a = F / m - A / m - (C / m) rho v^2 - g theta(s) + (e1 - e0) / T - (f0 + f1) / 2 + w
+    a = F / m - A / m - (C / m) rho v^2 - g theta(s) + (e1 - e0) / T - (f0 + f1) / 2 - (p0 + p1) / 2 + w
 
 with F the engine's force at the wheels and the unknown
 
     theta(s)   sine of the slope over distance: a Matern process,
     e          errors of the speeds at both ends of the stride: white,
     f          error of the measured force over the mass: Ornstein-Uhlenbeck in time, in proportion to the gearing
-               (what is measured is the engine's torque), with w its part that does not follow from both ends,
-    w          and white accelerations that no signal shows (gusts, rough road).
+               (what is measured is the engine's torque),
+    p          power over the mass that no signal shows (losses and auxiliaries that vary): Ornstein-Uhlenbeck in time,
+               over the speed,
+    w          the parts of f and p that do not follow from both ends, and white accelerations that no signal shows
+               (gusts, rough road).
 
 Altitude, grade and an accelerometer are measurements of the same theta, each with noise of its own:
 
@@ -33,7 +36,16 @@ from estimator.model.linear_gaussian import Factor, Observations, Places, bandwi
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
 from estimator.model.road_nodes import SIGNALS, Nodes, Reading
-from estimator.model.road_scales import SCALES, SIGNAL_SCALES
+from estimator.model.road_scales import (
+    DISTURBANCE,
+    LENGTH,
+    POWER,
+    SCALES,
+    SIGNAL_SCALES,
+    SLOPE,
+    SPEED,
+    TORQUE,
+)
 from estimator.signals import Floats
 from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -112,7 +124,7 @@ class RoadModel:
         linked = np.zeros(len(order) - 1, dtype=bool)
         linked[self._before] = True
         self._linked = linked
-        groups = [self._ends_t, self._ends_t + 1e-7, nodes.t]
+        groups = [self._ends_t, self._ends_t + 1e-7, self._ends_t + 2e-7, nodes.t]
         groups += [nodes.t + 1e-7] if self.has_altitude else []
         groups += [nodes.t + 2e-7 for _ in self.readings]  # at every node: a signal's gaps must not widen the band
         times = np.concatenate(groups)
@@ -121,7 +133,8 @@ class RoadModel:
         rank[order] = np.arange(len(order))
         cut = np.cumsum([len(group) for group in groups])[:-1]
         parts = iter(np.split(rank, cut))
-        self._speed_error, self._force_error, self._slope = next(parts), next(parts), next(parts)
+        self._speed_error, self._force_error, self._power_error = next(parts), next(parts), next(parts)
+        self._slope = next(parts)
         self._height = next(parts) if self.has_altitude else np.empty(0, np.int64)
         self._wander = [next(parts) for _ in self.readings]
         self.size = len(order)
@@ -139,10 +152,12 @@ class RoadModel:
         np.add.at(hats, (row, before + 1 - first[:, None]), share * _SHARES)
         touched = np.minimum(first[:, None] + np.arange(width), len(nodes.s) - 1)
         self.weight = driven.gearing / np.median(driven.gearing)
+        self.slowness = np.median(driven.speed) / driven.speed
         ends = np.column_stack([self._before, self._after])
-        places = np.hstack([self._speed_error[ends], self._force_error[ends], self._slope[touched]])
-        halves = -0.5 * np.repeat(self.weight[:, None], 2, axis=1)
-        weights = np.hstack([np.tile([-1 / DURATION, 1 / DURATION], (n, 1)), halves, -STANDARD_GRAVITY * hats])
+        errors = (self._speed_error, self._force_error, self._power_error)
+        places = np.hstack([*(error[ends] for error in errors), self._slope[touched]])
+        halves = [-0.5 * np.repeat(share[:, None], 2, axis=1) for share in (self.weight, self.slowness)]
+        weights = np.hstack([np.tile([-1 / DURATION, 1 / DURATION], (n, 1)), *halves, -STANDARD_GRAVITY * hats])
 
         maps: list[tuple[NDArray[np.int64], Floats]] = [(places, weights)]
         if self.has_altitude:
@@ -158,8 +173,8 @@ class RoadModel:
             maps.append((heard, np.ones(heard.shape)))
         slopes = [_reach(self._slope, k) for k in range(1, self.alpha + 1)]
         chains = [_reach(places, k) for places in self._wander for k in range(1, self.wander + 1)]
-        noise = int(np.diff(self._force_error).max(where=self._linked, initial=0))
-        shape = (max([*(bandwidth(p) for p, _ in maps), *slopes, *chains, noise]) + 1, self.size)
+        noise = [int(np.diff(e).max(where=self._linked, initial=0)) for e in (self._force_error, self._power_error)]
+        shape = (max([*(bandwidth(p) for p, _ in maps), *slopes, *chains, *noise]) + 1, self.size)
         self._maps = [Observations(p, w, shape) for p, w in maps]
         self._shape = shape
         # Height's links and starts have known variances: their part of the precision is always the same.
@@ -171,6 +186,7 @@ class RoadModel:
         self._field = MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
         self._force_noise = Chain(self._ends_t, self._force_error, self._linked)
+        self._power_noise = Chain(self._ends_t, self._power_error, self._linked)
         self._wanders = [self._wandering(places) for places in self._wander]
 
     def _wandering(self, places: Places) -> Chain | MaternField:
@@ -209,26 +225,34 @@ class RoadModel:
 
     def acting(self, scales: Floats) -> tuple[Acting, ...]:
         """All processes among the unknowns, for ``scales`` (k,) in the order of `scales`."""
-        torque, time, speed, _, slope, length = scales[: len(SCALES)]
+        speed, slope, length = scales[SPEED], scales[SLOPE], scales[LENGTH]
         unit = np.eye(len(scales))
-        weight, _ = mean_given_ends(DURATION, time)
-        turned = mean_given_ends_by_time(DURATION, time)[0] * unit[1]
-        force = np.array([unit[0] + turned, unit[1]])
         processes = [
-            Acting(process=self._speed_noise, sd=speed, memory=1.0, by=np.array([unit[2], 0 * unit[2]])),
-            Acting(process=self._force_noise, sd=2 * weight * torque, memory=time, by=force),
-            Acting(process=self._field, sd=slope, memory=length, by=unit[4:6]),
+            Acting(process=self._speed_noise, sd=speed, memory=1.0, by=np.array([unit[SPEED], 0 * unit[SPEED]])),
+            _of_ends(self._force_noise, scales, TORQUE),
+            _of_ends(self._power_noise, scales, POWER),
+            Acting(process=self._field, sd=slope, memory=length, by=unit[[SLOPE, LENGTH]]),
         ]
         for i, process in enumerate(self._wanders):
             at = len(SCALES) + 3 * i + 1
             processes.append(Acting(process=process, sd=scales[at], memory=scales[at + 1], by=unit[at : at + 2]))
         return tuple(processes)
 
+    def force_variance(self, scales: Floats) -> Floats:
+        """Variance [m^2/s^4] (n,) of the strides' mean errors of the force that do not follow from both ends."""
+        _, own = mean_given_ends(DURATION, scales[TORQUE + 1])
+        variance: Floats = scales[TORQUE] ** 2 * own * self.weight**2
+        return variance
+
+    def power_variance(self, scales: Floats) -> Floats:
+        """The same of the power that no signal shows."""
+        _, own = mean_given_ends(DURATION, scales[POWER + 1])
+        variance: Floats = scales[POWER] ** 2 * own * self.slowness**2
+        return variance
+
     def variances(self, scales: Floats) -> list[Floats]:
         """Variances of the observations of each kind, for ``scales`` (k,)."""
-        torque, time, _, disturbance = scales[:4]
-        _, own = mean_given_ends(DURATION, time)
-        found = [torque**2 * own * self.weight**2 + disturbance**2]
+        found = [scales[DISTURBANCE] ** 2 + self.force_variance(scales) + self.power_variance(scales)]
         counts = list(self.counts[1:])
         if self.has_altitude:
             found += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
@@ -238,14 +262,14 @@ class RoadModel:
 
     def variances_by(self, scales: Floats) -> Floats:
         """How the variances of all observations change with the logarithms of the scales: (sum of counts, k)."""
-        torque, time, _, disturbance = scales[:4]
-        _, own = mean_given_ends(DURATION, time)
         variances, ends = self.variances(scales), np.cumsum(self.counts)
         change = np.zeros((ends[-1], len(scales)))
         n = self.counts[0]
-        change[:n, 0] = 2 * torque**2 * own * self.weight**2
-        change[:n, 1] = torque**2 * mean_given_ends_by_time(DURATION, time)[1] * self.weight**2
-        change[:n, 3] = 2 * disturbance**2
+        for at, share in ((TORQUE, self.weight), (POWER, self.slowness)):
+            (_, own), (_, turned) = (f(DURATION, scales[at + 1]) for f in (mean_given_ends, mean_given_ends_by_time))
+            change[:n, at] = 2 * scales[at] ** 2 * own * share**2
+            change[:n, at + 1] = scales[at] ** 2 * turned * share**2
+        change[:n, DISTURBANCE] = 2 * scales[DISTURBANCE] ** 2
         first = len(self.counts) - len(self.readings)
         for i in range(len(self.readings)):
             change[ends[first + i - 1] : ends[first + i], len(SCALES) + 3 * i] = 2 * variances[first + i]
@@ -300,9 +324,26 @@ class RoadModel:
     def sensor_errors(self, unknowns: Floats) -> Floats:
         """Acceleration [m/s^2] (n, ...) of the driven strides by errors of speed and force, but for the white part."""
         speed, force = unknowns[self._speed_error], unknowns[self._force_error]
-        turned = (self.weight * (force[self._before] + force[self._after]).T).T
-        errors: Floats = (speed[self._after] - speed[self._before]) / DURATION - 0.5 * turned
+        errors: Floats = (speed[self._after] - speed[self._before]) / DURATION - self._mean_of_ends(force, self.weight)
         return errors
+
+    def power_error(self, unknowns: Floats) -> Floats:
+        """Acceleration [m/s^2] (n, ...) of the driven strides by power that no signal shows, but for the white part."""
+        return -self._mean_of_ends(unknowns[self._power_error], self.slowness)
+
+    def _mean_of_ends(self, values: Floats, share: Floats) -> Floats:
+        mean: Floats = (0.5 * share * (values[self._before] + values[self._after]).T).T
+        return mean
+
+
+def _of_ends(process: Chain, scales: Floats, at: int) -> Acting:
+    """A process whose mean over a stride counts, with sd and time at places ``at`` and behind it."""
+    unit, time = np.eye(len(scales)), scales[at + 1]
+    weight, _ = mean_given_ends(DURATION, time)
+    turned = mean_given_ends_by_time(DURATION, time)[0] * unit[at + 1]
+    return Acting(
+        process=process, sd=2 * weight * scales[at], memory=time, by=np.array([unit[at] + turned, unit[at + 1]])
+    )
 
 
 def _reach(places: Places, step: int) -> int:

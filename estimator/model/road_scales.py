@@ -22,7 +22,10 @@ SCALES = (
     Scale(name="disturbance", centre=5e-4, spread=0.5, low=1e-4, high=0.2),  # m/s^2, of what no signal shows
     Scale(name="slope", centre=8e-3, spread=1.2, low=1e-4, high=0.08),  # sine
     Scale(name="slope length", centre=400.0, spread=0.6, low=60.0, high=3000.0),  # m
+    Scale(name="power noise", centre=2e-3, spread=1.2, low=1e-4, high=1.0),  # m/s^2, at the median speed
+    Scale(name="power noise time", centre=0.5, spread=0.5, low=0.05, high=5.0),  # s
 )
+TORQUE, SPEED, DISTURBANCE, SLOPE, LENGTH, POWER = 0, 2, 3, 4, 5, 6  # places; times follow those of torque and power
 SIGNAL_SCALES = {
     "altitude": (
         Scale(name="altitude noise", centre=0.3, spread=1.0, low=0.02, high=50.0),  # m
