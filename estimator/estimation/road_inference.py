@@ -47,7 +47,7 @@ MIN_GROWTH = 1.5
 # Limits of a fit that describes the drive; in brackets the worst of five simulated drives and of seven of a BMW i3.
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.009, 0.013)
-MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.15)
+MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.09)
 MAX_LAG = 0.5  # s, between power and speed: beyond, the time stamps are wrong (0.07, 0.05)
 PARTS = 4  # of the window, between which the mass may have changed
 MIN_MASS_CHANGE_SDS = 4.0  # difference of two masses, in its sd: Gaussian noise exceeds it in 6e-5 of comparisons

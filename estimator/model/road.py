@@ -151,8 +151,8 @@ class RoadModel:
         np.add.at(hats, (row, before - first[:, None]), (1 - share) * _SHARES)
         np.add.at(hats, (row, before + 1 - first[:, None]), share * _SHARES)
         touched = np.minimum(first[:, None] + np.arange(width), len(nodes.s) - 1)
-        self.weight = driven.gearing / np.median(driven.gearing)
-        self.slowness = np.median(driven.speed) / driven.speed
+        self.weight = driven.gearing / np.median(driven.gearing)  # of the torque's error in each stride's force
+        self.slowness = np.median(driven.speed) / driven.speed  # the same of the power's
         ends = np.column_stack([self._before, self._after])
         errors = (self._speed_error, self._force_error, self._power_error)
         places = np.hstack([*(error[ends] for error in errors), self._slope[touched]])
