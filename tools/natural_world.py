@@ -22,7 +22,7 @@ from rich.table import Table
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
-from estimator.components.budget import BRIEF, NOISE, ROAD, Projection
+from estimator.components.budget import NOISE, ROAD, WHITE, Projection
 from estimator.components.drive_state import DriveState
 from estimator.config import Config
 from estimator.diagnosis.drive_data import Record
@@ -107,7 +107,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     found = {cause: part.share for cause, part in parts.items()}
     rest = 1 - sum(truth.values())
     truth |= {NOISE: rest}
-    found[NOISE] = found.get(NOISE, 0.0) + found.pop(BRIEF, 0.0)
+    found[NOISE] = found.get(NOISE, 0.0) + found.pop(WHITE, 0.0)
     causes = {*truth, *(cause for cause in found if cause in BY_NAME)}
     errors = {cause: found.get(cause, 0.0) - truth.get(cause, 0.0) for cause in sorted(causes)}
     named = [[effect.name, *effect.equivalent] for effect in diagnosis.effects if effect.name != "grade"]

@@ -27,7 +27,7 @@ from estimator.signals import Floats
 from estimator.units import STANDARD_GRAVITY
 
 UNKNOWN = "unknown: "  # before the name of a nameless process
-ROAD, NOISE, BRIEF, OTHERS = "road", "sensor noise", f"{UNKNOWN}brief forces", "other effects"
+ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", f"{UNKNOWN}white force", "other effects"
 DRAWS = 200
 MAX_TRIES = 50  # draws of the amplitudes for each that is kept: draws with wrong signs are rejected
 MIN_SYSTEMATIC = 1e-6  # share that is not noise
@@ -75,8 +75,8 @@ class Budget:
 
     @property
     def floor(self) -> float:
-        """Root mean square [W] of what the sensors' noise and forces of seconds leave."""
-        return float(np.sqrt(sum(part.rms**2 for part in self.parts if part.cause in (NOISE, BRIEF))))
+        """Root mean square [W] of what the sensors' noise and forces without memory leave."""
+        return float(np.sqrt(sum(part.rms**2 for part in self.parts if part.cause in (NOISE, WHITE))))
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def budget(
     if small:
         drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
     shares = {cause: residual @ draws / (residual @ residual) for cause, draws in drawn.items()}
-    all_but_noise = 1 - sum(shares[cause] for cause in (NOISE, BRIEF, *given) if cause in shares)
+    all_but_noise = 1 - sum(shares[cause] for cause in (NOISE, WHITE, *given) if cause in shares)
     found = all_but_noise - sum((shares[cause] for cause in (*weak, OTHERS) if cause in shares), np.zeros(DRAWS))
     parts = [
         _part(cause, residual, draws, held_out.get(cause), (found, all_but_noise)) for cause, draws in drawn.items()
@@ -170,18 +170,16 @@ def _powers(
         for i, component in enumerate(components)
     }
     errors = joint.model.sensor_errors(unknowns)
-    power = joint.model.power_error(unknowns)
-    white = residuals[:n] - errors - power
+    white = residuals[:n] - errors
     if not drive.is_level:
         parts[ROAD] = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
         white = white - parts[ROAD]
     scales = drive.fit.scales.values
-    own = joint.model.force_variance(scales)
-    besides = scales[DISTURBANCE] ** 2 + joint.model.power_variance(scales)
-    share = (besides / (besides + own))[:, None]
-    doubt = np.sqrt(share * (1 - share) * (own + besides)[:, None])
+    own, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
+    share = (disturbance**2 / (disturbance**2 + own))[:, None]
+    doubt = np.sqrt(share * (1 - share) * (own + disturbance**2)[:, None])
     gusts = share * white + doubt * rng.standard_normal(white.shape)
-    parts[BRIEF], parts[NOISE] = gusts + power, errors + white - gusts
+    parts[WHITE], parts[NOISE] = gusts, errors + white - gusts
     held_out = _held_out(drive, [_name(component) for component in drive.chosen])
     masses = joint.unit[0] / amplitudes[0]
     return _Powers(

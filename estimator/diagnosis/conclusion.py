@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.answers.diagnosis import Verdict
-from estimator.components.budget import BRIEF, ROAD, SDS_OF_90_PERCENT, UNKNOWN, Budget, Part, budget
+from estimator.components.budget import ROAD, SDS_OF_90_PERCENT, UNKNOWN, WHITE, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_effect
 from estimator.components.drive_state import DriveState
 from estimator.components.processes import LOW_PASS, SWITCHES, USUAL_LAG
@@ -233,7 +233,7 @@ class Conclusion:
 
     def _left(self, probability: float) -> Finding:
         """The nameless process with most evidence in what the chosen effects leave."""
-        parts = [part for part in self.budget.parts if part.cause.startswith(UNKNOWN) and part.cause != BRIEF]
+        parts = [part for part in self.budget.parts if part.cause.startswith(UNKNOWN) and part.cause != WHITE]
         rms = float(np.sqrt(sum(part.rms**2 for part in parts))) if parts else float("nan")
         unnamed = self.explained.unnamed
         names = [part.cause.removeprefix(UNKNOWN) for part in parts] or [next(iter(unnamed.values())).name]

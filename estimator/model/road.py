@@ -11,8 +11,8 @@ with F the engine's force at the wheels and the unknown
     e          errors of the speeds at both ends of the stride: white,
     f          error of the measured force over the mass: Ornstein-Uhlenbeck in time, in proportion to the gearing
                (what is measured is the engine's torque),
-    p          power over the mass that no signal shows (losses and auxiliaries that vary): Ornstein-Uhlenbeck in time,
-               over the speed,
+    p          noise of the power over the mass (of what is measured, or of losses that vary): Ornstein-Uhlenbeck in
+               time, over the speed,
     w          the parts of f and p that do not follow from both ends, and white accelerations that no signal shows
                (gusts, rough road).
 
@@ -238,21 +238,17 @@ class RoadModel:
             processes.append(Acting(process=process, sd=scales[at], memory=scales[at + 1], by=unit[at : at + 2]))
         return tuple(processes)
 
-    def force_variance(self, scales: Floats) -> Floats:
-        """Variance [m^2/s^4] (n,) of the strides' mean errors of the force that do not follow from both ends."""
-        _, own = mean_given_ends(DURATION, scales[TORQUE + 1])
-        variance: Floats = scales[TORQUE] ** 2 * own * self.weight**2
-        return variance
-
-    def power_variance(self, scales: Floats) -> Floats:
-        """The same of the power that no signal shows."""
-        _, own = mean_given_ends(DURATION, scales[POWER + 1])
-        variance: Floats = scales[POWER] ** 2 * own * self.slowness**2
-        return variance
+    def noise_variance(self, scales: Floats) -> Floats:
+        """Variance [m^2/s^4] (n,) of the strides' mean f and p that does not follow from both ends."""
+        found = np.zeros(self.counts[0])
+        for at, share in ((TORQUE, self.weight), (POWER, self.slowness)):
+            _, own = mean_given_ends(DURATION, scales[at + 1])
+            found += scales[at] ** 2 * own * share**2
+        return found
 
     def variances(self, scales: Floats) -> list[Floats]:
         """Variances of the observations of each kind, for ``scales`` (k,)."""
-        found = [scales[DISTURBANCE] ** 2 + self.force_variance(scales) + self.power_variance(scales)]
+        found = [scales[DISTURBANCE] ** 2 + self.noise_variance(scales)]
         counts = list(self.counts[1:])
         if self.has_altitude:
             found += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
@@ -322,18 +318,12 @@ class RoadModel:
         return here
 
     def sensor_errors(self, unknowns: Floats) -> Floats:
-        """Acceleration [m/s^2] (n, ...) of the driven strides by errors of speed and force, but for the white part."""
-        speed, force = unknowns[self._speed_error], unknowns[self._force_error]
-        errors: Floats = (speed[self._after] - speed[self._before]) / DURATION - self._mean_of_ends(force, self.weight)
+        """Acceleration [m/s^2] (n, ...) of the driven strides by e, f and p, but for the white part."""
+        speed, force, power = (unknowns[at] for at in (self._speed_error, self._force_error, self._power_error))
+        turned = (self.weight * (force[self._before] + force[self._after]).T).T
+        turned += (self.slowness * (power[self._before] + power[self._after]).T).T
+        errors: Floats = (speed[self._after] - speed[self._before]) / DURATION - 0.5 * turned
         return errors
-
-    def power_error(self, unknowns: Floats) -> Floats:
-        """Acceleration [m/s^2] (n, ...) of the driven strides by power that no signal shows, but for the white part."""
-        return -self._mean_of_ends(unknowns[self._power_error], self.slowness)
-
-    def _mean_of_ends(self, values: Floats, share: Floats) -> Floats:
-        mean: Floats = (0.5 * share * (values[self._before] + values[self._after]).T).T
-        return mean
 
 
 def _of_ends(process: Chain, scales: Floats, at: int) -> Acting:
