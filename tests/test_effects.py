@@ -161,9 +161,13 @@ def test_powers_are_those_of_the_equations():
     seen = view()
     v, C = seen.v, ROAD_LOAD[1]
     ahead = with_context(Quantity.HEADING, 0.0)
-    np.testing.assert_allclose(5 * BY_NAME["headwind"].power(ahead, (0.0, 9.0)), C * ((v + 5) ** 2 - v**2) * v)
-    aside = with_context(Quantity.HEADING, np.pi / 2)
-    np.testing.assert_allclose(5 * BY_NAME["headwind"].power(aside, (0.0, 9.0)), C * 5 * 9 * v, rtol=1e-9)
+    for wind in (5.0, 9.0):
+        shape = 0.0, 0.1, wind
+        np.testing.assert_allclose(wind * BY_NAME["headwind"].power(ahead, shape), C * ((v + wind) ** 2 - v**2) * v)
+        aside = with_context(Quantity.HEADING, np.pi / 2)
+        yaw = np.minimum(np.degrees(np.arctan2(wind, v)), np.degrees(0.3))
+        oblique = C * ((1 + 0.1 * (yaw / 10) ** 2) * np.hypot(v, wind) * v - v**2) * v
+        np.testing.assert_allclose(wind * BY_NAME["headwind"].power(aside, shape), oblique, rtol=1e-9)
     climb = v * 0.02
     hill = view(context={Quantity.CLIMB_BY_GRADE: climb})
     weight = ROAD_LOAD[2] * BY_NAME["grade"].power(hill, Quantity.CLIMB_BY_GRADE)

@@ -224,18 +224,16 @@ def test_warmer_air_resists_less():
 
 
 @pytest.mark.parametrize("seed", range(4))  # both ways to switch the fan come up
-def test_fan_is_all_or_nothing_and_its_speed_tells(seed):
+def test_a_fan_takes_its_power_or_what_its_slip_takes_and_its_speed_tells(seed):
     truth = drive_with(Effect(name="auxiliary_cycling", magnitude=30e3), seed=seed, duration=1800.0)
     power = truth.effect_power["auxiliary_cycling"]
     on = np.zeros(len(truth.t), bool)
     for start, end in truth.active["auxiliary_cycling"]:
         on |= (truth.t >= start - 1e-9) & (truth.t < end - 1e-9)
 
-    np.testing.assert_allclose(np.unique(power), [0.0, 30e3])
-    assert np.mean(on == (power > 0.0)) > 0.999
-    full = truth.fan_speed.max()
-    np.testing.assert_array_equal(truth.fan_speed[power > 0.0], full)
-    assert truth.fan_speed[power == 0.0].max() < 0.3 * full
+    np.testing.assert_allclose(np.unique(power.round(6)), [240.0, 30e3])
+    assert np.mean(on == (power > 1e3)) > 0.999
+    np.testing.assert_allclose(power, 30e3 * (truth.fan_speed / truth.fan_speed.max()) ** 3)
 
 
 def test_engine_inertia_weighs_by_the_square_of_the_gearing():

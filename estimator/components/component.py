@@ -18,7 +18,7 @@ from estimator.estimation.road_likelihood import USUAL_SDS, view_of
 from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects.effect import Effect, Timing, View
 from estimator.signals import Floats, Quantity
-from estimator.strides import Strides
+from estimator.strides import DURATION, Strides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,4 +161,4 @@ def _from_standstills(strides: Strides) -> Iterator[Spans]:
     for k in range(1, int(np.nanmax(stops, initial=0)) + 1):
         after = stops >= k
         if 0.05 < after.mean() < 0.95:
-            yield ((float(strides.t[np.argmax(after)]), float(strides.t[-1])),)
+            yield ((float(strides.t[np.argmax(after)]) - DURATION / 2, float(strides.t[-1]) + DURATION / 2),)

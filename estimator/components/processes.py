@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimator.components.component import Columns, Component, Frame
 from estimator.components.likelihood import JointLikelihood
-from estimator.components.switching import CHANGE_COST
+from estimator.components.switching import CHANGE_COST, MAX_ON_SHARE
 from estimator.model.design_matrix import Spans, covered
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS
@@ -94,8 +94,13 @@ def swings(joint: JointLikelihood, chosen: list[int]) -> Iterator[Component]:
 
 
 def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
-    """A power and a force that are on in ``spans`` alone, and not for as long as those of any effect usually are."""
+    """A power and a force that are on in ``spans`` alone, and not for as long as those of any effect usually are.
+
+    None where that is nearly always: A holds a constant force.
+    """
     on = covered(frame.strides.t, DURATION, spans)[:, None]
+    if on.mean() > MAX_ON_SHARE:
+        return
     m, cost = float(frame.road_load[2]), len(spans) * (2 * CHANGE_COST + DWELL_COST)
     for name, profile, usual in zip(SWITCHES, (_power, _force), (SWITCHED_POWER, SWITCHED_FORCE), strict=True):
         yield Component(name=name, columns=_along(profile, on), sd=usual * m, cost=cost, spans=spans)

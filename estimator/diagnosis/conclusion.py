@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from estimator.components.component import Component, Frame, of_effect
 from estimator.components.drive_state import DriveState
 from estimator.components.processes import LOW_PASS, SWITCHES, USUAL_LAG
 from estimator.components.search import Choice, Explained, Ranked
+from estimator.components.shape_average import averaged
 from estimator.diagnosis.base import parameter_sd
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.facts import MIN_RIVAL
@@ -30,7 +32,7 @@ from estimator.diagnosis.result import (
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
 from estimator.estimation.road_fit import theta_jacobian
-from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
+from estimator.estimation.road_likelihood import LAG
 from estimator.model.design_matrix import PLAIN, Spans
 from estimator.model.effects import BY_NAME, Effect
 from estimator.signals import Floats, Quantity
@@ -85,12 +87,12 @@ class Conclusion:
         """Standard deviation of the road's slope [1]."""
         return self.longest.fit.slope_sd
 
-    @property
+    @cached_property
     def road_load(self) -> tuple[Shift, Shift]:
         """A, C, m with the road as a state, and their standard deviations."""
-        fit = self.longest.fit
-        A, C, m = fit.theta[:ROAD_LOAD].tolist()
-        dA, dC, dm = np.sqrt(np.diag(fit.theta_covariance()))[:ROAD_LOAD].tolist()
+        theta, covariance = averaged(self.longest)
+        A, C, m = theta.tolist()
+        dA, dC, dm = np.sqrt(np.diag(covariance)).tolist()
         return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
 
     @property

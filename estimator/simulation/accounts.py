@@ -14,14 +14,13 @@ from estimator.simulation.bends import CURVE_SPACING
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.effects.powertrain import COOL_DAY_RISE, COOLANT_TIME, THERMOSTAT, cruise_power
 from estimator.simulation.gearbox import Phase
-from estimator.simulation.moment import STEP, Action, Reading
+from estimator.simulation.moment import FAN_SLIP, STEP, Action, Reading
 from estimator.simulation.route import GRADE_SPACING, Route
 from estimator.simulation.truck import Truck
 from estimator.simulation.truth import Truth
 from estimator.units import STANDARD_GRAVITY
 
 FAN_SPEED = 220.0  # rad/s, of a hydraulic fan, whose power does not depend on the engine's speed
-FAN_SLIP = 0.2  # share of it while the fan is released
 RETARDER_SPEED = 4.0  # m/s, below which the service brake does all
 
 Ledgers = Mapping[tuple[str, str], Floats]

@@ -10,6 +10,7 @@ from estimator.simulation.route import Route
 from estimator.simulation.truck import Truck
 
 STEP = 0.01  # s, of the simulation
+FAN_SLIP = 0.2  # share of its speed at which a fan turns while it is released
 
 
 @dataclass(slots=True, kw_only=True)

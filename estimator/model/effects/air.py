@@ -9,29 +9,34 @@ from estimator.signals import Floats, Quantity
 
 USUAL_WIND = 5.0  # m/s
 DIRECTIONS = tuple(2 * pi * k / 24 for k in range(24))  # rad
-ACROSS = (0.0, 10.0, 20.0, 40.0, 70.0)  # m/s, of the drag that wind across the road adds: bodies dislike yaw
-WINDS = tuple((direction, across) for direction in DIRECTIONS for across in ACROSS)
+YAWED = (0.0, 0.05, 0.1, 0.2)  # share of C that oblique air adds at TEN_DEGREES
+WINDS = tuple((direction, yawed, USUAL_WIND) for direction in DIRECTIONS for yawed in YAWED)
+TEN_DEGREES = pi / 18
+LARGEST_YAW = 0.3  # rad, from which on the flow has separated and the drag rises no more
 TURNS = tuple(pi / 180 * degree for degree in (-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5))  # rad
-FINER_ACROSS = ((1.0, 0.0), (0.6, 0.0), (0.8, 0.0), (1.25, 0.0), (1.6, 0.0), (1.0, 5.0))  # times, and [m/s] more
+FINER = ((0.0, 1.0), (-0.03, 1.0), (0.03, 1.0), (0.0, 0.6), (0.0, 0.8), (0.0, 1.25), (0.0, 1.6))  # yawed: plus; wind: x
 
 
 def _wind(view: View, wind: Shape) -> Floats:
-    direction, across = wind
-    along = np.cos(view.context[Quantity.HEADING] - direction)
-    square = USUAL_WIND * along**2 + across * (1 - along**2)
-    drag: Floats = view.C * view.density * view.v * (2 * view.v * along + square)
+    """Per 1 m/s of wind, exact at the wind of the shape."""
+    direction, yawed, usual = wind
+    angle = view.context[Quantity.HEADING] - direction
+    against, across = view.v + usual * np.cos(angle), usual * np.sin(angle)
+    yaw = np.minimum(np.arctan2(np.abs(across), np.abs(against)), LARGEST_YAW) / TEN_DEGREES
+    relative = (1 + yawed * yaw**2) * np.hypot(against, across) * against
+    drag: Floats = view.C * view.density * (relative - view.v**2) * view.v / usual
     return drag
 
 
 def _winds_near(wind: Shape) -> tuple[Shape, ...]:
-    direction, across = wind
-    return tuple((direction + turn, across * times + more) for turn in TURNS for times, more in FINER_ACROSS)
+    direction, yawed, usual = wind
+    return tuple((direction + turn, max(yawed + more, 0.0), usual * times) for turn in TURNS for more, times in FINER)
 
 
 HEADWIND = Effect(
     name="headwind",
-    equation="C (2 v w cos d + w^2 (cos^2 d + k sin^2 d)) v",
-    source="drag is proportional to the square of the relative speed of the air (SAE J1263)",
+    equation="C ((1 + k yaw^2) u (v + w cos d) - v^2) v, u^2 = (v + w cos d)^2 + (w sin d)^2",
+    source="drag along the road of the air that meets the vehicle, of its speed and yaw (SAE J1263)",
     symbol="wind",
     unit="m/s",
     power=_wind,

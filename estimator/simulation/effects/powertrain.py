@@ -1,7 +1,7 @@
 """Effects between fuel and clutch: accessories on the crank, inertia of the engine."""
 
 from estimator.simulation.effects.effect import Effect, Span, episodes, switched
-from estimator.simulation.moment import STEP, Action, Moment, Scene
+from estimator.simulation.moment import FAN_SLIP, STEP, Action, Moment, Scene
 from estimator.simulation.truck import Truck
 
 THERMOSTAT = 353.15  # K, opens
@@ -10,6 +10,7 @@ FAN_COOLING = 22.0  # K that the fan lowers the coolant's equilibrium by
 COOLANT_TIME = 180.0  # s
 COOLANT_RISE = 20.0  # K over the thermostat in the long run, at the power of level cruise
 COOL_DAY_RISE = 8.0  # K, the same with a clean radiator on a cool day
+RELEASED = FAN_SLIP**3  # share of its power that a released fan takes
 CRUISE = 20.0  # m/s
 
 
@@ -33,7 +34,7 @@ def auxiliary_cycling(scene: Scene, effect: Effect) -> Action:
 
     def power(now: Moment) -> float:
         running.append(on[int(10.0 * now.t)])
-        return effect.magnitude if running[-1] else 0.0
+        return effect.magnitude * (1.0 if running[-1] else RELEASED)
 
     return Action(power=power, fan=running, active=spans)
 
@@ -60,7 +61,7 @@ def _fan_by_coolant(scene: Scene, watts: float) -> Action:
             active[-1] = active[-1][0], now.t
         running.append(on)
         coolant.append(temperature)
-        return watts if on else 0.0
+        return watts * (1.0 if on else RELEASED)
 
     return Action(power=power, fan=running, coolant=coolant, active=active)
 
