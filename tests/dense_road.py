@@ -8,7 +8,7 @@ import numpy as np
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
-from estimator.model.road import HEIGHT_SD, MAX_PASSAGE, ROUGH, START_HEIGHT_SD, RoadModel
+from estimator.model.road import HEIGHT_SD, LEVEL, MAX_PASSAGE, ROUGH, SMOOTH, START_HEIGHT_SD, RoadModel
 from estimator.model.road_nodes import SIGNALS, Nodes
 from estimator.model.road_scales import SCALES
 from estimator.signals import Floats, Mask
@@ -17,6 +17,7 @@ from estimator.units import STANDARD_GRAVITY
 
 M, A, C = 20_000.0, 1500.0, 3.5
 MIDDLE = len(LAGS) // 2
+ORDERS = [(2, ROUGH), (4, ROUGH), (2, SMOOTH), (LEVEL, ROUGH), (LEVEL, SMOOTH)]  # of the road and of the wander
 SHOWN = [(), ("altitude",), ("grade",), ("gravity",), SIGNALS]
 
 
@@ -69,6 +70,8 @@ def scales_of(model: RoadModel, seed: int = 0, **changes: float) -> Floats:
 
 def dense_field(nodes: Nodes, alpha: int, sd: float, length: float) -> Floats:
     n = len(nodes.s)
+    if alpha == LEVEL:
+        return np.zeros((n, n))
     target = np.zeros((alpha + 1, n))
     MaternField(nodes.s, nodes.joined, alpha, np.arange(n), target.shape).add_precision(target, sd, length)
     Q = sum(np.diag(target[d, : n - d], -d) for d in range(min(alpha + 1, n)))

@@ -4,13 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dense_road import MIDDLE, SHOWN, A, C, Dense, M, dense_field, likelihood_of, observed, scales_of, strides_of
+from dense_road import (
+    MIDDLE,
+    ORDERS,
+    SHOWN,
+    A,
+    C,
+    Dense,
+    M,
+    dense_field,
+    likelihood_of,
+    observed,
+    scales_of,
+    strides_of,
+)
 from made_strides import made_strides
 from numpy.testing import assert_allclose
 
 from estimator.estimation import road_fit
 from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, earlier_loads
-from estimator.model.road import ROUGH, SMOOTH, RoadModel
+from estimator.model.road import LEVEL, ROUGH, RoadModel
 from estimator.model.road_nodes import MAX_BRIDGE, SPACING, Nodes
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -19,7 +32,7 @@ from estimator.units import STANDARD_GRAVITY
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
-@pytest.mark.parametrize(("alpha", "wander"), [(2, ROUGH), (4, ROUGH), (2, SMOOTH)])
+@pytest.mark.parametrize(("alpha", "wander"), ORDERS)
 def test_gram_and_determinant_are_those_of_the_dense_covariance(shown, alpha, wander):
     model = RoadModel(strides_of(shown=shown), alpha, wander)
     scales = scales_of(model, 3)
@@ -47,12 +60,13 @@ def test_data_hold_the_response_the_readings_and_an_offset_for_each_signal_of_sl
     assert_allclose(data[:, 1 + len(LAGS) :].sum(axis=0), [len(r.values) for r in model.readings if r.name in offsets])
 
 
-def test_the_road_that_is_found_is_the_conditional_mean():
-    model = RoadModel(strides_of(shown=("grade",)), 4)
+@pytest.mark.parametrize("alpha", [4, LEVEL])
+def test_the_road_that_is_found_is_the_conditional_mean(alpha):
+    model = RoadModel(strides_of(shown=("grade",)), alpha)
     scales = scales_of(model, 5)
     residual = np.random.default_rng(2).normal(0, 0.1, sum(model.counts))
     dense = Dense(model, scales)
-    theta = dense_field(model.nodes, 4, scales[4], scales[5])
+    theta = dense_field(model.nodes, alpha, scales[4], scales[5])
     B = np.vstack([-STANDARD_GRAVITY * dense.hats, np.eye(len(theta))[model.readings[0].nodes]])
     expected = theta @ B.T @ np.linalg.solve(dense.K, residual)
     slope, at_strides = model.road(model.condition(scales).unknowns(residual))

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from dense_road import SHOWN, Dense, likelihood_of, observed, scales_of, strides_of
+from dense_road import ORDERS, SHOWN, Dense, likelihood_of, observed, scales_of, strides_of
 from numpy.testing import assert_allclose
-
-from estimator.model.road import ROUGH, SMOOTH
 
 STEP = 1e-4  # of the logarithm of a scale
 
@@ -20,7 +18,7 @@ def change(of, scales, i):
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
-@pytest.mark.parametrize(("alpha", "wander"), [(2, ROUGH), (4, ROUGH), (2, SMOOTH)])
+@pytest.mark.parametrize(("alpha", "wander"), ORDERS)
 def test_the_gradient_is_that_of_the_log_evidence(shown, alpha, wander):
     likelihood = likelihood_of(strides_of(shown=shown), alpha, wander)
     for seed in (3, 4):

@@ -13,6 +13,7 @@ from estimator.components.switching import Switching
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest, Effect, Timing
+from estimator.model.road import LEVEL
 from estimator.signals import Floats
 from estimator.strides import Strides
 
@@ -34,14 +35,18 @@ class Form:
 class DriveState:
     """One drive, the components chosen for it so far, and the fit of the road beside them.
 
-    ``rests``: the power while the vehicle stood, as far as it is known. ``is_level``: the road has no slopes.
+    ``rests``: the power while the vehicle stood, as far as it is known.
     """
 
     strides: Strides
     fit: RoadFit
     rests: tuple[AtRest, ...] = ()
     chosen: tuple[Component, ...] = ()
-    is_level: bool = False
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the road has no slopes."""
+        return self.fit.scales.alpha == LEVEL
 
     @classmethod
     def of(
@@ -51,7 +56,7 @@ class DriveState:
         found = fit(strides, np.random.default_rng(PROBE_SEED), (), known, level=is_level)
         if found is None or not found.beta[0] > 0:
             return None
-        return cls(strides=strides, fit=found, rests=rests, is_level=is_level)
+        return cls(strides=strides, fit=found, rests=rests)
 
     def having(self, chosen: tuple[Component, ...], processes: tuple[Component, ...] = ()) -> "DriveState":
         """With other effects; scales of road and noise are found again beside them and beside nameless processes."""
@@ -64,7 +69,6 @@ class DriveState:
             tuple(terms),
             self.fit.scales,
             orders=False,
-            level=self.is_level,
             road_load=frame.road_load,
             taken=frame.taken,
         )

@@ -7,7 +7,8 @@ import numpy as np
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
 from estimator.estimation.scale_search import most_probable
-from estimator.model.road import RoadModel
+from estimator.model.road import ALPHAS, LEVEL, RoadModel
+from estimator.model.road_scales import LENGTH, SLOPE
 from estimator.strides import Strides
 
 
@@ -28,13 +29,10 @@ def log_bayes_factor_of_signals(strides: Strides, found: RoadFit) -> float:
 
 def _log_evidence(strides: Strides, found: RoadFit, is_level: bool) -> float:
     """Of strides with the orders, effects and lag that were found; the scales are found again."""
-    model = RoadModel(strides, found.scales.alpha, found.scales.wander)
+    sloping = ALPHAS[0] if found.scales.alpha == LEVEL else found.scales.alpha
+    model = RoadModel(strides, LEVEL if is_level else sloping, found.scales.wander)
     likelihood = Likelihood(model, found.terms, found.theta[:ROAD_LOAD], found.scales.lag)
-    names = [scale.name for scale in model.scales]
-    start, free = found.scales.values[: len(names)].copy(), list(range(len(names)))  # those of signals come last
-    if is_level:
-        slope = names.index("slope")
-        start[slope] = model.scales[slope].low
-        free = [i for i in free if names[i] not in ("slope", "slope length")]
+    start = found.scales.values[: len(model.scales)]  # those of signals come last
+    free = [i for i in range(len(model.scales)) if not (is_level and i in (SLOPE, LENGTH))]
     values, _ = most_probable(likelihood, start, free)
     return likelihood.log_evidence(values)

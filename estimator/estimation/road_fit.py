@@ -33,7 +33,7 @@ from estimator.estimation.road_likelihood import (
 )
 from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import Term
-from estimator.model.road import ALPHAS, ROUGH, SMOOTH, RoadModel
+from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_scales import LENGTH, POWER, SLOPE, TORQUE
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
@@ -54,7 +54,7 @@ class RoadScales:
     """Scales of road and noise (k,) in the order of `RoadModel.scales`, and the orders of road and wander."""
 
     values: Floats
-    alpha: int
+    alpha: int  # of ALPHAS, or LEVEL
     wander: int  # order of the wander of the signals of the road
     readings: tuple[str, ...]  # those signals, whose scales are among the values
     lag: int  # place in LAGS
@@ -288,12 +288,12 @@ class _Search:
     def best(self, known: RoadScales | None, orders: bool) -> tuple[Likelihood, RoadScales, float]:
         """From scales ``known`` before, or from the centres of their priors; without ``orders``, of the same orders."""
         if known is None:
-            model = self.model(ALPHAS[0], ROUGH)
+            model = self.model(LEVEL if self._level else ALPHAS[0], ROUGH)
             values = np.array([scale.centre for scale in model.scales])
             if self._level:
                 values[SLOPE] = model.scales[SLOPE].low
             start = RoadScales(
-                values=values, alpha=ALPHAS[0], wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
+                values=values, alpha=model.alpha, wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
             )
             scales, evidence = self._lagged(start)
             scales, evidence = self._better(scales, evidence, _exchanged(scales))
@@ -304,7 +304,7 @@ class _Search:
         if scales.readings:
             order = SMOOTH if scales.wander == ROUGH else ROUGH
             scales, evidence = self._better(scales, evidence, replace(scales, wander=order))
-        for alpha in () if self._level else ALPHAS:
+        for alpha in () if scales.alpha == LEVEL else ALPHAS:
             if alpha != scales.alpha:
                 scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha))
         return *self.likelihood(scales), evidence
@@ -317,7 +317,7 @@ class _Search:
     def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
         """The most probable scales from those given."""
         likelihood, _ = self.likelihood(scales)
-        free = [i for i in range(len(scales.values)) if not (self._level and i in (SLOPE, LENGTH))]
+        free = [i for i in range(len(scales.values)) if not (scales.alpha == LEVEL and i in (SLOPE, LENGTH))]
         values, evidence = most_probable(likelihood, scales.values, free)
         return replace(scales, values=values), evidence
 

@@ -23,14 +23,14 @@ Altitude, grade and an accelerometer are measurements of the same theta, each wi
 where the wander is rough (Ornstein-Uhlenbeck) or smooth (Matern 3/2) in time, as the signal's filter makes it.
 The model is linear in (1/m, A/m, C/m), and the covariance of everything else does not depend on m; theta is known
 only through its prior and these signals. All unknowns are ordered by time, so the precision is banded and one
-evaluation of the likelihood costs O(n).
+evaluation of the likelihood costs O(n). On a road that is known to be level theta is 0: nothing links the signals to
+the motion, so their unknowns come behind, and the band is a quarter as wide.
 """
 
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
 from estimator.model.matern import MaternField
@@ -51,6 +51,7 @@ from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
 
 ALPHAS = (2, 4)  # orders of the road's Matern process: smoothness 3/2 (crests and dips of roads) and 7/2
+LEVEL = 0  # in the place of an order: a road without slopes
 ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
 # s from node to node over which a smooth wander goes on: the usual wander time. Linear elements are good up to there
 # (correlation of the ends 0.45, exactly 0.48); over 300 s the standard deviation comes out 19 % too small.
@@ -83,7 +84,7 @@ class RoadModel:
     strides
         Those of one or several drives, in order of time.
     alpha
-        Order of the road's Matern process, of ALPHAS.
+        Order of the road's Matern process, of ALPHAS, or LEVEL.
     wander
         Order of the wander of all signals of the road: ROUGH or SMOOTH.
     """
@@ -105,6 +106,11 @@ class RoadModel:
         return tuple(reading.name for reading in self.readings)
 
     @property
+    def is_level(self) -> bool:
+        """Whether the road has no slopes."""
+        return self.alpha == LEVEL
+
+    @property
     def has_altitude(self) -> bool:
         """Whether height is among the unknowns."""
         return any(reading.name == "altitude" for reading in self.readings)
@@ -124,9 +130,11 @@ class RoadModel:
         linked = np.zeros(len(order) - 1, dtype=bool)
         linked[self._before] = True
         self._linked = linked
-        groups = [self._ends_t, self._ends_t + 1e-7, self._ends_t + 2e-7, nodes.t]
-        groups += [nodes.t + 1e-7] if self.has_altitude else []
-        groups += [nodes.t + 2e-7 for _ in self.readings]  # at every node: a signal's gaps must not widen the band
+        groups = [self._ends_t, self._ends_t + 1e-7, self._ends_t + 2e-7]
+        passed = nodes.t + (np.ptp(self._ends_t) + np.ptp(nodes.t) if self.is_level else 0.0)
+        groups += [np.empty(0) if self.is_level else passed]
+        groups += [passed + 1e-7] if self.has_altitude else []
+        groups += [passed + 2e-7 for _ in self.readings]  # at every node: a signal's gaps must not widen the band
         times = np.concatenate(groups)
         order = np.argsort(times, kind="stable")
         rank = np.empty(len(order), dtype=np.int64)
@@ -139,38 +147,53 @@ class RoadModel:
         self._wander = [next(parts) for _ in self.readings]
         self.size = len(order)
 
-    def _observe(self) -> None:
-        """Set up the linear maps from unknowns to data, and the bands of the priors."""
-        driven, nodes = self.driven, self.nodes
-        n = len(driven)
-        before, share = nodes.between(driven.s0[:, None] + (driven.s1 - driven.s0)[:, None] * _POINTS)
-        first = before.min(axis=1)
-        width = int((before.max(axis=1) - first).max()) + 2
-        hats = np.zeros((n, width))
-        row = np.arange(n)[:, None]
-        np.add.at(hats, (row, before - first[:, None]), (1 - share) * _SHARES)
-        np.add.at(hats, (row, before + 1 - first[:, None]), share * _SHARES)
-        touched = np.minimum(first[:, None] + np.arange(width), len(nodes.s) - 1)
+    def _motion(self) -> tuple[Places, Floats]:
+        """Unknowns that each driven stride's acceleration depends on, and their weights."""
+        driven = self.driven
         self.weight = driven.gearing / np.median(driven.gearing)  # of the torque's error in each stride's force
         self.slowness = np.median(driven.speed) / driven.speed  # the same of the power's
         ends = np.column_stack([self._before, self._after])
-        errors = (self._speed_error, self._force_error, self._power_error)
-        places = np.hstack([*(error[ends] for error in errors), self._slope[touched]])
-        halves = [-0.5 * np.repeat(share[:, None], 2, axis=1) for share in (self.weight, self.slowness)]
-        weights = np.hstack([np.tile([-1 / DURATION, 1 / DURATION], (n, 1)), *halves, -STANDARD_GRAVITY * hats])
+        places = [error[ends] for error in (self._speed_error, self._force_error, self._power_error)]
+        weights = [np.tile([-1 / DURATION, 1 / DURATION], (len(driven), 1))]
+        weights += [-0.5 * np.repeat(share[:, None], 2, axis=1) for share in (self.weight, self.slowness)]
+        if not self.is_level:
+            touched, hats = self._under()
+            places.append(self._slope[touched])
+            weights.append(-STANDARD_GRAVITY * hats)
+        return np.hstack(places), np.hstack(weights)
 
-        maps: list[tuple[NDArray[np.int64], Floats]] = [(places, weights)]
-        if self.has_altitude:
-            on = np.flatnonzero(nodes.joined)
-            half = 0.5 * (nodes.s[on] - nodes.s[on - 1])
-            link = np.column_stack([self._height[on - 1], self._height[on], self._slope[on - 1], self._slope[on]])
-            maps.append((link, np.column_stack([-np.ones_like(half), np.ones_like(half), -half, -half])))
-            start = np.flatnonzero(~nodes.joined)
-            maps.append((self._height[start][:, None], np.ones((len(start), 1))))
-        for reading, wander in zip(self.readings, self._wander, strict=True):
-            shown = self._height if reading.name == "altitude" else self._slope
-            heard = np.column_stack([shown[reading.nodes], wander[reading.nodes]])
-            maps.append((heard, np.ones(heard.shape)))
+    def _under(self) -> tuple[Places, Floats]:
+        """Nodes near each driven stride, and their weights in its mean slope."""
+        driven, nodes = self.driven, self.nodes
+        before, share = nodes.between(driven.s0[:, None] + (driven.s1 - driven.s0)[:, None] * _POINTS)
+        first = before.min(axis=1)
+        width = int((before.max(axis=1) - first).max()) + 2
+        hats, row = np.zeros((len(driven), width)), np.arange(len(driven))[:, None]
+        np.add.at(hats, (row, before - first[:, None]), (1 - share) * _SHARES)
+        np.add.at(hats, (row, before + 1 - first[:, None]), share * _SHARES)
+        return np.minimum(first[:, None] + np.arange(width), len(nodes.s) - 1), hats
+
+    def _heights(self) -> list[tuple[Places, Floats]]:
+        """The links between heights and slopes, and where heights start."""
+        nodes, height = self.nodes, self._height
+        on, start = np.flatnonzero(nodes.joined), np.flatnonzero(~nodes.joined)
+        half = 0.5 * (nodes.s[on] - nodes.s[on - 1])[:, None]
+        places, weights = [height[on - 1], height[on]], [-np.ones_like(half), np.ones_like(half)]
+        if not self.is_level:
+            places += [self._slope[on - 1], self._slope[on]]
+            weights += [-half, -half]
+        return [(np.column_stack(places), np.hstack(weights)), (height[start][:, None], np.ones((len(start), 1)))]
+
+    def _heard(self, reading: Reading, wander: Places) -> tuple[Places, Floats]:
+        """The unknowns that a signal shows: its part of the road, and its wander."""
+        shown = self._height if reading.name == "altitude" else self._slope
+        heard = [*([shown[reading.nodes]] if len(shown) else []), wander[reading.nodes]]
+        return np.column_stack(heard), np.ones((len(reading.nodes), len(heard)))
+
+    def _observe(self) -> None:
+        """Set up the linear maps from unknowns to data, and the bands of the priors."""
+        maps = [self._motion(), *(self._heights() if self.has_altitude else [])]
+        maps += [self._heard(reading, wander) for reading, wander in zip(self.readings, self._wander, strict=True)]
         slopes = [_reach(self._slope, k) for k in range(1, self.alpha + 1)]
         chains = [_reach(places, k) for places in self._wander for k in range(1, self.wander + 1)]
         noise = [int(np.diff(e).max(where=self._linked, initial=0)) for e in (self._force_error, self._power_error)]
@@ -183,7 +206,8 @@ class RoadModel:
         if self.has_altitude:
             self._fixed += self._maps[1].information(np.full(len(maps[1][0]), HEIGHT_SD**2))
             self._fixed += self._maps[2].information(np.full(len(maps[2][0]), START_HEIGHT_SD**2))
-        self._field = MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
+        nodes = self.nodes
+        self._field = None if self.is_level else MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
         self._force_noise = Chain(self._ends_t, self._force_error, self._linked)
         self._power_noise = Chain(self._ends_t, self._power_error, self._linked)
@@ -231,8 +255,9 @@ class RoadModel:
             Acting(process=self._speed_noise, sd=speed, memory=1.0, by=np.array([unit[SPEED], 0 * unit[SPEED]])),
             _of_ends(self._force_noise, scales, TORQUE),
             _of_ends(self._power_noise, scales, POWER),
-            Acting(process=self._field, sd=slope, memory=length, by=unit[[SLOPE, LENGTH]]),
         ]
+        if self._field is not None:
+            processes.append(Acting(process=self._field, sd=slope, memory=length, by=unit[[SLOPE, LENGTH]]))
         for i, process in enumerate(self._wanders):
             at = len(SCALES) + 3 * i + 1
             processes.append(Acting(process=process, sd=scales[at], memory=scales[at + 1], by=unit[at : at + 2]))
@@ -307,11 +332,13 @@ class RoadModel:
 
     def road(self, unknowns: Floats) -> tuple[Floats, Floats]:
         """Slope at the nodes, and at the driven strides, of ``unknowns`` (size,)."""
-        slope = unknowns[self._slope]
+        slope = np.zeros(len(self.nodes.s)) if self.is_level else unknowns[self._slope]
         return slope, self.slope_under(self.driven, unknowns)
 
     def slope_under(self, strides: Strides, unknowns: Floats) -> Floats:
         """Slope (n, ...) at the middle of strides on this road, of ``unknowns`` (size, ...)."""
+        if self.is_level:
+            return np.zeros((len(strides), *unknowns.shape[1:]))
         slope = unknowns[self._slope]
         before, share = self.nodes.between(0.5 * (strides.s0 + strides.s1))
         here: Floats = ((1 - share) * slope[before].T + share * slope[before + 1].T).T

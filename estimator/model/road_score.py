@@ -59,7 +59,5 @@ def score(conditioned: Conditioned, scales: Floats, data: Floats, beta: Floats, 
         gradient += acting.process.score(moments, acting.sd, acting.memory) @ acting.by
         answer[places] += acting.process.response(unknowns[places, 0], acting.sd, acting.memory) @ acting.by
     answers = model.observed(answer) + by * (rest[:, 0] / variance)[:, None]
-    gram = conditioned.gram(np.column_stack([data[:, 1:], answers]))
-    p = len(beta)
-    shared = gram[:p, p:]
-    return Score(gradient, 0.5 * (gram[p:, p:] - shared.T @ np.linalg.solve(precision, shared)))
+    shared = (rest[:, 1:] / variance[:, None]).T @ answers
+    return Score(gradient, 0.5 * (conditioned.gram(answers) - shared.T @ shared))
