@@ -56,6 +56,11 @@ class Conclusion:
     plain: tuple[Drive, ...]
     thresholds: Thresholds
 
+    @cached_property
+    def with_choices(self) -> tuple[Drive, ...]:
+        """The drives with the effects that were chosen in their plain models."""
+        return tuple(map(_with_choices, self.plain, self.explained.drives))
+
     @property
     def explained(self) -> Explained:
         """What acts on the drives."""
@@ -175,11 +180,11 @@ class Conclusion:
 
     @property
     def _lag(self) -> tuple[float, float]:
-        """Lag of power [s] and its sd: on a level road from samples, which tell it better than strides do."""
+        """Lag of power [s] and its sd beside the effects: on a level road from samples, which tell it best."""
         if self.explanation.is_sloping:
             fit = self.longest.fit
             return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG]))
-        drive = max(self.plain, key=lambda drive: len(drive.model.samples))
+        drive = max(self.with_choices, key=lambda drive: len(drive.model.samples))
         base = drive.model.base
         return drive.record.lag + float(base.theta[PLAIN - 1]), parameter_sd(base, PLAIN - 1)
 
@@ -421,6 +426,12 @@ def conclude(
     if explanation.is_sloping and not explanation.is_hilly:
         split = split.renamed(ROAD, UNKNOWN + FORCE_BY_PLACE)
     return Conclusion(explanation=explanation, budget=split, plain=plain, thresholds=thresholds)
+
+
+def _with_choices(drive: Drive, state: DriveState) -> Drive:
+    present = {term.effect.name for term in drive.model.terms}
+    chosen = [one.term for one in state.chosen if one.term is not None and one.term.effect.name not in present]
+    return drive.having((*drive.model.terms, *chosen)) if chosen else drive
 
 
 def _possible(explained: Explained, drive: int) -> list[Component]:

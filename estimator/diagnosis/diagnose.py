@@ -112,7 +112,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
     named = conclusion.findings() if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
     which = max(range(len(conclusion.plain)), key=lambda i: len(conclusion.plain[i].model.samples))
     before = conclusion.plain[which].model
-    after = [_with_choices(drive, conclusion, i) for i, drive in enumerate(conclusion.plain)]
+    after = conclusion.with_choices
     final, deviation = conclusion.road_load
     ranking = conclusion.candidates(named)
     told = {finding.name for finding in named}
@@ -146,14 +146,6 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
         gap_map=gap_map(before, after[which].model),
         traces=_traces(conclusion.plain, after),
     )
-
-
-def _with_choices(drive: Drive, conclusion: Conclusion, number: int) -> Drive:
-    """The drive with the effects that were chosen in its plain model."""
-    chosen = [component.term for component in conclusion.explained.drives[number].chosen]
-    present = {term.effect.name for term in drive.model.terms}
-    new = [term for term in chosen if term is not None and term.effect.name not in present]
-    return drive.having((*drive.model.terms, *new)) if new else drive
 
 
 def _experiments(

@@ -106,12 +106,6 @@ def fit(samples: Samples, terms: tuple[Term, ...] = ()) -> Model | None:
     return None if base is None else Model(samples, terms, base)
 
 
-def refit(model: Model, terms: tuple[Term, ...]) -> Model | None:
-    """The same samples with other ``terms``, scaled by the road load of ``model``; None where they are not enough."""
-    base = _fit(model.samples, terms, model.road_load)
-    return None if base is None else Model(model.samples, terms, base)
-
-
 def _fit(samples: Samples, terms: tuple[Term, ...], road_load: Floats) -> Base | None:
     if terms and not road_load.any():
         plain = _fit(samples, (), road_load)
