@@ -303,6 +303,12 @@ def test_what_is_in_no_catalogue_is_unknown(diagnose):
     assert sum(part["share"] for part in answer["budget"]) == pytest.approx(1.0)
 
 
+def test_a_torque_that_is_not_linear_is_unknown(diagnose):
+    answer = diagnose(drive("mixed", 25, 1, Effect(name="torque_saturation", magnitude=0.08)))
+    assert (answer["verdict"], named(answer)) == ("unknown effect", [])
+    assert answer["candidates"][0]["detail"] == "gain over torque"
+
+
 def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):
     """A force that comes and goes, but not as that of anything with a name."""
     answer = diagnose(drive("highway", 30, 1, Effect(name="snow_plough", magnitude=5000.0)))

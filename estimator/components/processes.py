@@ -22,6 +22,7 @@ ENGINE_SPEEDS = (15.0,)  # rad/s
 STRENGTHS = (0.1, 0.3, 1.0)  # of what is usual
 GAIN_ERROR = 0.1  # share of the force, usual where a gain wanders
 USUAL_POWER = 0.3  # W/kg, 8 kW for a truck of 27 t
+HIGH_TORQUE = 0.99  # quantile of the torque that counts as full load
 TYPICAL_TURNS = 120.0  # rad/s of an engine, to state the torque that takes a power
 MIN_PERIOD, MAX_PERIOD = 20.0, 600.0  # s, of a swing
 FREQUENCY_STEP = 0.25  # step of its frequency, over the inverse length of the drive
@@ -53,6 +54,8 @@ def processes(frame: Frame) -> Iterator[Component]:
     turns, gear = s.context.get(Quantity.ENGINE_SPEED), s.context.get(Quantity.GEAR)
     if turns is not None and np.isfinite(turns).all():
         over.append(("power over engine speed", _power, USUAL_POWER * m, turns, ENGINE_SPEEDS))
+        for strength in STRENGTHS:
+            yield Component(name="gain over torque", columns=_bent_gain, sd=strength * GAIN_ERROR, is_noisy=True)
     for name, profile, usual, axis, lengths in over:
         for length in lengths:
             columns = _along(profile, hats(axis, length))
@@ -124,6 +127,14 @@ def _drag(frame: Frame) -> Floats:
 
 def _measured(frame: Frame) -> Floats:
     return frame.force * frame.strides.speed
+
+
+def _bent_gain(frame: Frame) -> Floats:
+    """Errors of the measured power that rise with the torque and with its square, over the largest torque (n, 2)."""
+    power = frame.force * frame.strides.speed
+    share = np.abs(power / frame.strides.context[Quantity.ENGINE_SPEED])
+    share = share / np.quantile(share, HIGH_TORQUE)
+    return frame.as_acceleration(np.column_stack([power * share, power * share**2]))
 
 
 def _along(profile: Callable[[Frame], Floats], shapes: Floats) -> Columns:
