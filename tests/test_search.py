@@ -16,19 +16,26 @@ from estimator.components.search import Search
 from estimator.components.switching import Switching
 from estimator.diagnosis import explanation
 from estimator.diagnosis.thresholds import Thresholds
-from estimator.model.design_matrix import Spans, Term
+from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
+from estimator.model.design_matrix import Spans, Term, covered
 from estimator.model.effects import BY_NAME
+from estimator.model.road import LEVEL, RoadModel
 from estimator.signals import Quantity
 
 Round = tuple[tuple[int, ...], float]  # the best set of a table, and its log evidence with scales of its own
 
 
-def state(log_evidence: float) -> Any:
-    return SimpleNamespace(fit=SimpleNamespace(log_evidence=log_evidence), chosen=())
+IMPOSSIBLE = 9  # a form whose size is beyond its limit once the scales are found beside it
 
 
-def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round]) -> float:
-    """Log evidence of the drives that a search ends with, whose tables go by ``script``."""
+def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> Any:
+    fit = SimpleNamespace(log_evidence=log_evidence)
+    is_possible = IMPOSSIBLE not in chosen
+    return SimpleNamespace(fit=fit, chosen=(), is_possible=lambda given: is_possible, **{"is_loud": False} | further)
+
+
+def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: Any) -> float:
+    """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive."""
     waiting = iter(script)
 
     class Scripted:
@@ -39,7 +46,7 @@ def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round]) -> float:
             return []
 
         def fitted(self, chosen: object) -> tuple[Any, ...]:
-            return (state(self.value),)
+            return (state(self.value, self.chosen),)
 
         def log_prior(self, chosen: object, causes: object) -> float:
             return 0.0
@@ -49,7 +56,7 @@ def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round]) -> float:
 
     monkeypatch.setattr(search, "Hypotheses", Scripted)
     monkeypatch.setattr(search, "weigh", lambda joint, causes, size: SimpleNamespace(best=joint.chosen))
-    (found,) = Search((state(0.0),), ()).alone
+    (found,) = Search((state(0.0, **start),), ()).alone
     return float(found.fit.log_evidence)
 
 
@@ -63,6 +70,26 @@ def test_rounds_go_on_while_the_set_grows_or_its_evidence_does(monkeypatch):
 
 def test_rounds_end_with_one_that_hardly_gains(monkeypatch):
     assert rounds(monkeypatch, [((1,), 30.0), ((1,), 30.5)]) == 30.5
+
+
+def test_a_set_whose_sizes_become_impossible_is_no_measure_for_the_next_one(monkeypatch):
+    script = [((1,), 10.0), ((1, IMPOSSIBLE), 30.0), ((1, 2), 20.0), ((1, 2), 20.2)]
+    assert rounds(monkeypatch, script) == 20.2
+
+
+def test_rounds_do_not_go_from_an_impossible_set_to_the_one_before_it_and_back(monkeypatch):
+    script = [((1,), 10.0), ((IMPOSSIBLE,), 30.0), ((1,), 10.1)]
+    assert rounds(monkeypatch, script) == 10.1
+
+
+def test_a_set_that_is_possible_is_kept_where_only_impossible_ones_have_more_evidence(monkeypatch):
+    assert rounds(monkeypatch, [((1, 2), 10.0), ((1, 2, IMPOSSIBLE), 30.0), ((1, 3), 5.0)]) == 10.0
+
+
+@pytest.mark.parametrize(("from_usual_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
+def test_where_noise_is_large_effects_are_looked_for_from_the_usual_noise_too(monkeypatch, from_usual_noise, best):
+    script = [((1,), 29.5), ((1,), 30.0), ((2,), from_usual_noise - 0.5), ((2,), from_usual_noise)]
+    assert rounds(monkeypatch, script, is_loud=True, hushed=lambda: state(-50.0)) == best
 
 
 # Times
@@ -92,6 +119,39 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     with_other, without_other = ((50.0, 90.0), (200.0, 230.0)), ((50.0, 70.0), (200.0, 230.0))
     assert times(chosen, "brake_use") == {own, other, with_other, without_other}
     assert times(chosen, "auxiliary_cycling") == {own, other}
+
+
+# The noise to start from
+
+
+def test_a_drive_is_loud_with_a_force_that_comes_and_goes_and_hushed_by_the_usual_noise():
+    n, rng = 600, np.random.default_rng(5)
+    speed = 15 + 4 * np.sin(np.arange(n + 1) / 15)
+    brake = 9e3 * ((np.arange(n) % 90 > 50) & (np.arange(n) % 90 < 65))
+    force = 20e3 * np.diff(speed) + 2e3 + brake + rng.normal(0, 100.0, n)
+    loud = DriveState.of(made_strides(speed, force, {}), is_level=True)
+    assert loud is not None
+    assert not driven().is_loud
+    assert loud.is_loud
+    quiet = loud.hushed()
+    assert not quiet.is_loud
+    assert quiet.is_level
+    likelihood = Likelihood(RoadModel(loud.strides, LEVEL), (), quiet.fit.theta[:ROAD_LOAD], quiet.fit.scales.lag)
+    assert quiet.fit.log_evidence == pytest.approx(likelihood.log_evidence(quiet.fit.scales.values), rel=0.01)
+    assert quiet.fit.log_evidence < loud.fit.log_evidence
+
+
+def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
+    n, spans = 600, ((100.0, 200.0), (300.0, 400.0))
+    speed = 15 + 4 * np.sin(np.arange(n + 1) / 15)
+    fan = 150e3 * covered(np.arange(n) + 0.5, 1.0, spans) / (0.5 * (speed[1:] + speed[:-1]))
+    force = 20e3 * np.diff(speed) + 2e3 + fan + np.random.default_rng(6).normal(0, 100.0, n)
+    plain = DriveState.of(made_strides(speed, force, {}), is_level=True)
+    assert plain is not None
+    state = plain.having((of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans)),))
+    assert not state.is_possible(0)
+    assert state.is_possible(1)
+    assert plain.is_possible(0)
 
 
 # The road

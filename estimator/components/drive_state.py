@@ -11,9 +11,11 @@ from estimator.components.likelihood import JointLikelihood
 from estimator.components.set_likelihood import Judged
 from estimator.components.switching import Switching
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit
+from estimator.estimation.road_likelihood import LAG
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest, Effect, Timing
 from estimator.model.road import LEVEL
+from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.signals import Floats
 from estimator.strides import Strides
 
@@ -73,6 +75,27 @@ class DriveState:
             taken=frame.taken,
         )
         return self if found is None else replace(self, fit=found, chosen=chosen)
+
+    @property
+    def is_loud(self) -> bool:
+        """Whether noise of torque or power is larger than usual: effects that were not found may be in it."""
+        values = self.fit.scales.values
+        return any(np.log(values[i] / SCALES[i].centre) > SCALES[i].spread for i in (TORQUE, POWER))
+
+    def hushed(self) -> "DriveState":
+        """With no more noise of torque and power, and for no longer, than usual."""
+        values = self.fit.scales.values.copy()
+        for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):
+            values[i] = min(values[i], SCALES[i].centre)
+        known = replace(self.fit.scales, values=values)
+        found = fit(self.strides, np.random.default_rng(PROBE_SEED), self.fit.terms, known, refit=False)
+        return self if found is None else replace(self, fit=found)
+
+    def is_possible(self, given: int) -> bool:
+        """Whether no effect behind the first ``given`` ones is larger than it can be on the vehicle as it is found."""
+        limits = [np.inf if c.term is None else c.term.effect.limit(Frame.of(self.fit).road_load) for c in self.chosen]
+        sizes = self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
+        return bool(np.all(np.abs(sizes[given:]) <= np.array(limits[given:])))
 
     def joint(self, candidates: Sequence[Component] = ()) -> JointLikelihood:
         """The likelihood of those chosen, which come first, and of ``candidates``."""

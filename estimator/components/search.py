@@ -6,6 +6,7 @@ effects that switch proposed beside it.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +20,7 @@ from estimator.components.hypotheses import Hypotheses
 from estimator.components.model_table import MAX_CAUSES, Chosen, ModelTable, weigh
 from estimator.model.effects.effect import Effect, Timing
 
-MAX_ROUNDS = 8  # of table and scales, each found beside the other
+MAX_ROUNDS = 20  # of table and scales, each found beside the other
 MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
 
 
@@ -109,6 +110,11 @@ class _Converged:
     chosen: Chosen
     states: tuple[DriveState, ...]
 
+    @property
+    def log_posterior(self) -> float:
+        """Log evidence of the set that was chosen, with its prior odds."""
+        return log_evidence(self.states) + self.joint.log_prior(self.chosen, self.joint.causes())
+
 
 class _OutOfReachError(Exception):
     """The log evidence that is asked for will not be reached."""
@@ -136,7 +142,7 @@ class Search:
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
         """The drives fitted beside the most probable effects without any process."""
-        return self._converged(self._drives, with_processes=False).states
+        return self._alone().states
 
     def explained(self) -> Explained:
         """The drives with what acts on them."""
@@ -145,7 +151,7 @@ class Search:
     def explained_above(self, least: float) -> Explained | None:
         """The same; None once it shows that the log evidence will not reach ``least``."""
         try:
-            alone = self._converged(self._drives, with_processes=False, least=least)
+            alone = self._alone(least)
             return self._explained(self._converged(alone.states, with_processes=True, least=least))
         except _OutOfReachError:
             return None
@@ -153,31 +159,54 @@ class Search:
     def _explained(self, found: _Converged) -> Explained:
         return _explained(found, ranked(self._drives, self._effects), self._effects)
 
+    def _alone(self, least: float = -np.inf) -> _Converged:
+        """Beside effects alone, from the noise of the drives, and from the usual one where theirs is larger.
+
+        Raises
+        ------
+        _OutOfReachError
+            Neither would reach ``least``.
+        """
+        starts = [self._drives]
+        if any(drive.is_loud for drive in self._drives):
+            starts.append(tuple(drive.hushed() for drive in self._drives))
+        found = list[_Converged]()
+        for start in starts:
+            with suppress(_OutOfReachError):
+                found.append(self._converged(start, with_processes=False, least=least))
+        if not found:
+            raise _OutOfReachError
+        return max(found, key=lambda one: one.log_posterior)
+
     def _converged(self, states: tuple[DriveState, ...], with_processes: bool, least: float = -np.inf) -> _Converged:
         """Tables and scales, each found beside the other while that gains.
 
-        A set that is best with the scales found beside another one may have less evidence with its own.
+        A set that is best with the scales found beside another one may have less evidence with its own, and sizes that
+        are impossible for the vehicle as it is found then: the next table goes on from there without that set.
 
         Raises
         ------
         _OutOfReachError
             As many rounds as a set has causes, each with the gain of the last, would not reach ``least``.
         """
-        found, value = None, log_evidence(states)
+        found, last, value = None, None, log_evidence(states)
         for size in range(2, MAX_ROUNDS + 2):
             candidates = [self._candidates.on(number, state, with_processes) for number, state in enumerate(states)]
             joint = Hypotheses(states, self._given, candidates)
             causes = joint.causes()
             table = weigh(joint, causes, min(size, MAX_CAUSES))
-            fitted, before = joint.fitted(table.best), value
-            value = log_evidence(fitted) + joint.log_prior(table.best, causes)
+            fitted = joint.fitted(table.best)
             if log_evidence(fitted) + MAX_CAUSES * max(log_evidence(fitted) - log_evidence(states), 0.0) < least:
                 raise _OutOfReachError
-            if found is not None and value < before:
+            gain = log_evidence(fitted) + joint.log_prior(table.best, causes) - value
+            if found is not None and gain < 0:
                 break
-            found, states = _Converged(joint, table, table.best, fitted), fitted
-            if len(table.best) < size and value - before < MIN_ROUND_GAIN:
-                break
+            last, states = _Converged(joint, table, table.best, fitted), fitted
+            if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
+                found, value = last, value + gain
+                if len(table.best) < size and gain < MIN_ROUND_GAIN:
+                    break
+        found = found or last
         assert found is not None
         best = found.joint.worthwhile(found.chosen)
         return found if best == found.chosen else replace(found, chosen=best, states=found.joint.fitted(best))

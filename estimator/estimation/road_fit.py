@@ -71,7 +71,7 @@ class RoadFit:
     beta: Floats  # (p,)
     covariance: Floats  # (p, p), doubts included
     scales: RoadScales
-    log_evidence: float
+    log_evidence: float  # with the prior of the scales, where these were searched for
     terms: tuple[Term, ...]
     strides: Strides  # those with a known force
     fitted: Floats  # (n,) acceleration by the vehicle's part and the road [m/s^2]
@@ -228,7 +228,8 @@ def fit(
     if known is not None and known.readings != search.model(known.alpha, known.wander).reading_names:
         known = None
     if known is not None and not refit:
-        return _concluded(*search.likelihood(known), 0.0, rng)
+        likelihood, _ = search.likelihood(known)
+        return _concluded(likelihood, known, likelihood.log_evidence(known.values), rng)
     return _concluded(*search.best(known, orders), rng)
 
 
