@@ -10,7 +10,7 @@ from estimator.components.component import Component, Frame, as_terms, of_effect
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.set_likelihood import Judged
 from estimator.components.switching import Switching
-from estimator.estimation.road_fit import RoadFit, RoadScales, fit
+from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest, Effect, Timing
@@ -65,16 +65,8 @@ class DriveState:
         frame = Frame.of(self.fit)
         terms = [component.term for component in chosen if component.term is not None]
         terms += [term for process in processes for term in as_terms(frame, process)]
-        found = fit(
-            self.strides,
-            np.random.default_rng(PROBE_SEED),
-            tuple(terms),
-            self.fit.scales,
-            orders=False,
-            road_load=frame.road_load,
-            taken=frame.taken,
-        )
-        return self if found is None else replace(self, fit=found, chosen=chosen)
+        found = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), terms)
+        return replace(self, fit=found, chosen=chosen)
 
     @property
     def is_loud(self) -> bool:
@@ -88,7 +80,7 @@ class DriveState:
         for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):
             values[i] = min(values[i], SCALES[i].centre)
         known = replace(self.fit.scales, values=values)
-        found = fit(self.strides, np.random.default_rng(PROBE_SEED), self.fit.terms, known, refit=False)
+        found = fit_given(self.strides, np.random.default_rng(PROBE_SEED), known, self.fit.terms)
         return self if found is None else replace(self, fit=found)
 
     def is_possible(self, given: int) -> bool:

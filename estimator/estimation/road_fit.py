@@ -185,15 +185,13 @@ def fit(
     rng: np.random.Generator,
     terms: Sequence[Term] = (),
     known: RoadScales | None = None,
-    refit: bool = True,
     longest_lag: float = float(LAGS.max()),
-    orders: bool = True,
     departures: Sequence[float] = (),
     level: bool = False,
-    road_load: Floats | None = None,
-    taken: Floats | float = 0.0,
 ) -> RoadFit | None:
-    """Fit strides; None where too few have a known force, or none of these accelerates (a speed that is stuck).
+    """Fit strides, with the most probable scales of road and noise.
+
+    None where too few strides have a known force, or none of these accelerates (a speed that is stuck).
 
     Parameters
     ----------
@@ -204,33 +202,46 @@ def fit(
     terms
         Effects beyond the road load.
     known
-        Scales found before, to start from; kept as they are unless ``refit``.
-    refit
-        Whether to look for the best scales and smoothness of the road.
+        Scales found before, to start from.
     longest_lag
         Largest lag of power behind speed that is tried [s].
-    orders
-        Whether road and wander of other orders than the ``known`` are tried.
     departures
         Times [s] before which the load may have changed; the mass is that after the last of them.
     level
         Whether the road has no slopes.
-    road_load
-        [A, C, m] that columns and priors of ``terms`` are computed with at first; None: a guess by least squares.
-    taken
-        Force [N] (n,) that the terms take from acceleration, roughly.
     """
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES or not driven.a.any():
         return None
-    road_load = first_guess(driven) if road_load is None else road_load
-    search = _Search(strides, terms, road_load, longest_lag, departures, level, taken)
+    search = _Search(strides, terms, first_guess(driven), longest_lag, departures)
     if known is not None and known.readings != search.model(known.alpha, known.wander).reading_names:
         known = None
-    if known is not None and not refit:
-        likelihood, _ = search.likelihood(known)
-        return _concluded(likelihood, known, likelihood.log_evidence(known.values), rng)
-    return _concluded(*search.best(known, orders), rng)
+    return _concluded(*search.best(known, level), rng)
+
+
+def fit_given(
+    strides: Strides,
+    rng: np.random.Generator,
+    scales: RoadScales,
+    terms: Sequence[Term] = (),
+    longest_lag: float = float(LAGS.max()),
+    departures: Sequence[float] = (),
+) -> RoadFit | None:
+    """Fit strides as `fit` does, with ``scales`` as they are; they are found where other signals show the road."""
+    driven = strides[strides.known]
+    if len(driven) < MIN_STRIDES or not driven.a.any():
+        return None
+    model = RoadModel(strides, scales.alpha, scales.wander)
+    if scales.readings != model.reading_names:
+        return fit(strides, rng, terms, None, longest_lag, departures)
+    likelihood = Likelihood(model, terms, first_guess(driven), scales.lag, departures)
+    return _concluded(likelihood, scales, likelihood.log_evidence(scales.values), rng)
+
+
+def refit(found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term]) -> RoadFit:
+    """Fit the ``strides`` of a fit with other terms: scales are found again, orders of road and wander are kept."""
+    search = _Search(strides, terms, np.maximum(found.theta[:ROAD_LOAD], 1e-9), taken=found.taken)
+    return _concluded(*search.improved(found.scales), rng)
 
 
 def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term]]) -> tuple[Term, ...]:
@@ -264,15 +275,12 @@ class _Search:
         strides: Strides,
         terms: Sequence[Term],
         road_load: Floats,
-        longest_lag: float,
-        departures: Sequence[float],
-        level: bool,
-        taken: Floats | float,
+        longest_lag: float = float(LAGS.max()),
+        departures: Sequence[float] = (),
+        taken: Floats | float = 0.0,
     ) -> None:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
-        self._taken = taken
-        self._departures = departures
-        self._level = level
+        self._departures, self._taken = departures, taken
         self._models: dict[tuple[int, int], RoadModel] = {}
 
     def model(self, alpha: int, wander: int) -> RoadModel:
@@ -281,34 +289,40 @@ class _Search:
             self._models[alpha, wander] = RoadModel(self._strides, alpha, wander)
         return self._models[alpha, wander]
 
-    def likelihood(self, scales: RoadScales) -> tuple[Likelihood, RoadScales]:
+    def likelihood(self, scales: RoadScales) -> Likelihood:
         """The likelihood that belongs to scales."""
         model = self.model(scales.alpha, scales.wander)
-        return Likelihood(model, self._terms, self._road_load, scales.lag, self._departures, self._taken), scales
+        return Likelihood(model, self._terms, self._road_load, scales.lag, self._departures, self._taken)
 
-    def best(self, known: RoadScales | None, orders: bool) -> tuple[Likelihood, RoadScales, float]:
-        """From scales ``known`` before, or from the centres of their priors; without ``orders``, of the same orders."""
+    def improved(self, known: RoadScales) -> tuple[Likelihood, RoadScales, float]:
+        """The most probable scales from those ``known``, of the same orders; their likelihood and log evidence."""
+        scales, evidence = self._lagged(known)
+        return self.likelihood(scales), scales, evidence
+
+    def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
+        """The same with orders found too; without scales ``known``, from the centres of their priors."""
         if known is None:
-            model = self.model(LEVEL if self._level else ALPHAS[0], ROUGH)
-            values = np.array([scale.centre for scale in model.scales])
-            if self._level:
-                values[SLOPE] = model.scales[SLOPE].low
-            start = RoadScales(
-                values=values, alpha=model.alpha, wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
-            )
-            scales, evidence = self._lagged(start)
+            scales, evidence = self._lagged(self._central(level))
             scales, evidence = self._better(scales, evidence, _exchanged(scales))
         else:
             scales, evidence = self._lagged(known)
-            if not orders:
-                return *self.likelihood(scales), evidence
         if scales.readings:
             order = SMOOTH if scales.wander == ROUGH else ROUGH
             scales, evidence = self._better(scales, evidence, replace(scales, wander=order))
         for alpha in () if scales.alpha == LEVEL else ALPHAS:
             if alpha != scales.alpha:
                 scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha))
-        return *self.likelihood(scales), evidence
+        return self.likelihood(scales), scales, evidence
+
+    def _central(self, level: bool) -> RoadScales:
+        """Scales at the centres of their priors."""
+        model = self.model(LEVEL if level else ALPHAS[0], ROUGH)
+        values = np.array([scale.centre for scale in model.scales])
+        if level:
+            values[SLOPE] = model.scales[SLOPE].low
+        return RoadScales(
+            values=values, alpha=model.alpha, wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
+        )
 
     def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float]:
         """The ``scales``, or the most probable of ``other`` orders where these have more evidence."""
@@ -317,7 +331,7 @@ class _Search:
 
     def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
         """The most probable scales from those given."""
-        likelihood, _ = self.likelihood(scales)
+        likelihood = self.likelihood(scales)
         free = [i for i in range(len(scales.values)) if not (scales.alpha == LEVEL and i in (SLOPE, LENGTH))]
         values, evidence = most_probable(likelihood, scales.values, free)
         return replace(scales, values=values), evidence
@@ -328,7 +342,7 @@ class _Search:
         while scales.lag not in found:
             scales, evidence = self._improved(scales)
             found[scales.lag] = scales, evidence
-            likelihood, _ = self.likelihood(scales)
+            likelihood = self.likelihood(scales)
             beta, _, _ = likelihood.solve(likelihood.model.condition(scales.values).gram(likelihood.data))
             beta = beta / likelihood.unit
             m = 1 / float(np.clip(beta[0], 1e-6, 5e-3))

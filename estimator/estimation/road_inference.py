@@ -29,7 +29,7 @@ from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
-from estimator.estimation.road_fit import RoadFit, RoadScales, best_shapes, fit
+from estimator.estimation.road_fit import RoadFit, RoadScales, best_shapes, fit, fit_given
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.window import Window
@@ -229,26 +229,29 @@ class RoadInference:
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        limit = self._config.kinematics.maximum_lag_s
-        terms = self._terms(strides)
-        rng = np.random.default_rng(PROBE_SEED)
-        found = fit(strides, rng, terms, self._scales, grown, limit, departures=self._departures)
+        found = self._fitted_beside(strides, self._terms(strides), None if grown else self._scales)
         if found is not None:
             if grown or self._scales is None or found.scales.readings != self._scales.readings:
                 self._fitted = held
             self._scales = found.scales
         return found
 
+    def _fitted_beside(self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None) -> RoadFit | None:
+        """With ``scales`` as they are; None: with those found, from the last ones."""
+        limit, rng = self._config.kinematics.maximum_lag_s, np.random.default_rng(PROBE_SEED)
+        if scales is None:
+            return fit(strides, rng, terms, self._scales, limit, self._departures)
+        return fit_given(strides, rng, scales, terms, limit, self._departures)
+
     def _terms(self, strides: Strides) -> tuple[Term, ...]:
         """Each effect with the shape of most evidence, given the scales of road and noise."""
-        known, rng = frozenset(strides.context), np.random.default_rng(PROBE_SEED)
+        known = frozenset(strides.context)
         shapes = [[Term(effect, shape) for shape in effect.streaming_shapes(known)] for effect in self._effects]
         # Of several signals of one quantity the first one is taken.
         shapes = [each[:1] if isinstance(each[0].shape, Quantity) else each for each in shapes if each]
         if all(len(each) == 1 for each in shapes):
             return tuple(each[0] for each in shapes)
-        limit = self._config.kinematics.maximum_lag_s
-        plain = fit(strides, rng, (), self._scales, self._scales is None, limit, departures=self._departures)
+        plain = self._fitted_beside(strides, (), self._scales)
         return () if plain is None else best_shapes(strides, plain, shapes)
 
     def _judge(self, t: float, found: RoadFit, lag: float, withheld: Withheld) -> Estimate:
@@ -317,8 +320,7 @@ class RoadInference:
         inverse, weight = [], []
         for first, end in zip([0, *cuts], [*cuts, len(strides)], strict=True):
             rng = np.random.default_rng(PROBE_SEED)
-            scales, departures = found.scales, found.departures
-            part = fit(strides[first:end], rng, found.terms, scales, refit=False, departures=departures)
+            part = fit_given(strides[first:end], rng, found.scales, found.terms, departures=found.departures)
             if part is None or part.beta[0] <= 0 or not part.covariance[0, 0] > 0:
                 return []
             inverse.append(float(part.beta[0]))
