@@ -109,6 +109,7 @@ class Dense:
         covariance = sum(ou(one, other, time) for one in ends for other in ends) * together
         weight = driven.gearing / np.median(driven.gearing)
         self.force = torque**2 * np.outer(weight, weight) * (share**2 * covariance + own * np.eye(n))
+        self.sensors = K + torque**2 * np.outer(weight, weight) * share**2 * covariance  # but for their white part
         rate = ou(after, after, time) + ou(before, before, time) - ou(after, before, time) - ou(before, after, time)
         self.rate = torque**2 * np.outer(weight, weight) * rate * together / DURATION**2
         cross = sum(ou(one, after, time) - ou(one, before, time) for one in ends) * together
@@ -119,6 +120,7 @@ class Dense:
         covariance = sum(ou(one, other, memory) for one in ends for other in ends) * together
         slowness = np.median(driven.speed) / driven.speed
         K = K + power**2 * np.outer(slowness, slowness) * (share**2 * covariance + own * np.eye(n))
+        self.sensors = self.sensors + power**2 * np.outer(slowness, slowness) * share**2 * covariance
         # The road, looked up at five points of a stride.
         theta = dense_field(nodes, model.alpha, sd, length)
         identity = np.eye(len(nodes.s))

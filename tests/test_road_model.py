@@ -75,6 +75,18 @@ def test_the_road_that_is_found_is_the_conditional_mean(alpha):
     assert_allclose(at_strides, np.interp(middle, model.nodes.s, expected), atol=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("alpha", [2, LEVEL])
+def test_the_errors_of_the_sensors_are_their_conditional_mean(alpha):
+    """Those of speed, torque and power together, but for the part that no two strides share."""
+    model = RoadModel(strides_of(), alpha)
+    scales = scales_of(model, 5, power_noise=0.05)
+    residual = np.random.default_rng(2).normal(0, 0.1, sum(model.counts))
+    dense = Dense(model, scales)
+    expected = dense.sensors @ np.linalg.solve(dense.K, residual)
+    found = model.sensor_errors(model.condition(scales).unknowns(residual))
+    assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
 def test_nodes_bridge_short_gaps_and_end_before_long_ones():
     short, far = (Nodes.under(strides_of(gap=gap)) for gap in (0.8 * MAX_BRIDGE, 1.2 * MAX_BRIDGE))
     assert short.joined.sum() == len(short.s) - 1
