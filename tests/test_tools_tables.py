@@ -270,7 +270,7 @@ def test_hills_without_a_signal_of_them_make_a_real_truck_too_light(tools, recor
     before = tools.recordings.diagnose(log, "--config", hidden, "--dbc", tools.vt.DBC)
     assert tools.recordings.named(before) == ("grade",)
     assert before.parameters.base.mass_kg + 3 * before.parameters.base_sd.mass_kg < 20e3
-    assert abs(before.parameters.final.mass_kg - 32e3) < 3 * before.parameters.sd.mass_kg < 6e3
+    assert abs(before.parameters.final.mass_kg - 32e3) < 3 * before.parameters.sd.mass_kg < 10e3
     answer = tools.recordings.roadload(RunAnswer, "estimate", log, "--config", shown, "--effect", "grade")
     mass = answer.parameters.mass_kg
     assert mass.q05 < 32e3 < mass.q95
