@@ -361,6 +361,18 @@ def test_the_noise_of_the_force_is_in_a_gain_that_wanders_as_it_is_in_the_mass(s
     assert beside.theta[2] == pytest.approx(plain.fit.theta[2], rel=0.05)
 
 
+def test_a_gain_that_rises_with_the_torque_is_finite_where_the_engine_rests(strides):
+    strides = replace(strides, context=dict(strides.context))
+    strides.context[Quantity.ENGINE_SPEED] = np.where(np.arange(len(strides)) < 50, 0.0, 8.0 * strides.speed)
+    frame = Frame.of(DriveState.of(strides).fit)
+    bent = next(p for p in processes(frame) if p.name == "gain over torque").columns(frame)
+    assert np.isfinite(bent).all()
+    share = np.abs(frame.force) / 8.0
+    share /= np.quantile(share[50:], 0.99)
+    running = bent[50:, 1] / bent[50:, 0]  # one column is the other one times the torque
+    assert_allclose(running / running.max(), share[50:] / share[50:].max(), rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_what_is_smaller_than_the_error_of_a_large_effects_form_is_not_added():
     """A fan whose power rises by a tenth towards the end of each time it is on."""

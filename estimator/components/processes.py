@@ -22,6 +22,7 @@ ENGINE_SPEEDS = (15.0,)  # rad/s
 STRENGTHS = (0.1, 0.3, 1.0)  # of what is usual
 GAIN_ERROR = 0.1  # share of the force, usual where a gain wanders
 USUAL_POWER = 0.3  # W/kg, 8 kW for a truck of 27 t
+LOWEST_TURNS = 10.0  # rad/s, of an engine that runs: its power over fewer is no torque
 HIGH_TORQUE = 0.99  # quantile of the torque that counts as full load
 TYPICAL_TURNS = 120.0  # rad/s of an engine, to state the torque that takes a power
 MIN_PERIOD, MAX_PERIOD = 20.0, 600.0  # s, of a swing
@@ -132,8 +133,8 @@ def _measured(frame: Frame) -> Floats:
 def _bent_gain(frame: Frame) -> Floats:
     """Errors of the measured power that rise with the torque and with its square, over the largest torque (n, 2)."""
     power = frame.force * frame.strides.speed
-    share = np.abs(power / frame.strides.context[Quantity.ENGINE_SPEED])
-    share = share / np.quantile(share, HIGH_TORQUE)
+    torque = np.abs(power) / np.maximum(frame.strides.context[Quantity.ENGINE_SPEED], LOWEST_TURNS)
+    share = torque / max(float(np.quantile(torque, HIGH_TORQUE)), 1.0)
     return frame.as_acceleration(np.column_stack([power * share, power * share**2]))
 
 
