@@ -477,7 +477,7 @@ def test_the_road_load_is_averaged_over_time_constants_that_fit_alike():
     state = state.having((of_term(frame, Term(warm_up, short)),))
     theta, covariance = averaged(state)
 
-    frame, shapes = Frame.of(state.fit), {*warm_up.shapes, *warm_up.finer(short)}
+    frame, shapes = Frame.of(state.fit), {*warm_up.shapes, *warm_up.finer(short, 0.0)}
     each = [replace(state, chosen=(of_term(frame, Term(warm_up, shape)),)).joint() for shape in sorted(shapes)]
     log = np.array([joint.unlimited([0]) for joint in each])
     weights = np.exp(log - log.max()) / np.exp(log - log.max()).sum()

@@ -127,6 +127,16 @@ def test_a_wind_has_a_direction(diagnose):
     assert "heading" in {place["axis"] for place in answer["where"]}
 
 
+def test_a_strong_wind_does_not_move_the_road_load(diagnose):
+    """Its drag rises with its square; the rest of that would be taken for A and C, by four standard deviations."""
+    answer = diagnose(drive("highway", 40, 2, Effect(name="headwind", magnitude=7.5), shape="out-and-back"))
+    near(only(answer, "headwind"), 7.5, 0.01)
+    final, sd = answer["parameters"]["final"], answer["parameters"]["sd"]
+    assert final["A_N"] == pytest.approx(1739.0, abs=3 * sd["A_N"])
+    assert final["C_N_s2_m2"] == pytest.approx(3.74, abs=3 * sd["C_N_s2_m2"])
+    assert sd["A_N"] < 30
+
+
 def test_a_load_taken_on_at_a_stop(diagnose):
     recording = drive("urban", 30, 5, Effect(name="mass_step", magnitude=0.4, start=700.0))
     effect = only(diagnose(recording), "mass_step")

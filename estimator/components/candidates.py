@@ -39,7 +39,7 @@ class Candidates:
         """On the drive with this ``number``; of two equal forms the later one counts."""
         frame, times = Frame.of(drive.fit), self._times(number, drive)
         yield from self._as_the_bus_tells(frame, drive)
-        yield from _finer(frame, drive.chosen)
+        yield from _finer(frame, drive)
         yield from self._at_times(frame, drive.chosen, times)
         if with_processes:
             yield from _nameless(frame, drive, times)
@@ -82,11 +82,11 @@ class Candidates:
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
 
 
-def _finer(frame: Frame, chosen: Sequence[Component]) -> Iterator[Candidate]:
+def _finer(frame: Frame, drive: DriveState) -> Iterator[Candidate]:
     """Shapes near those that were chosen."""
-    for term in (component.term for component in chosen):
+    for term, size in zip((component.term for component in drive.chosen), drive.sizes.tolist(), strict=True):
         if term is not None and term.effect.finer is not None and not isinstance(term.shape, Quantity):
-            for shape in (term.shape, *term.effect.finer(term.shape)):
+            for shape in term.effect.finer(term.shape, size):
                 component = of_term(frame, Term(term.effect, shape))
                 yield Candidate(cause=term.effect.name, is_event=False, form=str(shape), component=component)
 

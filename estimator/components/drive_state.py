@@ -69,6 +69,11 @@ class DriveState:
         return replace(self, fit=found, chosen=chosen)
 
     @property
+    def sizes(self) -> Floats:
+        """Magnitudes (c,) of the effects chosen, each in its own unit."""
+        return self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
+
+    @property
     def is_loud(self) -> bool:
         """Whether noise of torque or power is larger than usual: effects that were not found may be in it."""
         values = self.fit.scales.values
@@ -86,8 +91,7 @@ class DriveState:
     def is_possible(self, given: int) -> bool:
         """Whether no effect behind the first ``given`` ones is larger than it can be on the vehicle as it is found."""
         limits = [np.inf if c.term is None else c.term.effect.limit(Frame.of(self.fit).road_load) for c in self.chosen]
-        sizes = self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
-        return bool(np.all(np.abs(sizes[given:]) <= np.array(limits[given:])))
+        return bool(np.all(np.abs(self.sizes[given:]) <= np.array(limits[given:])))
 
     def joint(self, candidates: Sequence[Component] = ()) -> JointLikelihood:
         """The likelihood of those chosen, which come first, and of ``candidates``."""

@@ -25,7 +25,9 @@ def averaged(drive: DriveState) -> tuple[Floats, Floats]:
     fit, count = drive.fit, len(drive.chosen)
     theta, covariance = fit.theta[:ROAD_LOAD].copy(), fit.theta_covariance()[:ROAD_LOAD, :ROAD_LOAD].copy()
     frame = Frame.of(fit)
-    shapes = {own: found for own in range(count) if (found := _shapes(frame, drive.chosen[own]))}
+    shapes = {
+        own: found for own in range(count) if (found := _shapes(frame, drive.chosen[own], float(drive.sizes[own])))
+    }
     if not shapes:
         return theta, covariance
     joint, at = drive.joint([shape for found in shapes.values() for shape in found]), count
@@ -39,12 +41,12 @@ def averaged(drive: DriveState) -> tuple[Floats, Floats]:
     return theta, covariance
 
 
-def _shapes(frame: Frame, component: Component) -> list[Component]:
+def _shapes(frame: Frame, component: Component, size: float) -> list[Component]:
     """All shapes of an effect that no signal tells, those near the chosen one too."""
     term = component.term
     if term is None or term.effect.finer is None or isinstance(term.shape, Quantity):
         return []
-    shapes = dict.fromkeys((*term.effect.shapes, term.shape, *term.effect.finer(term.shape)))
+    shapes = dict.fromkeys((*term.effect.shapes, *term.effect.finer(term.shape, size)))
     return [of_term(frame, Term(term.effect, shape)) for shape in shapes if not isinstance(shape, Quantity)]
 
 

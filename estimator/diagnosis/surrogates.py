@@ -13,7 +13,6 @@ import numpy as np
 from estimator.components.component import Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.search import ranked
-from estimator.estimation.road_likelihood import LAG
 from estimator.model.effects import Effect
 from estimator.signals import Floats
 
@@ -42,7 +41,7 @@ def _surrogate(drive: DriveState, rng: np.random.Generator) -> DriveState:
     residual = fit.strides.a - fit.fitted
     frame = Frame.of(fit)
     columns = np.column_stack([np.zeros(len(residual)), *(c.columns(frame)[:, 0] for c in drive.chosen)])
-    effects = columns[:, 1:] @ fit.theta[LAG + 1 : LAG + 1 + len(drive.chosen)]
+    effects = columns[:, 1:] @ drive.sizes
     a = drive.strides.a.copy()
     a[drive.strides.known] = fit.fitted - effects + with_other_phases(residual, rng)
     drawn = DriveState.of(replace(drive.strides, a=a), (), drive.is_level, fit.scales)

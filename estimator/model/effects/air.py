@@ -13,8 +13,8 @@ YAWED = (0.0, 0.05, 0.1, 0.2)  # share of C that oblique air adds at TEN_DEGREES
 WINDS = tuple((direction, yawed, USUAL_WIND) for direction in DIRECTIONS for yawed in YAWED)
 TEN_DEGREES = pi / 18
 LARGEST_YAW = 0.3  # rad, from which on the flow has separated and the drag rises no more
-TURNS = tuple(pi / 180 * degree for degree in (-7.5, -5.0, -2.5, 0.0, 2.5, 5.0, 7.5))  # rad
-FINER = ((0.0, 1.0), (-0.03, 1.0), (0.03, 1.0), (0.0, 0.6), (0.0, 0.8), (0.0, 1.25), (0.0, 1.6))  # yawed: plus; wind: x
+TURNS = tuple(pi / 180 * degree for degree in (-6.0, -2.0, -0.6, -0.2, 0.0, 0.2, 0.6, 2.0, 6.0))  # rad
+MORE_YAWED = (-0.03, -0.01, -0.003, 0.0, 0.003, 0.01, 0.03)
 
 
 def _wind(view: View, wind: Shape) -> Floats:
@@ -28,9 +28,10 @@ def _wind(view: View, wind: Shape) -> Floats:
     return drag
 
 
-def _winds_near(wind: Shape) -> tuple[Shape, ...]:
-    direction, yawed, usual = wind
-    return tuple((direction + turn, max(yawed + more, 0.0), usual * times) for turn in TURNS for more, times in FINER)
+def _winds_near(wind: Shape, speed: float) -> tuple[Shape, ...]:
+    """Winds of the ``speed`` [m/s] that was found: with another one the column would not be that of any wind."""
+    direction, yawed, _ = wind
+    return tuple((direction + turn, max(yawed + more, 0.0), speed) for turn in TURNS for more in MORE_YAWED)
 
 
 HEADWIND = Effect(

@@ -12,9 +12,9 @@ def cold(view: View, time: Shape) -> Floats:
     return left
 
 
-def finer_times(time: Shape) -> tuple[Shape, ...]:
+def finer_times(time: Shape, _: float) -> tuple[Shape, ...]:
     """Time constants [s] between one of a grid and its neighbours."""
-    return tuple(time * share for share in (0.8, 0.87, 0.93, 1.08, 1.16, 1.25))
+    return tuple(time * share for share in (0.8, 0.87, 0.93, 1.0, 1.08, 1.16, 1.25))
 
 
 def told_time(time: Shape) -> str:

@@ -123,7 +123,7 @@ class Effect:
     shapes
         What it is non-linear in: values to try. A `Quantity` stands for itself, as one of several sources.
     finer
-        Shapes between one of ``shapes`` and its neighbours.
+        Shapes between one of ``shapes`` and its neighbours, given the magnitude that was found with it.
     describe
         A shape in words.
     timing
@@ -157,7 +157,7 @@ class Effect:
     positive: bool = True
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
-    finer: Callable[[Shape], tuple[Shape, ...]] | None = None
+    finer: Callable[[Shape, float], tuple[Shape, ...]] | None = None
     describe: Callable[[Shape], str] | None = None
     timing: Timing = Timing.ALWAYS
     at_rest: Callable[[AtRest, Shape], float] | None = None
