@@ -77,6 +77,14 @@ def test_power_is_one_finite_number_for_each_sample(effect, shape):
     assert power.any() == (effect.name not in LAGS)
 
 
+@pytest.mark.parametrize("size", [-2.0, 0.0, 1e-9, 7.4])
+def test_power_is_finite_with_shapes_near_any_whatever_size_was_found(size):
+    for effect in (effect for effect in CATALOGUE if effect.finer):
+        for shape in (shape for shape in effect.shapes if not isinstance(shape, Quantity)):
+            for near in effect.finer(shape, size):
+                assert np.isfinite(effect.power(view(), near)).all()
+
+
 @pytest.mark.parametrize(("effect", "shape"), SHAPES)
 def test_what_is_computed_from_is_what_is_declared(effect, shape):
     context = Watched(view().context)

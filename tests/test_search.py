@@ -31,7 +31,9 @@ IMPOSSIBLE = 9  # a form whose size is beyond its limit once the scales are foun
 def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> Any:
     fit = SimpleNamespace(log_evidence=log_evidence)
     is_possible = IMPOSSIBLE not in chosen
-    return SimpleNamespace(fit=fit, chosen=(), is_possible=lambda given: is_possible, **{"is_loud": False} | further)
+    return SimpleNamespace(
+        fit=fit, chosen=(), is_possible=lambda given: is_possible, **{"has_unusual_noise": False} | further
+    )
 
 
 def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: Any) -> float:
@@ -89,7 +91,7 @@ def test_a_set_that_is_possible_is_kept_where_only_impossible_ones_have_more_evi
 @pytest.mark.parametrize(("from_usual_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
 def test_where_noise_is_large_effects_are_looked_for_from_the_usual_noise_too(monkeypatch, from_usual_noise, best):
     script = [((1,), 29.5), ((1,), 30.0), ((2,), from_usual_noise - 0.5), ((2,), from_usual_noise)]
-    assert rounds(monkeypatch, script, is_loud=True, hushed=lambda: state(-50.0)) == best
+    assert rounds(monkeypatch, script, has_unusual_noise=True, with_usual_noise=lambda: state(-50.0)) == best
 
 
 # Times
@@ -124,21 +126,21 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
 # The noise to start from
 
 
-def test_a_drive_is_loud_with_a_force_that_comes_and_goes_and_hushed_by_the_usual_noise():
+def test_a_force_that_comes_and_goes_is_unusual_noise_of_a_drive_that_can_start_from_the_usual():
     n, rng = 600, np.random.default_rng(5)
     speed = 15 + 4 * np.sin(np.arange(n + 1) / 15)
     brake = 9e3 * ((np.arange(n) % 90 > 50) & (np.arange(n) % 90 < 65))
     force = 20e3 * np.diff(speed) + 2e3 + brake + rng.normal(0, 100.0, n)
-    loud = DriveState.of(made_strides(speed, force, {}), is_level=True)
-    assert loud is not None
-    assert not driven().is_loud
-    assert loud.is_loud
-    quiet = loud.hushed()
-    assert not quiet.is_loud
+    noisy = DriveState.of(made_strides(speed, force, {}), is_level=True)
+    assert noisy is not None
+    assert not driven().has_unusual_noise
+    assert noisy.has_unusual_noise
+    quiet = noisy.with_usual_noise()
+    assert not quiet.has_unusual_noise
     assert quiet.is_level
-    likelihood = Likelihood(RoadModel(loud.strides, LEVEL), (), quiet.fit.theta[:ROAD_LOAD], quiet.fit.scales.lag)
+    likelihood = Likelihood(RoadModel(noisy.strides, LEVEL), (), quiet.fit.theta[:ROAD_LOAD], quiet.fit.scales.lag)
     assert quiet.fit.log_evidence == pytest.approx(likelihood.log_evidence(quiet.fit.scales.values), rel=0.01)
-    assert quiet.fit.log_evidence < loud.fit.log_evidence
+    assert quiet.fit.log_evidence < noisy.fit.log_evidence
 
 
 def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():

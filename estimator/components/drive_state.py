@@ -74,12 +74,12 @@ class DriveState:
         return self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
 
     @property
-    def is_loud(self) -> bool:
+    def has_unusual_noise(self) -> bool:
         """Whether noise of torque or power is larger than usual: effects that were not found may be in it."""
         values = self.fit.scales.values
         return any(np.log(values[i] / SCALES[i].centre) > SCALES[i].spread for i in (TORQUE, POWER))
 
-    def hushed(self) -> "DriveState":
+    def with_usual_noise(self) -> "DriveState":
         """With no more noise of torque and power, and for no longer, than usual."""
         values = self.fit.scales.values.copy()
         for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):

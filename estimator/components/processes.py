@@ -56,7 +56,7 @@ def processes(frame: Frame) -> Iterator[Component]:
     if turns is not None and np.isfinite(turns).all():
         over.append(("power over engine speed", _power, USUAL_POWER * m, turns, ENGINE_SPEEDS))
         for strength in STRENGTHS:
-            yield Component(name="gain over torque", columns=_bent_gain, sd=strength * GAIN_ERROR, is_noisy=True)
+            yield Component(name="gain over torque", columns=_gain_over_torque, sd=strength * GAIN_ERROR, is_noisy=True)
     for name, profile, usual, axis, lengths in over:
         for length in lengths:
             columns = _along(profile, hats(axis, length))
@@ -130,7 +130,7 @@ def _measured(frame: Frame) -> Floats:
     return frame.force * frame.strides.speed
 
 
-def _bent_gain(frame: Frame) -> Floats:
+def _gain_over_torque(frame: Frame) -> Floats:
     """Errors of the measured power that rise with the torque and with its square, over the largest torque (n, 2)."""
     power = frame.force * frame.strides.speed
     torque = np.abs(power) / np.maximum(frame.strides.context[Quantity.ENGINE_SPEED], LOWEST_TURNS)

@@ -168,8 +168,8 @@ class Search:
             Neither would reach ``least``.
         """
         starts = [self._drives]
-        if any(drive.is_loud for drive in self._drives):
-            starts.append(tuple(drive.hushed() for drive in self._drives))
+        if any(drive.has_unusual_noise for drive in self._drives):
+            starts.append(tuple(drive.with_usual_noise() for drive in self._drives))
         found = list[_Converged]()
         for start in starts:
             with suppress(_OutOfReachError):

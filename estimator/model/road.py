@@ -131,10 +131,10 @@ class RoadModel:
         linked[self._before] = True
         self._linked = linked
         groups = [self._ends_t, self._ends_t + 1e-7, self._ends_t + 2e-7]
-        passed = nodes.t + (np.ptp(self._ends_t) + np.ptp(nodes.t) if self.is_level else 0.0)
-        groups += [np.empty(0) if self.is_level else passed]
-        groups += [passed + 1e-7] if self.has_altitude else []
-        groups += [passed + 2e-7 for _ in self.readings]  # at every node: a signal's gaps must not widen the band
+        node_t = nodes.t + (np.ptp(self._ends_t) + np.ptp(nodes.t) if self.is_level else 0.0)
+        groups += [np.empty(0) if self.is_level else node_t]
+        groups += [node_t + 1e-7] if self.has_altitude else []
+        groups += [node_t + 2e-7 for _ in self.readings]  # at every node: a signal's gaps must not widen the band
         times = np.concatenate(groups)
         order = np.argsort(times, kind="stable")
         rank = np.empty(len(order), dtype=np.int64)
@@ -157,12 +157,12 @@ class RoadModel:
         weights = [np.tile([-1 / DURATION, 1 / DURATION], (len(driven), 1))]
         weights += [-0.5 * np.repeat(share[:, None], 2, axis=1) for share in (self.weight, self.slowness)]
         if not self.is_level:
-            touched, hats = self._under()
+            touched, hats = self._slope_weights()
             places.append(self._slope[touched])
             weights.append(-STANDARD_GRAVITY * hats)
         return np.hstack(places), np.hstack(weights)
 
-    def _under(self) -> tuple[Places, Floats]:
+    def _slope_weights(self) -> tuple[Places, Floats]:
         """Nodes near each driven stride, and their weights in its mean slope."""
         driven, nodes = self.driven, self.nodes
         before, share = nodes.between(driven.s0[:, None] + (driven.s1 - driven.s0)[:, None] * _POINTS)
@@ -184,16 +184,16 @@ class RoadModel:
             weights += [-half, -half]
         return [(np.column_stack(places), np.hstack(weights)), (height[start][:, None], np.ones((len(start), 1)))]
 
-    def _heard(self, reading: Reading, wander: Places) -> tuple[Places, Floats]:
+    def _measured(self, reading: Reading, wander: Places) -> tuple[Places, Floats]:
         """The unknowns that a signal shows: its part of the road, and its wander."""
         shown = self._height if reading.name == "altitude" else self._slope
-        heard = [*([shown[reading.nodes]] if len(shown) else []), wander[reading.nodes]]
-        return np.column_stack(heard), np.ones((len(reading.nodes), len(heard)))
+        places = [*([shown[reading.nodes]] if len(shown) else []), wander[reading.nodes]]
+        return np.column_stack(places), np.ones((len(reading.nodes), len(places)))
 
     def _observe(self) -> None:
         """Set up the linear maps from unknowns to data, and the bands of the priors."""
         maps = [self._motion(), *(self._heights() if self.has_altitude else [])]
-        maps += [self._heard(reading, wander) for reading, wander in zip(self.readings, self._wander, strict=True)]
+        maps += [self._measured(reading, wander) for reading, wander in zip(self.readings, self._wander, strict=True)]
         slopes = [_reach(self._slope, k) for k in range(1, self.alpha + 1)]
         chains = [_reach(places, k) for places in self._wander for k in range(1, self.wander + 1)]
         noise = [int(np.diff(e).max(where=self._linked, initial=0)) for e in (self._force_error, self._power_error)]

@@ -14,7 +14,8 @@ WINDS = tuple((direction, yawed, USUAL_WIND) for direction in DIRECTIONS for yaw
 TEN_DEGREES = pi / 18
 LARGEST_YAW = 0.3  # rad, from which on the flow has separated and the drag rises no more
 TURNS = tuple(pi / 180 * degree for degree in (-6.0, -2.0, -0.6, -0.2, 0.0, 0.2, 0.6, 2.0, 6.0))  # rad
-MORE_YAWED = (-0.03, -0.01, -0.003, 0.0, 0.003, 0.01, 0.03)
+MORE_YAWED = (-0.03, -0.01, -0.003, 0.0, 0.003, 0.01, 0.03)  # of the share of C
+LOWEST_WIND = 0.5  # m/s: the column is per 1 m/s, and that of no wind is none
 
 
 def _wind(view: View, wind: Shape) -> Floats:
@@ -31,6 +32,7 @@ def _wind(view: View, wind: Shape) -> Floats:
 def _winds_near(wind: Shape, speed: float) -> tuple[Shape, ...]:
     """Winds of the ``speed`` [m/s] that was found: with another one the column would not be that of any wind."""
     direction, yawed, _ = wind
+    speed = max(speed, LOWEST_WIND)
     return tuple((direction + turn, max(yawed + more, 0.0), speed) for turn in TURNS for more in MORE_YAWED)
 
 
