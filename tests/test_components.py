@@ -22,7 +22,7 @@ from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
 from estimator.components.shape_average import averaged
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
-from estimator.estimation.road_fit import best_shapes, fit, theta_of
+from estimator.estimation.road_fit import fit, theta_of
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
@@ -447,23 +447,6 @@ def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
     for component in components:
         changed = not np.allclose(component.columns(frame), component.columns(disturbed))
         assert changed == component.is_noisy, component.name
-
-
-@pytest.mark.slow
-def test_of_several_shapes_the_one_that_the_drive_shows_is_taken():
-    n = 2400
-    t = np.arange(n) + 0.5
-    cold = driven(n)
-    for tau in (360.0, 900.0):
-        warming = driven(n, power=0.6 * A * np.exp(-t / tau) * cold.speed)
-        noise = np.random.default_rng(2).normal(0.0, 0.3, n)
-        warming = replace(warming, altitude=altitude_of(warming) + noise)
-        found = fit(warming, np.random.default_rng(1))
-        shapes = [Term(BY_NAME["warm_up"], shape) for shape in BY_NAME["warm_up"].shapes]
-        guess = best_shapes(warming, found, [shapes])  # beside scales that have taken some of it up
-        beside = fit(warming, np.random.default_rng(1), guess, found.scales)
-        (term,) = best_shapes(warming, beside, [shapes])
-        assert term.shape == pytest.approx(tau, rel=0.7)
 
 
 def test_the_road_load_is_averaged_over_time_constants_that_fit_alike():

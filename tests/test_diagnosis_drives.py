@@ -235,6 +235,31 @@ def test_the_loop_closes(hills):
     assert left["rms_base_kW"] < 0.4 * promised["rms_base_kW"]
 
 
+@pytest.mark.parametrize(
+    ("truth", "route", "shape"),
+    [
+        (Effect(name="headwind", magnitude=7.0), "mixed", "loop"),
+        (Effect(name="warm_up", magnitude=0.4), "highway", "one-way"),
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
+def test_the_loop_closes_for_what_no_signal_tells_the_shape_of(tmp_path, truth, route, shape):
+    """A wind between those of the grid, or a time constant: the estimate has it too, and nothing is left."""
+    log = written(drive(route, 50, 8, truth, shape=shape), tmp_path / "drive.blf")
+    promised = ask("diagnose", log)
+    assert named(promised) == [truth.name]
+    assert promised["configuration"] == f'effects = ["{truth.name}"]'
+    left = ask("diagnose", log, "--effect", truth.name)
+    assert (left["verdict"], named(left)) == ("no gap", [])
+    assert truth.name not in {candidate["name"] for candidate in left["candidates"]}
+    assert left["rms_base_kW"] == pytest.approx(promised["rms_final_kW"], rel=0.05)
+    assert left["rms_base_kW"] < 0.9 * promised["rms_base_kW"]
+    found = promised["parameters"]["final"]
+    estimate = ask("estimate", log, "--effect", truth.name)["parameters"]
+    for key, each in estimate.items():
+        assert each["mean"] == pytest.approx(found[key], abs=3 * each["sd"]), key
+
+
 def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
     log = written(
         drive("mixed", 30, 6, Effect(name="grade", magnitude=0.01), Effect(name="auxiliary_cycling", magnitude=40e3)),

@@ -178,7 +178,7 @@ RIVALS = (finding("drafting", 0.6, equivalent=("fan",)),)
         (empty(), "Cannot tell: the log holds 40 s of driving; ten minutes are needed."),
         (
             changed(verdict=Verdict.NO_GAP, effects=()),
-            "The road load describes this drive to 13.4 kW, and nothing systematic is left; "
+            "The model describes this drive to 13.4 kW, and nothing systematic is left; "
             "too small to see here: viscous_drag, auxiliary_load.",
         ),
         (unknown(), "Something is missing that no known effect explains: power over time, 6.1 kW of 9.1 kW."),

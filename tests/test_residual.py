@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.answers.diagnosis import Verdict
+from estimator.components.folds import left_out
 from estimator.components.formula import Variable, best_formula, judged, units_of
 from estimator.components.model_table import WINDOW, Cause, weigh
 from estimator.components.set_likelihood import SetLikelihood, places_of
@@ -253,8 +254,7 @@ def test_residuals_left_out_are_those_of_fits_without_them():
     record = checked(residual, candidates, T, options["base"], options["along"])
     form = forms_of(record)[0][0]
     left = np.empty(N)
-    for fold in range(5):
-        out = (np.arange(N) * 20 // N) % 5 == fold
+    for out in left_out(N, 5, N // 20):
         X = np.column_stack([record.base, form.columns])
         K = dense(T[~out], SCALES)
         precision = np.diag([0.0, 0.0, form.sd**-2.0])

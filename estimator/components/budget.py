@@ -20,6 +20,7 @@ import numpy as np
 
 from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
+from estimator.components.folds import left_out
 from estimator.components.likelihood import JointLikelihood
 from estimator.estimation.road_likelihood import PLAIN, columns
 from estimator.model.road_scales import DISTURBANCE
@@ -34,7 +35,7 @@ MIN_SYSTEMATIC = 1e-6  # share that is not noise
 FORM_DOUBT = 0.5  # sd of a share s from wrong forms of the model, over s (1 - s): measured on simulated drives
 SDS_OF_90_PERCENT = 1.645  # standard deviations to either side that hold 90 % of a Gaussian
 MIN_SHARE = 0.01  # of the gap: effects that were not chosen and are below it are summed to one part
-FOLDS, CHUNKS = 3, 4  # each fold is so many stretches of the drive
+FOLDS, STRETCH = 3, 60  # strides in a row in the same fold: more than noise and road remember, less than most episodes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,10 +60,11 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The gap of all drives: ``total`` rms [W] of the plain model, ``reached`` with all that was chosen, the parts."""
+    """The gap of all drives: the residuals [W] of three models on stretches left out of the fit, and the parts."""
 
-    total: float
-    reached: float
+    total: float  # of the plain road load
+    base: float  # with what is given
+    reached: float  # with all that was chosen
     parts: tuple[Part, ...]
 
     def part(self, cause: str) -> Part | None:
@@ -120,9 +122,10 @@ def budget(
     parts = [
         _part(cause, residual, draws, held_out.get(cause), (found, all_but_noise)) for cause, draws in drawn.items()
     ]
+    base = residual - sum((held_out[cause] for cause in given if cause in held_out), np.zeros(len(residual)))
     left = residual - sum(held_out.values(), np.zeros(len(residual)))
-    reached = float(np.sqrt(np.mean(left**2)))
-    return Budget(total, reached, tuple(sorted(parts, key=lambda part: -part.share)))
+    rms_base, reached = (float(np.sqrt(np.mean(each**2))) for each in (base, left))
+    return Budget(total, rms_base, reached, tuple(sorted(parts, key=lambda part: -part.share)))
 
 
 def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
@@ -238,11 +241,8 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
     """Acceleration (n,) by each effect and the road on stretches that the fit has not seen."""
     strides = drive.strides
     places = np.flatnonzero(strides.known)
-    n = len(places)
-    fold = (np.arange(n) * FOLDS * CHUNKS // n) % FOLDS
-    found: dict[str, Floats] = {name: np.zeros(n) for name in (*names, *([] if drive.is_level else [ROAD]))}
-    for k in range(FOLDS):
-        out = fold == k
+    found: dict[str, Floats] = {name: np.zeros(len(places)) for name in (*names, *([] if drive.is_level else [ROAD]))}
+    for out in left_out(len(places), FOLDS, STRETCH):
         known = strides.known.copy()
         known[places[out]] = False
         rest = replace(strides, known=known)

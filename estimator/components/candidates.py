@@ -8,9 +8,9 @@ from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState, has_free_times
 from estimator.components.processes import processes, swings, switched
 from estimator.components.switching import Switching, is_usual, prior_cost
+from estimator.estimation.shapes import is_free
 from estimator.model.design_matrix import Spans, Term, union, without
 from estimator.model.effects.effect import Effect, Timing
-from estimator.signals import Quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Candidates:
         """On the drive with this ``number``; of two equal forms the later one counts."""
         frame, times = Frame.of(drive.fit), self._times(number, drive)
         yield from self._as_the_bus_tells(frame, drive)
-        yield from _finer(frame, drive)
+        yield from self._finer(frame, drive)
         yield from self._at_times(frame, drive.chosen, times)
         if with_processes:
             yield from _nameless(frame, drive, times)
@@ -71,6 +71,15 @@ class Candidates:
                     component=component,
                 )
 
+    def _finer(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+        """Shapes near those that were chosen; effects that are given keep theirs."""
+        for term, size in zip((component.term for component in drive.chosen), drive.sizes.tolist(), strict=True):
+            if term is None or term.effect.finer is None or not is_free(term) or term.effect not in self._effects:
+                continue
+            for shape in term.effect.finer(term.shape, size):
+                component = of_term(frame, Term(term.effect, shape))
+                yield Candidate(cause=term.effect.name, is_event=False, form=str(shape), component=component)
+
     def _at_times(self, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]) -> Iterator[Candidate]:
         """Effects at fitted times, and at those that were chosen for them with others added or taken away."""
         for effect in self._timed:
@@ -80,15 +89,6 @@ class Candidates:
                 if is_usual(spans, effect):
                     component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect))
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
-
-
-def _finer(frame: Frame, drive: DriveState) -> Iterator[Candidate]:
-    """Shapes near those that were chosen."""
-    for term, size in zip((component.term for component in drive.chosen), drive.sizes.tolist(), strict=True):
-        if term is not None and term.effect.finer is not None and not isinstance(term.shape, Quantity):
-            for shape in term.effect.finer(term.shape, size):
-                component = of_term(frame, Term(term.effect, shape))
-                yield Candidate(cause=term.effect.name, is_event=False, form=str(shape), component=component)
 
 
 def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:

@@ -106,12 +106,6 @@ class Conclusion:
         return any(term.effect.is_gravity for drive in self.plain for term in drive.model.terms)
 
     @property
-    def rms_base(self) -> float:
-        """Residual [W] of the model without the effects found."""
-        part = self.budget.part(ROAD) if self.is_given else None
-        return self.budget.total if part is None or part.reached is None else part.reached
-
-    @property
     def _shift(self) -> Shift:
         """Shift of the parameters from the plain model to the one with the road and all chosen effects."""
         model = max((drive.model for drive in self.plain), key=lambda model: len(model.samples))
@@ -348,7 +342,7 @@ class Conclusion:
         assert term is not None
         part, effect = self.budget.part(choice.name), choice.effect
         alone = self.budget.total if part is None or part.reached is None else part.reached
-        left = self.budget.reached if self.is_given else alone
+        left = self.budget.reached if any(drive.model.terms for drive in self.plain) else alone
         likely = {name for name, p in self.explained.probability.items() if p > MIN_RIVAL and name != choice.name}
         close = set() if choice in self.sure else likely - {other.name for other in self.explained.choices}
         spans = [
@@ -367,7 +361,7 @@ class Conclusion:
             equivalent=tuple(sorted(close | set(effect.equivalent))),
             magnitude=_magnitude(effect, float(posterior.mean[at]), float(np.sqrt(posterior.covariance[at, at]))),
             gap_closed=_closed(part),
-            rms_before=self.rms_base,
+            rms_before=self.budget.base,
             rms_after=left,
             shift=self._shift,
             span=tuple(spans),

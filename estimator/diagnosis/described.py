@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from estimator.components.budget import Projection
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
+from estimator.components.folds import left_out
 from estimator.components.formula import Variable, best_formula, judged
 from estimator.diagnosis.result import Described
 from estimator.estimation.road_likelihood import ROAD_LOAD
@@ -19,7 +20,7 @@ from estimator.signals import Floats, Quantity
 
 MIN_LOG_BF = 5.0  # of a formula, all formulas counted: that of an effect
 SMOOTHED = 5  # strides, 5 s, that the acceleration is averaged over
-FOLDS, CHUNKS = 5, 4  # each fold is so many stretches of the drive
+FOLDS, STRETCHES = 5, 20  # of the drive
 
 
 def described(drive: DriveState) -> Described | None:
@@ -79,10 +80,8 @@ def _held_out_share(drive: DriveState, column: Floats) -> float:
     n = len(y)
     plain = np.column_stack([np.ones(n), *effects])
     wide = np.column_stack([plain, extra / np.sqrt(np.mean(extra**2))])
-    fold = (np.arange(n) * FOLDS * CHUNKS // n) % FOLDS
     left = {False: 0.0, True: 0.0}
-    for k in range(FOLDS):
-        out = fold == k
+    for out in left_out(n, FOLDS, n // STRETCHES):
         for with_column, X in ((False, plain), (True, wide)):
             amplitudes = np.linalg.lstsq(X[~out], y[~out], rcond=None)[0]
             left[with_column] += float(np.sum((y[out] - X[out] @ amplitudes) ** 2))

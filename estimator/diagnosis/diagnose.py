@@ -20,12 +20,15 @@ from estimator.diagnosis.result import Diagnosis, Experiment, Finding, NotTestab
 from estimator.diagnosis.surrogates import p_value
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
-from estimator.model.design_matrix import best_terms, columns
+from estimator.estimation.road_fit import fit as fit_road
+from estimator.estimation.shapes import fitted_with_shapes, is_free
+from estimator.model.design_matrix import Term, best_terms, columns
 from estimator.model.effects import CATALOGUE, Effect
 from estimator.signals import Floats, Quantity
 
 SAMPLES_PER_SECOND = 10
 MAX_EXPERIMENTS = 3  # pairs of effects that an experiment is looked for
+PROBE_SEED = 20_043  # of the simulated noise in the correction of a fit that finds shapes
 MIN_DRIVE = 300.0  # s of admitted driving: shorter drives seldom determine A, C and m
 
 
@@ -98,12 +101,24 @@ def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
         if not effect.streaming_shapes(record.known):
             return f"the effect {effect.name} needs {' or '.join(r.value for r in effect.wanted)}, which the bus lacks"
     A, C, m = 1e3, 1.0, 1e4  # rough: used only to compare the shapes of an effect
-    terms = best_terms(given, samples, np.array([A, C, m]))
+    terms = _with_shapes(record, best_terms(given, samples, np.array([A, C, m])))
     kept = select(samples, terms)
     model = None if kept is None else fit(samples[kept], terms)
     if model is None or len(model.samples) < MIN_DRIVE * SAMPLES_PER_SECOND:
         return "speed and acceleration vary too little, or power is not positive, so A, C and m cannot be told apart"
     return Drive(record, model)
+
+
+def _with_shapes(record: Record, terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """The terms with the shapes of most evidence of the motion, where no signal tells these."""
+    moving = [term for term in terms if not term.effect.is_gravity]
+    if not any(is_free(term) for term in moving):
+        return terms
+    rng = np.random.default_rng(PROBE_SEED)
+    found = fitted_with_shapes(
+        record.strides, tuple(moving), lambda terms, known: fit_road(record.strides, rng, terms, known)
+    )
+    return terms if found is None else (*(term for term in terms if term.effect.is_gravity), *found.terms)
 
 
 def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[NotTestable, ...]) -> Diagnosis:
@@ -129,7 +144,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
         formula=described(longest) if remaining is Verdict.UNKNOWN or verdict is Verdict.UNKNOWN else None,
         doubtful=facts.doubtful(explained, verdict, named),
         noise_floor=conclusion.budget.floor,
-        rms_base=conclusion.rms_base,
+        rms_base=conclusion.budget.base,
         rms_final=conclusion.budget.reached,
         base=_road_load(before.road_load),
         base_deviation=_deviation(before),

@@ -15,6 +15,7 @@ from estimator.diagnosis.model import Drive
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.model.effects import Effect
+from estimator.model.effects.effect import Timing
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,10 @@ class Explanation:
 
 def explain(drives: Sequence[Drive], effects: Sequence[Effect], thresholds: Thresholds) -> Explanation | None:
     """Search for what acts on ``drives``; None where their motion cannot be fitted."""
-    candidates = [effect for effect in effects if not (effect.absorbed or effect.is_gravity)]
+    present = {
+        term.effect.name for drive in drives for term in drive.model.terms if term.effect.timing is Timing.ALWAYS
+    }
+    candidates = [e for e in effects if not (e.absorbed or e.is_gravity or e.name in present)]
     if any(term.effect.is_gravity for drive in drives for term in drive.model.terms):
         given = _states(drives, is_level=False)
         return None if given is None else Explanation(Search(given, candidates).explained(), True, None, True)

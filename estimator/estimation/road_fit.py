@@ -46,6 +46,7 @@ ANSWERED, ANSWERED_SD = 0.3, 0.2  # share of a slope's change that drivers answe
 MAX_HIDDEN_CHANGES = 1.0  # of R that is allowed for: the mass falls by 23 %, with an sd of 20 %
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
+PASSES = 2  # of the coefficients, given the scales, that effects scale with
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
 
@@ -231,40 +232,16 @@ def fit_given(
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES or not driven.a.any():
         return None
-    model = RoadModel(strides, scales.alpha, scales.wander)
-    if scales.readings != model.reading_names:
+    search = _Search(strides, terms, first_guess(driven), longest_lag, departures)
+    if scales.readings != search.model(scales.alpha, scales.wander).reading_names:
         return fit(strides, rng, terms, None, longest_lag, departures)
-    likelihood = Likelihood(model, terms, first_guess(driven), scales.lag, departures)
-    return _concluded(likelihood, scales, likelihood.log_evidence(scales.values), rng)
+    return _concluded(*search.given(scales), rng)
 
 
 def refit(found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term]) -> RoadFit:
     """Fit the ``strides`` of a fit with other terms: scales are found again, orders of road and wander are kept."""
     search = _Search(strides, terms, np.maximum(found.theta[:ROAD_LOAD], 1e-9), taken=found.taken)
     return _concluded(*search.improved(found.scales), rng)
-
-
-def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term]]) -> tuple[Term, ...]:
-    """Of each effect the term, among its ``shapes``, that adds most to the evidence of a fit; its sign counts."""
-    terms = [term for each in shapes for term in each]
-    model = RoadModel(strides, found.scales.alpha, found.scales.wander)
-    likelihood = Likelihood(model, terms, found.theta[:ROAD_LOAD], found.scales.lag, found.departures)
-    gram = model.condition(found.scales.values).gram(likelihood.data)
-    _, information, _ = likelihood.solve(gram)
-    base = len(information) - len(terms)
-    weights = np.linalg.solve(
-        information[:base, :base], np.column_stack([information[:base, base:], gram[1:, :1][:base]])
-    )
-    strength = np.diag(information)[base:] - np.sum(information[:base, base:] * weights[:, :-1], axis=0)
-    score = gram[1 + base :, 0] - information[base:, :base] @ weights[:, -1]
-    believed = np.diag(likelihood.prior)[base:]
-    wrong = np.array([term.effect.positive for term in terms]) & (score > 0)  # a coefficient is -b / m
-    gain = np.where(wrong, 0.0, 0.5 * score**2 / strength) - 0.5 * np.log(strength / believed)
-    chosen, at = list[Term](), 0
-    for each in shapes:
-        chosen += [each[int(np.argmax(gain[at : at + len(each)]))]] if each else []
-        at += len(each)
-    return tuple(chosen)
 
 
 class _Search:
@@ -293,6 +270,13 @@ class _Search:
         """The likelihood that belongs to scales."""
         model = self.model(scales.alpha, scales.wander)
         return Likelihood(model, self._terms, self._road_load, scales.lag, self._departures, self._taken)
+
+    def given(self, scales: RoadScales) -> tuple[Likelihood, RoadScales, float]:
+        """With ``scales`` as they are; effects scale with the road load that is found beside them."""
+        for _ in range(PASSES if self._terms else 0):
+            self._follow(self.likelihood(scales), scales)
+        likelihood = self.likelihood(scales)
+        return likelihood, scales, likelihood.log_evidence(scales.values)
 
     def improved(self, known: RoadScales) -> tuple[Likelihood, RoadScales, float]:
         """The most probable scales from those ``known``, of the same orders; their likelihood and log evidence."""
@@ -342,19 +326,22 @@ class _Search:
         while scales.lag not in found:
             scales, evidence = self._improved(scales)
             found[scales.lag] = scales, evidence
-            likelihood = self.likelihood(scales)
-            beta, _, _ = likelihood.solve(likelihood.model.condition(scales.values).gram(likelihood.data))
-            beta = beta / likelihood.unit
-            m = 1 / float(np.clip(beta[0], 1e-6, 5e-3))
-            self._road_load = np.array([beta[1] * m, beta[2] * m, m])
-            sizes, driven = -beta[len(beta) - len(self._terms) :] * m, likelihood.model.driven
-            self._taken = taken_by(driven, driven.force[:, scales.lag], self._road_load, self._terms, sizes)
-            left = float(np.clip(beta[LAG] * m, -LAG_SPACING, LAG_SPACING))
+            left = float(np.clip(self._follow(self.likelihood(scales), scales), -LAG_SPACING, LAG_SPACING))
             if abs(left) < 0.55 * LAG_SPACING:
                 return scales, evidence
             wanted = np.clip(LAGS[scales.lag] + left, -self._longest_lag, self._longest_lag)
             scales = replace(scales, lag=int(np.argmin(np.abs(LAGS - wanted))))
         return max(found.values(), key=lambda pair: pair[1])
+
+    def _follow(self, likelihood: Likelihood, scales: RoadScales) -> float:
+        """Take the road load, and what effects take, as they are at ``scales``; the lag [s] that its place leaves."""
+        beta, _, _ = likelihood.solve(likelihood.model.condition(scales.values).gram(likelihood.data))
+        beta = beta / likelihood.unit
+        m = 1 / float(np.clip(beta[0], 1e-6, 5e-3))
+        self._road_load = np.array([beta[1] * m, beta[2] * m, m])
+        sizes, driven = -beta[len(beta) - len(self._terms) :] * m, likelihood.model.driven
+        self._taken = taken_by(driven, driven.force[:, scales.lag], self._road_load, self._terms, sizes)
+        return float(beta[LAG] * m)
 
 
 def _exchanged(scales: RoadScales) -> RoadScales:

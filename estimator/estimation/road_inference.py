@@ -29,9 +29,10 @@ from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
-from estimator.estimation.road_fit import RoadFit, RoadScales, best_shapes, fit, fit_given
+from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
+from estimator.estimation.shapes import best_shapes, fitted_with_shapes
 from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term
 from estimator.model.effects import named
@@ -229,18 +230,23 @@ class RoadInference:
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        found = self._fitted_beside(strides, self._terms(strides), None if grown else self._scales)
+        terms = self._terms(strides)
+        found = fitted_with_shapes(
+            strides, terms, lambda terms, known: self._fitted_beside(strides, terms, known or self._scales, grown)
+        )
         if found is not None:
             if grown or self._scales is None or found.scales.readings != self._scales.readings:
                 self._fitted = held
             self._scales = found.scales
         return found
 
-    def _fitted_beside(self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None) -> RoadFit | None:
-        """With ``scales`` as they are; None: with those found, from the last ones."""
+    def _fitted_beside(
+        self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None, is_search: bool
+    ) -> RoadFit | None:
+        """With ``scales`` as they are, or those found from them; None: from the centres of their priors."""
         limit, rng = self._config.kinematics.maximum_lag_s, np.random.default_rng(PROBE_SEED)
-        if scales is None:
-            return fit(strides, rng, terms, self._scales, limit, self._departures)
+        if scales is None or is_search:
+            return fit(strides, rng, terms, scales, limit, self._departures)
         return fit_given(strides, rng, scales, terms, limit, self._departures)
 
     def _terms(self, strides: Strides) -> tuple[Term, ...]:
@@ -251,7 +257,7 @@ class RoadInference:
         shapes = [each[:1] if isinstance(each[0].shape, Quantity) else each for each in shapes if each]
         if all(len(each) == 1 for each in shapes):
             return tuple(each[0] for each in shapes)
-        plain = self._fitted_beside(strides, (), self._scales)
+        plain = self._fitted_beside(strides, (), self._scales, is_search=False)
         return () if plain is None else best_shapes(strides, plain, shapes)
 
     def _judge(self, t: float, found: RoadFit, lag: float, withheld: Withheld) -> Estimate:

@@ -42,7 +42,7 @@ def reason(d: Diagnosis) -> str:
     match d.verdict:
         case Verdict.NO_GAP:
             hidden = f"; too small to see here: {', '.join(i.name for i in d.invisible)}" if d.invisible else ""
-            described = f"The road load describes this drive to {kilowatts(d.rms_base)}"
+            described = f"The model describes this drive to {kilowatts(d.rms_base)}"
             return f"{described}, and nothing systematic is left{hidden}."
         case Verdict.UNKNOWN:
             size = "" if d.remainder is None else f": {d.remainder.name}, {kilowatts(d.remainder.rms)}"

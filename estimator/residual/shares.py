@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from estimator.components.folds import left_out
 from estimator.components.model_table import Cause, ModelTable
 from estimator.components.set_likelihood import Posterior
 from estimator.residual.answer import Part
@@ -18,7 +19,7 @@ from estimator.signals import Floats
 
 DRAWS = 400
 MAX_TRIES = 50  # draws of a positive amplitude, before it is set to zero
-FOLDS, CHUNKS = 5, 4  # each fold is so many stretches of the record
+FOLDS, STRETCHES = 5, 20  # of the record
 
 
 def budget(
@@ -96,10 +97,8 @@ def _amplitudes(
 def held_out(record: Record, forms: Sequence[Form], scales: Scales) -> float:
     """Rms of the residual on stretches left out of the fit, with the base and ``forms`` in the model."""
     n = len(record.t)
-    fold = (np.arange(n) * FOLDS * CHUNKS // n) % FOLDS
     left = np.empty(n)
-    for k in range(FOLDS):
-        out = fold == k
+    for out in left_out(n, FOLDS, n // STRETCHES):
         kept = np.flatnonzero(~out)
         likelihood = ResidualLikelihood(record, forms, Noise(record.t[kept], scales), kept)
         mean = likelihood.posterior(range(len(forms))).mean

@@ -1,0 +1,94 @@
+"""The shapes of the effects in a fit that no signal tells: a time constant, or the direction and the speed of a wind.
+
+The first shape is the one of a grid with most evidence beside the plain road load, the next ones are near the present
+one, given the magnitude that it was found with. The scales of road and noise that a fit finds beside a poor shape hold
+some of the effect, so fits and shapes alternate.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.estimation.road_fit import RoadFit, RoadScales
+from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
+from estimator.model.design_matrix import Term
+from estimator.model.road import RoadModel
+from estimator.signals import Floats, Quantity
+from estimator.strides import Strides
+
+MAX_FITS = 5  # each beside finer shapes than the one before; 2 or 3 are usual
+MAX_ROUNDS = 10  # of shapes at the same scales: each takes the magnitudes of the one before
+MIN_GAIN = 0.1  # of log evidence, for another shape
+FitBeside = Callable[[tuple[Term, ...], RoadScales | None], RoadFit | None]  # of terms, with scales to start from
+
+
+def fitted_with_shapes(strides: Strides, terms: tuple[Term, ...], fitted: FitBeside) -> RoadFit | None:
+    """The fit of ``strides`` beside ``terms`` with shapes near theirs that add evidence; None where there is no fit."""
+    found = fitted(terms, None)
+    for _ in range(MAX_FITS if any(is_free(term) for term in terms) else 0):
+        if found is None:
+            return None
+        terms = nearer_shapes(strides, found)
+        again = None if terms == found.terms else fitted(terms, found.scales)
+        if again is None or again.log_evidence < found.log_evidence + MIN_GAIN:
+            break
+        found = again
+    return found
+
+
+def is_free(term: Term) -> bool:
+    """Whether its shape is a number that no signal tells."""
+    return term.effect.finer is not None and not isinstance(term.shape, Quantity)
+
+
+def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term]]) -> tuple[Term, ...]:
+    """Of each effect the term, among its ``shapes``, that adds most to the evidence of a fit; its sign counts."""
+    likelihood = ShapeLikelihood(strides, found)
+    return tuple(each[int(np.argmax(likelihood.judged((), each)[0]))] for each in shapes if each)
+
+
+def nearer_shapes(strides: Strides, found: RoadFit) -> tuple[Term, ...]:
+    """The terms of a fit with the shapes near theirs that add most to the evidence, at its scales."""
+    likelihood, terms, sizes = ShapeLikelihood(strides, found), list(found.terms), found.theta[LAG + 1 :].tolist()
+    for _ in range(MAX_ROUNDS):
+        before = list(terms)
+        for i, term in enumerate(before):
+            if term.effect.finer is None or not is_free(term):
+                continue
+            near = dict.fromkeys((term.shape, *term.effect.finer(term.shape, sizes[i])))
+            each = [replace(term, shape=shape) for shape in near]
+            gains, magnitudes = likelihood.judged((*terms[:i], *terms[i + 1 :]), each)
+            best = int(np.argmax(gains))
+            if gains[best] > gains[0] + MIN_GAIN:
+                terms[i], sizes[i] = each[best], float(magnitudes[best])
+        if terms == before:
+            break
+    return tuple(terms)
+
+
+class ShapeLikelihood:
+    """The likelihood of the strides of a fit, at its scales, for other shapes of its terms."""
+
+    def __init__(self, strides: Strides, found: RoadFit) -> None:
+        self._found = found
+        self._model = RoadModel(strides, found.scales.alpha, found.scales.wander)
+        self._conditioned = self._model.condition(found.scales.values)
+
+    def judged(self, beside: tuple[Term, ...], shapes: Sequence[Term]) -> tuple[Floats, Floats]:
+        """What each of the ``shapes`` (k,) alone adds to the log evidence ``beside`` other terms; its magnitude."""
+        found, terms = self._found, (*beside, *shapes)
+        road_load = np.maximum(found.theta[:ROAD_LOAD], 1e-9)
+        likelihood = Likelihood(self._model, terms, road_load, found.scales.lag, found.departures, found.taken)
+        gram = self._conditioned.gram(likelihood.data)
+        _, information, _ = likelihood.solve(gram)
+        base = len(information) - len(shapes)
+        weights = np.linalg.solve(
+            information[:base, :base], np.column_stack([information[:base, base:], gram[1:, :1][:base]])
+        )
+        strength = np.diag(information)[base:] - np.sum(information[:base, base:] * weights[:, :-1], axis=0)
+        score = gram[1 + base :, 0] - information[base:, :base] @ weights[:, -1]
+        believed = np.diag(likelihood.prior)[base:]
+        wrong = np.array([term.effect.positive for term in shapes]) & (score > 0)  # a coefficient is -b / m
+        gain = np.where(wrong, 0.0, 0.5 * score**2 / strength) - 0.5 * np.log(strength / believed)
+        return gain, -score / strength / likelihood.unit[base:] / found.beta[0]

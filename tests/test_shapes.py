@@ -1,0 +1,146 @@
+"""Shapes of effects that no signal tells: their evidence by brute force, and truths between those of a grid."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_strides import made_strides
+from numpy.testing import assert_allclose
+
+from estimator.estimation.road_fit import RoadFit, fit, fit_given
+from estimator.estimation.road_likelihood import LAG, Likelihood
+from estimator.estimation.shapes import ShapeLikelihood, best_shapes, fitted_with_shapes, is_free, nearer_shapes
+from estimator.model.design_matrix import Term
+from estimator.model.effects import BY_NAME
+from estimator.model.effects.effect import View
+from estimator.model.road import RoadModel
+from estimator.signals import Quantity
+
+M, A, C = 25e3, 1600.0, 3.5
+WARM_UP, WIND = BY_NAME["warm_up"], BY_NAME["headwind"]
+COLD = [Term(WARM_UP, shape) for shape in WARM_UP.shapes]
+WINDS = [Term(WIND, shape) for shape in WIND.shapes]
+SEED = 11
+
+
+def driven(n=1500, size=0.0, term=COLD[0]):
+    """A drive on a level road that turns to all sides, where ``term`` takes its power for a ``size``."""
+    rng, t = np.random.default_rng(SEED), np.arange(n) + 0.5
+    speed = 15 + 5 * np.sin(2 * np.pi * np.arange(n + 1) / 90) + 2 * np.sin(2 * np.pi * np.arange(n + 1) / 37)
+    v = 0.5 * (speed[1:] + speed[:-1])
+    context = {Quantity.ELAPSED: t, Quantity.HEADING: 2 * np.pi * t / 600}
+    unknown = np.full(n, np.nan)
+    view = View(
+        t=t,
+        v=v,
+        a=unknown,
+        P=unknown,
+        density=np.ones(n),
+        context=context,
+        road_load=np.array([A, C, M]),
+        climb=unknown,
+    )
+    force = M * np.diff(speed) + A + C * v**2 + size * term.column(view) / v + M * rng.normal(0, 4e-3, n)
+    return made_strides(speed, force, context)
+
+
+def fitted(strides):
+    def beside(terms, known):
+        return fit(strides, np.random.default_rng(1), terms, known)
+
+    return beside
+
+
+def evidence(strides, found, terms):
+    model = RoadModel(strides, found.scales.alpha, found.scales.wander)
+    road_load = np.maximum(found.theta[:3], 1e-9)
+    likelihood = Likelihood(model, terms, road_load, found.scales.lag, found.departures, found.taken)
+    solved, _, _ = likelihood.solve(model.condition(found.scales.values).gram(likelihood.data))
+    return likelihood.log_evidence(found.scales.values), -(solved / likelihood.unit)[-1] / found.beta[0]
+
+
+def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
+    strides = driven(400, 0.4, Term(WARM_UP, 500.0))
+    found = fit(strides, np.random.default_rng(1), (WINDS[0],))
+    assert found is not None
+    gains, magnitudes = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
+    without, _ = evidence(strides, found, (WINDS[0],))
+    each = [evidence(strides, found, (WINDS[0], term)) for term in COLD]
+    assert_allclose(gains, [log - without for log, _ in each], atol=1e-6)
+    assert_allclose(magnitudes, [size for _, size in each], rtol=1e-6)
+
+
+def test_a_shape_with_the_wrong_sign_adds_nothing():
+    strides = driven(400, -0.4, Term(WARM_UP, 500.0))
+    found = fit(strides, np.random.default_rng(1))
+    assert found is not None
+    gains, magnitudes = ShapeLikelihood(strides, found).judged((), COLD)
+    assert (magnitudes < 0).all()
+    assert (gains < 0).all()
+
+
+@pytest.mark.parametrize("tau", [360.0, 900.0])
+def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
+    strides = driven(size=0.6, term=Term(WARM_UP, tau))
+    found = fit(strides, np.random.default_rng(1))
+    guess = best_shapes(strides, found, [COLD])  # beside scales that have taken some of it up
+    beside = fit(strides, np.random.default_rng(1), guess, found.scales)
+    (term,) = best_shapes(strides, beside, [COLD])
+    assert term.shape == pytest.approx(tau, rel=0.7)
+
+
+@pytest.mark.parametrize(
+    ("truth", "size", "start"),
+    [(Term(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (Term(WARM_UP, 430.0), 0.5, COLD)],
+    ids=["wind", "warm-up"],
+)
+def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, size, start):
+    strides = driven(size=size, term=truth)
+    plain = fit(strides, np.random.default_rng(1))
+    coarse = fit(strides, np.random.default_rng(1), best_shapes(strides, plain, [start]))
+    found = fitted_with_shapes(strides, coarse.terms, fitted(strides))
+    assert isinstance(found, RoadFit)
+    (term,), sd = found.terms, np.sqrt(np.diag(found.theta_covariance()))
+    if truth.effect is WIND:
+        direction, yawed, speed = term.shape
+        assert direction == pytest.approx(0.35, abs=0.01)
+        assert yawed == pytest.approx(0.07, abs=0.02)
+        assert speed == pytest.approx(found.theta[LAG + 1], rel=0.01)  # the column is that of the wind found
+    else:
+        assert term.shape == pytest.approx(430.0, rel=0.15)
+    assert found.theta[LAG + 1] == pytest.approx(size, abs=3 * sd[LAG + 1] + 0.02 * size)
+    assert np.abs(found.theta[0] - A) < 3 * sd[0]
+    assert found.log_evidence > coarse.log_evidence + 1
+
+
+def test_shapes_that_nothing_is_to_be_gained_by_stay():
+    strides = driven(600, 5.0, WINDS[5])
+    found = fitted_with_shapes(strides, (WINDS[5],), fitted(strides))
+    assert nearer_shapes(strides, found) == found.terms
+
+
+def test_shapes_that_signals_tell_are_not_varied():
+    fan = Term(BY_NAME["auxiliary_cycling"], Quantity.FAN_SPEED)
+    assert not is_free(fan)
+    assert is_free(COLD[0])
+    strides = driven(300)
+    strides = replace(strides, context={**strides.context, Quantity.FAN_SPEED: (strides.t % 100 > 50) * 100.0})
+    calls = []
+
+    def counted(terms, known):
+        calls.append(terms)
+        return fit(strides, np.random.default_rng(1), terms, known)
+
+    assert fitted_with_shapes(strides, (fan,), counted) is not None
+    assert calls == [(fan,)]
+
+
+def test_a_drive_that_cannot_be_fitted_has_no_shapes():
+    assert fitted_with_shapes(driven(5), (COLD[0],), fitted(driven(5))) is None
+
+
+def test_effects_scale_with_the_road_load_that_is_found_when_scales_are_given():
+    strides = driven(size=0.5, term=COLD[1])
+    found = fit(strides, np.random.default_rng(1), (COLD[1],))
+    given = fit_given(strides, np.random.default_rng(1), found.scales, found.terms)
+    assert_allclose(given.theta, found.theta, rtol=2e-3, atol=1e-3)
