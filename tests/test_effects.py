@@ -186,9 +186,13 @@ def test_powers_are_those_of_the_equations():
     thin = view(density=np.full(3000, 0.9))
     np.testing.assert_allclose(BY_NAME["drafting"].power(thin, None), -0.9 * C * v**3)
     cold = with_context(Quantity.ELAPSED, 600.0)
-    decaying = {"warm_up": ROAD_LOAD[0] * v, "oil_warm_up": v**2, "cold_loss": np.abs(seen.P), "cabin_heater": 1.0}
-    for name, power in decaying.items():
+    for name, power in {"cold_loss": np.abs(seen.P), "cabin_heater": 1.0}.items():
         np.testing.assert_allclose(BY_NAME[name].power(cold, 600.0), power / np.e)
+    for name, power in {"warm_up": ROAD_LOAD[0] * v, "oil_warm_up": v**2}.items():
+        np.testing.assert_allclose(BY_NAME[name].power(cold, (600.0, 0.0)), power / np.e)
+        softened = power * (np.exp(2 / np.e) - 1) / (np.exp(2) - 1)
+        np.testing.assert_allclose(BY_NAME[name].power(cold, (600.0, 2.0)), softened)
+        np.testing.assert_allclose(BY_NAME[name].power(cold, (600.0, 1e-6)), power / np.e, rtol=1e-5)
     np.testing.assert_allclose(
         BY_NAME["regeneration_loss"].power(view(P=np.linspace(-2, 1, 3000)), None)[[0, -1]], [2, 0]
     )

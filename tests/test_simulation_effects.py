@@ -11,7 +11,9 @@ from estimator.report.simulation_summary import of_recording
 from estimator.simulation.drive import drive
 from estimator.simulation.effects.catalogue import KINDS, effects_from, parse_effect
 from estimator.simulation.effects.effect import Effect
+from estimator.simulation.effects.rolling import CRUISE, settled_excess, warm_up
 from estimator.simulation.itinerary import Shape, plan_route
+from estimator.simulation.moment import STEP, Moment, Scene
 from estimator.simulation.recording import simulate
 from estimator.simulation.route import RoadKind, Route, generate_route
 from estimator.simulation.truck import Truck
@@ -188,6 +190,18 @@ def test_cold_tyres_roll_harder_until_rolling_has_warmed_them():
     assert share[-1] < 0.4 * share[0]
     # while the truck stands the tyres cool again, so the next departure is a little harder
     assert np.max(np.diff(share)) > 0.0
+
+
+@pytest.mark.parametrize("speed", [8.0, CRUISE])
+def test_tyres_settle_at_the_temperature_of_a_steady_speed(speed):
+    scene = Scene(truck=TRUCK, route=straight_road(), duration=0.0, rng=np.random.default_rng(1))
+    rolling, now = warm_up(scene, Effect(name="warm_up", magnitude=0.3)).force, Moment(v=speed)
+    assert rolling is not None
+    for _ in range(round(8 * 3600 / STEP)):
+        force = rolling(now)
+    assert force == pytest.approx(TRUCK.A * settled_excess(0.3, speed), rel=1e-3, abs=1e-3 * TRUCK.A)
+    assert settled_excess(0.3, CRUISE) == pytest.approx(-0.02, abs=0.03)
+    assert settled_excess(0.0, speed) == 0.0
 
 
 def test_mass_and_rolling_change_while_standing_at_a_stop():

@@ -15,6 +15,7 @@ from estimator.can_io.log_writer import write_log
 from estimator.signals import Role
 from estimator.simulation import recording
 from estimator.simulation.effects.catalogue import KINDS
+from estimator.simulation.effects.rolling import settled_excess
 from estimator.simulation.moment import STEP
 from estimator.simulation.sensors import SPEED_RESOLUTION, TORQUE_PERIOD, Sensors
 from estimator.simulation.truck import Truck
@@ -77,7 +78,7 @@ def truth_from(plan: Plan, drives: list[Drive]) -> Truth:
         kind=plan.kind,
         minutes=plan.minutes,
         route=f"{plan.road} {plan.shape}",
-        parameters={"mass_kg": plan.truck.mass, "A_N": plan.truck.A, "C_N_s2_m2": plan.truck.C},
+        parameters={"mass_kg": plan.truck.mass, "A_N": _rolling(plan, first), "C_N_s2_m2": plan.truck.C},
         effects=tuple(_active(name, i, first, views[0], plan) for i, name in enumerate(names)),
         shown=tuple(name for name in names if _shown(name, sensors)),
         companions=known,
@@ -95,6 +96,12 @@ def truth_from(plan: Plan, drives: list[Drive]) -> Truth:
         },
         without=tuple(sorted(role.value for role in sensors.without)),
     )
+
+
+def _rolling(plan: Plan, drive: Drive) -> float:
+    """A [N] of the drive: that of tyres which have the temperature of its mean speed, if they warm up at all."""
+    cold = plan.effects.get("warm_up", 0.0)
+    return plan.truck.A * (1.0 + settled_excess(cold, float(drive.reading.v.mean())))
 
 
 def noise_of(sensors: Sensors, truck: Truck) -> oracle.Noise:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimator.model.effects.cold import cold, finer_times, told_time
+from estimator.model.effects.cold import cold, excess, excesses, finer_excesses, finer_times, told_excess, told_time
 from estimator.model.effects.effect import TYPICAL_MASS, Effect, Shape, Timing, View, always, by_mass
 from estimator.signals import Floats, Quantity
 
@@ -32,16 +32,16 @@ VISCOUS_DRAG = Effect(
 
 OIL_WARM_UP = Effect(
     name="oil_warm_up",
-    equation="B v^2 exp(-t / tau)",
+    equation="B v^2 (exp(k x) - 1) / (exp(k) - 1), x = exp(-t / tau)",
     source="churning of cold oil in axles and gearbox, which warms apart from the tyres",
     symbol="B when cold",
     unit="N s/m",
-    power=lambda view, time: view.v**2 * cold(view, time),
+    power=lambda view, shape: view.v**2 * excess(view, shape),
     usual=lambda road_load: 0.25 * float(road_load[0]) / 20.0,
     needs=(Quantity.ELAPSED,),
-    shapes=OIL_TIMES,
-    finer=finer_times,
-    describe=told_time,
+    shapes=excesses(OIL_TIMES),
+    finer=finer_excesses,
+    describe=told_excess,
     breaks="a drive that starts with warm oil",
 )
 

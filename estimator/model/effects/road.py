@@ -1,6 +1,6 @@
 """Effects between the vehicle and the road: gravity, load, tyres and brakes."""
 
-from estimator.model.effects.cold import cold, finer_times, told_time
+from estimator.model.effects.cold import excess, excesses, finer_excesses, told_excess
 from estimator.model.effects.effect import Effect, Shape, Timing, View, always, by_mass
 from estimator.signals import Floats, Quantity
 from estimator.units import STANDARD_GRAVITY
@@ -45,16 +45,16 @@ MASS_STEP = Effect(
 
 WARM_UP = Effect(
     name="warm_up",
-    equation="A al exp(-t / tau) v",
+    equation="A al (exp(k x) - 1) / (exp(k) - 1) v, x = exp(-t / tau)",
     source="rolling resistance of tyres falls as they warm (ISO 28580; SAE J2452)",
     symbol="cold excess of A",
     unit="1",
-    power=lambda view, time: view.A * view.v * cold(view, time),
+    power=lambda view, shape: view.A * view.v * excess(view, shape),
     usual=always(0.25),
     needs=(Quantity.ELAPSED,),
-    shapes=WARM_UP_TIMES,
-    finer=finer_times,
-    describe=told_time,
+    shapes=excesses(WARM_UP_TIMES),
+    finer=finer_excesses,
+    describe=told_excess,
     breaks="a drive that starts with warm tyres",
 )
 

@@ -8,6 +8,7 @@ from estimator.simulation.moment import STEP, Action, Moment, Scene, along
 
 CRUISE = 22.0  # m/s, speed at which warm tyres have their nominal resistance
 CRUISE_RISE = 35.0  # K, warm tyres at cruise above ambient
+SETTLING = 100  # steps towards the temperature at which heating and cooling are equal
 SOFTENING = 20.0  # K over which the rubber's loss falls to 1/e
 REFERENCE_FORCE = 20e3  # N
 
@@ -16,17 +17,39 @@ def warm_up(scene: Scene, effect: Effect) -> Action:
     """Cold tyres roll harder; rolling heats them, the wind cools them, faster when driving than when standing."""
     A = scene.truck.A
     time_constant = float(scene.rng.uniform(900.0, 2400.0))
-    warm = exp(-CRUISE_RISE / SOFTENING)
     rise = 0.0
 
     def force(now: Moment) -> float:
         nonlocal rise
-        excess = effect.magnitude * (exp(-rise / SOFTENING) - warm) / (1.0 - warm)
-        heating = CRUISE_RISE * (1.0 + excess) * now.v / CRUISE
-        rise += STEP / time_constant * (heating - rise * (0.35 + 0.65 * now.v / CRUISE))
+        excess = _excess(effect.magnitude, rise)
+        rise += STEP / time_constant * (_heating(excess, now.v) - rise * _cooling(now.v))
         return A * excess
 
     return Action(force=force)
+
+
+def settled_excess(magnitude: float, speed: float) -> float:
+    """Share of A by which tyres roll harder than at CRUISE once they have the temperature of a ``speed`` [m/s]."""
+    excess = magnitude
+    for _ in range(SETTLING):
+        excess = _excess(magnitude, _heating(excess, speed) / _cooling(speed))
+    return excess
+
+
+def _excess(magnitude: float, rise: float) -> float:
+    """Share of A more than at CRUISE, of tyres by ``rise`` [K] warmer than the air; ``magnitude`` when cold."""
+    warm = exp(-CRUISE_RISE / SOFTENING)
+    return magnitude * (exp(-rise / SOFTENING) - warm) / (1.0 - warm)
+
+
+def _heating(excess: float, speed: float) -> float:
+    """What rolling heats [K] in a time constant, at a ``speed`` [m/s]."""
+    return CRUISE_RISE * (1.0 + excess) * speed / CRUISE
+
+
+def _cooling(speed: float) -> float:
+    """What the air takes of the rise in a time constant."""
+    return 0.35 + 0.65 * speed / CRUISE
 
 
 def viscous_drag(scene: Scene, effect: Effect) -> Action:
