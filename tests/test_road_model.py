@@ -329,3 +329,20 @@ def test_hidden_slopes_that_hide_the_mass_count_up_to_a_limit():
     scales = road_fit.RoadScales(values=values, alpha=2, wander=ROUGH, readings=(), lag=likelihood.lag)
     information = likelihood.solve(likelihood.model.condition(values).gram(likelihood.data))[1]
     assert road_fit.hidden_changes(likelihood, scales, information, 1e-9) == road_fit.MAX_HIDDEN_CHANGES
+
+
+def test_an_effect_of_doubtful_form_moves_the_others_as_their_fit_with_another_size_would():
+    rng = np.random.default_rng(5)
+    X = rng.normal(size=(200, 5)) @ rng.normal(size=(5, 5))
+    y = X @ np.array([1.0, -2.0, 0.5, 3.0, -1.0]) + rng.normal(size=200)
+    beta, covariance = np.linalg.lstsq(X, y, rcond=None)[0], np.linalg.inv(X.T @ X)
+    added = np.zeros_like(covariance)
+    for held in (3, 4):
+        size = (1 + road_fit.EFFECT_DOUBT) * beta[held]
+        free = [i for i in range(5) if i != held]
+        moved = np.full(5, size)
+        moved[free] = np.linalg.lstsq(X[:, free], y - X[:, held] * size, rcond=None)[0]
+        added += np.outer(moved - beta, moved - beta)
+    wider = road_fit.with_doubt_of_effects(beta, covariance, 2)
+    assert_allclose(wider, covariance + added, rtol=1e-9)
+    assert_allclose(road_fit.with_doubt_of_effects(beta, covariance, 0), covariance)

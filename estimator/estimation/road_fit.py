@@ -44,6 +44,7 @@ CORRECTION_DOUBT = 0.5  # share of the correction's shift that counts as a stand
 FORM_SD = 0.0025  # relative sd of 1/m from the form of the model on any road (friction in steps of 1 %)
 ANSWERED, ANSWERED_SD = 0.3, 0.2  # share of a slope's change that drivers answer in its stride (simulated one: 0.45)
 MAX_HIDDEN_CHANGES = 1.0  # of R that is allowed for: the mass falls by 23 %, with an sd of 20 %
+EFFECT_DOUBT = 0.03  # share of an effect that its form may be wrong by: a fan that speeds up, or turns while released
 ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 PASSES = 2  # of the coefficients, given the scales, that effects scale with
@@ -152,6 +153,19 @@ def with_doubt_of_form(beta: Floats, covariance: Floats, answered: float, slope_
         swamped = ROAD_DOUBT * min(slope_sd / 4e-3, 1.0)
         wider[1:ROAD_LOAD, 1:ROAD_LOAD] *= 1 + swamped**2
     return wider + np.outer(form, form)
+
+
+def with_doubt_of_effects(beta: Floats, covariance: Floats, effects: int) -> Floats:
+    """The covariance (p, p) of beta (p,), with each of the last ``effects`` uncertain by EFFECT_DOUBT of itself.
+
+    The other coefficients follow as the data make them follow: a large effect moves A and C by what little of it looks
+    like them, however well the drive determines all three.
+    """
+    wider = covariance.copy()
+    for place in range(len(beta) - effects, len(beta)):
+        shift = covariance[:, place] / covariance[place, place] * (EFFECT_DOUBT * beta[place])
+        wider += np.outer(shift, shift)
+    return wider
 
 
 def hidden_changes(likelihood: Likelihood, scales: RoadScales, information: Floats, inverse_mass: float) -> float:
@@ -369,6 +383,7 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
     beta[:ROAD_LOAD] *= 1 + ANSWERED * changes
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
     answered, slope_sd = ANSWERED_SD * changes, float(scales.values[SLOPE])
+    covariance = with_doubt_of_effects(beta, covariance, len(likelihood.terms))
     covariance = with_doubt_of_form(beta, covariance, answered, slope_sd, hidden=not scales.readings)
     residual = likelihood.data[:, 0] - likelihood.data[:, 1:] @ (beta * unit)
     n = len(model.driven)
