@@ -20,9 +20,8 @@ from estimator.components.likelihood import JointLikelihood
 from estimator.components.processes import SWITCHES, hats, processes, swings, switched
 from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
-from estimator.components.shape_average import averaged
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
-from estimator.estimation.road_fit import fit, theta_of
+from estimator.estimation.road_fit import fit
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
@@ -447,38 +446,6 @@ def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
     for component in components:
         changed = not np.allclose(component.columns(frame), component.columns(disturbed))
         assert changed == component.is_noisy, component.name
-
-
-def test_the_road_load_is_averaged_over_time_constants_that_fit_alike():
-    n, rng = 900, np.random.default_rng(8)
-    warm_up, (short, *_) = BY_NAME["warm_up"], BY_NAME["warm_up"].shapes
-    speed, t = 12 + 4 * np.sin(2 * np.pi * np.arange(n + 1) / 70), np.arange(n) + 0.5
-    v, rolling = 0.5 * (speed[1:] + speed[:-1]), A * (1 + 0.3 * np.exp(-t / 500.0))
-    force = M * np.diff(speed) + rolling + C * v**2 + M * rng.normal(0, 6e-3, n)
-    state = DriveState.of(made_strides(speed, force, {Quantity.ELAPSED: t}), is_level=True)
-    frame = Frame.of(state.fit)
-    state = state.having((of_term(frame, Term(warm_up, short)),))
-    theta, covariance = averaged(state)
-
-    frame, shapes = Frame.of(state.fit), {*warm_up.shapes, *warm_up.finer(short, 0.0)}
-    each = [replace(state, chosen=(of_term(frame, Term(warm_up, shape)),)).joint() for shape in sorted(shapes)]
-    log = np.array([joint.unlimited([0]) for joint in each])
-    weights = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
-    found = np.array([theta_of(joint.posterior([0]).mean, 1)[:3] for joint in each])
-    own = theta_of(state.joint().posterior([0]).mean, 1)[:3]
-    spread = np.cov(found.T, aweights=weights, ddof=0)
-    unit = np.sqrt(np.diag(spread))
-    assert_allclose((theta - state.fit.theta[:3]) / unit, (weights @ found - own) / unit, atol=0.05)
-    added = covariance - state.fit.theta_covariance()[:3, :3]
-    assert_allclose(added / np.outer(unit, unit), spread / np.outer(unit, unit), atol=0.1)
-    assert unit[0] > 0.2 * np.sqrt(state.fit.theta_covariance()[0, 0])  # it matters
-
-
-def test_without_shapes_the_road_load_is_that_of_the_fit():
-    state = DriveState.of(driven())
-    theta, covariance = averaged(state)
-    assert_allclose(theta, state.fit.theta[:3])
-    assert_allclose(covariance, state.fit.theta_covariance()[:3, :3])
 
 
 def test_a_load_step_holds_from_the_first_stride_after_the_stop_to_the_last(strides):

@@ -9,7 +9,14 @@ from numpy.testing import assert_allclose
 
 from estimator.estimation.road_fit import RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import LAG, Likelihood
-from estimator.estimation.shapes import ShapeLikelihood, best_shapes, fitted_with_shapes, is_free, nearer_shapes
+from estimator.estimation.shapes import (
+    ShapeLikelihood,
+    averaged,
+    best_shapes,
+    fitted_with_shapes,
+    is_free,
+    nearer_shapes,
+)
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import View
@@ -20,6 +27,7 @@ M, A, C = 25e3, 1600.0, 3.5
 WARM_UP, WIND = BY_NAME["warm_up"], BY_NAME["headwind"]
 COLD = [Term(WARM_UP, shape) for shape in WARM_UP.shapes]
 WINDS = [Term(WIND, shape) for shape in WIND.shapes]
+STEADY_WIND = replace(WIND, finer=None)
 SEED = 11
 
 
@@ -63,26 +71,26 @@ def evidence(strides, found, terms):
     road_load = np.maximum(found.theta[:3], 1e-9)
     likelihood = Likelihood(model, terms, road_load, found.scales.lag, found.departures, found.taken)
     solved, _, _ = likelihood.solve(model.condition(found.scales.values).gram(likelihood.data))
-    return likelihood.log_evidence(found.scales.values), -(solved / likelihood.unit)[-1] / found.beta[0]
+    return likelihood.log_evidence(found.scales.values), solved / likelihood.unit
 
 
 def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
     strides = driven(400, 0.4, Term(WARM_UP, (500.0, 0.0)))
     found = fit(strides, np.random.default_rng(1), (WINDS[0],))
     assert found is not None
-    gains, magnitudes = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
+    gains, coefficients = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
     without, _ = evidence(strides, found, (WINDS[0],))
     each = [evidence(strides, found, (WINDS[0], term)) for term in COLD]
     assert_allclose(gains, [log - without for log, _ in each], atol=1e-6)
-    assert_allclose(magnitudes, [size for _, size in each], rtol=1e-6)
+    assert_allclose(coefficients, [solved for _, solved in each], rtol=1e-6, atol=1e-12)
 
 
 def test_a_shape_with_the_wrong_sign_adds_nothing():
     strides = driven(400, -0.4, Term(WARM_UP, (500.0, 0.0)))
     found = fit(strides, np.random.default_rng(1))
     assert found is not None
-    gains, magnitudes = ShapeLikelihood(strides, found).judged((), COLD)
-    assert (magnitudes < 0).all()
+    gains, coefficients = ShapeLikelihood(strides, found).judged((), COLD)
+    assert (coefficients[:, -1] > 0).all()  # -b / m
     assert (gains < 0).all()
 
 
@@ -118,6 +126,36 @@ def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, si
     assert found.theta[LAG + 1] == pytest.approx(size, abs=3 * sd[LAG + 1] + 0.02 * size)
     assert np.abs(found.theta[0] - A) < 3 * sd[0]
     assert found.log_evidence > coarse.log_evidence + 1
+
+
+def test_coefficients_are_averaged_over_shapes_that_fit_alike():
+    """The law of total variance, over fits with one shape each."""
+    strides = driven(700, 0.3, Term(WARM_UP, (500.0, 1.0)))
+    found = fit(strides, np.random.default_rng(1), (WINDS[0], COLD[3]))
+    whole = averaged(strides, found)
+    over_cold = averaged(strides, replace(found, terms=(replace(WINDS[0], effect=STEADY_WIND), COLD[3])))
+    near = {*WARM_UP.shapes, *WARM_UP.finer(COLD[3].shape, 0.0)}
+    each = [evidence(strides, found, (WINDS[0], Term(WARM_UP, shape))) for shape in sorted(near)]
+    log = np.array([log for log, _ in each])
+    weights = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    coefficients = np.array([solved for _, solved in each])
+    mean = weights @ coefficients
+    spread = (coefficients - mean).T @ ((coefficients - mean) * weights[:, None])
+    _, own = evidence(strides, found, found.terms)
+    unit = np.sqrt(np.diag(spread)) + 1e-12  # the lag of a force that is the same at all of them has none
+    assert_allclose((over_cold.beta - found.beta) / unit, (mean - own) / unit, atol=1e-3)
+    added = over_cold.covariance - found.covariance
+    assert_allclose(added / np.outer(unit, unit), spread / np.outer(unit, unit), atol=1e-3)
+    assert unit[1] > 0.2 * np.sqrt(found.covariance[1, 1])  # it matters
+    assert (np.diag(whole.covariance) >= np.diag(over_cold.covariance) - 1e-15).all()
+
+
+def test_without_shapes_a_fit_is_its_own_average():
+    strides = driven(300)
+    found = fit(strides, np.random.default_rng(1))
+    alone = averaged(strides, found)
+    assert_allclose(alone.beta, found.beta)
+    assert_allclose(alone.covariance, found.covariance)
 
 
 def test_shapes_that_nothing_is_to_be_gained_by_stay():

@@ -8,7 +8,7 @@ from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState, has_free_times
 from estimator.components.processes import processes, swings, switched
 from estimator.components.switching import Switching, is_usual, prior_cost
-from estimator.estimation.shapes import is_free
+from estimator.estimation.shapes import is_free, near
 from estimator.model.design_matrix import Spans, Term, union, without
 from estimator.model.effects.effect import Effect, Timing
 
@@ -74,11 +74,11 @@ class Candidates:
     def _finer(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Shapes near those that were chosen; effects that are given keep theirs."""
         for term, size in zip((component.term for component in drive.chosen), drive.sizes.tolist(), strict=True):
-            if term is None or term.effect.finer is None or not is_free(term) or term.effect not in self._effects:
+            if term is None or not is_free(term) or term.effect not in self._effects:
                 continue
-            for shape in term.effect.finer(term.shape, size):
-                component = of_term(frame, Term(term.effect, shape))
-                yield Candidate(cause=term.effect.name, is_event=False, form=str(shape), component=component)
+            for finer in near(term, size):
+                component = of_term(frame, finer)
+                yield Candidate(cause=term.effect.name, is_event=False, form=str(finer.shape), component=component)
 
     def _at_times(self, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]) -> Iterator[Candidate]:
         """Effects at fitted times, and at those that were chosen for them with others added or taken away."""

@@ -12,7 +12,6 @@ from estimator.components.component import Component, Frame, of_effect
 from estimator.components.drive_state import DriveState
 from estimator.components.processes import LOW_PASS, SWITCHES, USUAL_LAG
 from estimator.components.search import Choice, Explained, Ranked
-from estimator.components.shape_average import averaged
 from estimator.diagnosis.base import parameter_sd
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.facts import MIN_RIVAL
@@ -31,8 +30,9 @@ from estimator.diagnosis.result import (
 )
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.moments import block_means
-from estimator.estimation.road_fit import theta_jacobian
-from estimator.estimation.road_likelihood import LAG
+from estimator.estimation.road_fit import EFFECT_DOUBT, theta_jacobian
+from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
+from estimator.estimation.shapes import averaged
 from estimator.model.design_matrix import PLAIN, Spans
 from estimator.model.effects import BY_NAME, Effect
 from estimator.signals import Floats, Quantity
@@ -95,9 +95,9 @@ class Conclusion:
     @cached_property
     def road_load(self) -> tuple[Shift, Shift]:
         """A, C, m with the road as a state, and their standard deviations."""
-        theta, covariance = averaged(self.longest)
-        A, C, m = theta.tolist()
-        dA, dC, dm = np.sqrt(np.diag(covariance)).tolist()
+        fit = averaged(self.longest.strides, self.longest.fit)
+        A, C, m = fit.theta[:ROAD_LOAD].tolist()
+        dA, dC, dm = np.sqrt(np.diag(fit.theta_covariance()))[:ROAD_LOAD].tolist()
         return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
 
     @property
@@ -340,7 +340,8 @@ class Conclusion:
         posterior, at = joint.posterior(range(len(drive.chosen))), joint.places[place][0]
         term = drive.chosen[place].term
         assert term is not None
-        part, effect = self.budget.part(choice.name), choice.effect
+        part, effect, value = self.budget.part(choice.name), choice.effect, float(posterior.mean[at])
+        sd = float(np.hypot(np.sqrt(posterior.covariance[at, at]), EFFECT_DOUBT * value))
         alone = self.budget.total if part is None or part.reached is None else part.reached
         left = self.budget.reached if any(drive.model.terms for drive in self.plain) else alone
         likely = {name for name, p in self.explained.probability.items() if p > MIN_RIVAL and name != choice.name}
@@ -359,7 +360,7 @@ class Conclusion:
             probability=choice.probability,
             log_bayes_factor=choice.log_bayes_factor,
             equivalent=tuple(sorted(close | set(effect.equivalent))),
-            magnitude=_magnitude(effect, float(posterior.mean[at]), float(np.sqrt(posterior.covariance[at, at]))),
+            magnitude=_magnitude(effect, value, sd),
             gap_closed=_closed(part),
             rms_before=self.budget.base,
             rms_after=left,

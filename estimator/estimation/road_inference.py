@@ -32,7 +32,7 @@ from estimator.estimation.moments import Belief
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
-from estimator.estimation.shapes import best_shapes, fitted_with_shapes
+from estimator.estimation.shapes import averaged, best_shapes, fitted_with_shapes
 from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term
 from estimator.model.effects import named
@@ -238,7 +238,7 @@ class RoadInference:
             if grown or self._scales is None or found.scales.readings != self._scales.readings:
                 self._fitted = held
             self._scales = found.scales
-        return found
+        return found and averaged(strides, found)
 
     def _fitted_beside(
         self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None, is_search: bool

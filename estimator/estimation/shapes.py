@@ -3,6 +3,13 @@
 The first shape is the one of a grid with most evidence beside the plain road load, the next ones are near the present
 one, given the magnitude that it was found with. The scales of road and noise that a fit finds beside a poor shape hold
 some of the effect, so fits and shapes alternate.
+
+A time constant or a wind is known only roughly. With the posterior probabilities w_i of the shapes of an effect, and
+beta_i the coefficients with each,
+
+    mean = sum w_i beta_i,   covariance = that of one shape + sum w_i (beta_i - mean) (beta_i - mean)'
+
+(the law of total variance). The shapes of each effect vary by themselves, with those of the others as they are.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,6 +49,13 @@ def is_free(term: Term) -> bool:
     return term.effect.finer is not None and not isinstance(term.shape, Quantity)
 
 
+def near(term: Term, size: float) -> list[Term]:
+    """The term, and the same with shapes near its own for the magnitude ``size``; alone where a signal tells it."""
+    finer = term.effect.finer
+    shapes = () if finer is None or isinstance(term.shape, Quantity) else finer(term.shape, size)
+    return [replace(term, shape=shape) for shape in dict.fromkeys((term.shape, *shapes))]
+
+
 def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term]]) -> tuple[Term, ...]:
     """Of each effect the term, among its ``shapes``, that adds most to the evidence of a fit; its sign counts."""
     likelihood = ShapeLikelihood(strides, found)
@@ -54,17 +68,36 @@ def nearer_shapes(strides: Strides, found: RoadFit) -> tuple[Term, ...]:
     for _ in range(MAX_ROUNDS):
         before = list(terms)
         for i, term in enumerate(before):
-            if term.effect.finer is None or not is_free(term):
+            if not is_free(term):
                 continue
-            near = dict.fromkeys((term.shape, *term.effect.finer(term.shape, sizes[i])))
-            each = [replace(term, shape=shape) for shape in near]
-            gains, magnitudes = likelihood.judged((*terms[:i], *terms[i + 1 :]), each)
+            each = near(term, sizes[i])
+            gains, coefficients = likelihood.judged((*terms[:i], *terms[i + 1 :]), each)
             best = int(np.argmax(gains))
             if gains[best] > gains[0] + MIN_GAIN:
-                terms[i], sizes[i] = each[best], float(magnitudes[best])
+                terms[i], sizes[i] = each[best], float(-coefficients[best, -1] / coefficients[best, 0])
         if terms == before:
             break
     return tuple(terms)
+
+
+def averaged(strides: Strides, found: RoadFit) -> RoadFit:
+    """The fit with coefficients and covariance averaged over the shapes of its terms, near ones and those of a grid."""
+    likelihood, beta, covariance = ShapeLikelihood(strides, found), found.beta.copy(), found.covariance.copy()
+    effects, sizes = len(found.terms), found.theta[LAG + 1 :].tolist()
+    for i, term in enumerate(found.terms):
+        if not is_free(term):
+            continue
+        grid = (replace(term, shape=shape) for shape in term.effect.shapes if not isinstance(shape, Quantity))
+        shapes = list(dict.fromkeys((*near(term, sizes[i]), *grid)))
+        gains, coefficients = likelihood.judged((*found.terms[:i], *found.terms[i + 1 :]), shapes)
+        weights = np.exp(gains - gains.max())
+        weights /= weights.sum()
+        shifts = np.insert(coefficients[:, :-1], len(beta) - effects + i, coefficients[:, -1], axis=1) - found.beta
+        shifts -= shifts[0]  # the fit is corrected for noise of the torque, the coefficients here are not
+        mean = weights @ shifts
+        beta += mean
+        covariance += (shifts - mean).T @ ((shifts - mean) * weights[:, None])
+    return replace(found, beta=beta, covariance=covariance)
 
 
 class ShapeLikelihood:
@@ -76,7 +109,10 @@ class ShapeLikelihood:
         self._conditioned = self._model.condition(found.scales.values)
 
     def judged(self, beside: tuple[Term, ...], shapes: Sequence[Term]) -> tuple[Floats, Floats]:
-        """What each of the ``shapes`` (k,) alone adds to the log evidence ``beside`` other terms; its magnitude."""
+        """What each of the ``shapes`` (k,) alone adds to the log evidence ``beside`` other terms.
+
+        And the coefficients (k, p) with it, its own last.
+        """
         found, terms = self._found, (*beside, *shapes)
         road_load = np.maximum(found.theta[:ROAD_LOAD], 1e-9)
         likelihood = Likelihood(self._model, terms, road_load, found.scales.lag, found.departures, found.taken)
@@ -91,4 +127,6 @@ class ShapeLikelihood:
         believed = np.diag(likelihood.prior)[base:]
         wrong = np.array([term.effect.positive for term in shapes]) & (score > 0)  # a coefficient is -b / m
         gain = np.where(wrong, 0.0, 0.5 * score**2 / strength) - 0.5 * np.log(strength / believed)
-        return gain, -score / strength / likelihood.unit[base:] / found.beta[0]
+        own = score / strength
+        others = (weights[:, -1:] - weights[:, :-1] * own) / likelihood.unit[:base, None]
+        return gain, np.column_stack([others.T, own / likelihood.unit[base:]])
