@@ -21,9 +21,9 @@ from dense_road import (
 from made_strides import made_strides
 from numpy.testing import assert_allclose
 
-from estimator.estimation import road_fit
+from estimator.estimation import form_doubt, road_fit
 from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, earlier_loads
-from estimator.model.road import LEVEL, ROUGH, RoadModel
+from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_nodes import MAX_BRIDGE, SPACING, Nodes
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -294,9 +294,8 @@ def test_a_level_road_hides_no_slopes_and_a_hilly_one_more_than_a_flatter_one():
     for slope in (model.scales[road_fit.SLOPE].low, 5e-3, 1.5e-2):
         values = scales_of(model)
         values[road_fit.SLOPE] = slope
-        scales = road_fit.RoadScales(values=values, alpha=2, wander=ROUGH, readings=(), lag=likelihood.lag)
         information = likelihood.solve(model.condition(values).gram(likelihood.data))[1]
-        found[slope] = road_fit.hidden_changes(likelihood, scales, information, 1.0)
+        found[slope] = form_doubt.hidden_changes(likelihood, values, information, 1.0)
         dense = np.linalg.inv(information)[0, 0]
         assert found[slope] <= len(model.driven) * dense
     level, some, more = found.values()
@@ -316,9 +315,8 @@ def test_hidden_slopes_count_by_the_strides_of_the_present_load():
         likelihood.solve(model.condition(values).gram(likelihood.data))[1] for values in (scales_of(model), level)
     ]
     sloping, flat = (np.linalg.inv(information)[0, 0] for information in informations)
-    scales = road_fit.RoadScales(values=scales_of(model), alpha=2, wander=ROUGH, readings=(), lag=likelihood.lag)
     present = np.count_nonzero(strides[strides.t >= changed].known)
-    found = road_fit.hidden_changes(likelihood, scales, informations[0], 1.0)
+    found = form_doubt.hidden_changes(likelihood, scales_of(model), informations[0], 1.0)
     assert found == pytest.approx(present * (sloping - flat))
 
 
@@ -326,9 +324,8 @@ def test_hidden_slopes_that_hide_the_mass_count_up_to_a_limit():
     strides = strides_of(120, seed=4)
     likelihood = likelihood_of(strides)
     values = scales_of(likelihood.model)
-    scales = road_fit.RoadScales(values=values, alpha=2, wander=ROUGH, readings=(), lag=likelihood.lag)
     information = likelihood.solve(likelihood.model.condition(values).gram(likelihood.data))[1]
-    assert road_fit.hidden_changes(likelihood, scales, information, 1e-9) == road_fit.MAX_HIDDEN_CHANGES
+    assert form_doubt.hidden_changes(likelihood, values, information, 1e-9) == form_doubt.MAX_HIDDEN_CHANGES
 
 
 def test_an_effect_of_doubtful_form_moves_the_others_as_their_fit_with_another_size_would():
@@ -338,11 +335,11 @@ def test_an_effect_of_doubtful_form_moves_the_others_as_their_fit_with_another_s
     beta, covariance = np.linalg.lstsq(X, y, rcond=None)[0], np.linalg.inv(X.T @ X)
     added = np.zeros_like(covariance)
     for held in (3, 4):
-        size = (1 + road_fit.EFFECT_DOUBT) * beta[held]
+        size = (1 + form_doubt.EFFECT_DOUBT) * beta[held]
         free = [i for i in range(5) if i != held]
         moved = np.full(5, size)
         moved[free] = np.linalg.lstsq(X[:, free], y - X[:, held] * size, rcond=None)[0]
         added += np.outer(moved - beta, moved - beta)
-    wider = road_fit.with_doubt_of_effects(beta, covariance, 2)
+    wider = form_doubt.with_doubt_of_effects(beta, covariance, 2)
     assert_allclose(wider, covariance + added, rtol=1e-9)
-    assert_allclose(road_fit.with_doubt_of_effects(beta, covariance, 0), covariance)
+    assert_allclose(form_doubt.with_doubt_of_effects(beta, covariance, 0), covariance)

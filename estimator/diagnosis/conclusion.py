@@ -29,8 +29,9 @@ from estimator.diagnosis.result import (
     Span,
 )
 from estimator.diagnosis.thresholds import Thresholds
+from estimator.estimation.form_doubt import EFFECT_DOUBT
 from estimator.estimation.moments import block_means
-from estimator.estimation.road_fit import EFFECT_DOUBT, theta_jacobian
+from estimator.estimation.road_fit import theta_jacobian
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
 from estimator.estimation.shapes import averaged
 from estimator.model.design_matrix import PLAIN, Spans
