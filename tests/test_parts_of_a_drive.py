@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from estimator.estimation.mass_changes import Change
 from estimator.estimation.road_fit import RoadFit, RoadScales
-from estimator.estimation.road_inference import Change
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.model.road import ALPHAS
 from estimator.model.road_scales import SCALES

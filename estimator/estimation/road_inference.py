@@ -27,6 +27,7 @@ from estimator.estimation import posterior
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
 from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
+from estimator.estimation.mass_changes import mass_changes
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given
@@ -50,9 +51,6 @@ MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the r
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.009, 0.013)
 MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.09)
 MAX_LAG = 0.5  # s, between power and speed: beyond, the time stamps are wrong (0.07, 0.05)
-PARTS = 4  # of the window, between which the mass may have changed
-MIN_MASS_CHANGE_SDS = 4.0  # difference of two masses, in its sd: Gaussian noise exceeds it in 6e-5 of comparisons
-MIN_MASS_CHANGE_SHARE = 0.04  # difference of the masses, as a share: smaller ones may come from the form of the model
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
 MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
 MAX_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
@@ -73,41 +71,6 @@ class _Judged:
 
     theta: Floats
     sd: Floats
-
-
-@dataclass(frozen=True)
-class Change:
-    """Estimates of 1/m [1/kg] from the parts of a window before and after a cut, each with its variance."""
-
-    before: float
-    after: float
-    variance_before: float
-    variance_after: float
-
-    @property
-    def share(self) -> float:
-        """Difference as a share of 1/m."""
-        return self.after / self.before - 1
-
-    @property
-    def doubt(self) -> float:
-        """Relative standard deviation of 1/m that follows from the difference alone.
-
-        Parts with the shares w and 1 - w of the information differ by chance with the variance s^2 / (w (1 - w)), where
-        s^2 is that of the whole. So sqrt(w (1 - w)) times the difference has the sd of the whole if nothing changed,
-        and grows with any change between the parts.
-        """
-        weight = self.variance_after / (self.variance_before + self.variance_after)
-        return abs(self.share) * float(np.sqrt(max(weight * (1 - weight), 0.0)))
-
-    @property
-    def contradiction(self) -> str:
-        """Reason why the parts contradict each other; empty where noise or the form of the model explain it."""
-        sd = float(np.sqrt(self.variance_before + self.variance_after))
-        if abs(self.after - self.before) < MIN_MASS_CHANGE_SDS * sd or abs(self.share) < MIN_MASS_CHANGE_SHARE:
-            return ""
-        masses = f"mass {1 / self.before:.4g} and {1 / self.after:.4g} kg"
-        return f"two parts of the drive contradict each other: {masses}"
 
 
 class RoadInference:
@@ -269,7 +232,7 @@ class RoadInference:
         drive = RoadTarget.of(found, empty, *bounds)
         if reason := contradiction(self._config.prior, _Judged(drive.free_mode, drive.free_sd)):
             return withheld(reason, status=Status.INVALID)
-        changes = self._changes(found)
+        changes = mass_changes(self._window.samples, found, PROBE_SEED)
         found = found.with_doubt_of_mass(max((change.doubt for change in changes), default=0.0))
         belief = self._given + self._loads.carried_over(t, self._config.load)
         target = RoadTarget.of(found, belief, *bounds)
@@ -317,27 +280,6 @@ class RoadInference:
             if reason:
                 reasons[name] = reason + _advice(name, found)
         return reasons
-
-    def _changes(self, found: RoadFit) -> list[Change]:
-        """The window cut after each of its parts but the last; empty where a part does not determine the mass."""
-        strides = self._window.samples
-        known = np.flatnonzero(strides.known)
-        cuts = [int(known[len(known) * k // PARTS]) for k in range(1, PARTS)]
-        inverse, weight = [], []
-        for first, end in zip([0, *cuts], [*cuts, len(strides)], strict=True):
-            rng = np.random.default_rng(PROBE_SEED)
-            part = fit_given(strides[first:end], rng, found.scales, found.terms, departures=found.departures)
-            if part is None or part.beta[0] <= 0 or not part.covariance[0, 0] > 0:
-                return []
-            inverse.append(float(part.beta[0]))
-            weight.append(1 / float(part.covariance[0, 0]))
-        changes = []
-        for k in range(1, PARTS):
-            before, after = sum(weight[:k]), sum(weight[k:])
-            mean_before = float(np.dot(weight[:k], inverse[:k])) / before
-            mean_after = float(np.dot(weight[k:], inverse[k:])) / after
-            changes.append(Change(mean_before, mean_after, 1 / before, 1 / after))
-        return changes
 
     def _published(
         self,
