@@ -82,6 +82,8 @@ def nearer_shapes(strides: Strides, found: RoadFit) -> tuple[Term, ...]:
 
 def averaged(strides: Strides, found: RoadFit) -> RoadFit:
     """The fit with coefficients and covariance averaged over the shapes of its terms, near ones and those of a grid."""
+    if not any(is_free(term) for term in found.terms):
+        return found
     likelihood, beta, covariance = ShapeLikelihood(strides, found), found.beta.copy(), found.covariance.copy()
     effects, sizes = len(found.terms), found.theta[LAG + 1 :].tolist()
     for i, term in enumerate(found.terms):
@@ -92,8 +94,10 @@ def averaged(strides: Strides, found: RoadFit) -> RoadFit:
         gains, coefficients = likelihood.judged((*found.terms[:i], *found.terms[i + 1 :]), shapes)
         weights = np.exp(gains - gains.max())
         weights /= weights.sum()
-        shifts = np.insert(coefficients[:, :-1], len(beta) - effects + i, coefficients[:, -1], axis=1) - found.beta
-        shifts -= shifts[0]  # the fit is corrected for noise of the torque, the coefficients here are not
+        coefficients = np.insert(coefficients[:, :-1], len(beta) - effects + i, coefficients[:, -1], axis=1)
+        shifts = (
+            coefficients - coefficients[0]
+        )  # of these: the fit itself is corrected for noise
         mean = weights @ shifts
         beta += mean
         covariance += (shifts - mean).T @ ((shifts - mean) * weights[:, None])
