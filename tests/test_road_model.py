@@ -343,3 +343,11 @@ def test_an_effect_of_doubtful_form_moves_the_others_as_their_fit_with_another_s
     wider = form_doubt.with_doubt_of_effects(beta, covariance, 2)
     assert_allclose(wider, covariance + added, rtol=1e-9)
     assert_allclose(form_doubt.with_doubt_of_effects(beta, covariance, 0), covariance)
+
+
+def test_effects_scale_with_a_road_load_that_a_vehicle_can_have():
+    beta = np.array([1 / M, A / M, C / M, 0.01])
+    assert_allclose(road_fit.scaled_by(beta), [A, C, M])
+    below = road_fit.scaled_by(beta * [1, -1, -1, 1])
+    assert_allclose(below, [0.002 * 9.80665 * M, 2e-5 * M, M])
+    assert_allclose(road_fit.scaled_by(np.zeros(3))[2], 1e6)

@@ -37,7 +37,7 @@ class Frame:
         return cls(
             strides=fit.strides,
             force=fit.strides.force[:, fit.scales.lag],
-            road_load=np.maximum(fit.theta[:3], 1e-9),
+            road_load=fit.road_load,
             lag=fit.lag,
             taken=fit.taken,
         )

@@ -32,7 +32,7 @@ from estimator.estimation.road_likelihood import (
     taken_by,
 )
 from estimator.estimation.scale_search import most_probable
-from estimator.model.design_matrix import Term
+from estimator.model.design_matrix import MIN_DRAG, MIN_ROLLING, Term
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_scales import LENGTH, POWER, SLOPE, TORQUE
 from estimator.signals import Floats
@@ -83,11 +83,16 @@ class RoadFit:
         """A [N], C [N s^2/m^2], m [kg], lag [s] and then the effects' magnitudes (4 + effects,), at beta."""
         return theta_of(self.beta, len(self.terms))
 
+    @property
+    def road_load(self) -> Floats:
+        """[A, C, m] (3,) that effects scale with, see `scaled_by`."""
+        return scaled_by(self.beta)
+
     @cached_property
     def taken(self) -> Floats:
         """Force [N] (n,) that the effects take from acceleration, but for those computed from it."""
         force = self.strides.force[:, self.scales.lag]
-        return taken_by(self.strides, force, self.theta[:ROAD_LOAD], self.terms, self.theta[LAG + 1 :])
+        return taken_by(self.strides, force, self.road_load, self.terms, self.theta[LAG + 1 :])
 
     @property
     def lag(self) -> float:
@@ -139,8 +144,16 @@ def first_guess(strides: Strides) -> Floats:
     X = columns(strides, len(LAGS) // 2, (), np.array([1e3, 1.0, 1e4]))[:, :ROAD_LOAD]
     unit = np.sqrt(np.mean(X**2, axis=0))
     beta = np.linalg.lstsq(X / unit, strides.a, rcond=None)[0] / unit
+    return scaled_by(beta)
+
+
+def scaled_by(beta: Floats) -> Floats:
+    """[A, C, m] (3,) that effects and priors scale with, from coefficients [1/m, A/m, C/m ...] (p,).
+
+    Over hidden hills, or in a part of a drive, A and C may come out below those of any vehicle.
+    """
     m = 1 / float(np.clip(beta[0], 1e-6, 5e-3))
-    return np.array([max(beta[1] * m, 0.005 * 9.8 * m), max(beta[2] * m, 1e-5 * m), m])
+    return np.array([max(beta[1], MIN_ROLLING * STANDARD_GRAVITY), max(beta[2], MIN_DRAG), 1.0]) * m
 
 
 def fit(
@@ -202,7 +215,7 @@ def fit_given(
 
 def refit(found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term]) -> RoadFit:
     """Fit the ``strides`` of a fit with other terms: scales are found again, orders of road and wander are kept."""
-    search = _Search(strides, terms, np.maximum(found.theta[:ROAD_LOAD], 1e-9), taken=found.taken)
+    search = _Search(strides, terms, found.road_load, taken=found.taken)
     return _concluded(*search.improved(found.scales), rng)
 
 
@@ -299,9 +312,9 @@ class _Search:
         """Take the road load, and what effects take, as they are at ``scales``; the lag [s] that its place leaves."""
         beta, _, _ = likelihood.solve(likelihood.model.condition(scales.values).gram(likelihood.data))
         beta = beta / likelihood.unit
-        m = 1 / float(np.clip(beta[0], 1e-6, 5e-3))
-        self._road_load = np.array([beta[1] * m, beta[2] * m, m])
-        sizes, driven = -beta[len(beta) - len(self._terms) :] * m, likelihood.model.driven
+        self._road_load = scaled_by(beta)
+        m, driven = float(self._road_load[2]), likelihood.model.driven
+        sizes = -beta[len(beta) - len(self._terms) :] * m
         self._taken = taken_by(driven, driven.force[:, scales.lag], self._road_load, self._terms, sizes)
         return float(beta[LAG] * m)
 

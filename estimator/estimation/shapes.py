@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.estimation.road_fit import RoadFit, RoadScales
-from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
+from estimator.estimation.road_likelihood import LAG, Likelihood
 from estimator.model.design_matrix import Term
 from estimator.model.road import RoadModel
 from estimator.signals import Floats, Quantity
@@ -95,9 +95,7 @@ def averaged(strides: Strides, found: RoadFit) -> RoadFit:
         weights = np.exp(gains - gains.max())
         weights /= weights.sum()
         coefficients = np.insert(coefficients[:, :-1], len(beta) - effects + i, coefficients[:, -1], axis=1)
-        shifts = (
-            coefficients - coefficients[0]
-        )  # of these: the fit itself is corrected for noise
+        shifts = coefficients - coefficients[0]  # of these: the fit itself is corrected for noise
         mean = weights @ shifts
         beta += mean
         covariance += (shifts - mean).T @ ((shifts - mean) * weights[:, None])
@@ -118,8 +116,7 @@ class ShapeLikelihood:
         And the coefficients (k, p) with it, its own last.
         """
         found, terms = self._found, (*beside, *shapes)
-        road_load = np.maximum(found.theta[:ROAD_LOAD], 1e-9)
-        likelihood = Likelihood(self._model, terms, road_load, found.scales.lag, found.departures, found.taken)
+        likelihood = Likelihood(self._model, terms, found.road_load, found.scales.lag, found.departures, found.taken)
         gram = self._conditioned.gram(likelihood.data)
         _, information, _ = likelihood.solve(gram)
         base = len(information) - len(shapes)
