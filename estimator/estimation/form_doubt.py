@@ -11,7 +11,7 @@ share is that of ANSWERED; above MAX_HIDDEN_CHANGES the first order does not hol
 the sd of the mass (FORM_SD) holds on any road.
 
 Effects have a form of their own: a fan speeds up within seconds and turns while it is released, tyres warm with speed.
-No drive shows evidence of a hundredth of an effect, but of 59 kW it is more than the sd of A.
+No drive shows evidence of a hundredth of an effect; a hundredth of a fan of 59 kW moves A by 2 standard deviations.
 """
 
 import numpy as np
