@@ -121,7 +121,7 @@ def test_a_file_too_large_is_not_read(tmp_path):
 
 
 def test_what_cannot_be_stored_is_an_error_of_the_caller(tmp_path):
-    with pytest.raises(NotImplementedError, match="Generator"):
+    with pytest.raises(TypeError, match="Generator"):
         StateStore(tmp_path).save({"a": np.random.default_rng(1)}, "k")
 
 

@@ -163,7 +163,7 @@ def _encode(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype.str in DTYPES:
         planes = np.frombuffer(value.tobytes(), np.uint8).reshape(-1, value.itemsize).T.tobytes()
         return msgspec.msgpack.Ext(ARRAY, msgspec.msgpack.encode((value.dtype.str, value.shape, planes)))
-    raise NotImplementedError(f"a state cannot hold a {type(value).__name__}")
+    raise TypeError(f"a state cannot hold a {type(value).__name__}")
 
 
 def _decode(code: int, data: memoryview) -> Any:

@@ -13,7 +13,7 @@ mean(r part) / mean(r^2), over means of 2 s, and shares sum to one. Effects that
 (a wind too weak to be sure of) are drawn too, each with its prior: the interval of the road is wide by them.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,9 +43,10 @@ class Part:
     """What one cause adds to the gap.
 
     ``share`` of the mean square of the plain model's residual with its 90 % interval; ``rms`` [W] of its own;
-    ``reached`` [W]: residual on stretches left out of the fit once it is added with the signals there are, None where
-    nothing can be added; ``expected`` [W]: residual if it were known exactly, as by a signal of its own. ``closed``:
-    its share of all that was found; its 90 % interval allows for what may act without having been found.
+    ``reached`` [W]: residual on stretches left out of the fit with it and all that is given, by the signals there are,
+    None where nothing can be added; ``expected`` [W]: residual with both if they were known exactly, as by signals of
+    their own. ``closed``: its share of all that was found; its 90 % interval allows for what may act without having
+    been found.
     """
 
     cause: str
@@ -100,7 +101,7 @@ def budget(
     """The budget of one drive, or of several together.
 
     For each drive ``possible`` effects that were not chosen, and the nameless process that counts, or None. Causes that
-    are ``given`` are not part of what is closed.
+    are ``given`` are part of the model that others are added to, and not part of what is closed.
     """
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
@@ -117,15 +118,11 @@ def budget(
     if small:
         drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
     shares = {cause: residual @ draws / (residual @ residual) for cause, draws in drawn.items()}
-    all_but_noise = 1 - sum(shares[cause] for cause in (NOISE, WHITE, *given) if cause in shares)
+    all_but_noise = 1 - sum(share for cause, share in shares.items() if cause in (NOISE, WHITE, *given))
     found = all_but_noise - sum((shares[cause] for cause in (*weak, OTHERS) if cause in shares), np.zeros(DRAWS))
-    parts = [
-        _part(cause, residual, draws, held_out.get(cause), (found, all_but_noise)) for cause, draws in drawn.items()
-    ]
-    base = residual - sum((held_out[cause] for cause in given if cause in held_out), np.zeros(len(residual)))
-    left = residual - sum(held_out.values(), np.zeros(len(residual)))
-    rms_base, reached = (float(np.sqrt(np.mean(each**2))) for each in (base, left))
-    return Budget(total, rms_base, reached, tuple(sorted(parts, key=lambda part: -part.share)))
+    parts = [_part(cause, residual, drawn, held_out, given, (found, all_but_noise)) for cause in drawn]
+    base, reached = _rms_without(residual, held_out, given), _rms_without(residual, held_out, held_out)
+    return Budget(total, base, reached, tuple(sorted(parts, key=lambda part: -part.share)))
 
 
 def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
@@ -136,10 +133,25 @@ def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dic
     }
 
 
+def _rms_without(residual: Floats, powers: Mapping[str, Floats], causes: Collection[str]) -> float:
+    """Root mean square of a residual (n,) less the powers (n,) or (n, d) of causes, where they have any."""
+    left = residual.reshape(len(residual), -1)
+    for cause, power in powers.items():  # in this order on every run, which a set has not
+        if cause in causes:
+            left = left - power.reshape(len(residual), -1)
+    return float(np.sqrt(np.mean(left**2)))
+
+
 def _part(
-    cause: str, residual: Floats, draws: Floats, held_out: Floats | None, systematic: tuple[Floats, Floats]
+    cause: str,
+    residual: Floats,
+    drawn: Mapping[str, Floats],
+    held_out: Mapping[str, Floats],
+    given: Collection[str],
+    systematic: tuple[Floats, Floats],
 ) -> Part:
     """The part of a cause; ``systematic`` (d,): shares of all that was found, and of all that is not noise."""
+    draws, added = drawn[cause], {cause, *given}
     shares = residual @ draws / (residual @ residual)
     mean = float(shares.mean())
     low, high = (mean - np.quantile(shares, [0.05, 0.95])).tolist()
@@ -153,8 +165,8 @@ def _part(
         q05=mean - float(np.hypot(low, form)),
         q95=mean + float(np.hypot(high, form)),
         rms=float(np.sqrt(np.mean(draws**2))),
-        reached=None if held_out is None else float(np.sqrt(np.mean((residual - held_out) ** 2))),
-        expected=float(np.sqrt(np.mean((residual[:, None] - draws) ** 2))),
+        reached=_rms_without(residual, held_out, added) if cause in held_out else None,
+        expected=_rms_without(residual, drawn, added),
     )
 
 

@@ -102,7 +102,7 @@ class Conclusion:
         return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
 
     @property
-    def is_given(self) -> bool:
+    def is_road_given(self) -> bool:
         """Whether the road is part of the model from the start."""
         return any(term.effect.is_gravity for drive in self.plain for term in drive.model.terms)
 
@@ -119,7 +119,7 @@ class Conclusion:
 
         Effects are named unless processes without them explain more than they do.
         """
-        limits, hidden = self.thresholds, self.explanation.is_hilly and not self.is_given
+        limits, hidden = self.thresholds, self.explanation.is_hilly and not self.is_road_given
         if hidden or self.lag() is not None or (self.sure and not self.is_outdone):
             return Verdict.EFFECT
         if self.left_over > limits.min_log_bf_unknown:
@@ -201,7 +201,7 @@ class Conclusion:
         driven = float(np.ptp(self.longest.strides.s0))
         spread = float(np.sqrt(0.5 * SLOPE_LENGTH / max(driven, SLOPE_LENGTH)))  # of a standard deviation
         part = self.budget.part(ROAD)
-        left = self.budget.total if part is None else part.expected
+        left = self.budget.base if part is None else part.expected
         return Finding(
             name="grade",
             probability=1.0,
@@ -209,7 +209,7 @@ class Conclusion:
             equivalent=(),
             magnitude=Magnitude(HIDDEN_GRADE, self.slope_sd, self.slope_sd * spread, "1"),
             gap_closed=_closed(part),
-            rms_before=self.budget.total,
+            rms_before=self.budget.base,
             rms_after=left,
             shift=self._shift,
             detail="varies with place; no signal on the bus shows it",
@@ -217,7 +217,7 @@ class Conclusion:
 
     def findings(self) -> tuple[Finding, ...]:
         """The road, the effects that are sure, or the one that a "cannot tell" is about, and the lag."""
-        road = [] if self.is_given or not self.explanation.is_hilly else [self._road()]
+        road = [] if self.is_road_given or not self.explanation.is_hilly else [self._road()]
         doubtful = self.explained.choices[:1] if self.verdict() is Verdict.CANNOT_TELL else ()
         choices = doubtful if self.is_outdone else self.sure or doubtful
         late = self.lag()
@@ -280,8 +280,8 @@ class Conclusion:
             equivalent=tuple(sorted(self._alike(one, ranking))),
             magnitude=_magnitude(effect, form.value, form.sd),
             gap_closed=None,
-            rms_before=self.budget.total,
-            rms_after=self.budget.total,
+            rms_before=self.budget.base,
+            rms_after=self.budget.base,
             shift=None,
             span=() if term is None else self._clock(which, term.spans or ()),
             detail="" if term is None else _detail(term.shape, effect),
@@ -319,8 +319,9 @@ class Conclusion:
         if not readings:
             return found
         part = self.budget.part(ROAD)
-        reached = self.budget.total if part is None or part.reached is None else part.reached
-        shown = (self.budget.total**2 - reached**2) / max(self.budget.total**2 - found.rms_after**2, 1e-9)
+        base = self.budget.base
+        reached = base if part is None or part.reached is None else part.reached
+        shown = (base**2 - reached**2) / max(base**2 - found.rms_after**2, 1e-9)
         if shown < SHOWN_IN_PART:
             return found
         how = "shown by" if shown > SHOWN else "shown in part by"
@@ -343,8 +344,7 @@ class Conclusion:
         assert term is not None
         part, effect, value = self.budget.part(choice.name), choice.effect, float(posterior.mean[at])
         sd = float(np.hypot(np.sqrt(posterior.covariance[at, at]), EFFECT_DOUBT * value))
-        alone = self.budget.total if part is None or part.reached is None else part.reached
-        left = self.budget.reached if any(drive.model.terms for drive in self.plain) else alone
+        left = self.budget.base if part is None or part.reached is None else part.reached
         likely = {name for name, p in self.explained.probability.items() if p > MIN_RIVAL and name != choice.name}
         close = set() if choice in self.sure else likely - {other.name for other in self.explained.choices}
         spans = [

@@ -114,9 +114,10 @@ def _with_shapes(record: Record, terms: tuple[Term, ...]) -> tuple[Term, ...]:
     moving = [term for term in terms if not term.effect.is_gravity]
     if not any(is_free(term) for term in moving):
         return terms
-    rng = np.random.default_rng(PROBE_SEED)
     found = fitted_with_shapes(
-        record.strides, tuple(moving), lambda terms, known: fit_road(record.strides, rng, terms, known)
+        record.strides,
+        tuple(moving),
+        lambda terms, known: fit_road(record.strides, np.random.default_rng(PROBE_SEED), terms, known),
     )
     return terms if found is None else (*(term for term in terms if term.effect.is_gravity), *found.terms)
 

@@ -197,11 +197,12 @@ class RoadInference:
         found = fitted_with_shapes(
             strides, terms, lambda terms, known: self._fitted_beside(strides, terms, known or self._scales, grown)
         )
-        if found is not None:
-            if grown or self._scales is None or found.scales.readings != self._scales.readings:
-                self._fitted = held
-            self._scales = found.scales
-        return found and averaged(strides, found)
+        if found is None:
+            return None
+        if grown or self._scales is None or found.scales.readings != self._scales.readings:
+            self._fitted = held
+        self._scales = found.scales
+        return averaged(strides, found)
 
     def _fitted_beside(
         self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None, is_search: bool

@@ -1,8 +1,9 @@
 """What is large while the vehicle is cold, and falls with the time t since the drive began.
 
-Temperatures approach those of a warm vehicle exponentially, x = exp(-t / tau) being the share of the way that is left.
-What follows the temperature falls as x. The loss in rubber and the viscosity of oil fall exponentially with the
-temperature (Nielsen and Sandberg, SAE 2002-01-1200; ASTM D341): of ln(cold / warm) = k, the excess over the warm value
+Temperatures approach those of a warm vehicle about exponentially (tyres: Nielsen and Sandberg, SAE 2002-01-1200),
+x = exp(-t / tau) being the share of the way that is left. What is proportional to the temperature falls as x. The loss
+in rubber and the viscosity of oil fall about exponentially with the temperature: of ln(cold / warm) = k, the excess
+over the warm value
 
     (exp(k x) - 1) / (exp(k) - 1)
 
@@ -14,7 +15,7 @@ import numpy as np
 from estimator.model.effects.effect import Shape, View
 from estimator.signals import Floats, Quantity
 
-STEEPNESS = (0.0, 1.5, 3.0)  # k: rubber loses a half to two thirds of its loss, oil more of its viscosity
+STEEPNESS = (0.0, 1.5, 3.0)  # k: a warm loss of all but the excess itself (linear), of 1/4.5 and 1/20 of the cold one
 LARGEST_STEEPNESS = 6.0
 TIMES_NEAR = (0.8, 0.87, 0.93, 1.0, 1.08, 1.16, 1.25)  # of a time constant
 STEEPNESS_NEAR = (-0.5, 0.0, 0.5)
