@@ -163,6 +163,7 @@ def test_a_lag_is_taken_out_and_reported(diagnose):
     answer = diagnose(drive("mixed", 25, 1, Effect(name="time_lag", magnitude=0.4)))
     effect = only(answer, "time_lag")
     near(effect, 0.43, 0.1)  # with that of the sensors
+    assert effect["rms_after_kW"] < 0.5 * effect["rms_before_kW"]
     assert effect["equivalent"] == ["speed_filter"]
     assert answer["configuration"] == ""
     assert answer["parameters"]["final"]["mass_kg"] == pytest.approx(TRUCK.mass, rel=0.015)

@@ -16,7 +16,7 @@ from estimator.diagnosis.base import parameter_sd
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.facts import MIN_RIVAL
 from estimator.diagnosis.isolability import evidence_of, is_lasting
-from estimator.diagnosis.model import BLOCK_SAMPLES, Drive, fit
+from estimator.diagnosis.model import BLOCK_SAMPLES, Drive, unaligned_residual
 from estimator.diagnosis.result import (
     HIDDEN_GRADE,
     SHOWN_SLOPE,
@@ -159,7 +159,7 @@ class Conclusion:
             return None
         effect = BY_NAME["time_lag" if value > 0 else "speed_filter"]
         bent = self.explained.left_over if self._is_low_pass else 0.0
-        before, after = self._unaligned(value)
+        before, after = self._unaligned()
         return Finding(
             name=effect.name,
             probability=1.0,
@@ -183,12 +183,13 @@ class Conclusion:
         base = drive.model.base
         return drive.record.lag + float(base.theta[PLAIN - 1]), parameter_sd(base, PLAIN - 1)
 
-    def _unaligned(self, lag: float) -> tuple[Floats, Floats]:
-        """Squared residuals [W^2] (n,) over 2 s of the plain model, without and with the alignment by a lag [s]."""
-        model = max(self.plain, key=lambda drive: len(drive.model.samples)).model
-        late = fit(replace(model.samples, P=model.samples.P - lag * model.samples.dP), model.terms)
-        each = [model.base.residual if found is None else found.base.residual for found in (late, model)]
-        before, after = (block_means(residual, BLOCK_SAMPLES) ** 2 for residual in each)
+    def _unaligned(self) -> tuple[Floats, Floats]:
+        """Squared residuals [W^2] (n,) over 2 s of the plain model, without and with the alignment of the power."""
+        drive = max(self.plain, key=lambda drive: len(drive.model.samples))
+        before, after = (
+            block_means(residual, BLOCK_SAMPLES) ** 2
+            for residual in (unaligned_residual(drive.model, drive.record.lag), drive.model.base.residual)
+        )
         return before, after
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 from estimator.diagnosis.base import Base, Blocks, blocks_of, fit_base
 from estimator.diagnosis.drive_data import Record
 from estimator.estimation.moments import block_means
-from estimator.model.design_matrix import MASS, PLAIN, Term, columns, views
+from estimator.model.design_matrix import LAG, MASS, PLAIN, Term, columns, views
 from estimator.model.effects import View
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
@@ -104,6 +104,15 @@ def fit(samples: Samples, terms: tuple[Term, ...] = ()) -> Model | None:
     for _ in terms:  # they scale with the road load
         base = base and _fit(samples, terms, base.theta[:3])
     return None if base is None else Model(samples, terms, base)
+
+
+def unaligned_residual(model: Model, lag: float) -> Floats:
+    """Residual [W] (n,) of the model without a lag, fitted to power that is not aligned: moved back by ``lag`` [s]."""
+    base, samples = model.base, model.samples
+    others = np.arange(base.X.shape[1]) != LAG
+    found = fit_base(base.X[:, others], base.Z[:, others], samples.P - lag * samples.dP, base.block)
+    assert found is not None  # a subset of columns that are independent
+    return found.residual
 
 
 def _fit(samples: Samples, terms: tuple[Term, ...], road_load: Floats) -> Base | None:
