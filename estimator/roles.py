@@ -56,6 +56,18 @@ class Quantity(StrEnum):
     ELAPSED = "elapsed"  # [s] since the drive began
     DISTANCE = "distance"  # [m] since the drive began
     STOPS = "stops"  # standstills so far
+    SPEED_OVER_10_MIN = "speed over 10 min"  # [m/s], low-passed with that time constant; 0 before the drive
+    SPEED_OVER_20_MIN = "speed over 20 min"
+    SPEED_OVER_40_MIN = "speed over 40 min"
+    SPEED_OVER_80_MIN = "speed over 80 min"
+
+
+PAST_SPEEDS: dict[Quantity, float] = {  # [s], time constants in rising order
+    Quantity.SPEED_OVER_10_MIN: 600.0,
+    Quantity.SPEED_OVER_20_MIN: 1200.0,
+    Quantity.SPEED_OVER_40_MIN: 2400.0,
+    Quantity.SPEED_OVER_80_MIN: 4800.0,
+}
 
 
 STATE = "state"  # dimension of switches and gear numbers: taken as they are

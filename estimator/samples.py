@@ -1,8 +1,8 @@
 """The arrays that the estimator hands on: rows of the time grid, and admitted samples."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,16 @@ from estimator.signals import Floats, Mask, Quantity, Role
 STEP = 0.1  # s, the time grid: wheel speed comes at 10 Hz on nearly every bus
 MAX_ACCELERATION = 12.0  # m/s^2, beyond the grip of any tyre: a faster change is an error of the speed signal
 
+K = TypeVar("K")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
     """Signals on the time grid, oldest first; all arrays (n,), NaN where a signal is stale or not available.
 
     ``index`` counts steps of STEP since time zero; ``speed`` [m/s]; ``power`` [W] at the wheels; ``context`` holds
-    the other bound roles in SI; ``fresh`` says for speed and power (n, 2) whether a reading was there at all.
+    the other bound roles in SI; ``fresh`` says for speed and power (n, 2) whether a reading was there at all; ``past``
+    holds what depends on the rows before.
     """
 
     index: NDArray[np.int64]
@@ -28,18 +31,19 @@ class Rows:
     power: Floats
     fresh: Mask
     context: Mapping[Role, Floats]
+    past: Mapping[Quantity, Floats] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.index)
 
     def __getitem__(self, part: slice) -> "Rows":
-        context = {role: values[part] for role, values in self.context.items()}
         return Rows(
             index=self.index[part],
             speed=self.speed[part],
             power=self.power[part],
             fresh=self.fresh[part],
-            context=context,
+            context={role: values[part] for role, values in self.context.items()},
+            past={quantity: values[part] for quantity, values in self.past.items()},
         )
 
     def state(self) -> dict[str, Any]:
@@ -56,7 +60,7 @@ class Rows:
             It is not that of consecutive rows.
         """
         index = array(state, "index", (-1,), np.int64)
-        n, context = len(index), substate(state, "context")
+        n, context, past = len(index), substate(state, "context"), substate(state, "past")
         if not n or np.any(np.diff(index) != 1):
             raise StateError("rows: are none, or have gaps")
         return cls(
@@ -65,6 +69,7 @@ class Rows:
             power=array(state, "power", (n,), finite=False),
             fresh=array(state, "fresh", (n, 2), np.bool_),
             context={role: array(context, role, (n,), finite=False) for role in names(context, Role)},
+            past={quantity: array(past, quantity, (n,), finite=False) for quantity in names(past, Quantity)},
         )
 
     @property
@@ -83,17 +88,21 @@ class Rows:
 
     @classmethod
     def concatenate(cls, *parts: "Rows") -> "Rows":
-        """The parts in order; a role that only some of them have is NaN in the others."""
-        roles = dict.fromkeys(role for part in parts for role in part.context)
+        """The parts in order; what only some of them have is NaN in the others."""
         return cls(
             index=np.concatenate([part.index for part in parts]),
             speed=np.concatenate([part.speed for part in parts]),
             power=np.concatenate([part.power for part in parts]),
             fresh=np.concatenate([part.fresh for part in parts]),
-            context={
-                r: np.concatenate([part.context.get(r, np.full(len(part), np.nan)) for part in parts]) for r in roles
-            },
+            context=_joined([(part.context, len(part)) for part in parts]),
+            past=_joined([(part.past, len(part)) for part in parts]),
         )
+
+
+def _joined(parts: Sequence[tuple[Mapping[K, Floats], int]]) -> dict[K, Floats]:
+    """Columns of parts, each with its length, one after another: NaN in a part that lacks the column."""
+    keys = dict.fromkeys(key for columns, _ in parts for key in columns)
+    return {key: np.concatenate([columns.get(key, np.full(n, np.nan)) for columns, n in parts]) for key in keys}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

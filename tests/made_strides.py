@@ -4,8 +4,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimator.preparation.past_speed import low_passed
+from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
-from estimator.strides import LAGS, Strides
+from estimator.strides import DURATION, LAGS, Strides
+
+
+def past_speeds(speed: Floats) -> dict[Quantity, Floats]:
+    """Of strides at a ``speed`` [m/s] (n,), from a cold start."""
+    return {quantity: low_passed(speed, 0.0, DURATION, time) for quantity, time in PAST_SPEEDS.items()}
 
 
 def made_strides(speed: Floats, force: Floats, context: Mapping[Quantity, Floats]) -> Strides:

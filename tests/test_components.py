@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_strides import made_strides
+from made_strides import made_strides, past_speeds
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from test_diagnosis_evidence import driven as on_level_road
@@ -45,7 +45,7 @@ def driven(n=400, seed=SEED, power=None):
     slope = 0.008 * np.sin(2 * np.pi * s[:-1] / 700 + 1.0) + 0.004 * np.sin(2 * np.pi * s[:-1] / 260)
     taken = np.zeros(n) if power is None else power
     force = M * a + A + C * v**2 + M * 9.80665 * slope + taken / v + M * rng.normal(0, 6e-3, n)
-    context = {Quantity.ELAPSED: t, Quantity.ENGINE_SPEED: 8.0 * v, Quantity.STOPS: np.zeros(n)}
+    context = {Quantity.ELAPSED: t, Quantity.ENGINE_SPEED: 8.0 * v, Quantity.STOPS: np.zeros(n), **past_speeds(v)}
     return made_strides(speed, force, context)
 
 

@@ -16,6 +16,7 @@ from estimator.errors import ConfigError
 from estimator.model.effects import BY_NAME, CATALOGUE, SOURCES, Effect, Timing, View, named
 from estimator.model.effects.effect import AtRest
 from estimator.model.road_load import design
+from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity, Role, Series
 from estimator.streaming.drive_extraction import drives
 from estimator.units import STANDARD_GRAVITY
@@ -23,6 +24,7 @@ from estimator.units import STANDARD_GRAVITY
 PAGE = Path(__file__).parents[1] / "docs" / "effects.md"
 ROAD_LOAD = np.array([1739.0, 3.74, 27_190.0])  # A, C, m
 ALL = frozenset(Quantity)
+ALWAYS_KNOWN = frozenset({Quantity.ELAPSED, *PAST_SPEEDS})
 SHAPES = [pytest.param(e, shape, id=f"{e.name} {shape or ''}") for e in CATALOGUE for shape in e.shapes[:6]]
 LAGS = {"time_lag", "speed_filter"}  # found by the alignment: there is no column for them
 
@@ -69,6 +71,11 @@ def with_context(quantity: Quantity, value: float) -> View:
     return replace(plain, context={**plain.context, quantity: np.full(len(plain.t), value)})
 
 
+def with_past_speed(speed: float) -> View:
+    plain = view()
+    return replace(plain, context={**plain.context, **{q: np.full(len(plain.t), speed) for q in PAST_SPEEDS}})
+
+
 @pytest.mark.parametrize(("effect", "shape"), SHAPES)
 def test_power_is_one_finite_number_for_each_sample(effect, shape):
     power = effect.power(view(), shape)
@@ -112,8 +119,8 @@ def test_one_source_of_several_will_do(effect, source):
 
 def test_what_is_missing_can_be_named():
     for effect in CATALOGUE:
-        needs = [quantity for quantity in effect.needs if quantity is not Quantity.ELAPSED]
-        assert effect.usable_shapes(frozenset({Quantity.ELAPSED})) or effect.wanted, effect.name
+        needs = [quantity for quantity in effect.needs if quantity not in ALWAYS_KNOWN]
+        assert effect.usable_shapes(ALWAYS_KNOWN) or effect.wanted, effect.name
         assert all(set(SOURCES[quantity]) <= set(effect.wanted) for quantity in needs)
     assert set(BY_NAME["cornering"].wanted) == {Role.LATERAL_ACCELERATION, Role.YAW_RATE}
 
@@ -123,7 +130,7 @@ LEVEL = {
     "grade": view(context=dict.fromkeys(Quantity, np.zeros(3000))),
     "headwind": view(v=np.zeros(3000), context={Quantity.HEADING: np.full(3000, np.pi / 2)}),
     "air_density": STANDSTILL,
-    "warm_up": with_context(Quantity.ELAPSED, 1e6),
+    "warm_up": with_past_speed(80 / 3.6),
     "viscous_drag": STANDSTILL,
     "oil_warm_up": with_context(Quantity.ELAPSED, 1e6),
     "cold_loss": with_context(Quantity.ELAPSED, 1e6),
@@ -188,11 +195,12 @@ def test_powers_are_those_of_the_equations():
     cold = with_context(Quantity.ELAPSED, 600.0)
     for name, power in {"cold_loss": np.abs(seen.P), "cabin_heater": 1.0}.items():
         np.testing.assert_allclose(BY_NAME[name].power(cold, 600.0), power / np.e)
-    for name, power in {"warm_up": ROAD_LOAD[0] * v, "oil_warm_up": v**2}.items():
-        np.testing.assert_allclose(BY_NAME[name].power(cold, (600.0, 0.0)), power / np.e)
+    lukewarm = with_past_speed(80 / 3.6 * (1 - 1 / np.e))
+    for name, cool, power in (("warm_up", lukewarm, ROAD_LOAD[0] * v), ("oil_warm_up", cold, v**2)):
+        np.testing.assert_allclose(BY_NAME[name].power(cool, (600.0, 0.0)), power / np.e)
         softened = power * (np.exp(2 / np.e) - 1) / (np.exp(2) - 1)
-        np.testing.assert_allclose(BY_NAME[name].power(cold, (600.0, 2.0)), softened)
-        np.testing.assert_allclose(BY_NAME[name].power(cold, (600.0, 1e-6)), power / np.e, rtol=1e-5)
+        np.testing.assert_allclose(BY_NAME[name].power(cool, (600.0, 2.0)), softened)
+        np.testing.assert_allclose(BY_NAME[name].power(cool, (600.0, 1e-6)), power / np.e, rtol=1e-5)
     np.testing.assert_allclose(
         BY_NAME["regeneration_loss"].power(view(P=np.linspace(-2, 1, 3000)), None)[[0, -1]], [2, 0]
     )

@@ -13,6 +13,8 @@ from estimator.diagnosis import experiment
 from estimator.diagnosis.experiment import Manoeuvre, expected, experiments, manoeuvres
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import AtRest
+from estimator.preparation.past_speed import low_passed
+from estimator.roles import PAST_SPEEDS
 from estimator.signals import Quantity
 from estimator.strides import LAGS, Strides
 
@@ -57,11 +59,11 @@ def test_against_nothing_the_width_of_the_prior_counts(state: DriveState) -> Non
 
 def test_a_manoeuvre_is_driven_by_the_road_load(state: DriveState) -> None:
     held, rising = np.full(61, 20.0), np.arange(2.0, 12.0, 0.5)
-    parts = Manoeuvre(name="two", parts=(held, rising), lowered=(1,), from_rest=True, pause=100.0)
+    parts = Manoeuvre(name="two", parts=(held, rising), lowered=(1,), from_rest=True)
     after = experiment.driven(state, parts)
     theta = state.fit.theta
     assert len(after) == 60 + 19
-    assert after.t[0] == pytest.approx(state.strides.t[-1] + 100.5)
+    assert after.t[0] == pytest.approx(state.strides.t[-1] + 10.5)
     assert np.all(np.diff(after.t) > 0)
     assert_allclose(after.s0[1:], after.s1[:-1])
     assert list(np.flatnonzero(~after.joined)) == [0, 60]
@@ -70,7 +72,10 @@ def test_a_manoeuvre_is_driven_by_the_road_load(state: DriveState) -> None:
     assert_allclose(after.context[Quantity.ENGINE_SPEED][:60], 8.0 * v[:60])  # as everywhere in the drive
     assert_allclose(after.context[Quantity.ENGINE_SPEED][60:], 1.35 * 8.0 * v[60:])
     assert list(after.context[Quantity.STOPS][[0, -1]]) == [1, 2]
-    assert parts.minutes == pytest.approx((100 + 61 + 20 + 2 * 10) / 60, abs=0.05)
+    for quantity, time in PAST_SPEEDS.items():  # the parts follow the drive and each other
+        before = state.strides.context[quantity][-1]
+        assert_allclose(after.context[quantity], low_passed(v, before, 1.0, time))
+    assert parts.minutes == pytest.approx((10 + 61 + 20 + 2 * 10) / 60, abs=0.05)
     assert theta[:3] == pytest.approx([A, C, M], rel=0.5)
 
 

@@ -242,15 +242,15 @@ def test_the_engine_is_remembered(drive, state):
 def test_the_engine_is_remembered_over_a_silence_and_forgotten_when_time_steps_back(drive):
     pipeline = Pipeline(from_dict({}))
     list(pipeline.feed(between(drive, 0, 100)))
-    learnt = pipeline.state()["aligner"]
+    learnt = pipeline.state()["aligner"]["engine"]
     assert learnt["reference"] is not None
     list(pipeline.feed(between(drive, 200, 203)))
-    after = pipeline.state()["aligner"]
+    after = pipeline.state()["aligner"]["engine"]
     assert after["reference"] == learnt["reference"]
     assert after["friction"]["sums"][0].sum() > 0.9 * learnt["friction"]["sums"][0].sum() > 0
     list(pipeline.feed(between(drive, 50, 53)))
-    assert pipeline.state()["aligner"]["reference"] is None
-    assert pipeline.state()["aligner"]["friction"]["sums"].sum() == 0
+    assert pipeline.state()["aligner"]["engine"]["reference"] is None
+    assert pipeline.state()["aligner"]["engine"]["friction"]["sums"].sum() == 0
 
 
 def test_a_sender_that_was_exchanged_is_found_on_the_next_drive(drive, state):
@@ -364,7 +364,7 @@ def drive_end(drive) -> Frames:
         (("estimator", "stage", "strider", "distance"), "not finite"),
         (("estimator", "inference", "generator"), "cut"),
         (("estimator", "stage", "rejected"), "other type"),
-        (("aligner", "friction", "sums"), "negative"),
+        (("aligner", "engine", "friction", "sums"), "negative"),
         (("decoder", "contested"), "none"),
         (("until",), "gone"),
     ],

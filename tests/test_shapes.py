@@ -24,8 +24,8 @@ from estimator.model.road import RoadModel
 from estimator.signals import Quantity
 
 M, A, C = 25e3, 1600.0, 3.5
-WARM_UP, WIND = BY_NAME["warm_up"], BY_NAME["headwind"]
-COLD = [Term(WARM_UP, shape) for shape in WARM_UP.shapes]
+OIL, WIND = BY_NAME["oil_warm_up"], BY_NAME["headwind"]
+COLD = [Term(OIL, shape) for shape in OIL.shapes]
 WINDS = [Term(WIND, shape) for shape in WIND.shapes]
 STEADY_WIND = replace(WIND, finer=None)
 SEED = 11
@@ -75,7 +75,7 @@ def evidence(strides, found, terms):
 
 
 def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
-    strides = driven(400, 0.4, Term(WARM_UP, (500.0, 0.0)))
+    strides = driven(400, 40.0, Term(OIL, (500.0, 0.0)))
     found = fit(strides, np.random.default_rng(1), (WINDS[0],))
     assert found is not None
     gains, coefficients = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
@@ -86,7 +86,7 @@ def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
 
 
 def test_a_shape_with_the_wrong_sign_adds_nothing():
-    strides = driven(400, -0.4, Term(WARM_UP, (500.0, 0.0)))
+    strides = driven(400, -40.0, Term(OIL, (500.0, 0.0)))
     found = fit(strides, np.random.default_rng(1))
     assert found is not None
     gains, coefficients = ShapeLikelihood(strides, found).judged((), COLD)
@@ -96,7 +96,7 @@ def test_a_shape_with_the_wrong_sign_adds_nothing():
 
 @pytest.mark.parametrize("tau", [360.0, 900.0])
 def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
-    strides = driven(size=0.6, term=Term(WARM_UP, (tau, 0.0)))
+    strides = driven(size=60.0, term=Term(OIL, (tau, 0.0)))
     found = fit(strides, np.random.default_rng(1))
     guess = best_shapes(strides, found, [COLD])  # beside scales that have taken some of it up
     beside = fit(strides, np.random.default_rng(1), guess, found.scales)
@@ -106,8 +106,8 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
 
 @pytest.mark.parametrize(
     ("truth", "size", "start"),
-    [(Term(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (Term(WARM_UP, (430.0, 2.0)), 0.5, COLD[:1])],
-    ids=["wind", "warm-up"],
+    [(Term(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (Term(OIL, (430.0, 2.0)), 50.0, COLD[:1])],
+    ids=["wind", "oil"],
 )
 def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, size, start):
     strides = driven(size=size, term=truth)
@@ -122,7 +122,7 @@ def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, si
         assert yawed == pytest.approx(0.07, abs=0.02)
         assert speed == pytest.approx(found.theta[LAG + 1], rel=0.01)  # the column is that of the wind found
     else:
-        assert_allclose(WARM_UP.power(at(), term.shape), WARM_UP.power(at(), truth.shape), atol=0.05 * A)
+        assert_allclose(OIL.power(at(), term.shape), OIL.power(at(), truth.shape), atol=0.05)
     assert found.theta[LAG + 1] == pytest.approx(size, abs=3 * sd[LAG + 1] + 0.02 * size)
     assert np.abs(found.theta[0] - A) < 3 * sd[0]
     assert found.log_evidence > coarse.log_evidence + 1
@@ -130,12 +130,12 @@ def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, si
 
 def test_coefficients_are_averaged_over_shapes_that_fit_alike():
     """The law of total variance, over fits with one shape each."""
-    strides = driven(700, 0.3, Term(WARM_UP, (500.0, 1.0)))
+    strides = driven(700, 30.0, Term(OIL, (500.0, 1.0)))
     found = fit(strides, np.random.default_rng(1), (WINDS[0], COLD[3]))
     whole = averaged(strides, found)
     over_cold = averaged(strides, replace(found, terms=(replace(WINDS[0], effect=STEADY_WIND), COLD[3])))
-    near = {*WARM_UP.shapes, *WARM_UP.finer(COLD[3].shape, 0.0)}
-    each = [evidence(strides, found, (WINDS[0], Term(WARM_UP, shape))) for shape in sorted(near)]
+    near = {*OIL.shapes, *OIL.finer(COLD[3].shape, 0.0)}
+    each = [evidence(strides, found, (WINDS[0], Term(OIL, shape))) for shape in sorted(near)]
     log = np.array([log for log, _ in each])
     weights = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
     coefficients = np.array([solved for _, solved in each])

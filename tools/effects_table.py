@@ -38,6 +38,9 @@ the prior of the size, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²); larger
 * "Streams": the effect can be a term of the streaming model. Effects with unknown times are diagnosed only. Some are
   absorbed by the fit: A, C and m absorb any size of them, and the alignment of power and speed absorbs a lag, which the
   diagnosis reports.
+* With `warm_up` in the model, A is that of tyres as warm as at a steady 80 km/h, where rolling resistance is tested
+  (ISO 28580); without it, A is the mean of the drive. v_tau is the speed through a low-pass of the time constant tau; a
+  vehicle whose bus is silent stands, and one whose log begins has stood for long.
 
 {signals}
 

@@ -18,6 +18,8 @@ from estimator.diagnosis.result import Experiment
 from estimator.diagnosis.standing import IDLE_SD, IDLE_SHARE
 from estimator.model.effects import Effect
 from estimator.model.effects.effect import AtRest, Timing
+from estimator.preparation.past_speed import low_passed
+from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, ROWS, Strides
 
@@ -40,12 +42,11 @@ class Manoeuvre:
     lowered: tuple[int, ...] = ()
     turned: bool = False  # the other way
     from_rest: bool = False  # each part begins after a stop
-    pause: float = PART_GAP  # s before it
 
     @property
     def minutes(self) -> float:
         """That it takes, pauses included."""
-        return (self.pause + sum(len(part) * DURATION + PART_GAP for part in self.parts)) / 60
+        return (PART_GAP + sum(len(part) * DURATION + PART_GAP for part in self.parts)) / 60
 
 
 def experiments(
@@ -158,20 +159,16 @@ def _pieces(strides: Strides) -> Iterator[Floats]:
 
 def driven(state: DriveState, manoeuvre: Manoeuvre) -> Strides:
     """The strides of a manoeuvre after the drive, on level road."""
-    before = state.strides
-    t, s, stops = float(before.t[-1]) + manoeuvre.pause, float(before.s1[-1]), _last(before, Quantity.STOPS)
-    parts = []
-    for number, speeds in enumerate(manoeuvre.parts):
-        factor = LOWER_GEAR if number in manoeuvre.lowered else 1.0
-        stops += manoeuvre.from_rest
-        parts.append(_part(state, speeds, factor, manoeuvre.turned, (t, s, stops)))
-        t, s = float(parts[-1].t[-1]) + PART_GAP, float(parts[-1].s1[-1])
+    parts: list[Strides] = []
+    for number in range(len(manoeuvre.parts)):
+        parts.append(_part(state, parts[-1] if parts else state.strides, manoeuvre, number))
     return Strides.concatenate(parts)
 
 
-def _part(state: DriveState, speeds: Floats, factor: float, turned: bool, start: tuple[float, float, float]) -> Strides:
-    """Strides from the time [s], distance [m] and number of stops of ``start`` on."""
-    t, s, stops = start
+def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int) -> Strides:
+    """Strides of a part of a manoeuvre, by its ``number``, that follow those ``before``."""
+    t, s = float(before.t[-1]) + PART_GAP, float(before.s1[-1])
+    speeds, factor = manoeuvre.parts[number], LOWER_GEAR if number in manoeuvre.lowered else 1.0
     known, n = state.fit.strides, len(speeds) - 1
     A, C, m = state.fit.theta[:3].tolist()
     v0, v1 = speeds[:-1], speeds[1:]
@@ -182,11 +179,12 @@ def _part(state: DriveState, speeds: Floats, factor: float, turned: bool, start:
     force, unknown, times = A + C * v**2 + m * a, np.full(n, np.nan), t + DURATION * (np.arange(n) + 0.5)
     own = {
         Quantity.ENGINE_SPEED: gearing * v,
-        Quantity.STOPS: np.full(n, stops),
+        Quantity.STOPS: np.full(n, _last(before, Quantity.STOPS) + manoeuvre.from_rest),
         Quantity.DISTANCE: ends[:-1],
-        Quantity.ELAPSED: _last(state.strides, Quantity.ELAPSED) + times - float(state.strides.t[-1]),
-        Quantity.HEADING: np.full(n, _last(state.strides, Quantity.HEADING) + np.pi * turned),
+        Quantity.ELAPSED: _last(before, Quantity.ELAPSED) + times - float(before.t[-1]),
+        Quantity.HEADING: np.full(n, _last(state.strides, Quantity.HEADING) + np.pi * manoeuvre.turned),
         Quantity.LATERAL_ACCELERATION: np.zeros(n),
+        **{q: low_passed(v, _last(before, q), DURATION, time) for q, time in PAST_SPEEDS.items()},
     }
     context = {q: own.get(q, np.full(n, _last(state.strides, q))) for q in state.strides.context}
     return Strides(

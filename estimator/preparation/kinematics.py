@@ -75,8 +75,8 @@ def quantities(rows: Rows, start: float) -> dict[Quantity, Floats]:
 
 
 def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
-    """Quantities that depend on one row alone, each (n,); time elapsed counts from ``start`` [s]."""
-    found = {Quantity.ELAPSED: rows.t - start}
+    """Quantities that a row has by itself, each (n,); time elapsed counts from ``start`` [s]."""
+    found = {Quantity.ELAPSED: rows.t - start, **rows.past}
     same = {
         Quantity.ENGINE_SPEED: Role.ENGINE_SPEED,
         Quantity.GEAR: Role.GEAR,

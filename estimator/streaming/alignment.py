@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.checkpoint.validation import State
+from estimator.checkpoint.validation import State, substate
+from estimator.preparation.past_speed import PastSpeed
 from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
 from estimator.signals import Floats, Mask, Role, Series
@@ -59,11 +60,13 @@ class Aligner:
         self._tracks: dict[tuple[Role, int], Track] = {}
         self._hidden = NO_CONTEXT if is_electric(bound) else NO_CONTEXT | BATTERY
         self._engine = EnginePower(vehicle, bound, despike, self._tracks)
+        self._past = PastSpeed()
         self._next: int | None = None
 
     def forget(self) -> None:
-        """Discard the constants of the engine: the vehicle may be another one."""
+        """Discard the constants of the engine and the past speeds: the vehicle may be another one."""
         self._engine.forget()
+        self._past.forget()
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
         """Add a batch that ends at time ``now`` [s]; yields the rows that have become complete."""
@@ -129,18 +132,19 @@ class Aligner:
         self._next = None
 
     def state(self) -> dict[str, Any]:
-        """The constants of the engine, without the readings of the last seconds."""
-        return self._engine.state()
+        """The constants of the engine and the past speeds, without the readings of the last seconds."""
+        return {"engine": self._engine.state(), "past": self._past.state()}
 
     def restore(self, state: State) -> None:
-        """Take the constants of the engine from another aligner, before the first batch.
+        """Take the constants of the engine and the past speeds from another aligner, before the first batch.
 
         Raises
         ------
         StateError
             The state is not that of an aligner.
         """
-        self._engine.restore(state)
+        self._engine.restore(substate(state, "engine"))
+        self._past.restore(substate(state, "past"))
 
     def _drop_lone_errors(self) -> None:
         """A straight line from the reading before to the one after takes the place of a wrong speed."""
@@ -162,7 +166,12 @@ class Aligner:
             if i == 0 and role not in self._hidden
         }
         return Rows(
-            index=index, speed=speed, power=power, fresh=np.column_stack([speed_there, power_there]), context=context
+            index=index,
+            speed=speed,
+            power=power,
+            fresh=np.column_stack([speed_there, power_there]),
+            context=context,
+            past=self._past.follow(index, speed),
         )
 
     def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:

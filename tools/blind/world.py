@@ -22,6 +22,7 @@ from estimator.simulation.truck import Truck
 from estimator.simulation.truth import Truth as Drive
 
 SPEED_PERIOD = 0.1  # s
+WARM_SPEED = 80 / 3.6  # m/s, of the test of rolling resistance (ISO 28580), which A of `warm_up` belongs to
 HILLS = 0.005, 0.015  # standard deviation of a grade that is in the configuration
 GIVEN = 'effects = ["grade"]\n'  # the configuration of a hilly road
 LAGS = ("time_lag", "speed_filter")  # effects equivalent to a free lag
@@ -78,7 +79,7 @@ def truth_from(plan: Plan, drives: list[Drive]) -> Truth:
         kind=plan.kind,
         minutes=plan.minutes,
         route=f"{plan.road} {plan.shape}",
-        parameters={"mass_kg": plan.truck.mass, "A_N": _rolling(plan, first), "C_N_s2_m2": plan.truck.C},
+        parameters={"mass_kg": plan.truck.mass, "A_N": _rolling(plan), "C_N_s2_m2": plan.truck.C},
         effects=tuple(_active(name, i, first, views[0], plan) for i, name in enumerate(names)),
         shown=tuple(name for name in names if _shown(name, sensors)),
         companions=known,
@@ -98,10 +99,9 @@ def truth_from(plan: Plan, drives: list[Drive]) -> Truth:
     )
 
 
-def _rolling(plan: Plan, drive: Drive) -> float:
-    """A [N] of the drive: that of tyres which have the temperature of its mean speed, if they warm up at all."""
-    cold = plan.effects.get("warm_up", 0.0)
-    return plan.truck.A * (1.0 + settled_excess(cold, float(drive.reading.v.mean())))
+def _rolling(plan: Plan) -> float:
+    """A [N]: if tyres warm up at all, that of tyres as warm as in the test of rolling resistance."""
+    return plan.truck.A * (1.0 + settled_excess(plan.effects.get("warm_up", 0.0), WARM_SPEED))
 
 
 def noise_of(sensors: Sensors, truck: Truck) -> oracle.Noise:

@@ -1,9 +1,15 @@
-"""What is large while the vehicle is cold, and falls with the time t since the drive began.
+"""What is large while the vehicle is cold, and falls as it warms.
 
-Temperatures approach those of a warm vehicle about exponentially (tyres: Nielsen and Sandberg, SAE 2002-01-1200),
-x = exp(-t / tau) being the share of the way that is left. What is proportional to the temperature falls as x. The loss
-in rubber and the viscosity of oil fall about exponentially with the temperature: of ln(cold / warm) = k, the excess
-over the warm value
+x is the share of the way to a warm vehicle that is left. Oil, cabin and battery approach the temperature of a warm
+vehicle about exponentially with the time t since the drive began, x = exp(-t / tau). Tyres approach the temperature
+that belongs to their speed (Nielsen and Sandberg, SAE 2002-01-1200), and cool where the vehicle stands: with v_tau,
+the speed low-passed over tau, and the speed v_w at which tyres are tested warm,
+
+    x = 1 - v_tau / v_w,
+
+below zero for tyres that are warmer than in the test. What is proportional to the temperature falls as x. The loss in
+rubber and the viscosity of oil fall about exponentially with the temperature: of ln(cold / warm) = k, the excess over
+the warm value
 
     (exp(k x) - 1) / (exp(k) - 1)
 
@@ -13,8 +19,10 @@ is left, which is x for a small k and falls faster at first for a large one.
 import numpy as np
 
 from estimator.model.effects.effect import Shape, View
+from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 
+WARM_SPEED = 80 / 3.6  # m/s, at which rolling resistance is measured (ISO 28580): A is that of tyres so warm
 STEEPNESS = (0.0, 1.5, 3.0)  # k: a warm loss of all but the excess itself (linear), of 1/4.5 and 1/20 of the cold one
 LARGEST_STEEPNESS = 6.0
 TIMES_NEAR = (0.8, 0.87, 0.93, 1.0, 1.08, 1.16, 1.25)  # of a time constant
@@ -27,10 +35,21 @@ def cold(view: View, time: Shape) -> Floats:
     return left
 
 
-def excess(view: View, shape: Shape) -> Floats:
-    """Share (n,) that is left of an excess that falls exponentially with temperature; time constant [s] and k."""
-    time, steepness = shape
-    left = cold(view, time)
+def cold_tyres(view: View, time: Shape) -> Floats:
+    """Share (n,) of the way to warm tyres that is left, with a time constant [s] in the range of PAST_SPEEDS.
+
+    Between two time constants the low-passed speed is interpolated over their logarithm.
+    """
+    times = np.log([*PAST_SPEEDS.values()])
+    place = float(np.interp(np.log(time), times, np.arange(len(times))))
+    first = min(int(place), len(times) - 2)
+    shorter, longer = [view.context[quantity] for quantity in PAST_SPEEDS][first : first + 2]
+    past: Floats = shorter + (place - first) * (longer - shorter)
+    return 1 - past / WARM_SPEED
+
+
+def excess(left: Floats, steepness: float) -> Floats:
+    """Share (n,) of an excess where ``left`` (n,) is left of the way to a warm vehicle, for a ``steepness`` k."""
     return np.expm1(steepness * left) / np.expm1(steepness) if steepness else left
 
 

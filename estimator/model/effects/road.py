@@ -1,11 +1,12 @@
 """Effects between the vehicle and the road: gravity, load, tyres and brakes."""
 
-from estimator.model.effects.cold import excess, excesses, finer_excesses, told_excess
+from estimator.model.effects.cold import cold_tyres, excess, excesses, finer_excesses, told_excess
 from estimator.model.effects.effect import Effect, Shape, Timing, View, always, by_mass
+from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.units import STANDARD_GRAVITY
 
-WARM_UP_TIMES = tuple(60.0 * minutes for minutes in (6, 10, 16, 25, 40, 60))  # s
+TYRE_TIMES = tuple(60.0 * minutes for minutes in (10, 16, 25, 40, 60, 80))  # s
 
 
 def _climbing(view: View, source: Shape) -> Floats:
@@ -45,14 +46,14 @@ MASS_STEP = Effect(
 
 WARM_UP = Effect(
     name="warm_up",
-    equation="A al (exp(k x) - 1) / (exp(k) - 1) v, x = exp(-t / tau)",
-    source="rolling resistance of tyres falls as they warm (ISO 28580; SAE J2452)",
+    equation="A al (exp(k x) - 1) / (exp(k) - 1) v, x = 1 - v_tau / 80 km/h",
+    source="rolling resistance of tyres falls as they warm (ISO 28580; Nielsen and Sandberg, SAE 2002-01-1200)",
     symbol="cold excess of A",
     unit="1",
-    power=lambda view, shape: view.A * view.v * excess(view, shape),
+    power=lambda view, shape: view.A * view.v * excess(cold_tyres(view, shape[0]), shape[1]),
     usual=always(0.25),
-    needs=(Quantity.ELAPSED,),
-    shapes=excesses(WARM_UP_TIMES),
+    needs=tuple(PAST_SPEEDS),
+    shapes=excesses(TYRE_TIMES),
     finer=finer_excesses,
     describe=told_excess,
     breaks="a drive that starts with warm tyres",

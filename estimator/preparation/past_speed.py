@@ -1,0 +1,73 @@
+"""The speed of the past minutes, which the temperature of the tyres follows: low-passed over the times of PAST_SPEEDS.
+
+While the bus is silent the vehicle stands, and its tyres cool; before the first message it has stood for long.
+"""
+
+from math import exp
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimator.checkpoint.validation import State, array, read
+from estimator.roles import PAST_SPEEDS
+from estimator.samples import STEP
+from estimator.signals import Floats, Quantity
+
+
+def low_passed(speed: Floats, before: float, step: float, time: float) -> Floats:
+    """A ``speed`` (n,) [m/s] in steps [s] through a low-pass of first order with a time constant [s].
+
+    ``before`` [m/s] is the value a step before the first one.
+    """
+    keep = exp(-step / time)
+    passed: Floats = lfilter([1.0 - keep], [1.0, -keep], speed, zi=[keep * before])[0]
+    return passed
+
+
+class PastSpeed:
+    """Follows the speed on the time grid; the result does not depend on how the rows are cut."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """The vehicle may be another one, or have stood for long."""
+        self._values = np.zeros(len(PAST_SPEEDS))  # [m/s] at the row before the next one
+        self._speed = 0.0  # [m/s] last known
+        self._next: int | None = None  # row of the grid
+
+    def follow(self, index: NDArray[np.int64], speed: Floats) -> dict[Quantity, Floats]:
+        """Low-passed speeds (n,) [m/s] at consecutive rows of the grid (n,); the last known speed is held."""
+        gap = 0 if self._next is None else int(index[0]) - self._next
+        if gap < 0:  # time was set back
+            self.forget()
+        if gap > 0:
+            self._values = self._values * np.exp(-gap * STEP / np.array([*PAST_SPEEDS.values()]))
+            self._speed = 0.0
+        place = np.maximum.accumulate(np.where(np.isfinite(speed), np.arange(1, len(speed) + 1), 0))
+        held = np.concatenate([[self._speed], speed])[place]
+        found = {
+            quantity: low_passed(held, before, STEP, time)
+            for (quantity, time), before in zip(PAST_SPEEDS.items(), self._values.tolist(), strict=True)
+        }
+        self._values = np.array([values[-1] for values in found.values()])
+        self._speed, self._next = float(held[-1]), int(index[-1]) + 1
+        return found
+
+    def state(self) -> dict[str, Any]:
+        """The state that `restore` reads."""
+        return {"values": self._values, "speed": self._speed, "next": self._next}
+
+    def restore(self, state: State) -> None:
+        """Take the state of another one.
+
+        Raises
+        ------
+        StateError
+            The state is not that of past speeds.
+        """
+        values = array(state, "values", (len(PAST_SPEEDS),))
+        self._speed, self._next = read(state, "speed", float), read(state, "next", int | None)
+        self._values = values
