@@ -55,6 +55,8 @@ J1939_BINDING: dict[str, SignalPaths] = {
     Role.ALTITUDE: "VDS.Altitude",
     Role.HEADING: "VDS.CompassBearing",
     Role.GPS_SPEED: "VDS.NavigationBasedVehicleSpeed",
+    Role.LATITUDE: "VP.Latitude",
+    Role.LONGITUDE: "VP.Longitude",
     Role.COOLANT_TEMPERATURE: "ET1.EngCoolantTemperature",
     Role.FAN_SPEED: "FD.FanSpeed",
     Role.YAW_RATE: "VDC2.YawRate",

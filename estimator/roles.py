@@ -37,6 +37,8 @@ class Role(StrEnum):
     FAN_SPEED = "fan_speed"
     BATTERY_VOLTAGE = "battery_voltage"
     BATTERY_CURRENT = "battery_current"
+    LATITUDE = "latitude"
+    LONGITUDE = "longitude"
 
 
 class Quantity(StrEnum):
@@ -95,7 +97,7 @@ _DIMENSIONS: dict[str, tuple[Role, ...]] = {
     ),
     "m": (Role.ALTITUDE,),
     "m/s^2": (Role.LONGITUDINAL_ACCELERATION, Role.LATERAL_ACCELERATION),
-    "rad": (Role.HEADING,),
+    "rad": (Role.HEADING, Role.LATITUDE, Role.LONGITUDE),
     "K": (Role.AMBIENT_TEMPERATURE, Role.COOLANT_TEMPERATURE),
     "Pa": (Role.AIR_PRESSURE,),
     "V": (Role.BATTERY_VOLTAGE,),

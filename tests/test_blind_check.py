@@ -13,6 +13,7 @@ from estimator.answers.answer import encode
 from estimator.answers.diagnosis import GapClosed, Verdict
 from estimator.diagnosis.result import Diagnosis
 from estimator.report.diagnosis_summary import of_diagnosis
+from estimator.signals import Role
 
 DRIVES = int(os.environ.get("BLIND_DRIVES", "16"))  # of the fixed set
 MINUTES = float(os.environ.get("BLIND_MINUTES", "40"))
@@ -101,6 +102,7 @@ def test_drives_are_dealt_in_the_promised_shares_and_every_effect_and_noise_leve
     sizes = [(abs(size), KINDS[name]) for p in plans for name, size in p.effects.items()]
     assert all(kind.low - 1e-12 <= size <= kind.high + 1e-12 for size, kind in sizes)
     assert all(0.03 <= p.sensors.torque_lag <= 0.1 and p.sensors.torque_noise > 0 for p in plans)
+    assert all({Role.LATITUDE, Role.LONGITUDE} <= p.sensors.without for p in plans)
 
 
 def test_drives_and_their_truth_owe_nothing_to_the_model_under_test():

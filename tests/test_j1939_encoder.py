@@ -16,7 +16,7 @@ from estimator.simulation.truck import Truck
 from estimator.units import conversion_of
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
-ENGINE, TRANSMISSION, BRAKES = 0x00, 0x03, 0x0B
+ENGINE, TRANSMISSION, BRAKES, NAVIGATION = 0x00, 0x03, 0x0B, 0x1C
 
 
 def record_urban(seed: int) -> Recording:
@@ -38,7 +38,7 @@ def sent(frames: Frames, pgn: int, source: int) -> Frames:
     return frames[((frames.ident >> 8 & 0x3FFFF) == pgn) & ((frames.ident & 0xFF) == source)]
 
 
-def test_layouts_of_the_power_inputs():
+def test_layouts_of_the_inputs():
     """Positions, lengths, scales and offsets by SAE J1939-71."""
     database = load_database([])
     layouts = {
@@ -50,6 +50,8 @@ def test_layouts_of_the_power_inputs():
         "EngReferenceTorque": (0xFEE3, 152, 16, 1, 0, "Nm"),
         "TransShiftInProcess": (0xF002, 4, 2, 1, 0, None),
         "TransCurrentGear": (0xF005, 24, 8, 1, -125, None),
+        "Latitude": (0xFEF3, 0, 32, 1e-7, -210, "deg"),
+        "Longitude": (0xFEF3, 32, 32, 1e-7, -210, "deg"),
     }
     found = {
         s.name: (m.frame_id >> 8 & 0x3FFFF, s.start, s.length, s.scale, s.offset, s.unit)
@@ -74,6 +76,7 @@ def test_layouts_of_the_power_inputs():
         (0xF005, TRANSMISSION, 0.1, 6),
         (0xF001, BRAKES, 0.1, 6),
         (0xFEBF, BRAKES, 0.1, 6),
+        (0xFEF3, NAVIGATION, 1.0, 6),
     ],
 )
 def test_rates_and_sources(frames, pgn, source, period, priority):
@@ -102,6 +105,8 @@ def test_rates_and_sources(frames, pgn, source, period, priority):
         ("AMB", ENGINE, "AmbientAirTemperature", Role.AMBIENT_TEMPERATURE),
         ("AMB", ENGINE, "BarometricPressure", Role.AIR_PRESSURE),
         ("ET1", ENGINE, "EngCoolantTemperature", Role.COOLANT_TEMPERATURE),
+        ("VP", NAVIGATION, "Latitude", Role.LATITUDE),
+        ("VP", NAVIGATION, "Longitude", Role.LONGITUDE),
     ],
 )
 def test_cantools_reads_back_what_was_measured(recording, frames, message, source, signal, role):

@@ -9,7 +9,7 @@ from estimator.simulation.effects.effect import Effect
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import OPTIONAL, Sensors, measure
 from estimator.simulation.truck import Truck
-from estimator.simulation.truth import Truth
+from estimator.simulation.truth import EARTH_RADIUS, ORIGIN, Truth
 from estimator.units import STANDARD_GRAVITY
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
@@ -167,6 +167,33 @@ def test_a_bus_can_lack_what_is_optional(truth):
     assert set(full) - set(bare) == set(OPTIONAL) - {Role.RETARDER_FRACTION}  # this truck has no retarder
     for role, series in bare.items():
         np.testing.assert_array_equal(series.value, full[role].value)
+
+
+@pytest.mark.parametrize("dropouts", [0.0, 0.02])
+def test_no_other_signal_depends_on_the_position(truth, dropouts):
+    position = frozenset({Role.LATITUDE, Role.LONGITUDE})
+    full, bare = (
+        measure(truth, Sensors(dropouts=dropouts, without=without), np.random.default_rng(0))
+        for without in (frozenset(), position)
+    )
+
+    assert set(full) - set(bare) == position
+    for role, series in bare.items():
+        np.testing.assert_array_equal(series.t, full[role].t)
+        np.testing.assert_array_equal(series.value, full[role].value)
+
+
+def test_positions_follow_the_way_with_errors_of_two_metres(truth):
+    signals = measure(truth, Sensors(), np.random.default_rng(0))
+    latitude, longitude = signals[Role.LATITUDE], signals[Role.LONGITUDE]
+    scales = EARTH_RADIUS, EARTH_RADIUS * np.cos(ORIGIN[0])
+    assert latitude.t is longitude.t
+    for series, true, scale in zip((latitude, longitude), truth.position, scales, strict=True):
+        error = (series.value - np.interp(series.t, truth.t, true)) * scale
+        assert np.std(error) == pytest.approx(2.0, rel=0.2)
+        assert abs(error.mean()) < 0.5
+    steps = [np.diff(true) * scale for true, scale in zip(truth.position, scales, strict=True)]
+    np.testing.assert_allclose(np.hypot(*steps), np.diff(truth.s), atol=1e-6)
 
 
 def test_motion_sensors_tell_bends_and_hills():

@@ -96,6 +96,7 @@ _TRAFFIC = (
             "Pitch": Role.GRADE,
         },
     ),
+    _Sent("VP", NAVIGATION, {"Latitude": Role.LATITUDE, "Longitude": Role.LONGITUDE}),
 )
 
 

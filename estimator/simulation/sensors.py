@@ -6,7 +6,7 @@ SPN 513 and 4154 do; the nominal friction comes apart and slower, as SPN 514 doe
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import exp, pi
+from math import cos, exp, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from estimator.signals import Floats, Mask, Role, Series, Signals
 from estimator.simulation.moment import STEP
 from estimator.simulation.noise import correlated, smooth
-from estimator.simulation.truth import Truth
+from estimator.simulation.truth import EARTH_RADIUS, ORIGIN, Truth
 from estimator.units import STANDARD_GRAVITY
 
 SPEED_RESOLUTION = 1 / 256 / 3.6  # m/s
@@ -24,6 +24,8 @@ PERCENT = 0.01
 PEDAL_RESOLUTION = 0.004  # of full travel
 FULL_BRAKING = 6.0  # m/s^2 at full travel of the brake pedal
 HEADING_NOISE = 0.01  # rad
+POSITION_NOISE = 2.0  # m, to the north and to the east
+POSITION_RESOLUTION = 1e-7 * pi / 180  # rad
 YAW_NOISE = 0.002  # rad/s
 ACCELERATION_NOISE = 0.03  # m/s^2
 DROPOUT = 1.0, 8.0  # s, shortest and longest
@@ -34,6 +36,8 @@ OPTIONAL = (
     Role.GRADE,
     Role.HEADING,
     Role.GPS_SPEED,
+    Role.LATITUDE,
+    Role.LONGITUDE,
     Role.AMBIENT_TEMPERATURE,
     Role.AIR_PRESSURE,
     Role.COOLANT_TEMPERATURE,
@@ -112,7 +116,16 @@ class Sensors:
 
 def measure(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Signals:
     """Signals of a drive as the control units send them; roles of one message share their times."""
-    control_units = (_engine, _vehicle_speed, _transmission, _brakes, _surroundings, _stability, _accessories)
+    control_units = (
+        _engine,
+        _vehicle_speed,
+        _transmission,
+        _brakes,
+        _surroundings,
+        _stability,
+        _accessories,
+        _position,
+    )
     signals = {
         role: series
         for control_unit in control_units
@@ -230,6 +243,15 @@ def _stability(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iter
 def _accessories(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
     t = _times(truth, 1.0, sensors, rng)
     yield Role.FAN_SPEED, Series(t, _quantise(np.interp(t, truth.t, truth.fan_speed), ENGINE_SPEED_RESOLUTION))
+
+
+def _position(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
+    own = rng.spawn(1)[0]  # a generator of its own: dropouts of other messages do not depend on the position
+    t = _times(truth, 1.0, sensors, own)
+    scales = 1 / EARTH_RADIUS, 1 / (EARTH_RADIUS * cos(ORIGIN[0]))  # rad/m
+    for role, true, scale in zip((Role.LATITUDE, Role.LONGITUDE), truth.position, scales, strict=True):
+        measured = np.interp(t, truth.t, true) + own.normal(0.0, POSITION_NOISE * scale, len(t))
+        yield role, Series(t, _quantise(measured, POSITION_RESOLUTION))
 
 
 def _with_dropouts(signals: Signals, share: float, rng: np.random.Generator) -> Signals:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import cos, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from estimator.signals import Floats, Mask
 from estimator.simulation.effects.effect import Effect, Span
 from estimator.simulation.moment import Reading
 from estimator.simulation.truck import Truck
+
+ORIGIN = 48.0 * pi / 180, 11.0 * pi / 180  # rad, latitude and longitude where every drive begins
+EARTH_RADIUS = 6.371e6  # m, of a sphere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +69,17 @@ class Truth:
     def power(self) -> Floats:
         """Net power at the crank [W] (n,)."""
         return self.torque * self.engine_speed
+
+    @property
+    def position(self) -> tuple[Floats, Floats]:
+        """Latitude and longitude [rad] (n,): the heading integrated over the distance from ORIGIN.
+
+        On the plane that touches the ground there: degrees of longitude are as long everywhere.
+        """
+        steps = np.diff(self.s, prepend=0.0)
+        north, east = np.cumsum(steps * np.cos(self.heading)), np.cumsum(steps * np.sin(self.heading))
+        latitude, longitude = ORIGIN
+        return latitude + north / EARTH_RADIUS, longitude + east / (EARTH_RADIUS * cos(latitude))
 
     @property
     def driven(self) -> Mask:

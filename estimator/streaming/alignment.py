@@ -34,7 +34,8 @@ NO_CONTEXT = {  # speed and power are computed from them
 }
 # s beyond the rows that wait: engine speeds are looked up at the times of friction readings, as long as these count.
 MEMORY = {Role.ENGINE_SPEED: MAX_FRESH}
-AVERAGED = {Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE}  # gravity is low-passed as speed and power are
+# Gravity is low-passed as speed and power are; a position that is held would be late by up to 25 m.
+AVERAGED = {Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE, Role.LATITUDE, Role.LONGITUDE}
 
 SPEEDS = {Role.SPEED, Role.WHEEL_SPEEDS}
 LONE_ERROR = "contradicted by the readings before and after"

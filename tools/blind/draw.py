@@ -60,6 +60,7 @@ ALONE = (
     Role.LATERAL_ACCELERATION,
     Role.GEAR,
 )
+ABSENT = (Role.LONGITUDINAL_ACCELERATION, Role.LATITUDE, Role.LONGITUDE)  # of every drive
 
 Card = TypeVar("Card")
 
@@ -160,7 +161,7 @@ def draw_sensors(
         grade_offset=rng.normal(0.0, 0.001),
         altitude_noise=rng.uniform(0.3, 3.0),
         dropouts=float(rng.choice([0.0, 0.002])),
-        without=frozenset({*without, Role.LONGITUDINAL_ACCELERATION}),
+        without=frozenset({*without, *ABSENT}),
     )
 
 
