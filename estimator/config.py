@@ -23,6 +23,7 @@ from estimator.settings import (
     Prior,
     Publish,
     Reception,
+    RoadTable,
     Sampler,
     Section,
     Service,
@@ -33,6 +34,7 @@ from estimator.settings import (
 )
 
 MAX_FILE_BYTES = 1 << 20  # bytes of a configuration: an endless device or fifo does not fill the memory
+MAX_MAP_BYTES = 256 << 20  # bytes of a map: 13 million places, more than the cells of the main roads of a continent
 DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
 FREE_TABLES: dict[str, Any] = {"signals": SignalPaths, "bus.source_addresses": Address}  # keys are the user's
 
@@ -77,6 +79,7 @@ class Config(Section, frozen=True):
     window: Window = Window()
     gate: Gate = Gate()
     load: Load = Load()
+    road: RoadTable = RoadTable()
     prior: Prior = Prior()
     sampler: Sampler = Sampler()
     publish: Publish = Publish()
@@ -174,7 +177,7 @@ def _named(place: str, tables: dict[str, Any]) -> str:
 
 
 def load(path: Path | str | None = None) -> Config:
-    """Read a TOML file, or the defaults when there is none; DBC paths become relative to the file.
+    """Read a TOML file, or the defaults when there is none; paths become relative to the file.
 
     Raises
     ------
@@ -195,7 +198,12 @@ def load(path: Path | str | None = None) -> Config:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
     databases = [str(path.parent / name) for name in config.bus.dbc]
-    return msgspec.structs.replace(config, bus=msgspec.structs.replace(config.bus, dbc=databases))
+    road = None if config.road.map is None else str(path.parent / config.road.map)
+    return replace(
+        config,
+        bus=msgspec.structs.replace(config.bus, dbc=databases),
+        road=msgspec.structs.replace(config.road, map=road),
+    )
 
 
 def replace(config: Config, **sections: Section) -> Config:
@@ -203,11 +211,35 @@ def replace(config: Config, **sections: Section) -> Config:
     return msgspec.structs.replace(config, **sections)
 
 
+def read_map(path: Path) -> bytes:
+    """Contents of the file that ``road.map`` names.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, or is too large.
+    """
+    try:
+        return read_bounded(path, MAX_MAP_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; correct road.map, or take it out") from error
+
+
 def estimation_key(config: Config) -> str:
-    """Digest of everything that the meaning of a saved state depends on: vehicle, databases, settings."""
-    relevant = {name: getattr(config, name) for name in config.__struct_fields__ if name not in DAEMON_TABLES}
+    """Digest of everything that the meaning of a saved state depends on: vehicle, databases, map, settings.
+
+    Raises
+    ------
+    ConfigError
+        The map cannot be read.
+    """
+    relevant = {
+        name: getattr(config, name) for name in config.__struct_fields__ if name not in (*DAEMON_TABLES, "road")
+    }
     relevant["bus"] = msgspec.structs.replace(config.bus, dbc=[])
     digest = blake2b(msgspec.json.encode(relevant, order="sorted"), digest_size=16)
     for name in config.bus.dbc:
         digest.update(Path(name).read_bytes())
+    if config.road.map is not None:
+        digest.update(read_map(Path(config.road.map)))
     return digest.hexdigest()

@@ -39,6 +39,7 @@ class Role(StrEnum):
     BATTERY_CURRENT = "battery_current"
     LATITUDE = "latitude"
     LONGITUDE = "longitude"
+    GRADE_OFFSET_SD = "grade_offset_sd"
 
 
 class Quantity(StrEnum):
@@ -86,6 +87,7 @@ _DIMENSIONS: dict[str, tuple[Role, ...]] = {
         Role.BRAKE_PEDAL,
         Role.RETARDER_FRACTION,
         Role.GRADE,
+        Role.GRADE_OFFSET_SD,
     ),
     STATE: (
         Role.GEAR,

@@ -90,6 +90,12 @@ class Load(Section, frozen=True):
     drift_per_hour: NotNegative = 0.03  # relative sd by which A / m and C may wander, growing with the square root
 
 
+class RoadTable(Section, frozen=True):
+    """What is known of the road beforehand."""
+
+    map: str | None = None  # the road.npy of a fleet, relative to the configuration file
+
+
 class Prior(Section, frozen=True):
     """Boxes, outside of which the posterior is zero; beliefs as (mean, sd), e.g. from a weigh ticket or data sheet."""
 

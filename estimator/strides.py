@@ -31,7 +31,8 @@ class Strides:
     speed and distance at the ends; ``a`` [m/s^2] between them; ``speed_squared`` [m^2/s^2]; ``force`` [N] of the
     engine at the wheels with its power taken later by each of LAGS; ``gearing`` [rad/m] turns of the engine per
     distance, 1/v where its speed is not known; ``density`` of the air [kg/m^3]. Of the road: ``altitude`` [m],
-    ``grade`` sine of the slope, ``gravity`` [m/s^2] along the road by an accelerometer. What is not known is NaN.
+    ``grade`` sine of the slope and ``grade_offset_sd`` of its constant error, where that is known, ``gravity`` [m/s^2]
+    along the road by an accelerometer. What is not known is NaN.
     ``known`` where the force is known throughout; only there do a, force and gearing count. ``context`` holds what
     effects are computed from.
     """
@@ -50,6 +51,7 @@ class Strides:
     density: Floats
     altitude: Floats
     grade: Floats
+    grade_offset_sd: Floats
     gravity: Floats
     context: Mapping[Quantity, Floats] = field(default_factory=dict)
 

@@ -57,6 +57,7 @@ def strides_of(
         density=rng.uniform(1.1, 1.3, n),
         altitude=signals.get("altitude", blank),
         grade=signals.get("grade", blank),
+        grade_offset_sd=blank,
         gravity=signals.get("gravity", blank),
     )
 

@@ -35,6 +35,7 @@ def made_strides(speed: Floats, force: Floats, context: Mapping[Quantity, Floats
         density=unknown,
         altitude=unknown,
         grade=unknown,
+        grade_offset_sd=unknown,
         gravity=unknown,
         context=dict(context),
     )

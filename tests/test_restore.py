@@ -39,6 +39,7 @@ REBUILT = {  # what traffic or the configuration shows again
     Pipeline: {"config", "_is_restored"},
     RowStream: {
         "_config",
+        "_map",
         "_messages",
         "_names",
         "_waiting",

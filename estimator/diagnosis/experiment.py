@@ -202,6 +202,7 @@ def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int)
         density=np.full(n, float(np.nanmean(known.density)) if np.isfinite(known.density).any() else np.nan),
         altitude=unknown,
         grade=unknown,
+        grade_offset_sd=unknown,
         gravity=unknown,
         context=context,
     )

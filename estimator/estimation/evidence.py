@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.estimation.posterior import Posterior
+from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.window import Grid
 from estimator.signals import Floats
 
@@ -45,7 +46,8 @@ class Coefficients:
 class Evidence:
     """Trace, draws, lag of power behind speed [s], rows per cell of the grid, residual [W], independent residuals.
 
-    ``coefficients`` are those of the drive by itself, without beliefs and box, where the road is a state.
+    ``coefficients`` are those of the drive by itself, without beliefs and box, and ``fit`` is what they were found in,
+    where the road is a state.
     """
 
     trace: Trace
@@ -56,3 +58,4 @@ class Evidence:
     rms: float
     effective: float
     coefficients: Coefficients | None = None
+    fit: RoadFit | None = None

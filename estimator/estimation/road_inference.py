@@ -310,6 +310,7 @@ class RoadInference:
             rms=rms,
             effective=float(len(driven)),
             coefficients=Coefficients(found.beta[:ROAD_LOAD], found.covariance[:ROAD_LOAD, :ROAD_LOAD]),
+            fit=found,
         )
         marginals = {name: draws.marginal(i) for i, name in enumerate(PARAMETERS) if name not in reasons}
         road_load = draws.draws.reshape(-1, draws.draws.shape[2])[:, :ROAD_LOAD]

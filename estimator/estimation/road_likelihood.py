@@ -138,7 +138,8 @@ class Likelihood:
         self.unit[plain : plain + inside] = 1.0
         self.data[:, 1:] /= self.unit
         m = float(road_load[2])
-        sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([NEW_LOAD_SD / m] * (plain - PLAIN)), *([1.0] * inside)]
+        sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([NEW_LOAD_SD / m] * (plain - PLAIN))]
+        sds += [reading.offset_sd for reading in model.readings for _ in range(reading.offsets.shape[1])]
         sds += [USUAL_SDS * term.effect.usual(road_load) / m for term in terms]
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
 

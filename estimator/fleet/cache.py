@@ -13,7 +13,7 @@ from estimator.fleet.drive_result import DriveResult
 from estimator.fleet.grouping import Drive
 from estimator.output_files import whole
 
-SCHEMA = 1  # of a result; raise it when older results must not be used
+SCHEMA = 2  # of a result; raise it when older results must not be used
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """One drive: its estimate for each load, with the statistics that a joint estimate needs."""
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,15 @@ from estimator.config import Config
 from estimator.errors import RoadloadError
 from estimator.estimate import PARAMETERS, Estimate, Marginal
 from estimator.estimation.evidence import Coefficients
+from estimator.estimation.road_fit import RoadFit
 from estimator.fleet.grouping import Drive
+from estimator.fleet.passes import Passes, Places, passes_of
 from estimator.fleet.sources import local_copy
 from estimator.streaming.drive_extraction import diagnose_logs
 from estimator.streaming.log_frames import LogFrames
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block
+from estimator.strides import Strides
 
 MINUTE = 60.0  # s
 
@@ -67,9 +70,10 @@ class FoundEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class DriveResult:
-    """The result of one drive; ``fault`` is the reason why there is none, or empty."""
+    """The result of one drive; ``fault`` is the reason why there is none, or empty; ``passes`` of places."""
 
     segments: tuple[Segment, ...] = ()
+    passes: Passes = field(default_factory=Passes)
     fault: str = ""
     verdict: str = ""
     effects: tuple[FoundEffect, ...] = ()
@@ -81,9 +85,9 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
     try:
         with ExitStack() as stack:
             paths = [stack.enter_context(local_copy(source)) for source in drive.sources]
-            segments = _segments(paths, config)
+            segments, passes = _segments(paths, config)
             if not with_diagnosis:
-                return DriveResult(segments=segments)
+                return DriveResult(segments=segments, passes=passes)
             diagnosis = diagnose_logs(paths, config)
     except (RoadloadError, OSError) as error:
         return DriveResult(fault=" ".join(str(error).split()))
@@ -99,15 +103,16 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
         )
         for found in diagnosis.effects
     )
-    return DriveResult(segments=segments, verdict=diagnosis.verdict.value, effects=effects)
+    return DriveResult(segments=segments, passes=passes, verdict=diagnosis.verdict.value, effects=effects)
 
 
 class _Loads:
-    """The newest update and the times of each load."""
+    """The newest update and the times of each load, and the road that was found with it."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
         self._updates: dict[int, tuple[Estimate, Coefficients | None]] = {}
+        self._roads: dict[int, tuple[Strides, RoadFit]] = {}
         self._spans: dict[int, tuple[float, float]] = {}
 
     def take(self, update: Estimate) -> None:
@@ -115,6 +120,13 @@ class _Loads:
         estimator = self._pipeline.estimator
         evidence = estimator.evidence
         self._updates[estimator.segment] = update, None if evidence is None else evidence.coefficients
+        self._roads.pop(estimator.segment, None)
+        if (
+            evidence is not None
+            and evidence.fit is not None
+            and isinstance(strides := estimator.window.samples, Strides)
+        ):
+            self._roads[estimator.segment] = strides, evidence.fit
 
     def rows(self, first: float, last: float) -> None:
         """Note the times of the first and last of the rows that have been used [s]."""
@@ -127,19 +139,31 @@ class _Loads:
         """Loads with an update, in order."""
         return tuple(_segment(*self._updates[i], *self._spans[i]) for i in sorted(self._updates) if i in self._spans)
 
+    def passes(self, places: Places) -> Passes:
+        """Passes of places, each by the load that it was driven with."""
+        found = [
+            passes_of(strides, fit, places, self._spans[i][0])
+            for i, (strides, fit) in sorted(self._roads.items())
+            if i in self._spans
+        ]
+        return Passes.joined(found)
 
-def _segments(paths: list[Path], config: Config) -> tuple[Segment, ...]:
+
+def _segments(paths: list[Path], config: Config) -> tuple[tuple[Segment, ...], Passes]:
     pipeline = Pipeline(config)
-    loads = _Loads(pipeline)
+    loads, places = _Loads(pipeline), Places()
     for item in pipeline.traffic.feed_all(LogFrames(paths, config)):
         for update in pipeline.take(item):
             loads.take(update)
         if isinstance(item, Block) and item.rows:
             loads.rows(float(item.rows[0].t[0]), float(item.rows[-1].t[-1]))
+            for rows in item.rows:
+                places.add(rows)
     for update in pipeline.estimator.finish():
         loads.take(update)
     pipeline.traffic.require_inputs(", ".join(map(str, paths)))
-    return loads.segments
+    # A road that was found with a map holds what the map knew: it must not be learned again.
+    return loads.segments, Passes() if config.road.map is not None else loads.passes(places)
 
 
 def _segment(update: Estimate, coefficients: Coefficients | None, start: float, end: float) -> Segment:

@@ -8,14 +8,15 @@ from estimator.errors import ConfigError, RoadloadError
 from estimator.fleet.exports import export
 from estimator.fleet.page import Tables, page
 from estimator.fleet.priors import as_toml, of_new_vehicle, of_vehicle
-from estimator.fleet.rows import drive_rows, effect_rows, season_rows, vehicle_rows
+from estimator.fleet.rows import drive_rows, effect_rows, road_rows, season_rows, vehicle_rows
 from estimator.fleet.run import Fleet
-from estimator.fleet.tables import DRIVES, EFFECTS, SEASONS, VEHICLES, write_tables
+from estimator.fleet.tables import DRIVES, EFFECTS, ROAD, SEASONS, VEHICLES, write_tables
 
 CACHE = "cache"  # folders in the output
 PRIORS = "priors"
 EXPORTS = "exports"
 PAGE = "fleet.html"
+ROAD_TABLE, ROAD_MAP = "road.parquet", "road.npy"
 NEW_VEHICLE = "new-vehicle"
 FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
 
@@ -72,8 +73,13 @@ def write_fleet(
         texts[out / PAGE] = page(of)
     exported = {out / EXPORTS / f"{_file_name(one.vehicle)}.json": export(one) for one in found.vehicles}
     texts |= {path: encode(answer).decode() + "\n" for path, answer in exported.items() if answer is not None}
-    write_tables(tables, texts)
-    return [*tables, *texts]
+    maps: dict[Path, bytes] = {}
+    if len(found.road.key):
+        tables[out / ROAD_TABLE] = ROAD, road_rows(found.road)
+    if len(found.road.map.key):  # else a map that a gateway uses stays as it is
+        maps[out / ROAD_MAP] = found.road.map.encoded()
+    write_tables(tables, {**texts, **maps})
+    return [*tables, *texts, *maps]
 
 
 def _file_name(vehicle: str) -> str:

@@ -71,7 +71,12 @@ def _allowed(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Con
 
 
 def as_toml(config: Config) -> str:
-    """A configuration as a file for any folder: paths of databases are absolute."""
+    """A configuration as a file for any folder: paths of databases and of the map are absolute."""
     databases = [str(Path(name).resolve()) for name in config.bus.dbc]
-    whole = configuration.replace(config, bus=msgspec.structs.replace(config.bus, dbc=databases))
+    road_map = None if config.road.map is None else str(Path(config.road.map).resolve())
+    whole = configuration.replace(
+        config,
+        bus=msgspec.structs.replace(config.bus, dbc=databases),
+        road=msgspec.structs.replace(config.road, map=road_map),
+    )
     return toml_text.dump(msgspec.to_builtins(whole))

@@ -6,12 +6,15 @@ import numpy as np
 
 from estimator.estimate import Marginal, Status
 from estimator.fleet.drive_result import Segment
+from estimator.fleet.road import LearnedRoad
 from estimator.fleet.run import Fleet
 from estimator.fleet.tables import Row, statistics
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
+from estimator.road_map import COURSES, centre_of, place_of
 from estimator.signals import Floats
 
 MINUTE = 60.0  # s
+DEGREE_DIGITS = 6  # 0.1 m
 
 
 def drive_rows(found: Fleet) -> list[Row]:
@@ -129,4 +132,23 @@ def effect_rows(found: Fleet) -> list[Row]:
         }
         for drive, result in zip(found.grouped.drives, found.results, strict=True)
         for effect in result.effects
+    ]
+
+
+def road_rows(road: LearnedRoad) -> list[Row]:
+    """Rows of `ROAD`."""
+    row, column, octant = place_of(road.key)
+    latitude, longitude = (np.round(np.degrees(each), DEGREE_DIGITS) for each in centre_of(row, column))
+    columns = {
+        "latitude": latitude,
+        "longitude": longitude,
+        "course": octant * (360.0 / COURSES),
+        "slope_mean": road.slope,
+        "slope_sd": road.sd,
+        "slope_scatter": road.scatter,
+        "passes": road.passes,
+        "vehicles": road.vehicles,
+    }
+    return [
+        dict(zip(columns, cells, strict=True)) for cells in zip(*(c.tolist() for c in columns.values()), strict=True)
     ]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -16,10 +17,12 @@ from estimator.fleet.engine import Engine, Failure
 from estimator.fleet.grouping import Drive, Grouped, group
 from estimator.fleet.pooling import Mixture
 from estimator.fleet.population import MIN_VEHICLES, population, q_values
+from estimator.fleet.road import LearnedRoad, learned
 from estimator.fleet.seasons import SeasonResult, by_season
 from estimator.fleet.sources import LogFile
 from estimator.fleet.survey import Survey, survey
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult, join
+from estimator.road_map import RoadMap
 from estimator.settings import Gate
 from estimator.signals import Floats
 
@@ -35,7 +38,7 @@ class Fleet:
 
     ``seasons`` are those of each vehicle, in the order of vehicles; ``q_values`` (n, 2) of A/m and C of the vehicles,
     NaN where they are not compared; ``new`` is the distribution of A/m and C of a new vehicle, empty where the vehicles
-    are too few.
+    are too few; ``road`` is what the drives show of the slopes of places.
     """
 
     grouped: Grouped
@@ -44,6 +47,7 @@ class Fleet:
     seasons: tuple[tuple[SeasonResult, ...], ...]
     q_values: Floats
     new: tuple[Mixture, ...]
+    road: LearnedRoad
 
 
 @dataclass(frozen=True)
@@ -70,11 +74,13 @@ def run_fleet(
     Raises
     ------
     ConfigError
-        The configuration has another likelihood than "road", or its databases do not fit.
+        The configuration has another likelihood than "road", or its databases or its map do not fit.
     """
     if config.sampler.likelihood != "road":
         raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
     bind(config, load_database(config.bus.dbc))
+    if config.road.map is not None:
+        RoadMap.read(Path(config.road.map))
     grouped = group(_surveys(logs, config, engine, progress))
     results = _results(grouped.drives, config, engine, cache, with_diagnosis, progress)
     return conclude(grouped, results, config, engine)
@@ -86,7 +92,10 @@ def conclude(grouped: Grouped, results: tuple[DriveResult, ...], config: Config,
     vehicles = tuple(vehicle for vehicle, _ in joined)
     compared, new = _compared(vehicles)
     seasons = tuple(seasons for _, seasons in joined)
-    return Fleet(grouped=grouped, results=results, vehicles=vehicles, seasons=seasons, q_values=compared, new=new)
+    road = learned([drive.vehicle for drive in grouped.drives], [result.passes for result in results])
+    return Fleet(
+        grouped=grouped, results=results, vehicles=vehicles, seasons=seasons, q_values=compared, new=new, road=road
+    )
 
 
 def _surveys(logs: Sequence[LogFile], config: Config, engine: Engine, progress: Progress) -> list[Survey]:

@@ -87,6 +87,16 @@ EFFECTS = (
     Column("sd", "number", meaning="of the magnitude, in `unit`"),
     Column("unit", "text"),
 )
+ROAD = (
+    Column("latitude", "number", "deg", "centre of the cell of the ground"),
+    Column("longitude", "number", "deg", "centre of the cell of the ground"),
+    Column("course", "number", "deg", "direction of travel, clockwise from north, the middle of an eighth of a turn"),
+    Column("slope_mean", "number", "1", "rise over run in the direction of travel"),
+    Column("slope_sd", "number", "1", "of the mean, common errors of all passes included"),
+    Column("slope_scatter", "number", "1", "sd of the passes about the mean; missing for one pass"),
+    Column("passes", "count"),
+    Column("vehicles", "count"),
+)
 _FILL = {"text": "", "number": np.nan, "count": 0, "time": 0.0}
 _TYPES = {"text": np.str_, "number": np.float64, "count": np.int64, "time": np.float64}
 
@@ -110,8 +120,10 @@ def columns(schema: Sequence[Column], rows: Sequence[Row]) -> dict[str, Any]:
     return table
 
 
-def write_tables(tables: Mapping[Path, tuple[Sequence[Column], Sequence[Row]]], texts: Mapping[Path, str]) -> None:
-    """Write Parquet files and text files: all of them, or none.
+def write_tables(
+    tables: Mapping[Path, tuple[Sequence[Column], Sequence[Row]]], others: Mapping[Path, str | bytes]
+) -> None:
+    """Write Parquet files and other files, texts or bytes: all of them, or none.
 
     Raises
     ------
@@ -119,7 +131,9 @@ def write_tables(tables: Mapping[Path, tuple[Sequence[Column], Sequence[Row]]], 
         A file cannot be written, or pyarrow is not installed.
     """
     contents = {path: _parquet(schema, rows) for path, (schema, rows) in tables.items()}
-    contents |= {path: text.encode("utf-8", "replace") for path, text in texts.items()}
+    contents |= {
+        path: text.encode("utf-8", "replace") if isinstance(text, str) else text for path, text in others.items()
+    }
     with ExitStack() as stack:
         for path, content in contents.items():
             stack.enter_context(whole(path)).write_bytes(content)

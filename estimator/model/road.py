@@ -31,6 +31,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
 from estimator.model.matern import MaternField
@@ -230,10 +232,10 @@ class RoadModel:
         """Data columns (sum of counts, c): the response's first, then those of the parameters.
 
         ``columns`` (n, c) belong to the motion of the n driven strides. Behind them come, in the first column the
-        readings of the road, and in further columns of their own an offset for each that has one.
+        readings of the road, and in further columns of their own the offsets of each.
         """
-        offsets = [reading for reading in self.readings if reading.name != "altitude"]
-        data = np.zeros((sum(self.counts), columns.shape[1] + len(offsets)))
+        offsets = sum(reading.offsets.shape[1] for reading in self.readings)
+        data = np.zeros((sum(self.counts), columns.shape[1] + offsets))
         data[: len(columns), : columns.shape[1]] = columns
         at = len(columns) + sum(self.counts[1 : -len(self.readings)] if self.readings else ())
         extra = columns.shape[1]
@@ -241,10 +243,9 @@ class RoadModel:
             stop = at + len(reading.values)
             origin = reading.values[0] if reading.name == "altitude" else 0.0
             data[at:stop, 0] = reading.values - origin
-            if reading.name != "altitude":
-                data[at:stop, extra] = 1.0
-                extra += 1
-            at = stop
+            own = reading.offsets.shape[1]
+            data[at:stop, extra : extra + own] = reading.offsets
+            at, extra = stop, extra + own
         return data
 
     def acting(self, scales: Floats) -> tuple[Acting, ...]:
@@ -343,6 +344,28 @@ class RoadModel:
         before, share = self.nodes.between(0.5 * (strides.s0 + strides.s1))
         here: Floats = ((1 - share) * slope[before].T + share * slope[before + 1].T).T
         return here
+
+    def averages(self, strides: Strides, parts: NDArray[np.int64]) -> sp.csr_matrix:
+        """The map (k, size) from unknowns to the mean slope of each of k parts of a road that is not level.
+
+        ``parts`` (n,) is the number of the part of each stride, -1 for none; a stride counts by its length.
+        """
+        inside = np.flatnonzero(parts >= 0)
+        part, length = parts[inside], (strides.s1 - strides.s0)[inside]
+        weight = length / np.bincount(part, length)[part]
+        before, share = self.nodes.between(0.5 * (strides.s0 + strides.s1)[inside])
+        values = np.concatenate([(1 - share) * weight, share * weight])
+        places = (np.tile(part, 2), np.concatenate([self._slope[before], self._slope[before + 1]]))
+        return sp.csr_matrix((values, places), (int(part.max(initial=-1)) + 1, self.size))
+
+    def slopes_before(self, scales: Floats) -> Factor:
+        """Factor of the prior precision of the slopes of a road that is not level; of 1 for the other unknowns."""
+        assert self._field is not None
+        precision = np.zeros(self._shape)
+        precision[0] = 1.0
+        precision[0, self._slope] = 0.0
+        self._field.add_precision(precision, scales[SLOPE], scales[LENGTH])
+        return Factor.of(precision)
 
     def sensor_errors(self, unknowns: Floats) -> Floats:
         """Acceleration [m/s^2] (n, ...) of the driven strides by e, f and p, but for the white part."""

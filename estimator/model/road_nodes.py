@@ -15,6 +15,7 @@ SPACING = 25.0  # m between nodes of the road: finer changes no estimate (12.5 m
 MAX_BRIDGE = 1500.0
 MIN_PASSAGE = 0.2  # s from node to node: shorter than that of any vehicle (125 m/s)
 SIGNALS = ("altitude", "grade", "gravity")
+OFFSET_SD = 1.0  # sine, of the prior of the offset of a signal of slope: nothing is known of it
 
 
 @dataclass(frozen=True)
@@ -46,14 +47,21 @@ class Nodes:
         return before, (s - self.s[before]) / (self.s[before + 1] - self.s[before])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reading:
-    """One signal of the road averaged over the strides near each node: values (k,) at ``nodes`` (k,)."""
+    """One signal of the road averaged over the strides near each node: values (k,) at ``nodes`` (k,).
+
+    ``offsets`` (k, c) are the shapes of its lasting errors, and ``offset_sd`` is that of the prior of each: a constant
+    for a signal of slope. The errors of a map were left by drag as well as by rolling resistance, on drives about as
+    fast as this one, so a map has a second one in proportion to the square of the speed.
+    """
 
     name: str
     nodes: NDArray[np.int64]
     values: Floats
     counts: Floats
+    offsets: Floats
+    offset_sd: float
 
     @classmethod
     def of(cls, name: str, strides: Strides, nodes: Nodes) -> "Reading | None":
@@ -68,4 +76,17 @@ class Reading:
         count = np.bincount(nearest, minlength=len(nodes.s)).astype(float)
         total = np.bincount(nearest, values, len(nodes.s))
         heard = np.flatnonzero(count)
-        return cls(name, heard, total[heard] / count[heard], count[heard])
+        offsets, offset_sd = np.ones((len(heard), 0 if name == "altitude" else 1)), OFFSET_SD
+        known = strides.grade_offset_sd[there]
+        if name == "grade" and np.isfinite(known).any():
+            squares = np.bincount(nearest, strides.speed[there] ** 2, len(nodes.s))[heard] / count[heard]
+            offsets = np.column_stack([offsets, squares / squares.mean()])
+            offset_sd = float(np.sqrt(np.nanmean(known**2)))
+        return cls(
+            name=name,
+            nodes=heard,
+            values=total[heard] / count[heard],
+            counts=count[heard],
+            offsets=offsets,
+            offset_sd=offset_sd,
+        )

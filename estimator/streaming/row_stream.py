@@ -7,6 +7,7 @@ arrived, one by one or a million at once.
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,12 @@ from estimator.can_io.time_order import MAX_DELAY, TimeOrder
 from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.config import Config
 from estimator.errors import MissingInputsError
+from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 from estimator.streaming import engine_power
 from estimator.streaming.alignment import Aligner, Readings, between
+from estimator.streaming.course import MapGrade
 from estimator.streaming.missing_inputs import remedy
 from estimator.streaming.resampling import block_bounds
 
@@ -106,6 +109,9 @@ class RowStream:
         self._names = {s.role: f"{m.name}.{s.signal.name}" for m in self._messages for s in m.signals}
         self._config = config
         self._decoder, self._aligner = self._new()
+        # A grade signal that is bound counts for more than a map.
+        path = None if Role.GRADE in self._names else config.road.map
+        self._map = None if path is None else MapGrade(RoadMap.read(Path(path)))
         self.order = TimeOrder()
         self.frames = 0
         self.start: float | None = None
@@ -282,7 +288,7 @@ class RowStream:
         now, self._last = self._last, None
         for item in self._blocks(np.array([now])):
             if isinstance(item, Block):
-                rest = tuple(self._aligner.finish(now))
+                rest = tuple(self._with_grade(rows) for rows in self._aligner.finish(now))
                 self._count(rest)
                 yield replace(item, rows=(*item.rows, *rest))
             else:
@@ -297,13 +303,18 @@ class RowStream:
             if self._decoder.replaced:
                 yield self._replace(float(decoded.ends[0]))
             self._block_end = float(decoded.ends[-1]) + BLOCK
-            rows = list(self._aligner.feed_blocks(decoded.readings, decoded.ends))
+            parts = self._aligner.feed_blocks(decoded.readings, decoded.ends)
+            rows = [None if part is None else self._with_grade(part) for part in parts]
             self._count([part for part in rows if part is not None])
             edges = [-np.inf, *decoded.ends[:-1].tolist(), np.inf]
             for part, start, end in zip(rows, edges[:-1], edges[1:], strict=True):
                 low, high = bounds[:2]
                 del bounds[0]
                 yield Block(frames[low:high], () if part is None else (part,), decoded.readings, (start, end))
+
+    def _with_grade(self, rows: Rows) -> Rows:
+        """The next rows, with the slope of the map where there is one."""
+        return rows if self._map is None else self._map.feed(rows)
 
     def _replace(self, end: float) -> Interruption:
         """Drop the rows still waiting and the engine's constants: they may come from a wrong sender.

@@ -27,12 +27,13 @@ def refuse_if_writable_by_all(path: Path) -> None:
 
 
 def check_files(path: Path | None, config: Config) -> None:
-    """Refuse a configuration, or databases it names, that every user may write.
+    """Refuse a configuration, or databases and a map it names, that every user may write.
 
     Raises
     ------
     ConfigError
         One of them is, or cannot be looked at.
     """
-    for file in [*([path] if path is not None else []), *map(Path, config.bus.dbc)]:
+    named = [*config.bus.dbc, *([] if config.road.map is None else [config.road.map])]
+    for file in [*([path] if path is not None else []), *map(Path, named)]:
         refuse_if_writable_by_all(file)

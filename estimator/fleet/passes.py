@@ -1,0 +1,121 @@
+"""Passes of places by a drive: the mean slope that each pass shows, small enough to be kept with a drive's result."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from math import sqrt
+
+import numpy as np
+
+from estimator.estimation.road_fit import RoadFit
+from estimator.estimation.road_passes import mean_slopes
+from estimator.model.road_scales import LENGTH
+from estimator.road_map import Cells, cells_at, key_of, octant_of, place_of
+from estimator.samples import STEP, Rows
+from estimator.signals import Floats, Role
+from estimator.streaming.course import Course
+from estimator.strides import Strides
+
+KEPT_ROWS = 5  # one row in so many is kept for the positions of strides: 0.5 s
+MAX_GAP = 10.0  # s between two positions, over which a line joins them
+SAME_PASS = 1000.0  # m between strides in one place, beyond which the vehicle has come back
+MIN_LENGTH = 25.0  # m in a place: less is a corner of its cell, whose slope is another one
+# m by which the part of a cell that a pass crosses may differ from that of others: errors of positions, and the course,
+# which lags by 25 m. Without it a tenth of the places was off by more than twice the sd.
+PLACE_DOUBT = 10.0
+UNIT = 1e-5  # of kept slopes and sds, rise over run: a centimetre on a kilometre
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passes:
+    """Passes of places; lists (k,) of whole numbers, which JSON keeps in some 20 bytes a pass.
+
+    ``row``, ``column`` and ``octant`` of `road_map`, each less that of the pass before; ``slope``, ``own`` sd and
+    ``common`` sd in UNIT, see `road_passes`.
+    """
+
+    row: tuple[int, ...] = ()
+    column: tuple[int, ...] = ()
+    octant: tuple[int, ...] = ()
+    slope: tuple[int, ...] = ()
+    own: tuple[int, ...] = ()
+    common: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, key: Cells, slope: Floats, own: Floats, common: Floats) -> "Passes":
+        """From keys of places (k,), slopes, and sds (k,)."""
+        places = [np.diff(each, prepend=0) for each in place_of(key)]
+        values = [
+            np.round(each / UNIT).astype(np.int64) for each in (slope, np.maximum(own, UNIT), np.maximum(common, UNIT))
+        ]
+        return cls(**{each.name: tuple(v.tolist()) for each, v in zip(fields(cls), [*places, *values], strict=True)})
+
+    @property
+    def keys(self) -> Cells:
+        """Keys (k,) of the places."""
+        row, column, octant = (np.cumsum(np.array(v, np.int64)) for v in (self.row, self.column, self.octant))
+        return key_of(row, column, octant)
+
+    @property
+    def values(self) -> tuple[Floats, Floats, Floats]:
+        """Slopes, rise over run, own and common sds (k,) [1]."""
+        slope, own, common = (UNIT * np.array(v, float) for v in (self.slope, self.own, self.common))
+        return slope, own, common
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Passes]") -> "Passes":
+        """All passes of several."""
+        if not parts:
+            return cls()
+        values = (np.concatenate(each) for each in zip(*(part.values for part in parts), strict=True))
+        return cls.of(np.concatenate([part.keys for part in parts]), *values)
+
+
+class Places:
+    """Positions and directions of travel of a drive, taken from its rows."""
+
+    def __init__(self) -> None:
+        self._course = Course()
+        self._parts: list[Floats] = []
+
+    def add(self, rows: Rows) -> None:
+        """Take the next rows."""
+        course = self._course.feed(rows)
+        latitude, longitude = (rows.context.get(role) for role in (Role.LATITUDE, Role.LONGITUDE))
+        if latitude is None or longitude is None:
+            return
+        kept = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(course) & (rows.index % KEPT_ROWS == 0)
+        self._parts.append(np.column_stack([rows.index * STEP, latitude, longitude, course])[kept])
+
+    def under(self, strides: Strides) -> Cells:
+        """Key (n,) of the place of each stride, -1 where it is not known."""
+        found = np.full(len(strides), -1, np.int64)
+        known = np.concatenate([np.empty((0, 4)), *self._parts])
+        if len(known) < 2:
+            return found
+        t, latitude, longitude, course = known.T
+        after = np.clip(np.searchsorted(t, strides.t), 1, len(t) - 1)
+        near = (strides.t >= t[after - 1]) & (strides.t <= t[after]) & (t[after] - t[after - 1] <= MAX_GAP)
+        row, column = cells_at(*(np.interp(strides.t, t, each) for each in (latitude, longitude)))
+        found[near] = key_of(row, column, octant_of(course[after]))[near]
+        return found
+
+
+def passes_of(strides: Strides, found: RoadFit, places: Places, start: float) -> Passes:
+    """The passes of places by a drive from time ``start`` [s] on, of the strides of a fit."""
+    key = np.where(strides.t >= start, places.under(strides), -1)
+    there = np.flatnonzero(key >= 0)
+    if not len(there):
+        return Passes()
+    there = there[np.lexsort((strides.s0[there], key[there]))]  # by place, and there by distance
+    begins = (np.diff(key[there], prepend=-1) != 0) | (np.diff(strides.s0[there], prepend=0.0) > SAME_PASS)
+    number = np.cumsum(begins) - 1
+    length = np.bincount(number, (strides.s1 - strides.s0)[there])
+    long = length >= MIN_LENGTH
+    parts = np.full(len(strides), -1, np.int64)
+    parts[there] = np.where(long[number], (np.cumsum(long) - 1)[number], -1)
+    shown = mean_slopes(strides, found, parts)
+    known = np.isfinite(shown.slope) & np.isfinite(shown.common)
+    gradient = sqrt(3) * found.slope_sd / float(found.scales.values[LENGTH])  # 1/m, sd of that of the Matern process
+    own = np.hypot(shown.own[known], PLACE_DOUBT * gradient)
+    run = np.sqrt(1 - np.clip(shown.slope[known], -0.5, 0.5) ** 2)  # sine to rise over run
+    return Passes.of(key[there][begins][long][known], shown.slope[known] / run, own, shown.common[known])
