@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from estimator.config import read_map
 from estimator.errors import ConfigError
 from estimator.signals import Floats
+from estimator.units import EARTH_RADIUS
 
 CELL = 100.0  # m, length and width of a cell
-EARTH_RADIUS = 6.371e6  # m, of a sphere: cells need no ellipsoid
 COURSES = 8  # directions of travel
 MAX_SLOPE = 0.5  # rise over run: beyond that of any road
 MAX_HEADER_BYTES = 1000

@@ -38,12 +38,12 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import Truck
-from estimator.simulation.truth import EARTH_RADIUS, Truth
+from estimator.simulation.truth import Truth
 from estimator.streaming.course import Course
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block, RowStream
 from estimator.strides import Strides
-from estimator.units import STANDARD_GRAVITY
+from estimator.units import EARTH_RADIUS, STANDARD_GRAVITY
 
 pytestmark = pytest.mark.slow
 MINUTES = 15

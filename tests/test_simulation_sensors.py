@@ -9,8 +9,8 @@ from estimator.simulation.effects.effect import Effect
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import OPTIONAL, Sensors, measure
 from estimator.simulation.truck import Truck
-from estimator.simulation.truth import EARTH_RADIUS, ORIGIN, Truth
-from estimator.units import STANDARD_GRAVITY
+from estimator.simulation.truth import ORIGIN, Truth
+from estimator.units import EARTH_RADIUS, STANDARD_GRAVITY
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 PERFECT = Sensors(speed_noise=0.0, torque_noise=0.0, torque_white_noise=0.0, torque_lag=0.0)

@@ -15,8 +15,8 @@ from scipy.signal import lfilter
 from estimator.signals import Floats, Mask, Role, Series, Signals
 from estimator.simulation.moment import STEP
 from estimator.simulation.noise import correlated, smooth
-from estimator.simulation.truth import EARTH_RADIUS, ORIGIN, Truth
-from estimator.units import STANDARD_GRAVITY
+from estimator.simulation.truth import ORIGIN, Truth
+from estimator.units import EARTH_RADIUS, STANDARD_GRAVITY
 
 SPEED_RESOLUTION = 1 / 256 / 3.6  # m/s
 ENGINE_SPEED_RESOLUTION = 0.125 * 2 * pi / 60  # rad/s

@@ -11,9 +11,9 @@ from estimator.signals import Floats, Mask
 from estimator.simulation.effects.effect import Effect, Span
 from estimator.simulation.moment import Reading
 from estimator.simulation.truck import Truck
+from estimator.units import EARTH_RADIUS
 
 ORIGIN = 48.0 * pi / 180, 11.0 * pi / 180  # rad, latitude and longitude where every drive begins
-EARTH_RADIUS = 6.371e6  # m, of a sphere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.road_map import EARTH_RADIUS, RoadMap
+from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
+from estimator.units import EARTH_RADIUS
 
 BASE = 50.0  # m behind, to where the direction is taken from: errors of 2 m at both ends turn it by 3 degrees
 MAX_BASE = 2 * BASE  # m: beyond, positions were missing
