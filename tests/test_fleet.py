@@ -206,7 +206,7 @@ def test_one_worker_and_two_give_the_same_bits(outputs: list[tuple[Path, dict[st
     (one, first, _), (two, second, _) = outputs
     names = sorted(str(path.relative_to(one)) for path in one.rglob("*") if path.is_file())
     assert names == sorted(str(path.relative_to(two)) for path in two.rglob("*") if path.is_file())
-    assert {"priors/truck-1.toml", "fleet.html", "seasons.parquet"} <= set(names)
+    assert {"priors/truck-1.toml", "fleet.html", "seasons.parquet", "road.parquet"} <= set(names)
     for name in names:
         assert (one / name).read_bytes() == (two / name).read_bytes()
     assert first["rows"] == second["rows"] == {"estimated": 2, "duplicate": 1, "unreadable": 1, "failed": 1}
