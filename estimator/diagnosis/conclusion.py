@@ -12,7 +12,6 @@ from estimator.components.component import Component, Frame, of_effect
 from estimator.components.drive_state import DriveState
 from estimator.components.processes import LOW_PASS, SWITCHES, USUAL_LAG
 from estimator.components.search import Choice, Explained, Ranked
-from estimator.diagnosis.base import parameter_sd
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.facts import MIN_RIVAL
 from estimator.diagnosis.isolability import evidence_of, is_lasting
@@ -34,7 +33,7 @@ from estimator.estimation.moments import block_means
 from estimator.estimation.road_fit import theta_jacobian
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
 from estimator.estimation.shapes import averaged
-from estimator.model.design_matrix import PLAIN, Spans
+from estimator.model.design_matrix import Spans
 from estimator.model.effects import BY_NAME, Effect
 from estimator.signals import Floats, Quantity
 
@@ -180,8 +179,8 @@ class Conclusion:
             fit = self.longest.fit
             return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG]))
         drive = max(self.with_choices, key=lambda drive: len(drive.model.samples))
-        base = drive.model.base
-        return drive.record.lag + float(base.theta[PLAIN - 1]), parameter_sd(base, PLAIN - 1)
+        left, sd = drive.model.lag
+        return drive.record.lag + left, sd
 
     def _unaligned(self) -> tuple[Floats, Floats]:
         """Squared residuals [W^2] (n,) over 2 s of the plain model, without and with the alignment of the power."""

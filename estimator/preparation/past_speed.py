@@ -26,6 +26,12 @@ def low_passed(speed: Floats, before: float, step: float, time: float) -> Floats
     return passed
 
 
+def last_known(values: Floats, before: float) -> Floats:
+    """Values (n,) with the last known one held where none is known; ``before`` is the one before the first."""
+    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, len(values) + 1), 0))
+    return np.concatenate([[before], values])[place]
+
+
 class PastSpeed:
     """Follows the speed on the time grid; the result does not depend on how the rows are cut."""
 
@@ -46,8 +52,7 @@ class PastSpeed:
         if gap > 0:
             self._values = self._values * np.exp(-gap * STEP / np.array([*PAST_SPEEDS.values()]))
             self._speed = 0.0
-        place = np.maximum.accumulate(np.where(np.isfinite(speed), np.arange(1, len(speed) + 1), 0))
-        held = np.concatenate([[self._speed], speed])[place]
+        held = last_known(speed, self._speed)
         found = {
             quantity: low_passed(held, before, STEP, time)
             for (quantity, time), before in zip(PAST_SPEEDS.items(), self._values.tolist(), strict=True)

@@ -15,6 +15,7 @@ from estimator.checkpoint.validation import State, optional, read
 from estimator.errors import StateError
 from estimator.preparation.admission import ADMITTED, MAY_BRAKE, count_reasons, is_coasting, row_reasons
 from estimator.preparation.kinematics import air_density, measured
+from estimator.preparation.past_speed import last_known
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission
 from estimator.signals import Floats, Mask, Quantity, Role
@@ -162,7 +163,7 @@ class Strider:
 
         And the speed [m/s] (n,) that it is the integral of: the last known one is held where none is known.
         """
-        held = np.concatenate([np.zeros(self._next), _held(rows.plausible_speed[self._next :], self._speed)])
+        held = np.concatenate([np.zeros(self._next), last_known(rows.plausible_speed[self._next :], self._speed)])
         steps = np.concatenate([[self._distance], held[self._next :] * STEP])
         return np.concatenate([np.zeros(self._next), np.cumsum(steps)]), held
 
@@ -198,12 +199,6 @@ class Strider:
         if not 0 <= strider._next <= held:
             raise StateError("next: is out of range")
         return strider
-
-
-def _held(values: Floats, before: float) -> Floats:
-    """Values (n,) with the last known one held where none is known; ``before`` is the one before the first."""
-    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, len(values) + 1), 0))
-    return np.concatenate([[before], values])[place]
 
 
 def _later(values: Floats, lag: float) -> Floats:

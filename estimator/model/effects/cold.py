@@ -23,7 +23,7 @@ from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 
 WARM_SPEED = 80 / 3.6  # m/s, at which rolling resistance is measured (ISO 28580): A is that of tyres so warm
-STEEPNESS = (0.0, 1.5, 3.0)  # k: a warm loss of all but the excess itself (linear), of 1/4.5 and 1/20 of the cold one
+STEEPNESS = (0.0, 1.5, 3.0)  # k: in proportion to the temperature; cold losses of 4.5 and 20 times the warm one
 LARGEST_STEEPNESS = 6.0
 TIMES_NEAR = (0.8, 0.87, 0.93, 1.0, 1.08, 1.16, 1.25)  # of a time constant
 STEEPNESS_NEAR = (-0.5, 0.0, 0.5)
