@@ -7,15 +7,16 @@ from functools import cached_property
 import numpy as np
 
 from estimator.answers.diagnosis import Verdict
-from estimator.components.budget import ROAD, SDS_OF_90_PERCENT, UNKNOWN, WHITE, Budget, Part, budget
+from estimator.components.budget import ROAD, UNKNOWN, WHITE, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_effect
 from estimator.components.drive_state import DriveState
-from estimator.components.processes import LOW_PASS, SWITCHES, USUAL_LAG
+from estimator.components.processes import LOW_PASS, SWITCHES
 from estimator.components.search import Choice, Explained, Ranked
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.facts import MIN_RIVAL
 from estimator.diagnosis.isolability import evidence_of, is_lasting
-from estimator.diagnosis.model import BLOCK_SAMPLES, Drive, unaligned_residual
+from estimator.diagnosis.lag import lag_finding
+from estimator.diagnosis.model import Drive
 from estimator.diagnosis.result import (
     HIDDEN_GRADE,
     SHOWN_SLOPE,
@@ -29,22 +30,18 @@ from estimator.diagnosis.result import (
 )
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.form_doubt import EFFECT_DOUBT
-from estimator.estimation.moments import block_means
 from estimator.estimation.road_fit import theta_jacobian
-from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
+from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.estimation.shapes import averaged
 from estimator.model.design_matrix import Spans
-from estimator.model.effects import BY_NAME, Effect
-from estimator.signals import Floats, Quantity
+from estimator.model.effects import Effect
+from estimator.signals import Quantity
 
 MIN_LOG_BF_POSSIBLE = -3.0  # log Bayes factor from which an effect that was not chosen is part of the budget
 FORCE_BY_PLACE = "force over distance"  # what slopes are that no road has
 SLOPE_LENGTH = 300.0  # m, after which a road has another slope
-STRETCHES = 20  # of a drive, whose residuals are independent
 SHOWN_IN_PART, SHOWN = 0.1, 0.9  # of what a known road would take from the square of the residual, by its signals
 MAX_FORM_SHARE = 0.05  # of the evidence of a lag: errors of its form give as much to effects computed from power
-LONGEST_LAG = 0.8  # s: shifts of power up to 0.6 s are tried, beyond 0.8 s the columns are extrapolated
-MIN_EXCESS_SDS = 4.0  # sd of the lag by which it must lie outside USUAL_LAG
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +116,7 @@ class Conclusion:
         Effects are named unless processes without them explain more than they do.
         """
         limits, hidden = self.thresholds, self.explanation.is_hilly and not self.is_road_given
-        if hidden or self.lag() is not None or (self.sure and not self.is_outdone):
+        if hidden or self.lag is not None or (self.sure and not self.is_outdone):
             return Verdict.EFFECT
         if self.left_over > limits.min_log_bf_unknown:
             return Verdict.UNKNOWN
@@ -133,12 +130,12 @@ class Conclusion:
         """
         likely = self.explained.unknown > self.thresholds.min_probability_no_gap
         by_processes = self.explained.by_processes if likely else 0.0
-        bent = self.explained.left_over if self._is_low_pass and self.lag() is not None else 0.0
+        bent = 0.0 if self.lag is None else self._bent
         return self.explained.by_effects + bent < max(by_processes, self.by_place)
 
     def remaining(self) -> Verdict:
         """Whether something without a name is left beside what was named."""
-        if self._is_low_pass and self.lag() is not None:
+        if self._bent and self.lag is not None:
             return Verdict.NO_GAP
         return Verdict.UNKNOWN if self.left_over > self.thresholds.min_log_bf_left else Verdict.NO_GAP
 
@@ -147,54 +144,16 @@ class Conclusion:
         left = self._left(0.0)
         return Remainder(left.detail, left.magnitude.value, self.left_over)
 
+    @cached_property
     def lag(self) -> Finding | None:
-        """The lag between power and speed, where it is beyond usual delays; the likelihood has it in its columns.
-
-        A low-pass does more than a lag: what that adds is evidence of it too.
-        """
-        value, sd = self._lag
-        excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value) / sd
-        if excess < MIN_EXCESS_SDS or abs(value) > LONGEST_LAG:
-            return None
-        effect = BY_NAME["time_lag" if value > 0 else "speed_filter"]
-        bent = self.explained.left_over if self._is_low_pass else 0.0
-        before, after = self._unaligned()
-        return Finding(
-            name=effect.name,
-            probability=1.0,
-            log_bayes_factor=0.5 * excess**2 + bent,
-            equivalent=effect.equivalent,
-            magnitude=Magnitude(effect.symbol, value, sd, effect.unit),
-            gap_closed=_closed_by_alignment(before, after),
-            rms_before=self.budget.reached * float(np.sqrt(before.mean() / after.mean())),
-            rms_after=self.budget.reached,
-            shift=None,
-            detail="taken out by the alignment",
-        )
+        """The lag between power and speed, where it is beyond usual delays; the likelihood has it in its columns."""
+        return lag_finding(self.explanation, self.plain, self.with_choices, self.budget.reached, self._bent)
 
     @property
-    def _lag(self) -> tuple[float, float]:
-        """Lag of power [s] and its sd beside the effects: on a level road from samples, which tell it best."""
-        if self.explanation.is_sloping:
-            fit = self.longest.fit
-            return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG]))
-        drive = max(self.with_choices, key=lambda drive: len(drive.model.samples))
-        left, sd = drive.model.lag
-        return drive.record.lag + left, sd
-
-    def _unaligned(self) -> tuple[Floats, Floats]:
-        """Squared residuals [W^2] (n,) over 2 s of the plain model, without and with the alignment of the power."""
-        drive = max(self.plain, key=lambda drive: len(drive.model.samples))
-        before, after = (
-            block_means(residual, BLOCK_SAMPLES) ** 2
-            for residual in (unaligned_residual(drive.model, drive.record.lag), drive.model.base.residual)
-        )
-        return before, after
-
-    @property
-    def _is_low_pass(self) -> bool:
-        """Whether the process with most evidence is a low-pass of the speed."""
-        return any(process.name == LOW_PASS for process in self.explained.unnamed.values())
+    def _bent(self) -> float:
+        """Log Bayes factor of a low-pass of the speed beside the effects: it does more than a lag, which names it."""
+        is_low_pass = any(process.name == LOW_PASS for process in self.explained.unnamed.values())
+        return self.explained.left_over if is_low_pass else 0.0
 
     def hills(self) -> Finding:
         """The finding of a road that no signal shows, with the share of the gap that a signal could close."""
@@ -220,7 +179,7 @@ class Conclusion:
         road = [] if self.is_road_given or not self.explanation.is_hilly else [self._road()]
         doubtful = self.explained.choices[:1] if self.verdict() is Verdict.CANNOT_TELL else ()
         choices = doubtful if self.is_outdone else self.sure or doubtful
-        late = self.lag()
+        late = self.lag
         if late is not None:
             least = MAX_FORM_SHARE * late.log_bayes_factor
             choices = tuple(c for c in choices if not c.effect.is_noisy or c.log_bayes_factor > least)
@@ -369,16 +328,6 @@ class Conclusion:
             span=tuple(spans),
             detail=_detail(term.shape, effect),
         )
-
-
-def _closed_by_alignment(before: Floats, after: Floats) -> GapClosed:
-    """Share of the squared residual beyond noise that the alignment takes away: all, if it takes any.
-
-    The interval is that of the reduction over stretches of the drive, in shares of its mean.
-    """
-    gains = block_means(before - after, max(len(before) // STRETCHES, 1))
-    doubt = SDS_OF_90_PERCENT * float(gains.std() / np.sqrt(len(gains)) / max(gains.mean(), 1e-9))
-    return GapClosed(1.0, float(np.clip(1 - doubt, 0.0, 1.0)), 1.0)
 
 
 def _closed(part: Part | None) -> GapClosed | None:

@@ -1,0 +1,89 @@
+"""The lag between power and speed as a finding: it is in every model, and named where it is beyond usual delays."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.components.budget import SDS_OF_90_PERCENT
+from estimator.components.processes import USUAL_LAG
+from estimator.diagnosis.explanation import Explanation
+from estimator.diagnosis.model import BLOCK_SAMPLES, Drive, unaligned_residual
+from estimator.diagnosis.result import Finding, GapClosed, Magnitude
+from estimator.estimation.moments import block_means
+from estimator.estimation.road_likelihood import LAG
+from estimator.model.effects import BY_NAME
+from estimator.signals import Floats
+
+STRETCHES = 20  # of a drive, whose residuals are independent
+LONGEST_LAG = 0.8  # s: shifts of power up to 0.6 s are tried, beyond 0.8 s the columns are extrapolated
+MIN_EXCESS_SDS = 4.0  # sd of the lag by which it must lie outside USUAL_LAG
+
+
+def lag_finding(
+    explanation: Explanation,
+    plain: Sequence[Drive],
+    with_choices: Sequence[Drive],
+    reached: float,
+    bent: float,
+) -> Finding | None:
+    """The lag, where it is beyond usual delays.
+
+    Parameters
+    ----------
+    explanation
+        What acts on the drives.
+    plain, with_choices
+        The drives in their plain models, and with the effects that were chosen.
+    reached
+        rms of the residual [W] with all that was found, the lag taken out.
+    bent
+        Log Bayes factor of what a low-pass of the speed adds to a lag: evidence of it too.
+    """
+    value, sd = _lag(explanation, with_choices)
+    excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value) / sd
+    if excess < MIN_EXCESS_SDS or abs(value) > LONGEST_LAG:
+        return None
+    effect = BY_NAME["time_lag" if value > 0 else "speed_filter"]
+    before, after = _unaligned(plain)
+    return Finding(
+        name=effect.name,
+        probability=1.0,
+        log_bayes_factor=0.5 * excess**2 + bent,
+        equivalent=effect.equivalent,
+        magnitude=Magnitude(effect.symbol, value, sd, effect.unit),
+        gap_closed=_closed_by_alignment(before, after),
+        rms_before=reached * float(np.sqrt(before.mean() / after.mean())),
+        rms_after=reached,
+        shift=None,
+        detail="taken out by the alignment",
+    )
+
+
+def _lag(explanation: Explanation, with_choices: Sequence[Drive]) -> tuple[float, float]:
+    """Lag of power [s] and its sd beside the effects: on a level road from samples, which tell it best."""
+    if explanation.is_sloping:
+        fit = explanation.longest.fit
+        return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG]))
+    drive = max(with_choices, key=lambda drive: len(drive.model.samples))
+    left, sd = drive.model.lag
+    return drive.record.lag + left, sd
+
+
+def _unaligned(plain: Sequence[Drive]) -> tuple[Floats, Floats]:
+    """Squared residuals [W^2] (n,) over 2 s of the plain model, without and with the alignment of the power."""
+    drive = max(plain, key=lambda drive: len(drive.model.samples))
+    before, after = (
+        block_means(residual, BLOCK_SAMPLES) ** 2
+        for residual in (unaligned_residual(drive.model, drive.record.lag), drive.model.base.residual)
+    )
+    return before, after
+
+
+def _closed_by_alignment(before: Floats, after: Floats) -> GapClosed:
+    """Share of the squared residual beyond noise that the alignment takes away: all, if it takes any.
+
+    The interval is that of the reduction over stretches of the drive, in shares of its mean.
+    """
+    gains = block_means(before - after, max(len(before) // STRETCHES, 1))
+    doubt = SDS_OF_90_PERCENT * float(gains.std() / np.sqrt(len(gains)) / max(gains.mean(), 1e-9))
+    return GapClosed(1.0, float(np.clip(1 - doubt, 0.0, 1.0)), 1.0)
