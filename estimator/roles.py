@@ -39,7 +39,6 @@ class Role(StrEnum):
     BATTERY_CURRENT = "battery_current"
     LATITUDE = "latitude"
     LONGITUDE = "longitude"
-    GRADE_OFFSET_SD = "grade_offset_sd"
 
 
 class Quantity(StrEnum):
@@ -63,6 +62,7 @@ class Quantity(StrEnum):
     SPEED_OVER_20_MIN = "speed over 20 min"
     SPEED_OVER_40_MIN = "speed over 40 min"
     SPEED_OVER_80_MIN = "speed over 80 min"
+    GRADE_OFFSET_SD = "offset sd of the grade"  # [1], of the constant error of a map's slope
 
 
 PAST_SPEEDS: dict[Quantity, float] = {  # [s], time constants in rising order
@@ -87,7 +87,6 @@ _DIMENSIONS: dict[str, tuple[Role, ...]] = {
         Role.BRAKE_PEDAL,
         Role.RETARDER_FRACTION,
         Role.GRADE,
-        Role.GRADE_OFFSET_SD,
     ),
     STATE: (
         Role.GEAR,

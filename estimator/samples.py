@@ -22,8 +22,8 @@ class Rows:
     """Signals on the time grid, oldest first; all arrays (n,), NaN where a signal is stale or not available.
 
     ``index`` counts steps of STEP since time zero; ``speed`` [m/s]; ``power`` [W] at the wheels; ``context`` holds
-    the other bound roles in SI; ``fresh`` says for speed and power (n, 2) whether a reading was there at all; ``past``
-    holds what depends on the rows before.
+    the other bound roles in SI; ``fresh`` says for speed and power (n, 2) whether a reading was there at all;
+    ``derived`` holds what does not follow from the row alone: from the rows before, or from a map.
     """
 
     index: NDArray[np.int64]
@@ -31,7 +31,7 @@ class Rows:
     power: Floats
     fresh: Mask
     context: Mapping[Role, Floats]
-    past: Mapping[Quantity, Floats] = field(default_factory=dict)
+    derived: Mapping[Quantity, Floats] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.index)
@@ -43,7 +43,7 @@ class Rows:
             power=self.power[part],
             fresh=self.fresh[part],
             context={role: values[part] for role, values in self.context.items()},
-            past={quantity: values[part] for quantity, values in self.past.items()},
+            derived={quantity: values[part] for quantity, values in self.derived.items()},
         )
 
     def state(self) -> dict[str, Any]:
@@ -60,7 +60,7 @@ class Rows:
             It is not that of consecutive rows.
         """
         index = array(state, "index", (-1,), np.int64)
-        n, context, past = len(index), substate(state, "context"), substate(state, "past")
+        n, context, derived = len(index), substate(state, "context"), substate(state, "derived")
         if not n or np.any(np.diff(index) != 1):
             raise StateError("rows: are none, or have gaps")
         return cls(
@@ -69,7 +69,7 @@ class Rows:
             power=array(state, "power", (n,), finite=False),
             fresh=array(state, "fresh", (n, 2), np.bool_),
             context={role: array(context, role, (n,), finite=False) for role in names(context, Role)},
-            past={quantity: array(past, quantity, (n,), finite=False) for quantity in names(past, Quantity)},
+            derived={quantity: array(derived, quantity, (n,), finite=False) for quantity in names(derived, Quantity)},
         )
 
     @property
@@ -95,7 +95,7 @@ class Rows:
             power=np.concatenate([part.power for part in parts]),
             fresh=np.concatenate([part.fresh for part in parts]),
             context=_joined([(part.context, len(part)) for part in parts]),
-            past=_joined([(part.past, len(part)) for part in parts]),
+            derived=_joined([(part.derived, len(part)) for part in parts]),
         )
 
 

@@ -94,10 +94,10 @@ def test_another_key_is_discarded(tmp_path):
 
 
 def test_another_schema_is_discarded(tmp_path, monkeypatch):
-    monkeypatch.setattr("estimator.checkpoint.store.SCHEMA", 7)
+    monkeypatch.setattr("estimator.checkpoint.store.SCHEMA", SCHEMA + 1)
     StateStore(tmp_path).save({"n": 1}, "k")
     monkeypatch.undo()
-    assert StateStore(tmp_path).load("k")[1].endswith(f"has schema 7 instead of {SCHEMA}")
+    assert StateStore(tmp_path).load("k")[1].endswith(f"has schema {SCHEMA + 1} instead of {SCHEMA}")
 
 
 def test_lengths_that_lie(tmp_path):

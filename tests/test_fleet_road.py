@@ -33,7 +33,7 @@ from estimator.fleet.sources import find_logs
 from estimator.model.road import RoadModel
 from estimator.road_map import LAYOUT, RoadMap, cells_at, centre_of, key_of, octant_of, place_of
 from estimator.samples import STEP, Rows
-from estimator.signals import Floats, Role
+from estimator.signals import Floats, Quantity, Role
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
@@ -296,7 +296,7 @@ def test_a_grade_signal_of_the_bus_counts_for_more_than_the_map(road: Learned, n
         {"signals": {**Config().binding, "grade": "SSI.PitchAngle"}, "road": {"map": str(road.out / "road.npy")}}
     )
     for rows in rows_of([next_drive[: len(next_drive) // 3]], config):
-        assert Role.GRADE_OFFSET_SD not in rows.context
+        assert Quantity.GRADE_OFFSET_SD not in rows.derived
 
 
 def rows_of(batches: Sequence[Frames], config: Config) -> Iterator[Rows]:
@@ -311,8 +311,10 @@ def test_the_grade_of_the_map_does_not_depend_on_the_batches(road: Learned, next
     whole, pieces = (
         Rows.concatenate(*rows_of(batches, config)) for batches in ([part], [part[i:j] for i, j in pairwise(cuts)])
     )
-    for role in (Role.GRADE, Role.GRADE_OFFSET_SD, Role.LATITUDE):
+    for role in (Role.GRADE, Role.LATITUDE):
         assert_array_equal(whole.context[role], pieces.context[role])
+    offset_sd = Quantity.GRADE_OFFSET_SD
+    assert_array_equal(whole.derived[offset_sd], pieces.derived[offset_sd])
     assert np.isfinite(whole.context[Role.GRADE]).mean() > 0.5
 
 

@@ -76,7 +76,7 @@ def quantities(rows: Rows, start: float) -> dict[Quantity, Floats]:
 
 def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
     """Quantities that a row has by itself, each (n,); time elapsed counts from ``start`` [s]."""
-    found = {Quantity.ELAPSED: rows.t - start, **rows.past}
+    found = {Quantity.ELAPSED: rows.t - start, **rows.derived}
     same = {
         Quantity.ENGINE_SPEED: Role.ENGINE_SPEED,
         Quantity.GEAR: Role.GEAR,

@@ -153,7 +153,7 @@ class Strider:
             density=mean(air_density(rows)),
             altitude=mean(signal(Role.ALTITUDE)),
             grade=mean(rise / np.hypot(1.0, rise)),
-            grade_offset_sd=mean(signal(Role.GRADE_OFFSET_SD)),
+            grade_offset_sd=mean(rows.derived.get(Quantity.GRADE_OFFSET_SD, blank)),
             gravity=np.where(known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
             context={quantity: there.get(quantity, blank)[middle] for quantity in sorted(self.wanted)},
         )

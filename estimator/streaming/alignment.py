@@ -172,7 +172,7 @@ class Aligner:
             power=power,
             fresh=np.column_stack([speed_there, power_there]),
             context=context,
-            past=self._past.follow(index, speed),
+            derived=self._past.follow(index, speed),
         )
 
     def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:

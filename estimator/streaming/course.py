@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
-from estimator.signals import Floats, Role
+from estimator.signals import Floats, Quantity, Role
 from estimator.units import EARTH_RADIUS
 
 BASE = 50.0  # m behind, to where the direction is taken from: errors of 2 m at both ends turn it by 3 degrees
@@ -70,4 +70,5 @@ class MapGrade:
         grade, offset_sd = self._map.at(latitude, longitude, course)
         if not np.isfinite(grade).any():
             return rows
-        return replace(rows, context={**rows.context, Role.GRADE: grade, Role.GRADE_OFFSET_SD: offset_sd})
+        derived = {**rows.derived, Quantity.GRADE_OFFSET_SD: offset_sd}
+        return replace(rows, context={**rows.context, Role.GRADE: grade}, derived=derived)
