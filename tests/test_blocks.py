@@ -71,8 +71,8 @@ def heard(parts: Iterable[Frames]) -> tuple[list[object], RowStream]:
 
 
 def as_bytes(rows: Rows) -> list[object]:
-    columns = [rows.index, rows.speed, rows.power, rows.fresh, *rows.context.values()]
-    return [list(rows.context), *(column.tobytes() for column in columns)]
+    columns = [rows.index, rows.speed, rows.power, rows.fresh, *rows.context.values(), *rows.derived.values()]
+    return [list(rows.context), list(rows.derived), *(column.tobytes() for column in columns)]
 
 
 def readings(block: Block) -> list[object]:

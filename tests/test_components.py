@@ -14,15 +14,18 @@ from test_diagnosis_evidence import driven as on_level_road
 
 from estimator.components import switching
 from estimator.components.budget import NOISE, ROAD, budget
+from estimator.components.candidates import Candidates
 from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState
+from estimator.components.hypotheses import Hypotheses
 from estimator.components.likelihood import JointLikelihood
+from estimator.components.model_table import ModelTable
 from estimator.components.processes import SWITCHES, hats, processes, swings, switched
 from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.estimation.road_fit import fit
-from estimator.estimation.road_likelihood import LAG
+from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
 from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
@@ -424,6 +427,44 @@ def test_a_cause_of_one_drive_only_counts_among_several():
         whole = budget(drives, [[], []], [None, None], np.random.default_rng(1))
         assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
         assert whole.part("auxiliary_load").reached is not None
+
+
+def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
+    state = DriveState(strides=strides, fit=quiet)
+    effects = [BY_NAME[name] for name in ("auxiliary_load", "viscous_drag", "warm_up")]
+    joint = Hypotheses((state,), [()], [Candidates(effects).on(0, state, with_processes=False)])
+    names = [joint.component(i).name for i in range(len(joint.keys))]
+    load, drag, tyres = (names.index(effect.name) for effect in effects)
+    others = [i for i, name in enumerate(names) if name == "warm_up" and i != tyres]
+    weights = {(): 0.5, (load,): 0.3, (drag, load): 0.2}
+    table = ModelTable(tuple(weights), np.array(list(weights.values())), 0.0)
+
+    (found,) = joint.others(table, ())
+
+    components = [joint.component(i) for i in range(len(joint.keys))]
+    likelihood, rng, draws = (
+        JointLikelihood(strides, quiet, components, np.random.default_rng(20_042)),
+        np.random.default_rng(5),
+        [],
+    )
+    for own, weight in weights.items():
+        posterior = likelihood.posterior(own)
+        each = rng.multivariate_normal(posterior.mean, posterior.covariance, int(2e6 * weight), method="cholesky")
+        for place, i in enumerate(own, start=likelihood.base_size):
+            each = each[each[:, place] > 0] if components[i].positive else each
+        take = rng.integers(0, len(each), int(2e5 * weight))
+        draws.append(each[take, : likelihood.base_size])
+    alone = likelihood.posterior(())
+    unit = np.sqrt(np.diag(alone.covariance))[:ROAD_LOAD]
+    every = np.concatenate(draws)[:, :ROAD_LOAD]
+    shift = (every.mean(axis=0) - alone.mean[:ROAD_LOAD]) / unit
+    wider = (np.cov(every.T) - alone.covariance[:ROAD_LOAD, :ROAD_LOAD]) / np.outer(unit, unit)
+    assert_allclose(found.shift[:ROAD_LOAD] / unit, shift, atol=0.02)
+    assert_allclose(found.covariance[:ROAD_LOAD, :ROAD_LOAD] / np.outer(unit, unit), wider, atol=0.1)
+    assert abs(shift).max() > 0.1
+    (same,) = joint.others(replace(table, sets=((tyres,), *((i,) for i in others[:2]))), (tyres,))
+    assert not same.shift.any()
+    assert not same.covariance.any()
 
 
 def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):

@@ -98,7 +98,7 @@ class Part(Struct, frozen=True, kw_only=True):
 
 
 class Parameters(Struct, frozen=True, kw_only=True):
-    """Fit of the plain model and of the model with the named effects; null without a fit."""
+    """Of the plain model, and averaged over the sets of effects that the drive leaves possible; null without a fit."""
 
     base: RoadLoad | None
     base_sd: RoadLoad | None

@@ -5,21 +5,40 @@ An effect of the vehicle has to hold in all drives, so its evidence adds up; an 
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.components.candidates import Candidate
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
-from estimator.components.model_table import Cause, Chosen
+from estimator.components.model_table import Cause, Chosen, ModelTable
 from estimator.signals import Floats
 
 ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e times as probable
 ODDS_OF_PROCESSES = 0.05  # the same of all nameless processes
+MIN_PROBABILITY = 1e-4  # of a set that counts for the doubt of the base
 MIN_GAIN, MIN_GAIN_TIMED = 0.001, 0.01  # of the log BF of the largest effect: errors of its form have as much
 
 Key = tuple[object, ...]
+Moments = tuple[Floats, Floats]  # mean (b,), covariance (b, b)
+
+
+@dataclass(frozen=True)
+class OtherSets:
+    """What sets beside the chosen one add to the coefficients of the base: a shift (b,) and covariance (b, b)."""
+
+    shift: Floats
+    covariance: Floats
+
+
+def _mixed(chosen: Moments, each: Sequence[Moments], weights: Floats) -> OtherSets:
+    """The moments of a mixture less those of ``chosen`` (the law of total variance)."""
+    shifts = np.array([mean - chosen[0] for mean, _ in each])
+    shift = weights @ shifts
+    spread = (shifts - shift).T @ ((shifts - shift) * weights[:, None])
+    within = sum(w * (covariance - chosen[1]) for w, (_, covariance) in zip(weights.tolist(), each, strict=True))
+    return OtherSets(shift, spread + within)
 
 
 class Hypotheses:
@@ -79,6 +98,21 @@ class Hypotheses:
         """Numbers of the components of a set, and those given before them, in the likelihood of one drive."""
         own = [self._places[i][number] for i in chosen if number in self._places[i]]
         return [*range(len(self.given[number])), *own]
+
+    def others(self, table: ModelTable, chosen: Chosen) -> tuple[OtherSets, ...]:
+        """What sets of other causes add to what ``chosen`` says of the base, for each drive.
+
+        Other forms of the same causes are left to where shapes are averaged.
+        """
+        likely = table.probability > MIN_PROBABILITY
+        weights = table.probability[likely] / table.probability[likely].sum()
+        sets = [own for own, counts in zip(table.sets, likely, strict=True) if counts]
+        causes = {self.keys[i][:2] for i in chosen}
+        sets = [chosen if {self.keys[i][:2] for i in own} == causes else own for own in sets]
+        return tuple(
+            _mixed(joint.base(self._here(chosen, n)), [joint.base(self._here(own, n)) for own in sets], weights)
+            for n, joint in enumerate(self._joints)
+        )
 
     def component(self, i: int) -> Component:
         """One of the components that are form ``i``: they have the same name."""

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from estimator.components.candidates import Candidates
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState, Form
-from estimator.components.hypotheses import Hypotheses
+from estimator.components.hypotheses import Hypotheses, OtherSets
 from estimator.components.model_table import MAX_CAUSES, Chosen, ModelTable, weigh
 from estimator.model.effects.effect import Effect, Timing
 
@@ -77,7 +77,8 @@ class Explained:
     alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``unnamed``: the nameless
     process with most evidence beside the choices, by the numbers of the drives; ``left_over``: its log Bayes factor;
     ``by_effects`` and ``by_processes``: log Bayes factors of the choices without any process, and of the most probable
-    processes without any effect. ``log_evidence`` of the drives with the most probable set.
+    processes without any effect. ``log_evidence`` of the drives with the most probable set. ``others``: what
+    less probable sets add to the road load of each drive.
     """
 
     drives: tuple[DriveState, ...]
@@ -92,6 +93,7 @@ class Explained:
     by_effects: float
     by_processes: float
     log_evidence: float
+    others: tuple[OtherSets, ...]
 
 
 def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ranked, ...]:
@@ -263,4 +265,5 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
         by_effects=beside - none,
         by_processes=max([0.0, *(value - none for value in alone)]),
         log_evidence=log_evidence(states),
+        others=joint.others(table, best),
     )

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from estimator.components.one_sided import cut_at_zero
 from estimator.signals import Floats
 
 
@@ -141,6 +142,15 @@ class SetLikelihood:
             at += len(self.places[i])
         own = self.unit[places]
         return Posterior(mean / own, covariance / np.outer(own, own), self.base_size, float(log))
+
+    def base(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        """Amplitudes of the base beside a set: mean (b,) and covariance (b, b), in own units."""
+        posterior, sizes = self.posterior(chosen), [len(self.places[i]) for i in chosen]
+        own = zip(chosen, places_of(self.base_size, sizes), strict=True)
+        positive = [int(place) for i, places in own if self.priors[i].positive for place in places]
+        mean, covariance = cut_at_zero(posterior.mean, posterior.covariance, positive)
+        b = self.base_size
+        return mean[:b], covariance[:b, :b]
 
     def unlimited(self, chosen: Sequence[int]) -> float:
         """Log evidence of the set with numbers in ``chosen``, less the cost of its times, whatever the sizes are."""

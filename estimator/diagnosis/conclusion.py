@@ -91,8 +91,10 @@ class Conclusion:
 
     @cached_property
     def road_load(self) -> tuple[Shift, Shift]:
-        """A, C, m with the road as a state, and their standard deviations."""
-        fit = averaged(self.longest.strides, self.longest.fit)
+        """A, C, m with the road as a state, averaged over sets of effects and over shapes, and their sd."""
+        pairs = zip(self.explained.drives, self.explained.others, strict=True)
+        others = next(others for drive, others in pairs if drive is self.longest)
+        fit = averaged(self.longest.strides, self.longest.fit).mixed(others.shift, others.covariance)
         A, C, m = fit.theta[:ROAD_LOAD].tolist()
         dA, dC, dm = np.sqrt(np.diag(fit.theta_covariance()))[:ROAD_LOAD].tolist()
         return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)

@@ -113,6 +113,13 @@ class RoadFit:
         form = np.append(np.sqrt(missing) * self.beta[0], np.zeros(len(self.beta) - 1))
         return replace(self, covariance=self.covariance + np.outer(form, form))
 
+    def mixed(self, shift: Floats, covariance: Floats) -> "RoadFit":
+        """The same, with what other models add to the first coefficients: a shift (b,) and covariance (b, b)."""
+        b, beta, wider = len(shift), self.beta.copy(), self.covariance.copy()
+        beta[:b] += shift
+        wider[:b, :b] += covariance
+        return replace(self, beta=beta, covariance=wider)
+
     @property
     def residual_power(self) -> Floats:
         """Residual power [W] (n,) of the model with the road, at the strides."""

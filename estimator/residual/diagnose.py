@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from estimator.answers.diagnosis import Verdict
 from estimator.blas_threads import one_blas_thread
 from estimator.components.formula import Variable, best_formula, judged
 from estimator.components.model_table import Cause, Chosen, ModelTable, weigh
+from estimator.components.one_sided import above_zero
 from estimator.errors import InputError
 from estimator.residual.answer import Description, ResidualDiagnosis, Suspect
 from estimator.residual.causes import Form, ResidualLikelihood, forms_of
@@ -179,13 +179,6 @@ def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, cause: Cause) 
         values, sds = above_zero(values, sds)
     mean = float(weight @ values)
     return mean, float(np.sqrt(weight @ (sds**2 + (values - mean) ** 2)))
-
-
-def above_zero(value: Floats, sd: Floats) -> tuple[Floats, Floats]:
-    """Mean and sd of N(``value``, ``sd``^2) cut at zero, all (c,)."""
-    at = value / sd
-    raised = np.exp(-0.5 * at**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(at))  # normal density over its integral
-    return value + sd * raised, sd * np.sqrt(np.maximum(1 - raised * (raised + at), 0.0))
 
 
 def _described(

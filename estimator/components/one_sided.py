@@ -1,0 +1,29 @@
+"""Gaussians of magnitudes that cannot be negative."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from estimator.signals import Floats
+
+
+def above_zero(value: Floats, sd: Floats) -> tuple[Floats, Floats]:
+    """Mean and sd of N(``value``, ``sd``^2) cut at zero, all (c,)."""
+    at = value / sd
+    raised = np.exp(-0.5 * at**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(at))  # normal density over its integral
+    return value + sd * raised, sd * np.sqrt(np.maximum(1 - raised * (raised + at), 0.0))
+
+
+def cut_at_zero(mean: Floats, covariance: Floats, places: Iterable[int]) -> tuple[Floats, Floats]:
+    """Mean (p,) and covariance (p, p) of a Gaussian with each of ``places`` cut at zero, one after another.
+
+    The other amplitudes follow as the data make them follow; exact for one place.
+    """
+    for place in places:
+        variance = covariance[place, place]
+        value, sd = above_zero(mean[[place]], np.sqrt([variance]))
+        along = covariance[:, place] / variance
+        mean = mean + along * (value[0] - mean[place])
+        covariance = covariance + np.outer(along, along) * (sd[0] ** 2 - variance)
+    return mean, covariance
