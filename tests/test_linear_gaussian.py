@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
 from estimator.model.linear_gaussian import (
+    CHUNK,
     MIN_BLOCK,
     Factor,
     NotPositiveDefiniteError,
@@ -97,6 +98,17 @@ def test_a_factor_solves_whitens_and_has_the_determinant(problem):
     assert_allclose(factor.log_determinant, np.linalg.slogdet(problem.prior)[1], rtol=1e-9, atol=doubt)
     assert_allclose(whitened.T @ whitened, right.T @ solved, rtol=1e-6, atol=1e-9)
     assert_allclose(factor.solve(right), solved, rtol=1e-6, atol=1e-9 * np.abs(solved).max())
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(0, 3 * CHUNK))
+def test_columns_that_begin_anywhere_are_whitened_as_by_the_dense_factor(seed, size, count):
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(size, count)) * (np.arange(size)[:, None] >= rng.integers(0, size + 1, count))
+    root = np.tril(np.triu(rng.normal(size=(size, size)), -4)) / 3 + 2 * np.eye(size)
+    rows, places = np.nonzero(np.abs(np.subtract.outer(np.arange(size), np.arange(size))) <= 4)
+    found = Factor.of(band(rows, places, (root @ root.T)[rows, places], (5, size))).whiten(columns)
+    lower = np.linalg.cholesky(root @ root.T)
+    assert_allclose(found, np.linalg.solve(lower, columns), rtol=1e-6, atol=1e-9)
 
 
 @given(problems)

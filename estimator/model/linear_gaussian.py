@@ -28,6 +28,7 @@ from estimator.signals import Floats
 Places = NDArray[np.int64]
 
 MIN_BLOCK = 16  # unknowns of a block: narrower bands go as fast
+CHUNK = 16  # columns that are whitened at once, from the first element of any on
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -141,9 +142,14 @@ class Factor:
         return 2 * float(np.log(self.lower[0]).sum())
 
     def whiten(self, columns: Floats) -> Floats:
-        """The factor's inverse times ``columns`` (size, c)."""
-        solved, _ = dtbtrs(self.lower, columns, uplo="L")
-        whitened: Floats = solved
+        """The factor's inverse times ``columns`` (size, c); zero above the first element of a column, as that is."""
+        first = np.argmax(columns != 0, axis=0)
+        order = np.argsort(first, kind="stable")
+        whitened = np.zeros(columns.shape, order="F")
+        for at in range(0, len(order), CHUNK):
+            chunk = order[at : at + CHUNK]
+            begin = first[chunk[0]]
+            whitened[begin:, chunk], _ = dtbtrs(self.lower[:, begin:], columns[begin:, chunk], uplo="L")
         return whitened
 
     def solve(self, columns: Floats) -> Floats:

@@ -27,6 +27,7 @@ evaluation of the likelihood costs O(n). On a road that is known to be level the
 the motion, so their unknowns come behind, and the band is a quarter as wide.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -317,11 +318,17 @@ class RoadModel:
 
     def gathered(self, scaled: Floats) -> Floats:
         """A' times columns (sum of counts, c)."""
-        parts = np.split(scaled, np.cumsum(self.counts)[:-1])
         total = np.zeros((self.size, scaled.shape[1]))
-        for observed, part in zip(self._maps, parts, strict=True):
-            total += observed.gathered(part)
+        for observed, rows in self.present(scaled):
+            total += observed.gathered(scaled[rows])
         return total
+
+    def present(self, data: Floats) -> Iterator[tuple[Observations, slice]]:
+        """Each kind of observations and its rows of data columns (sum of counts, c), but for those that are zero."""
+        ends = np.cumsum(self.counts).tolist()
+        for observed, start, end in zip(self._maps, [0, *ends], ends, strict=False):
+            if data[start:end].any():
+                yield observed, slice(start, end)
 
     def observed(self, unknowns: Floats) -> Floats:
         """A times unknowns (size,)."""
@@ -402,9 +409,14 @@ class Conditioned:
 
     def gram(self, data: Floats) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""
-        scaled = data / self.variance[:, None]
-        whitened = self.factor.whiten(self.model.gathered(scaled))
-        product: Floats = data.T @ scaled - whitened.T @ whitened
+        product, gathered = np.zeros((data.shape[1], data.shape[1])), np.zeros((self.model.size, data.shape[1]))
+        for observed, rows in self.model.present(data):
+            sd = np.sqrt(self.variance[rows])[:, None]
+            scaled = data[rows] / sd
+            product += scaled.T @ scaled  # of a matrix with itself: half the work
+            gathered += observed.gathered(scaled / sd)
+        whitened = self.factor.whiten(gathered)
+        product -= whitened.T @ whitened
         return product
 
     def unknowns(self, residual: Floats) -> Floats:
