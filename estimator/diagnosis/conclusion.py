@@ -149,7 +149,7 @@ class Conclusion:
     @cached_property
     def lag(self) -> Finding | None:
         """The lag between power and speed, where it is beyond usual delays; the likelihood has it in its columns."""
-        return lag_finding(self.explanation, self.plain, self.with_choices, self.budget.reached, self._bent)
+        return lag_finding(self.explanation, self.plain, self.budget.reached, self._bent)
 
     @property
     def _bent(self) -> float:

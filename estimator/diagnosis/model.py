@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.diagnosis.base import Base, Blocks, blocks_of, fit_base, parameter_sd
+from estimator.diagnosis.base import Base, Blocks, blocks_of, fit_base
 from estimator.diagnosis.drive_data import Record
 from estimator.estimation.moments import block_means
 from estimator.model.design_matrix import LAG, MASS, PLAIN, Term, columns, views
@@ -43,11 +43,6 @@ class Model:
         """Of each term, in its own unit."""
         own = iter(self.base.theta[PLAIN:].tolist())
         return [float(self.base.theta[MASS]) if term.joins_mass else next(own) for term in self.terms]
-
-    @property
-    def lag(self) -> tuple[float, float]:
-        """Lag of power [s] behind speed that is left in the samples, and its sd [s]."""
-        return float(self.base.theta[LAG]), parameter_sd(self.base, LAG)
 
     def views(self) -> tuple[View, View]:
         """The samples as measured, and as their instruments see them."""
