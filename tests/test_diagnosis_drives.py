@@ -169,6 +169,14 @@ def test_a_lag_is_taken_out_and_reported(diagnose):
     assert answer["parameters"]["final"]["mass_kg"] == pytest.approx(TRUCK.mass, rel=0.015)
 
 
+def test_a_lag_is_named_in_a_city_with_a_noisy_speed(diagnose):
+    effect = only(
+        diagnose(drive("urban", 25, 1, Effect(name="time_lag", magnitude=0.18), speed_noise=0.03)), "time_lag"
+    )
+    near(effect, 0.21, 0.3)  # with that of the sensors
+    assert effect["magnitude"]["sd"] < 0.02
+
+
 def test_a_brake_that_drags_is_no_lag(diagnose):
     """Without the brake in its model the lag between power and speed comes out at -0.71 +- 0.11 s."""
     brake = only(diagnose(drive("highway", 30, 2, Effect(name="brake_use", magnitude=12e3))), "brake_use")
