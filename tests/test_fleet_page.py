@@ -47,14 +47,18 @@ def test_a_season_is_three_months_of_any_year() -> None:
 
 
 def test_seasons_recover_what_winter_does_to_drag(year: Case) -> None:
-    ratios = []
-    for vehicle, seasons in zip(year.fleet.vehicles, year.fleet.seasons, strict=True):
+    ratios, vehicles = [], year.fleet.vehicles
+    for vehicle, seasons in zip(vehicles, year.fleet.seasons, strict=True):
         assert [one.season for one in seasons] == list(SEASONS)
         assert sum(one.loads for one in seasons) == len(vehicle.masses)
         drags = [one.drag for one in seasons if one.drag is not None]
         assert len(drags) == len(SEASONS)
         ratios.append(drags[0].mean / np.mean([drag.mean for drag in drags[1:]]))
     assert np.median(ratios) == pytest.approx(WINTER_DRAG, abs=0.04)
+    first_harmonic = 0.072  # January above July, as a share of C: of 8 % in three of 12 months
+    above = np.array([(*one.winter[1], one.drag.mean) for one in vehicles])  # mean, sd, C
+    assert np.abs((above[:, 0] - first_harmonic * above[:, 2]) / above[:, 1]).max() < 2.5
+    assert np.median(above[:, 0]) > 0
 
 
 def test_a_season_of_all_drives_is_the_vehicle_itself() -> None:

@@ -1,10 +1,13 @@
 """What drives of a vehicle share, and vehicles of a fleet: known truth is recovered, intervals cover it."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
 from estimator.estimation.evidence import Coefficients
+from estimator.fleet.over_time import NOW, PRIOR_SD, TREND, YEAR, terms, winter, years_since
 from estimator.fleet.pooling import Mixture, pool
 from estimator.fleet.population import population, q_values
 from estimator.fleet.vehicles import join
@@ -27,7 +30,8 @@ def test_intervals_of_what_drives_share_cover_the_truth(scatter: float, least: f
     rng = np.random.default_rng(1)
     shared, coming = [], []
     for _ in range(150):
-        pooled = pool(*drives(rng, int(rng.integers(2, 13)), scatter), scale=0.1)
+        z, V = drives(rng, int(rng.integers(2, 13)), scatter)
+        pooled = pool(z, V, 0.1, np.zeros(len(z)))
         following = TRUTH * (1 + scatter * rng.standard_normal(2))
         for i in range(2):
             interval = pooled.shared(i).marginal
@@ -42,7 +46,7 @@ def test_drives_that_scatter_more_than_their_sd_widen_the_interval() -> None:
     V = np.broadcast_to(np.diag((0.01 * TRUTH) ** 2), (6, 2, 2))
     equal = np.tile(TRUTH, (6, 1))
     apart = TRUTH * (1 + 0.1 * np.array([-1.5, -1, -0.5, 0.5, 1, 1.5]))[:, None]
-    agreed, scattered = pool(equal, V, 0.1), pool(apart, V, 0.1)
+    agreed, scattered = pool(equal, V, 0.1, np.zeros(6)), pool(apart, V, 0.1, np.zeros(6))
     for i in range(2):
         assert scattered.shared(i).marginal.sd > 5 * agreed.shared(i).marginal.sd
         assert scattered.scatter(i) == pytest.approx(0.1 * TRUTH[i], rel=0.35)
@@ -50,17 +54,66 @@ def test_drives_that_scatter_more_than_their_sd_widen_the_interval() -> None:
 
 def test_the_posterior_is_that_of_numerical_integration() -> None:
     z, V = drives(np.random.default_rng(3), 3, 0.05)
-    pooled = pool(z, V, 0.1)
+    pooled = pool(z, V, 0.1, np.zeros(3))
     node = int(np.argmax(pooled.weights))
-    T, spread = np.diag(pooled.tau[node] ** 2), pooled.covariance[node]
-    axes = [np.linspace(-7, 7, 141) * np.sqrt(spread[i, i]) + pooled.mean[node, i] for i in range(2)]
+    T, spread = np.diag(pooled.tau[node] ** 2), pooled.covariance[node][:, 0, :, 0]
+    axes = [np.linspace(-7, 7, 141) * np.sqrt(spread[i, i]) + pooled.mean[node, i, 0] for i in range(2)]
     mu = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     shown = np.prod([multivariate_normal.pdf(mu, z[i], V[i] + T) for i in range(3)], axis=0)
     shown /= shown.sum()
     mean = np.einsum("ij,ijk->k", shown, mu)
     left = mu - mean
-    assert mean == pytest.approx(pooled.mean[node], rel=1e-6)
+    assert mean == pytest.approx(pooled.mean[node, :, 0], rel=1e-6)
     assert np.einsum("ij,ijk,ijl->kl", shown, left, left) == pytest.approx(spread, rel=1e-6)
+
+
+def test_trend_and_season_have_the_posterior_of_the_dense_gaussian() -> None:
+    rng = np.random.default_rng(8)
+    years = np.sort(rng.uniform(-2, 0, 5))
+    z, V = drives(rng, 5, 0.05)
+    pooled = pool(z, V, 0.1, years)
+    node = int(np.argmax(pooled.weights))
+    X = np.kron(np.eye(2), terms(years))  # both quantities one after the other
+    shown = np.zeros((10, 10))
+    for a, b in np.ndindex(2, 2):
+        shown[5 * a : 5 * a + 5, 5 * b : 5 * b + 5] = np.diag(V[:, a, b] + (a == b) * pooled.tau[node, a] ** 2)
+    weights = np.linalg.inv(shown)
+    centre = np.abs(np.linalg.solve(np.linalg.inv(V).sum(axis=0), np.einsum("nij,nj->i", np.linalg.inv(V), z)))
+    spread = np.linalg.inv(X.T @ weights @ X + np.diag(((PRIOR_SD * centre[:, None]) ** -2.0).ravel()))
+    mean = (spread @ X.T @ weights @ z.T.ravel()).reshape(2, -1)
+    assert pooled.mean[node] == pytest.approx(mean, rel=1e-2, abs=1e-3 * mean[:, :1].min())  # of about that centre
+    assert pooled.covariance[node].reshape(8, 8) == pytest.approx(spread, rel=2e-2, abs=1e-7)
+    now = pooled.shared(1)
+    assert now.marginal.mean == pytest.approx(float(pooled.weights @ pooled.mean[:, 1, 0]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("days", [2.0, 20.0, 45.0])
+def test_a_vehicle_that_changes_is_known_as_it_is_now(days: float) -> None:
+    """Trend and season as large as their priors say; drives every some days, up to two years and a half."""
+    rng = np.random.default_rng(9)
+    start = datetime(2024, 3, 1, tzinfo=UTC).timestamp()
+    starts = [start + i * days * 86_400.0 for i in range(20)]
+    years, share = years_since(starts[-1], starts), winter(starts[-1])
+    held = {"now": [], "trend": [], "winter": []}
+    for _ in range(60):
+        change = PRIOR_SD * TRUTH[:, None] * rng.standard_normal((2, 4))
+        change[:, 0] = TRUTH
+        z, V = drives(rng, 20, 0.05)
+        pooled = pool(z - TRUTH + terms(years) @ change.T, V, 0.1, years)
+        for name, of in (("now", NOW), ("trend", TREND), ("winter", share)):
+            for i in range(2):
+                interval = pooled.combined(i, of).marginal
+                held[name].append(interval.q05 <= change[i] @ of <= interval.q95)
+    assert all(0.83 < np.mean(inside) < 0.97 for inside in held.values()), held
+
+
+def test_a_season_is_that_of_the_calendar() -> None:
+    newest = datetime(2025, 1, 20, tzinfo=UTC).timestamp()
+    january, july = terms(np.array([0.0, 0.5])) * [1, 0, 1, 1]
+    assert winter(newest) == pytest.approx(january - july, abs=0.02)
+    assert winter(newest + YEAR / 2) == pytest.approx(-winter(newest), abs=0.02)
+    assert years_since(newest, [newest - YEAR, 0.0, newest]).tolist() == [-1.0, 0.0, 0.0]
 
 
 def test_quantiles_of_a_mixture_of_one_are_those_of_a_normal_distribution() -> None:
@@ -83,19 +136,19 @@ def test_a_vehicle_is_known_better_from_ten_drives_than_from_one_and_each_load_k
     inside = 0
     for _ in range(20):
         loads = [load(rng, mass) for mass in masses]
-        one, ten = join("t", loads[:1], Gate(), 0.1), join("t", loads, Gate(), 0.1)
+        one, ten = join("t", loads[:1], [0.0], Gate(), 0.1), join("t", loads, [0.0] * 10, Gate(), 0.1)
         assert one.drag is not None
         assert ten.drag is not None
         assert ten.drag.sd < 0.6 * one.drag.sd
         assert ten.drag.mean == pytest.approx(TRUTH[1], rel=0.12)
         inside += sum(m.q05 <= mass <= m.q95 for m, mass in zip(ten.masses, masses, strict=True))
-        alone = join("t", loads[-1:], Gate(), 0.1)
+        alone = join("t", loads[-1:], [0.0], Gate(), 0.1)
         assert ten.masses[-1].sd < alone.masses[0].sd
     assert 0.83 * 200 < inside < 0.97 * 200
 
 
 def test_a_vehicle_without_a_known_mass_is_unestimated() -> None:
-    result = join("t", [], Gate(), 0.1)
+    result = join("t", [], [], Gate(), 0.1)
     assert result.status == "unestimated"
     assert result.reasons == ("no drive with an estimated mass",) * 2
 

@@ -152,18 +152,18 @@ class _Loads:
 def _segments(paths: list[Path], config: Config) -> tuple[tuple[Segment, ...], Passes]:
     pipeline = Pipeline(config)
     loads, places = _Loads(pipeline), Places()
+    learns_road = config.road.map is None  # what is found with a map holds what the map knew
     for item in pipeline.traffic.feed_all(LogFrames(paths, config)):
         for update in pipeline.take(item):
             loads.take(update)
         if isinstance(item, Block) and item.rows:
             loads.rows(float(item.rows[0].t[0]), float(item.rows[-1].t[-1]))
-            for rows in item.rows:
+            for rows in item.rows if learns_road else ():
                 places.add(rows)
     for update in pipeline.estimator.finish():
         loads.take(update)
     pipeline.traffic.require_inputs(", ".join(map(str, paths)))
-    # A road that was found with a map holds what the map knew: it must not be learned again.
-    return loads.segments, Passes() if config.road.map is not None else loads.passes(places)
+    return loads.segments, loads.passes(places)
 
 
 def _segment(update: Estimate, coefficients: Coefficients | None, start: float, end: float) -> Segment:

@@ -1,25 +1,26 @@
 """Estimates of one quantity from several drives, which scatter more than their own sd: a hierarchical model.
 
-Drive ``i`` has the true value theta_i ~ N(mu, T), T = diag(tau_1^2, tau_2^2), and shows z_i ~ N(theta_i, V_i). Wind,
-rain, tyres and errors of the model that last for a drive are in T. With a flat prior of mu, everything but tau is
-Gaussian (Gelman et al., Bayesian Data Analysis, section 5.4); tau, with a half-t prior (Gelman 2006), is summed over
+Drive ``i`` has the true value theta_i ~ N(X_i mu, T), T = diag(tau_1^2, tau_2^2), and shows z_i ~ N(theta_i, V_i).
+Wind, rain, tyres and errors of the model that last for a drive are in T; X_i are the terms of `over_time`, of which mu
+holds what the drives share. With a flat prior of the value now, and normal ones of trend and season, everything but tau
+is Gaussian (Gelman et al., Bayesian Data Analysis, section 5.4); tau, with a half-t prior (Gelman 2006), is summed over
 a grid, so there is no sampling and no choice of a seed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from estimator.estimate import Marginal
+from estimator.fleet.over_time import NOW, PRIOR_SD, terms
 from estimator.signals import Floats
 
 NODES = 20  # of the grid of each tau
 MAX_TAU_SCALES = 8.0  # largest node of each tau, in scales of its prior
 DEGREES = 4.0  # of freedom of the prior
 NEGLIGIBLE = 1e-8  # weight of a node, as a share of the largest
-MAX_QUANTILE_SDS = 12.0  # sd from the mean within which a quantile is searched
 
 
 @dataclass(frozen=True)
@@ -35,26 +36,34 @@ class Mixture:
         return float(self.weights @ ndtr((x - self.means) / self.sds))
 
     def quantile(self, p: float) -> float:
-        """Value that is exceeded with probability 1 - p."""
-        low = float(np.min(self.means - MAX_QUANTILE_SDS * self.sds))
-        high = float(np.max(self.means + MAX_QUANTILE_SDS * self.sds))
-        return float(brentq(lambda x: self.cdf(x) - p, low, high, xtol=1e-12 * max(abs(low), abs(high), 1e-300)))
+        """Value that is exceeded with probability 1 - p: it lies among those of the parts."""
+        each = self.means + float(ndtri(p)) * self.sds
+        low, high = float(each.min()), float(each.max())
+        step = 1e-12 * max(abs(low), abs(high), 1e-300)
+        if high - low <= step:
+            return low
+        return float(brentq(lambda x: self.cdf(x) - p, low - step, high + step, xtol=step))
+
+    @property
+    def moments(self) -> tuple[float, float]:
+        """Mean and sd."""
+        mean = float(self.weights @ self.means)
+        return mean, float(self.weights @ (self.sds**2 + (self.means - mean) ** 2)) ** 0.5
 
     @property
     def marginal(self) -> Marginal:
         """Moments and quantiles."""
-        mean = float(self.weights @ self.means)
-        variance = float(self.weights @ (self.sds**2 + (self.means - mean) ** 2))
+        mean, sd = self.moments
         q05, q50, q95 = (self.quantile(p) for p in (0.05, 0.5, 0.95))
-        return Marginal(mean=mean, sd=variance**0.5, q05=q05, q50=q50, q95=q95)
+        return Marginal(mean=mean, sd=sd, q05=q05, q50=q50, q95=q95)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pooled:
     """Posterior of mu and of each theta_i; a sum over K nodes of the grid of tau.
 
-    ``weights`` (K,); ``tau`` (K, 2); ``mean`` (K, 2) and ``covariance`` (K, 2, 2) of mu; ``drive_mean`` (K, n, 2) and
-    ``drive_covariance`` (K, n, 2, 2) of theta.
+    ``weights`` (K,); ``tau`` (K, 2); ``mean`` (K, 2, q) and ``covariance`` (K, 2, q, 2, q) of mu, for q terms;
+    ``drive_mean`` (K, n, 2) and ``drive_covariance`` (K, n, 2, 2) of theta.
     """
 
     weights: Floats
@@ -65,19 +74,25 @@ class Pooled:
     drive_covariance: Floats
 
     def shared(self, i: int) -> Mixture:
-        """Posterior of component ``i`` of mu."""
-        return Mixture(self.weights, self.mean[:, i], np.sqrt(self.covariance[:, i, i]))
+        """Posterior of component ``i`` now."""
+        return self.combined(i, NOW)
+
+    def combined(self, i: int, share: Floats) -> Mixture:
+        """Posterior of a sum of the terms of component ``i``, each times its ``share`` (q,)."""
+        variance = np.einsum("q,kqr,r->k", share, self.covariance[:, i, :, i], share)
+        return Mixture(self.weights, self.mean[:, i] @ share, np.sqrt(variance))
 
     def predicted(self, i: int) -> Mixture:
         """Distribution of component ``i`` of theta on a drive to come."""
-        return Mixture(self.weights, self.mean[:, i], np.sqrt(self.covariance[:, i, i] + self.tau[:, i] ** 2))
+        now = self.shared(i)
+        return replace(now, sds=np.hypot(now.sds, self.tau[:, i]))
 
     def scatter(self, i: int) -> float:
         """Posterior mean of tau of component ``i``."""
         return float(self.weights @ self.tau[:, i])
 
 
-def pool(z: Floats, V: Floats, scale: float) -> Pooled:
+def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:
     """Estimate what drives share.
 
     Parameters
@@ -86,7 +101,10 @@ def pool(z: Floats, V: Floats, scale: float) -> Pooled:
         Estimates (n, 2), positive by their meaning, and their covariances (n, 2, 2).
     scale
         Scale of the half-t prior of tau, as a share of the value.
+    years
+        When the drives were, since the newest of them (n,).
     """
+    X = terms(years)
     centre = _weighted_mean(z, V, np.zeros(2))
     centre = _weighted_mean(z, V, (scale * centre) ** 2)
     steps = MAX_TAU_SCALES * np.linspace(0.0, 1.0, NODES) ** 2  # close where tau is small
@@ -96,24 +114,30 @@ def pool(z: Floats, V: Floats, scale: float) -> Pooled:
     tau = scale * np.abs(centre) * steps[nodes]
     T = tau[:, :, None] * np.eye(2)[None] * tau[:, None, :]
     W = _inverse(V[None] + T[:, None])  # (K, n, 2, 2)
-    P = _inverse(W.sum(axis=1))
-    mean = np.einsum("kij,knjl,nl->ki", P, W, z)
-    left = z[None] - mean[:, None]
-    misfit = np.einsum("kni,knij,knj->k", left, W, left)
-    log_weight = 0.5 * (np.log(_determinant(W)).sum(axis=1) + np.log(_determinant(P)) - misfit)
+    believed = (PRIOR_SD * np.abs(centre)[:, None]) ** -2.0  # precision (2, q)
+    products = np.tensordot(W, X[:, :, None] * X[:, None, :], axes=(1, 0))  # (K, 2, 2, q, q)
+    information = np.swapaxes(products, 2, 3).reshape(len(W), believed.size, -1) + np.diag(believed.ravel())
+    P = np.linalg.inv(information)
+    moment = np.tensordot(np.einsum("knij,nj->nki", W, z), X, axes=(0, 0)).reshape(len(W), -1)
+    mean = np.einsum("kij,kj->ki", P, moment).reshape(-1, *believed.shape)
+    left = z - np.swapaxes(mean @ X.T, 1, 2)  # (K, n, 2)
+    misfit = np.einsum("kni,knij,knj->k", left, W, left) + np.einsum("kiq,iq,kiq->k", mean, believed, mean)
+    log_weight = 0.5 * (np.log(_determinant(W)).sum(axis=1) - np.linalg.slogdet(information)[1] - misfit)
     weights = np.exp(log_weight - log_weight.max()) * share[nodes].prod(axis=1)
     used = weights > NEGLIGIBLE * weights.max()
     weights, tau, T, W, P, mean, left = (each[used] for each in (weights, tau, T, W, P, mean, left))
-    # theta_i given mu is N(mu + B (z - mu), (1 - B) T) with B = T W.
+    # theta_i given mu is N(X mu + B (z - X mu), (1 - B) T) with B = T W.
     B = T[:, None] @ W
     rest = np.eye(2) - B
+    P = P.reshape(-1, *believed.shape, *believed.shape)
+    there = np.einsum("nq,kiqjr,nr->knij", X, P, X, optimize=True)
     return Pooled(
         weights=weights / weights.sum(),
         tau=tau,
         mean=mean,
         covariance=P,
-        drive_mean=mean[:, None] + np.einsum("knij,knj->kni", B, left),
-        drive_covariance=rest @ T[:, None] + rest @ P[:, None] @ np.swapaxes(rest, 2, 3),
+        drive_mean=z - left + np.einsum("knij,knj->kni", B, left),
+        drive_covariance=rest @ T[:, None] + rest @ there @ np.swapaxes(rest, 2, 3),
     )
 
 

@@ -87,6 +87,9 @@ def vehicle_rows(found: Fleet, rate: float) -> list[Row]:
         if one.load is not None:
             row |= {"mass_kg_mean": one.load[0], "mass_kg_sd": one.load[1]}
             row |= {"A_per_mass_scatter_N_kg": one.scatter[ROLLING], "C_scatter_N_s2_m2": one.scatter[DRAG]}
+        for kind, change in (("trend", one.trend), ("winter", one.winter)):
+            for name, moments in zip((f"A_per_mass_{kind}_N_kg", f"C_{kind}_N_s2_m2"), change or (), strict=False):
+                row |= {f"{name}_mean": moments[0], f"{name}_sd": moments[1]}
         rows.append(row)
     return rows
 

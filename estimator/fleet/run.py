@@ -144,13 +144,13 @@ def _vehicles(grouped: Grouped, results: Sequence[DriveResult], config: Config, 
     found: dict[int, Joined] = {}
     for i, answer in engine.map(partial(_joined, gate=gate, scale=scale), list(vehicles.values())):
         if isinstance(answer, Failure):
-            answer = join(names[i], (), gate, scale, answer.reason), ()
+            answer = join(names[i], (), (), gate, scale, answer.reason), ()
         found[i] = answer
     return [found[i] for i in range(len(names))]
 
 
 def _joined(vehicle: _Vehicle, gate: Gate, scale: float) -> Joined:
-    whole = join(vehicle.name, vehicle.loads, gate, scale, vehicle.doubt)
+    whole = join(vehicle.name, vehicle.loads, vehicle.starts, gate, scale, vehicle.doubt)
     return whole, by_season(whole, vehicle.loads, vehicle.starts, gate, scale)
 
 

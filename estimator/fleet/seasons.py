@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from estimator.estimate import Marginal
 from estimator.estimation.evidence import Coefficients
-from estimator.fleet.vehicles import VehicleResult, join
+from estimator.fleet.vehicles import VehicleResult, shared
 from estimator.settings import Gate
 from estimator.streaming.row_stream import MIN_SET_CLOCK
 
@@ -40,14 +40,18 @@ def by_season(
     loads, starts
         Likelihoods of [1/m, A/m, C/m], one for each load, and when these begin [s].
     gate, scale
-        As `join` takes them.
+        As `shared` takes them.
     """
     if not whole.masses:
         return ()
     seasons = [season_of(t) for t in starts]
     found = []
     for season in (name for name in SEASONS if name in seasons):
-        chosen = [load for load, name in zip(loads, seasons, strict=True) if name == season]
-        one = whole if len(chosen) == len(loads) else join(whole.vehicle, chosen, gate, scale)
-        found.append(SeasonResult(season=season, loads=len(chosen), rolling=one.rolling, drag=one.drag))
+        places = [i for i, name in enumerate(seasons) if name == season]
+        chosen, then = [loads[i] for i in places], [starts[i] for i in places]
+        if len(chosen) == len(loads):
+            rolling, drag = whole.rolling, whole.drag
+        else:
+            rolling, drag = shared(chosen, then, gate, scale)
+        found.append(SeasonResult(season=season, loads=len(chosen), rolling=rolling, drag=drag))
     return tuple(found)

@@ -31,6 +31,10 @@ def _posterior(name: str, unit: str, meaning: str) -> list[Column]:
     return [Column(f"{name}_{part}", "number", unit, f"{meaning}: {part}") for part in STATISTICS]
 
 
+def _change(name: str, unit: str, meaning: str) -> list[Column]:
+    return [Column(f"{name}_{part}", "number", unit, f"{meaning}: {part}") for part in ("mean", "sd")]
+
+
 DRIVES = (
     Column("source", "text", meaning="first file of the drive"),
     Column("files", "count", meaning="files of the drive"),
@@ -57,11 +61,15 @@ VEHICLES = (
     Column("start", "time", "UTC", "first row of the first drive"),
     Column("end", "time", "UTC", "last row of the last drive"),
     Column("status", "text"),
-    *_posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m"),
+    *_posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m at the newest drive"),
+    *_change("A_per_mass_trend_N_kg", "N/kg/year", "change of A/m a year"),
+    *_change("A_per_mass_winter_N_kg", "N/kg", "A/m in January above that in July"),
     Column("A_per_mass_reason", "text", meaning="why A/m is not estimated"),
     Column("A_per_mass_scatter_N_kg", "number", "N/kg", "sd of A/m between drives"),
     Column("A_per_mass_q_value", "number", "1", "false-discovery rate at which A/m is out of line"),
-    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient"),
+    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient at the newest drive"),
+    *_change("C_trend_N_s2_m2", "N s2/m2/year", "change of C a year"),
+    *_change("C_winter_N_s2_m2", "N s2/m2", "C in January above that in July"),
     Column("C_reason", "text", meaning="why C is not estimated"),
     Column("C_scatter_N_s2_m2", "number", "N s2/m2", "sd of C between drives"),
     Column("C_q_value", "number", "1", "false-discovery rate at which C is out of line"),

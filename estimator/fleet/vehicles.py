@@ -1,4 +1,4 @@
-"""A vehicle over its drives: rolling coefficient A/m and drag C are shared, each load has its own mass."""
+"""A vehicle over its drives: rolling coefficient A/m and drag C change with the months, each load has its own mass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ import numpy as np
 
 from estimator.estimate import Marginal, Status
 from estimator.estimation.evidence import Coefficients
+from estimator.fleet.over_time import TREND, newest, winter, years_since
 from estimator.fleet.pooling import Mixture, Pooled, pool
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.settings import Gate
@@ -14,16 +15,19 @@ from estimator.signals import Floats
 
 ROLLING, DRAG = 0, 1  # components of what drives share: A/m [N/kg], C [N s^2/m^2]
 NAMES = ("A/m", "C")
+Normal = tuple[float, float]  # mean and sd
+Known = tuple[Marginal | None, Marginal | None]  # A/m and C
 
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleResult:
     """The pooled result of the drives of a vehicle.
 
-    ``rolling`` A/m [N/kg] and ``drag`` C [N s^2/m^2], None where they are not estimated, with the ``reasons``; their
-    ``scatter`` between drives (2,) in their units; ``next_drive`` is what to expect of A/m and C on a drive to come;
-    ``masses`` [kg] of the loads, given all drives, in the order of what was passed in; ``load`` mean and sd [kg] of
-    the mass under a load to come.
+    ``rolling`` A/m [N/kg] and ``drag`` C [N s^2/m^2] at the newest drive, None where they are not estimated, with the
+    ``reasons``; mean and sd of their ``trend`` [a year] and of what they are in January above July (``winter``), None
+    where no clock was set; their ``scatter`` between drives (2,); ``next_drive`` is what to expect of A/m and C on a
+    drive to come; ``masses`` [kg] of the loads, given all drives, in the order of what was passed in; ``load`` mean and
+    sd [kg] of the mass under a load to come.
     """
 
     vehicle: str
@@ -31,21 +35,30 @@ class VehicleResult:
     reasons: tuple[str, str]
     rolling: Marginal | None
     drag: Marginal | None
+    trend: tuple[Normal, Normal] | None
+    winter: tuple[Normal, Normal] | None
     scatter: tuple[float, float]
     next_drive: tuple[Marginal, Marginal] | None
     masses: tuple[Marginal, ...]
     load: tuple[float, float] | None
 
 
-def join(vehicle: str, loads: Sequence[Coefficients], gate: Gate, scale: float, doubt: str = "") -> VehicleResult:
+def join(
+    vehicle: str,
+    loads: Sequence[Coefficients],
+    starts: Sequence[float],
+    gate: Gate,
+    scale: float,
+    doubt: str = "",
+) -> VehicleResult:
     """Estimate a vehicle from the likelihoods of its drives.
 
     Parameters
     ----------
     vehicle
         Its name.
-    loads
-        Likelihoods of [1/m, A/m, C/m], one for each load of each drive.
+    loads, starts
+        Likelihoods of [1/m, A/m, C/m], one for each load of each drive, and when it begins [s].
     gate
         Whose ``relative_sd`` bounds the relative sd of an estimate.
     scale
@@ -57,10 +70,9 @@ def join(vehicle: str, loads: Sequence[Coefficients], gate: Gate, scale: float, 
         reason = doubt or "no drive with an estimated mass"
         return _nothing(vehicle, reason)
     m, z, V, with_mass, m_variance = _first_order(loads)
-    pooled = pool(z, V, scale)
-    marginals = [pooled.shared(i).marginal for i in (ROLLING, DRAG)]
-    reasons = [_reason(i, marginals[i], gate.relative_sd[i]) for i in (ROLLING, DRAG)]
-    known = [None if reason else marginal for reason, marginal in zip(reasons, marginals, strict=True)]
+    now = newest(starts)
+    pooled = pool(z, V, scale, years_since(now, starts))
+    known, reasons = _shared(pooled, gate)
     masses = _masses(m, z, V, with_mass, m_variance, pooled)
     means = np.array([mass.mean for mass in masses])
     mean = float(means.mean())
@@ -69,14 +81,29 @@ def join(vehicle: str, loads: Sequence[Coefficients], gate: Gate, scale: float, 
     return VehicleResult(
         vehicle=vehicle,
         status=Status.UNESTIMATED if all(reasons) else Status.ESTIMATED,
-        reasons=(reasons[ROLLING], reasons[DRAG]),
+        reasons=reasons,
         rolling=known[ROLLING],
         drag=known[DRAG],
+        trend=None if now is None else _pair(pooled, TREND),
+        winter=None if now is None else _pair(pooled, winter(now)),
         scatter=(pooled.scatter(ROLLING), pooled.scatter(DRAG)),
         next_drive=(pooled.predicted(ROLLING).marginal, pooled.predicted(DRAG).marginal),
         masses=masses,
         load=(mean, spread),
     )
+
+
+def shared(loads: Sequence[Coefficients], starts: Sequence[float], gate: Gate, scale: float) -> Known:
+    """A/m and C at the newest of some drives, as `join` finds them; None where they are not estimated."""
+    _, z, V, _, _ = _first_order(loads)
+    return _shared(pool(z, V, scale, years_since(newest(starts), starts)), gate)[0]
+
+
+def _shared(pooled: Pooled, gate: Gate) -> tuple[Known, tuple[str, str]]:
+    """A/m and C where their sd is small enough, and the reasons where it is not."""
+    rolling, drag = (pooled.shared(i).marginal for i in (ROLLING, DRAG))
+    reasons = _reason(ROLLING, rolling, gate.relative_sd[ROLLING]), _reason(DRAG, drag, gate.relative_sd[DRAG])
+    return (None if reasons[ROLLING] else rolling, None if reasons[DRAG] else drag), reasons
 
 
 def _nothing(vehicle: str, reason: str) -> VehicleResult:
@@ -86,11 +113,17 @@ def _nothing(vehicle: str, reason: str) -> VehicleResult:
         reasons=(reason, reason),
         rolling=None,
         drag=None,
+        trend=None,
+        winter=None,
         scatter=(0.0, 0.0),
         next_drive=None,
         masses=(),
         load=None,
     )
+
+
+def _pair(pooled: Pooled, share: Floats) -> tuple[Normal, Normal]:
+    return pooled.combined(ROLLING, share).moments, pooled.combined(DRAG, share).moments
 
 
 def _reason(i: int, found: Marginal, largest: float) -> str:

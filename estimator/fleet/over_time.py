@@ -1,0 +1,49 @@
+"""How A/m and C of a vehicle change over the months: a trend, and a season of one year.
+
+    value(t) = now + trend t + c (cos 2 pi t - 1) + s sin 2 pi t,   t [years] since the newest drive
+
+so `now` is the value at the newest drive. The priors of the others are shares of the value: tyres lose a fifth of their
+rolling resistance until they are worn, and new ones bring it back; rolling resistance falls by 0.6 % a kelvin (ISO
+28580, correction to 25 degC for tyres of heavy vehicles), and the density of the air by 1/T, where the mean day of
+summer or winter is some 10 K off that of the year.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.signals import Floats
+from estimator.streaming.row_stream import MIN_SET_CLOCK
+
+YEAR = 365.25 * 86_400.0  # s
+COLDEST = 19.0 * 86_400.0  # s since the year began: 20 January, in the north
+SWING = 10.0  # K, of the daily mean about that of the year
+BY_KELVIN = np.array([0.006, 1 / 288.0])  # change of A/m and C, as a share
+BY_YEAR = (0.1, 0.02)  # sd of the trend of A/m and C, as a share a year
+NOW, TREND = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0, 0.0])  # among the terms
+_SEASON = SWING * BY_KELVIN / np.sqrt(2)  # sd of c and s, whose squares add up
+PRIOR_SD = np.column_stack([[np.inf, np.inf], BY_YEAR, _SEASON, _SEASON])  # (2, 4) of the terms, shares of A/m and C
+
+
+def newest(starts: Sequence[float]) -> float | None:
+    """When the newest of drives began [s]; None where no clock was set."""
+    return max((start for start in starts if start >= MIN_SET_CLOCK), default=None)
+
+
+def years_since(now: float | None, starts: Sequence[float]) -> Floats:
+    """Times [years] (n,) of drives that began at ``starts`` [s]; 0 where the clock was not set."""
+    return np.array([(start - now) / YEAR if now is not None and start >= MIN_SET_CLOCK else 0.0 for start in starts])
+
+
+def terms(years: Floats) -> Floats:
+    """What now, trend, c and s count for (n, 4) at ``years`` (n,) since the newest drive."""
+    angle = 2 * np.pi * years
+    return np.column_stack([np.ones(len(years)), years, np.cos(angle) - 1, np.sin(angle)])
+
+
+def winter(now: float) -> Floats:
+    """What the terms count for (4,) in January less July, for a newest drive at ``now`` [s]; without the trend."""
+    january = (COLDEST - now) / YEAR
+    cold, warm = terms(np.array([january, january + 0.5]))
+    difference: Floats = (cold - warm) * (1 - TREND)
+    return difference
