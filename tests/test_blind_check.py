@@ -15,8 +15,8 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Role
 
-DRIVES = int(os.environ.get("BLIND_DRIVES", "16"))  # of the fixed set
-MINUTES = float(os.environ.get("BLIND_MINUTES", "40"))
+DRIVES = int(os.environ.get("BLIND_DRIVES", "12"))  # of the fixed set
+MINUTES = float(os.environ.get("BLIND_MINUTES", "30"))
 SEED = 7
 
 FAKE = """

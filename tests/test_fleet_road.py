@@ -258,6 +258,20 @@ def test_the_learned_slopes_are_the_true_ones_within_their_sd(road: Learned) -> 
     assert np.median(columns["passes"]) == 2
 
 
+def test_duckdb_finds_the_steepest_places_driven_twice(road: Learned) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    found = duckdb.sql(
+        f"select latitude, longitude, slope_mean from '{road.out}/road.parquet' "
+        "where passes > 1 order by abs(slope_mean) desc limit 5"
+    ).fetchall()
+    learned_road = road.fleet.road
+    twice = np.sort(np.abs(learned_road.slope[learned_road.passes > 1]))
+    assert [abs(slope) for _, _, slope in found] == pytest.approx(twice[::-1][:5].tolist())
+    rows, columns = cells_at(*np.radians([place[:2] for place in found]).T)
+    places = {place_of(int(key))[:2] for key in learned_road.key}
+    assert set(zip(rows.tolist(), columns.tolist(), strict=True)) <= places
+
+
 def test_hidden_hills_leave_slopes_whose_level_is_unknown_and_that_no_map_takes(road: Learned) -> None:
     shown, hidden = road.fleet.results
     assert np.median(shown.passes.values[2]) < 5e-4
