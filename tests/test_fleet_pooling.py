@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from estimator.estimation.evidence import Coefficients
-from estimator.fleet.over_time import NOW, PRIOR_SD, TREND, YEAR, terms, winter, years_since
+from estimator.fleet.grouping import YEAR
+from estimator.fleet.over_time import NOW, PRIOR_SD, TREND, newest, terms, winter, years_since
 from estimator.fleet.pooling import Mixture, pool
 from estimator.fleet.population import population, q_values
 from estimator.fleet.vehicles import join
@@ -109,11 +110,19 @@ def test_a_vehicle_that_changes_is_known_as_it_is_now(days: float) -> None:
 
 
 def test_a_season_is_that_of_the_calendar() -> None:
-    newest = datetime(2025, 1, 20, tzinfo=UTC).timestamp()
+    now = datetime(2025, 1, 20, tzinfo=UTC).timestamp()
     january, july = terms(np.array([0.0, 0.5])) * [1, 0, 1, 1]
-    assert winter(newest) == pytest.approx(january - july, abs=0.02)
-    assert winter(newest + YEAR / 2) == pytest.approx(-winter(newest), abs=0.02)
-    assert years_since(newest, [newest - YEAR, 0.0, newest]).tolist() == [-1.0, 0.0, 0.0]
+    assert winter(now) == pytest.approx(january - july, abs=0.02)
+    assert winter(now + YEAR / 2) == pytest.approx(-winter(now), abs=0.02)
+
+
+def test_a_clock_that_is_doubted_does_not_date_the_vehicle() -> None:
+    now = datetime(2025, 1, 20, tzinfo=UTC).timestamp()
+    starts = [now - YEAR, 0.0, now - YEAR / 2, now, now + 25 * YEAR]
+    assert newest(starts) == now
+    assert years_since(now, starts).tolist() == pytest.approx([-1.0, 0.0, -0.5, 0.0, 0.0])
+    assert newest([0.0, 100.0]) is None
+    assert years_since(None, [0.0, 100.0]).tolist() == [0.0, 0.0]
 
 
 def test_quantiles_of_a_mixture_of_one_are_those_of_a_normal_distribution() -> None:

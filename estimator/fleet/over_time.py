@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.signals import Floats
+from estimator.fleet.grouping import CLOCK_YEARS, YEAR
+from estimator.signals import Floats, Mask
 from estimator.streaming.row_stream import MIN_SET_CLOCK
 
-YEAR = 365.25 * 86_400.0  # s
 COLDEST = 19.0 * 86_400.0  # s since the year began: 20 January, in the north
 SWING = 10.0  # K, of the daily mean about that of the year
 BY_KELVIN = np.array([0.006, 1 / 288.0])  # change of A/m and C, as a share
@@ -25,14 +25,24 @@ _SEASON = SWING * BY_KELVIN / np.sqrt(2)  # sd of c and s, whose squares add up
 PRIOR_SD = np.column_stack([[np.inf, np.inf], BY_YEAR, _SEASON, _SEASON])  # (2, 4) of the terms, shares of A/m and C
 
 
+def trusted(starts: Sequence[float]) -> Mask:
+    """Which drives that began at ``starts`` [s] (n,) had a clock that was set and is not doubted: see `grouping`."""
+    t = np.array(starts, dtype=np.float64)
+    known = t >= MIN_SET_CLOCK
+    if known.sum() > 2:
+        known &= np.abs(t - np.sort(t[known])[known.sum() // 2]) <= CLOCK_YEARS * YEAR
+    return known
+
+
 def newest(starts: Sequence[float]) -> float | None:
-    """When the newest of drives began [s]; None where no clock was set."""
-    return max((start for start in starts if start >= MIN_SET_CLOCK), default=None)
+    """When the newest of drives began [s]; None where no clock is to be trusted."""
+    return max((start for start, known in zip(starts, trusted(starts), strict=True) if known), default=None)
 
 
 def years_since(now: float | None, starts: Sequence[float]) -> Floats:
-    """Times [years] (n,) of drives that began at ``starts`` [s]; 0 where the clock was not set."""
-    return np.array([(start - now) / YEAR if now is not None and start >= MIN_SET_CLOCK else 0.0 for start in starts])
+    """Times [years] (n,) of drives that began at ``starts`` [s]; 0 where the clock is not to be trusted."""
+    since = 0.0 if now is None else now
+    return np.where(trusted(starts), (np.array(starts, dtype=np.float64) - since) / YEAR, 0.0)
 
 
 def terms(years: Floats) -> Floats:
