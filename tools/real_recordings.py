@@ -138,7 +138,7 @@ def bmw_logs(folder: Path, trips: list[str]) -> list[Path]:
 def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
     """Per trip: effects named without a grade signal, predicted gap closed, and gap closed with two sensors.
 
-    The accelerometer is revealed twice: as a signal of the climb, and as the acceleration itself.
+    The likelihood takes the acceleration from the speed, and the road from the accelerometer.
     """
     text = (ROOT / "dbc" / "bmw_i3.toml").read_text()
     by_wheel = text.replace('acceleration = "inertial"', 'acceleration = "wheel_speed"')
@@ -146,7 +146,6 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
         "withheld": without(text, "longitudinal_acceleration", "altitude"),
         "elevation": without(text, "longitudinal_acceleration"),
         "accelerometer": without(by_wheel, "altitude"),
-        "inertial": without(text, "altitude"),
     }
     files = {name: work / f"{name}.toml" for name in texts}
     for name, content in texts.items():
@@ -166,7 +165,6 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
             "reached": share_text(share_removed(withheld, felt.rms_final_kW)),
             "named, accelerometer": _names(felt),
             "kW reached": _kilowatts(felt.rms_final_kW),
-            "kW, inertial": _kilowatts(said["inertial"].rms_base_kW),
             "named, GPS elevation": _names(elevation),
             "kW elevation": _kilowatts(elevation.rms_final_kW),
         }
