@@ -144,7 +144,10 @@ class SetLikelihood:
         return Posterior(mean / own, covariance / np.outer(own, own), self.base_size, float(log))
 
     def base(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
-        """Amplitudes of the base beside a set: mean (b,) and covariance (b, b), in own units."""
+        """Amplitudes of the base beside a set: mean (b,) and covariance (b, b), in own units.
+
+        Unlike in `posterior`, amplitudes of the set that cannot be negative are cut at zero.
+        """
         posterior, sizes = self.posterior(chosen), [len(self.places[i]) for i in chosen]
         own = zip(chosen, places_of(self.base_size, sizes), strict=True)
         positive = [int(place) for i, places in own if self.priors[i].positive for place in places]

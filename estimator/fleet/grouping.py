@@ -96,16 +96,23 @@ def _joined(surveys: list[Survey]) -> list[Drive]:
 def _notes(drives: list[Drive]) -> dict[str, str]:
     """Doubts about channels and clocks, by the first source of a drive; that about the clock counts for more."""
     notes = {drive.sources[0]: drive.note for drive in drives if drive.note}
-    starts: dict[str, list[float]] = defaultdict(list)
+    by_vehicle: dict[str, list[Drive]] = defaultdict(list)
     for drive in drives:
-        if drive.start >= MIN_SET_CLOCK:
-            starts[drive.vehicle].append(drive.start)
-        else:
-            notes[drive.sources[0]] = "the clock was not set: the times count from its start"
-    for drive in drives:
-        known = sorted(starts[drive.vehicle])
-        if drive.start >= MIN_SET_CLOCK and len(known) > 2:
-            years = (drive.start - known[len(known) // 2]) / YEAR
-            if abs(years) > CLOCK_YEARS:
-                notes[drive.sources[0]] = f"the clock is {years:+.1f} years from that of most drives of {drive.vehicle}"
+        by_vehicle[drive.vehicle].append(drive)
+    for vehicle, own in by_vehicle.items():
+        for drive, years in zip(own, years_off([drive.start for drive in own]), strict=True):
+            if years is None:
+                notes[drive.sources[0]] = "the clock was not set: the times count from its start"
+            elif abs(years) > CLOCK_YEARS:
+                notes[drive.sources[0]] = f"the clock is {years:+.1f} years from that of most drives of {vehicle}"
     return notes
+
+
+def years_off(starts: Sequence[float]) -> list[float | None]:
+    """By how many years the clock of each drive of a vehicle, begun at ``starts`` [s] (n,), is off that of most.
+
+    None where it was not set; 0 where too few are set to tell.
+    """
+    known = sorted(start for start in starts if start >= MIN_SET_CLOCK)
+    middle = known[len(known) // 2] if len(known) > 2 else None
+    return [None if start < MIN_SET_CLOCK else 0.0 if middle is None else (start - middle) / YEAR for start in starts]

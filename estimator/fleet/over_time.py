@@ -12,9 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.fleet.grouping import CLOCK_YEARS, YEAR
-from estimator.signals import Floats, Mask
-from estimator.streaming.row_stream import MIN_SET_CLOCK
+from estimator.fleet.grouping import CLOCK_YEARS, YEAR, years_off
+from estimator.signals import Floats
 
 COLDEST = 19.0 * 86_400.0  # s since the year began: 20 January, in the north
 SWING = 10.0  # K, of the daily mean about that of the year
@@ -25,24 +24,21 @@ _SEASON = SWING * BY_KELVIN / np.sqrt(2)  # sd of c and s, whose squares add up
 PRIOR_SD = np.column_stack([[np.inf, np.inf], BY_YEAR, _SEASON, _SEASON])  # (2, 4) of the terms, shares of A/m and C
 
 
-def trusted(starts: Sequence[float]) -> Mask:
-    """Which drives that began at ``starts`` [s] (n,) had a clock that was set and is not doubted: see `grouping`."""
-    t = np.array(starts, dtype=np.float64)
-    known = t >= MIN_SET_CLOCK
-    if known.sum() > 2:
-        known &= np.abs(t - np.sort(t[known])[known.sum() // 2]) <= CLOCK_YEARS * YEAR
-    return known
-
-
 def newest(starts: Sequence[float]) -> float | None:
-    """When the newest of drives began [s]; None where no clock is to be trusted."""
-    return max((start for start, known in zip(starts, trusted(starts), strict=True) if known), default=None)
+    """When the newest of drives began [s], of those whose clock is not doubted; None where there is none."""
+    return max((start for start, known in zip(starts, _trusted(starts), strict=True) if known), default=None)
 
 
 def years_since(now: float | None, starts: Sequence[float]) -> Floats:
-    """Times [years] (n,) of drives that began at ``starts`` [s]; 0 where the clock is not to be trusted."""
-    since = 0.0 if now is None else now
-    return np.where(trusted(starts), (np.array(starts, dtype=np.float64) - since) / YEAR, 0.0)
+    """Times [years] (n,) of drives that began at ``starts`` [s]; 0 where the clock is doubted, or ``now`` not known."""
+    if now is None:
+        return np.zeros(len(starts))
+    return np.where(_trusted(starts), (np.array(starts, dtype=np.float64) - now) / YEAR, 0.0)
+
+
+def _trusted(starts: Sequence[float]) -> list[bool]:
+    """Whose clock was set, and is not years off that of most."""
+    return [years is not None and abs(years) <= CLOCK_YEARS for years in years_off(starts)]
 
 
 def terms(years: Floats) -> Floats:

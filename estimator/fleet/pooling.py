@@ -112,8 +112,8 @@ def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:
     first, second = np.meshgrid(np.arange(NODES), np.arange(NODES), indexing="ij")
     nodes = np.column_stack([first.ravel(), second.ravel()])
     tau = scale * np.abs(centre) * steps[nodes]
-    T = tau[:, :, None] * np.eye(2)[None] * tau[:, None, :]
-    W = _inverse(V[None] + T[:, None])  # (K, n, 2, 2)
+    T = tau**2  # (K, 2), the diagonal
+    W = _inverse(V + (T[:, :, None] * np.eye(2))[:, None])  # (K, n, 2, 2)
     believed = (PRIOR_SD * np.abs(centre)[:, None]) ** -2.0  # precision (2, q)
     products = np.tensordot(W, X[:, :, None] * X[:, None, :], axes=(1, 0))  # (K, 2, 2, q, q)
     information = np.swapaxes(products, 2, 3).reshape(len(W), believed.size, -1) + np.diag(believed.ravel())
@@ -121,14 +121,15 @@ def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:
     moment = np.tensordot(np.einsum("knij,nj->nki", W, z), X, axes=(0, 0)).reshape(len(W), -1)
     mean = np.einsum("kij,kj->ki", P, moment).reshape(-1, *believed.shape)
     left = z - np.swapaxes(mean @ X.T, 1, 2)  # (K, n, 2)
-    misfit = np.einsum("kni,knij,knj->k", left, W, left) + np.einsum("kiq,iq,kiq->k", mean, believed, mean)
+    pulled = np.einsum("knij,knj->kni", W, left)
+    misfit = (left * pulled).sum(axis=(1, 2)) + (mean**2 * believed).sum(axis=(1, 2))
     log_weight = 0.5 * (np.log(_determinant(W)).sum(axis=1) - np.linalg.slogdet(information)[1] - misfit)
     weights = np.exp(log_weight - log_weight.max()) * share[nodes].prod(axis=1)
     used = weights > NEGLIGIBLE * weights.max()
-    weights, tau, T, W, P, mean, left = (each[used] for each in (weights, tau, T, W, P, mean, left))
-    # theta_i given mu is N(X mu + B (z - X mu), (1 - B) T) with B = T W.
-    B = T[:, None] @ W
-    rest = np.eye(2) - B
+    weights, tau, T, W, P = (each[used] for each in (weights, tau, T, W, P))
+    mean, left, pulled = (each[used] for each in (mean, left, pulled))
+    # theta_i given mu is N(X mu + T W (z - X mu), (1 - T W) T).
+    rest = np.eye(2) - T[:, None, :, None] * W
     P = P.reshape(-1, *believed.shape, *believed.shape)
     there = np.einsum("nq,kiqjr,nr->knij", X, P, X, optimize=True)
     return Pooled(
@@ -136,8 +137,8 @@ def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:
         tau=tau,
         mean=mean,
         covariance=P,
-        drive_mean=z - left + np.einsum("knij,knj->kni", B, left),
-        drive_covariance=rest @ T[:, None] + rest @ there @ np.swapaxes(rest, 2, 3),
+        drive_mean=z - left + T[:, None] * pulled,
+        drive_covariance=rest * T[:, None, None, :] + rest @ there @ np.swapaxes(rest, 2, 3),
     )
 
 

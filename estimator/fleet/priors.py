@@ -12,9 +12,7 @@ from estimator import toml_text
 from estimator.config import Config
 from estimator.errors import ConfigError
 from estimator.fleet.pooling import Mixture
-from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
-
-Normal = tuple[float, float]  # mean and sd
+from estimator.fleet.vehicles import DRAG, ROLLING, Normal, VehicleResult
 
 
 def with_beliefs(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Config:

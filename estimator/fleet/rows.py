@@ -9,7 +9,7 @@ from estimator.fleet.drive_result import Segment
 from estimator.fleet.road import LearnedRoad
 from estimator.fleet.run import Fleet
 from estimator.fleet.tables import Row, statistics
-from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
+from estimator.fleet.vehicles import DRAG, ROLLING, Normal, VehicleResult
 from estimator.road_map import COURSES, centre_of, place_of
 from estimator.signals import Floats
 
@@ -87,11 +87,22 @@ def vehicle_rows(found: Fleet, rate: float) -> list[Row]:
         if one.load is not None:
             row |= {"mass_kg_mean": one.load[0], "mass_kg_sd": one.load[1]}
             row |= {"A_per_mass_scatter_N_kg": one.scatter[ROLLING], "C_scatter_N_s2_m2": one.scatter[DRAG]}
-        for kind, change in (("trend", one.trend), ("winter", one.winter)):
-            for name, moments in zip((f"A_per_mass_{kind}_N_kg", f"C_{kind}_N_s2_m2"), change or (), strict=False):
-                row |= {f"{name}_mean": moments[0], f"{name}_sd": moments[1]}
+        row |= _changes("trend", one.trend) | _changes("winter", one.winter)
         rows.append(row)
     return rows
+
+
+def _changes(kind: str, found: tuple[Normal, Normal] | None) -> dict[str, float]:
+    """The columns of a change of A/m and C; none where no clock was set."""
+    if found is None:
+        return {}
+    (rolling, rolling_sd), (drag, drag_sd) = found
+    return {
+        f"A_per_mass_{kind}_N_kg_mean": rolling,
+        f"A_per_mass_{kind}_N_kg_sd": rolling_sd,
+        f"C_{kind}_N_s2_m2_mean": drag,
+        f"C_{kind}_N_s2_m2_sd": drag_sd,
+    }
 
 
 def _out_of_line(found: Fleet, one: VehicleResult, q: Floats, rate: float) -> list[str]:

@@ -30,6 +30,7 @@ the motion, so their unknowns come behind, and the band is a quarter as wide.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -325,8 +326,8 @@ class RoadModel:
 
     def present(self, data: Floats) -> Iterator[tuple[Observations, slice]]:
         """Each kind of observations and its rows of data columns (sum of counts, c), but for those that are zero."""
-        ends = np.cumsum(self.counts).tolist()
-        for observed, start, end in zip(self._maps, [0, *ends], ends, strict=False):
+        ends = np.cumsum([0, *self.counts]).tolist()
+        for observed, (start, end) in zip(self._maps, pairwise(ends), strict=True):
             if data[start:end].any():
                 yield observed, slice(start, end)
 
