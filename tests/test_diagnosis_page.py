@@ -210,6 +210,18 @@ def test_the_reason_states_the_facts(d: Diagnosis, sentence: str) -> None:
     assert wording.reason(d) == sentence
 
 
+def test_the_steps_of_the_residual_begin_with_the_power_as_it_came() -> None:
+    fan = finding("auxiliary_cycling", 1.0, rms_before=3_900.0, rms_after=3_000.0)
+    late = finding("time_lag", 1.0, rms_before=3_600.0, rms_after=3_000.0)
+    d = dataclasses.replace(
+        empty(), obstacle="", verdict=Verdict.EFFECT, effects=(fan, late), rms_base=3_900.0, rms_final=3_000.0
+    )
+    steps = [("plain model", pytest.approx(4_680.0)), ("+ time lag", 3_900.0), ("+ auxiliary cycling", 3_000.0)]
+    assert wording.ladder(d) == steps
+    assert wording.reason(d).endswith("in the model the residual falls from 4.7 kW to 3.0 kW.")
+    assert wording.ladder(dataclasses.replace(d, effects=(fan,))) == [("plain model", 3_900.0), steps[2]]
+
+
 def test_bytes_that_are_no_text_are_written(tmp_path: Path) -> None:
     write_page(dataclasses.replace(empty(), logs=("drive\udcff.blf",)), tmp_path / "a.html")
     assert "drive?.blf" in (tmp_path / "a.html").read_text(encoding="utf-8")

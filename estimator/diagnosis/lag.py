@@ -8,7 +8,7 @@ from estimator.components.budget import SDS_OF_90_PERCENT
 from estimator.components.processes import USUAL_LAG
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.model import BLOCK_SAMPLES, Drive, unaligned_residual
-from estimator.diagnosis.result import Finding, GapClosed, Magnitude
+from estimator.diagnosis.result import EARLY, LATE, Finding, GapClosed, Magnitude
 from estimator.estimation.moments import block_means
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.effects import BY_NAME
@@ -43,7 +43,7 @@ def lag_finding(
     excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value) / sd
     if excess < MIN_EXCESS_SDS or abs(value) > LONGEST_LAG:
         return None
-    effect = BY_NAME["time_lag" if value > 0 else "speed_filter"]
+    effect = BY_NAME[LATE if value > 0 else EARLY]
     before, after = _unaligned(plain)
     return Finding(
         name=effect.name,

@@ -10,6 +10,7 @@ from estimator.signals import Floats
 
 HIDDEN_GRADE = "sd of the grade"  # name of the magnitude of a grade that no signal shows
 SHOWN_SLOPE = "slope"  # the same of one that signals show
+LATE, EARLY = "time_lag", "speed_filter"  # effects that a lag of power behind speed is, by its sign
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ TERMS = (
     ("C", "aerodynamic force over the square of the speed; it holds for the density of the air on the drive"),
     (
         "interval",
-        "90 %, of what the drives of the vehicle share; single drives scatter around it, with the wind for one",
+        "90 %, of the vehicle as at its newest drive; single drives scatter around it, with the wind for one",
     ),
     ("out of line", "beyond what the other vehicles predict; the q value is the share of false ones to be expected"),
 )
@@ -136,8 +136,8 @@ def _vehicles(rows: Sequence[Row]) -> str:
             lists.append(f"<div><h3>{short} [{unit}]</h3>{_folded(_intervals(known, name, short))}</div>")
     if not lists:
         return "<p>No vehicle has A/m or C estimated yet; give more drives.</p>"
-    note = '<p class="soft">Means with 90 % intervals, largest first; the line is the median of the vehicles.</p>'
-    return f'{note}<div class="columns">{"".join(lists)}</div>'
+    note = "Each as at its newest drive, with 90 % intervals, largest first; the line is the median of the vehicles."
+    return f'<p class="soft">{note}</p><div class="columns">{"".join(lists)}</div>'
 
 
 def _intervals(rows: Sequence[Row], name: str, short: str) -> list[str]:
@@ -200,20 +200,24 @@ def _seasons(of: Tables) -> str:
     shown = [season for season in SEASONS if any(row["season"] == season for row in of.seasons)]
     if len(shown) < 2:
         return f"<p>All drives are in one season, {shown[0]}.</p>" if shown else ""
-    whole = {row["vehicle"]: row for row in of.vehicles}
     parts = []
     for name, short, _ in PARAMETERS:
-        by_vehicle: dict[str, dict[str, tuple[float, float]]] = defaultdict(dict)
+        known: dict[str, dict[str, tuple[float, float]]] = defaultdict(dict)
         for row in of.seasons:
-            if f"{name}_mean" in row and f"{name}_mean" in (own := whole[row["vehicle"]]):
-                middle = own[f"{name}_mean"] / 100
-                change = row[f"{name}_mean"] / middle - 100, row[f"{name}_sd"] / middle
-                by_vehicle[row["vehicle"]][row["season"]] = change
-        if by_vehicle:
+            if f"{name}_mean" in row:
+                known[row["vehicle"]][row["season"]] = row[f"{name}_mean"], row[f"{name}_sd"]
+        if known:
+            by_vehicle = {vehicle: _in_per_cent(own) for vehicle, own in known.items()}
             parts.append(f"<div><h3>{short}</h3>{_changes(by_vehicle, shown)}</div>")
-    note = "Change [%] and its sd in these months of any year, against the vehicle's mean over all drives."
-    note += " C is not reduced to one density of the air. The values are in seasons.parquet."
+    note = "Change [%] and its sd in these months of any year, against the mean of the vehicle's seasons."
+    note += " The values are in seasons.parquet."
     return f'<p class="soft">{note}</p><div class="columns">{"".join(parts)}</div>'
+
+
+def _in_per_cent(own: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """A vehicle's values and sds by season as changes [%] from the mean of the seasons."""
+    middle = float(np.mean([value for value, _ in own.values()])) / 100
+    return {season: (value / middle - 100, sd / middle) for season, (value, sd) in own.items()}
 
 
 def _changes(by_vehicle: Mapping[str, Mapping[str, tuple[float, float]]], shown: Sequence[str]) -> str:

@@ -3,7 +3,18 @@
 import math
 
 from estimator.answers.diagnosis import Verdict
-from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Experiment, Finding, GapClosed, Magnitude, Shift, Span
+from estimator.diagnosis.result import (
+    EARLY,
+    HIDDEN_GRADE,
+    LATE,
+    Diagnosis,
+    Experiment,
+    Finding,
+    GapClosed,
+    Magnitude,
+    Shift,
+    Span,
+)
 from estimator.report import number_format
 from estimator.report.number_format import NOTHING, exponent, signed
 
@@ -86,7 +97,8 @@ def _improvement(d: Diagnosis) -> str:
             f"roadload estimate counts with such a road by itself.{also}"
         )
     effects = " and ".join(f"{f.name} ({f.magnitude.name} {_value(f.magnitude)})" for f in d.effects)
-    fall = f"from {kilowatts(first.rms_before)} to {kilowatts(d.rms_final)}"
+    steps = ladder(d)
+    fall = f"from {kilowatts(steps[0][1])} to {kilowatts(steps[-1][1])}"
     return f"With {effects} in the model the residual falls {fall}."
 
 
@@ -125,17 +137,22 @@ def is_hidden(effect: Finding) -> bool:
 
 
 def ladder(d: Diagnosis) -> list[tuple[str, float]]:
-    """The residual [W] of the plain model and after each effect that can be added to it."""
+    """The residual [W] of the plain model and after each effect that can be added to it.
+
+    A lag comes first: the others are judged, and the residual of the plain model is computed, on aligned power.
+    """
     if d.rms_base is None:
         return []
-    added = [effect for effect in d.effects if not is_hidden(effect)]
-    after = [effect.rms_after for effect in added]
+    late = next((effect for effect in d.effects if effect.name in (LATE, EARLY)), None)
+    others = [effect for effect in d.effects if effect is not late and not is_hidden(effect)]
+    after = [effect.rms_after for effect in others]
     if after and d.rms_final is not None:
         after[-1] = d.rms_final
-    return [
-        ("plain model", d.rms_base),
-        *((f"+ {label(f.name)}", rms) for f, rms in zip(added, after, strict=True)),
-    ]
+    steps = [(f"+ {label(f.name)}", rms) for f, rms in zip(others, after, strict=True)]
+    if late is None:
+        return [("plain model", d.rms_base), *steps]
+    unaligned = d.rms_base * late.rms_before / late.rms_after
+    return [("plain model", unaligned), (f"+ {label(late.name)}", d.rms_base), *steps]
 
 
 def percent(fraction: float) -> str:
