@@ -32,7 +32,10 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
     fit = SimpleNamespace(log_evidence=log_evidence)
     is_possible = IMPOSSIBLE not in chosen
     return SimpleNamespace(
-        fit=fit, chosen=(), is_possible=lambda given: is_possible, **{"has_unusual_noise": False} | further
+        fit=fit,
+        chosen=(),
+        is_possible=lambda given: is_possible,
+        **{"has_unusual_noise": False, "is_hidden": False} | further,
     )
 
 
@@ -115,7 +118,11 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]])
 
     def times(of: DriveState, cause: str) -> set[Spans | None]:
-        return {one.component.spans for one in candidates.on(0, of, with_processes=False) if one.cause == cause}
+        return {
+            one.component.spans
+            for one in candidates.on(0, of, with_processes=False, with_stretches=False)
+            if one.cause == cause
+        }
 
     assert times(plain, "brake_use") == {other}
     with_other, without_other = ((50.0, 90.0), (200.0, 230.0)), ((50.0, 70.0), (200.0, 230.0))
@@ -176,8 +183,8 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
 ):
     """Beside slopes the drives have a log evidence of 100."""
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
-    fit = SimpleNamespace(strides=np.zeros(9), slope_sd=0.01, scales=scales, log_evidence=0.0)
-    drive = SimpleNamespace(fit=fit, strides=None)
+    fit = SimpleNamespace(strides=np.zeros(9), scales=scales, log_evidence=0.0)
+    drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
 
     class Found:
         def __init__(self, drives: tuple[Any, ...], effects: object) -> None:

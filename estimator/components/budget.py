@@ -187,8 +187,9 @@ def _powers(
     errors = joint.model.sensor_errors(unknowns)
     white = residuals[:n] - errors
     if not drive.is_level:
-        parts[ROAD] = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
-        white = white - parts[ROAD]
+        slopes = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
+        white = white - slopes
+        parts[ROAD] = slopes + joint.data[:n, 1 + joint.stretches] @ amplitudes[joint.stretches]
     scales = drive.fit.scales.values
     own, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + own))[:, None]
@@ -271,4 +272,6 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
         residual = joint.data[:, 0] - joint.data[:, 1:] @ (posterior.mean * joint.unit)
         unknowns = joint.conditioned.unknowns(residual)
         found[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(left, unknowns)
+        if drive.stretches is not None:
+            found[ROAD][out] += drive.stretches.columns(frame) @ posterior.mean[joint.stretches]
     return found

@@ -1,5 +1,6 @@
 """What may act on a drive: effects in all their forms, with signals or with times, and nameless processes."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -7,9 +8,10 @@ from itertools import combinations
 from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState, has_free_times
 from estimator.components.processes import processes, swings, switched
+from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching, is_usual, prior_cost
 from estimator.estimation.shapes import is_free, near
-from estimator.model.design_matrix import Spans, Term, union, without
+from estimator.model.design_matrix import Spans, Term, cut, union, without
 from estimator.model.effects.effect import Effect, Timing
 
 
@@ -34,26 +36,34 @@ class Candidates:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
         self._latest: dict[int, tuple[object, set[Spans]]] = {}
         self._untimed: dict[int, set[Spans]] = {}
+        self._steep: dict[int, set[Spans]] = defaultdict(set)
 
-    def on(self, number: int, drive: DriveState, with_processes: bool) -> Iterator[Candidate]:
-        """On the drive with this ``number``; of two equal forms the later one counts."""
+    def on(self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool) -> Iterator[Candidate]:
+        """On the drive with this ``number``; of two equal forms the later one counts.
+
+        ``with_stretches``: of a road that no signal shows.
+        """
         frame, times = Frame.of(drive.fit), self._times(number, drive)
         yield from self._as_the_bus_tells(frame, drive)
         yield from self._finer(frame, drive)
         yield from self._at_times(frame, drive.chosen, times)
+        if drive.is_hidden and with_stretches:
+            yield from self._stretches(number, frame, drive, times)
         if with_processes:
             yield from _nameless(frame, drive, times)
 
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
-        """At which effects may act; what two of the chosen effects do, one may do."""
-        beside = tuple((term.effect.name, term.spans) for term in drive.fit.terms)
+        """At which effects may act; what two of those chosen do, one may do."""
+        steep = None if drive.stretches is None else drive.stretches.spans
+        beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
         if number not in self._latest or self._latest[number][0] != beside:
-            switching = Switching(drive.joint())
-            found = {spans for effect in self._timed for spans in switching.proposed(effect)}
+            switching, timed = Switching(drive.joint()), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
+            found = {spans for effect in timed for spans in switching.proposed(effect)}
             self._latest[number] = beside, found
             if not any(component.is_timed for component in drive.chosen):
                 self._untimed[number] = found
         own = [component.spans for component in drive.chosen if component.is_timed and component.spans]
+        own += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(own, 2)}
         return sorted({*own, *both, *self._latest[number][1], *self._untimed.get(number, ())})
 
@@ -89,6 +99,19 @@ class Candidates:
                 if is_usual(spans, effect):
                     component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect))
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
+
+    def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
+        """Stretches of the road at fitted times, and at all that were chosen so far.
+
+        The last ones that were chosen have times that are proposed beside them added or taken away.
+        """
+        own, changed = None if drive.stretches is None else drive.stretches.spans, set[Spans]()
+        if own:
+            self._steep[number].add(own)
+            changed = {change(own, new) for new in self._latest[number][1] for change in (union, without, cut)}
+        for spans in sorted({*times, *changed, *self._steep[number]}):
+            for component in stretches(frame, spans):
+                yield Candidate(cause=component.name, is_event=True, form=spans, component=component)
 
 
 def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:

@@ -10,6 +10,7 @@ has the road in it.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
@@ -64,6 +65,14 @@ class Frame:
 Columns = Callable[[Frame], Floats]
 
 
+class Kind(Enum):
+    """What a component is to the answer."""
+
+    EFFECT = "an effect of the catalogue"
+    PROCESS = "what acts and has no name"
+    ROAD = "slopes of the road beside those of its Gaussian process"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Component:
     """One form that a component may take.
@@ -71,6 +80,7 @@ class Component:
     ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes, whose prior is
     N(0, ``sd``^2), or half of it where ``positive``; a size beyond ``largest`` is something else. ``cost`` is the log
     prior probability of its times, with the sign changed. ``is_noisy``: noise of the measured force is in its columns.
+    ``is_slope``: it is part of the road.
     """
 
     name: str
@@ -80,8 +90,16 @@ class Component:
     largest: float = np.inf
     cost: float = 0.0
     is_noisy: bool = False
-    term: Term | None = None  # None: a nameless process
+    is_slope: bool = False
+    term: Term | None = None  # of an effect
     spans: Spans | None = None  # when it acts; None: always, or as its columns say
+
+    @property
+    def kind(self) -> Kind:
+        """What it is to the answer."""
+        if self.term is not None:
+            return Kind.EFFECT
+        return Kind.ROAD if self.is_slope else Kind.PROCESS
 
     @property
     def is_timed(self) -> bool:
@@ -115,7 +133,7 @@ def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
 
 
 def as_terms(frame: Frame, process: Component) -> list[Term]:
-    """The columns of a nameless process as terms of a fit, each with the prior of its amplitude."""
+    """The columns of what is no effect as terms of a fit, each with the prior of its amplitude."""
     power = _Powers(frame, process)
     return [Term(_of_process(process, power, k)) for k in range(power.count)]
 
@@ -152,6 +170,7 @@ def _of_process(process: Component, power: _Powers, k: int) -> Effect:
         usual=lambda road_load: process.sd / USUAL_SDS,
         positive=False,
         is_noisy=True,  # or its columns are known at the frame's strides only
+        is_gravity=process.is_slope,
     )
 
 

@@ -18,6 +18,7 @@ from estimator.model.road import LEVEL
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.signals import Floats
 from estimator.strides import Strides
+from estimator.units import STANDARD_GRAVITY
 
 PROBE_SEED = 20_042  # of the simulated noise in the corrections
 
@@ -37,18 +38,35 @@ class Form:
 class DriveState:
     """One drive, the components chosen for it so far, and the fit of the road beside them.
 
-    ``rests``: the power while the vehicle stood, as far as it is known.
+    ``rests``: the power while the vehicle stood, as far as it is known. ``stretches`` of the road that are steeper than
+    its process has them.
     """
 
     strides: Strides
     fit: RoadFit
     rests: tuple[AtRest, ...] = ()
     chosen: tuple[Component, ...] = ()
+    stretches: Component | None = None
 
     @property
     def is_level(self) -> bool:
         """Whether the road has no slopes."""
         return self.fit.scales.alpha == LEVEL
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether the road has slopes that no signal shows."""
+        return not (self.is_level or self.fit.scales.readings)
+
+    @property
+    def slope_sd(self) -> float:
+        """Standard deviation of the road's slope [1], its stretches included."""
+        if self.stretches is None:
+            return self.fit.slope_sd
+        joint = self.joint()
+        slopes = joint.posterior(range(len(self.chosen))).mean[joint.stretches]
+        steep = self.stretches.columns(joint.frame) @ slopes / STANDARD_GRAVITY
+        return float(np.hypot(self.fit.slope_sd, steep.std()))
 
     @classmethod
     def of(
@@ -60,13 +78,21 @@ class DriveState:
             return None
         return cls(strides=strides, fit=found, rests=rests)
 
-    def having(self, chosen: tuple[Component, ...], processes: tuple[Component, ...] = ()) -> "DriveState":
-        """With other effects; scales of road and noise are found again beside them and beside nameless processes."""
-        frame = Frame.of(self.fit)
+    def having(
+        self,
+        chosen: tuple[Component, ...],
+        processes: tuple[Component, ...] = (),
+        stretches: Component | None = None,
+    ) -> "DriveState":
+        """With other effects and ``stretches`` of the road; scales of road and noise are found again beside them.
+
+        Beside nameless ``processes`` too.
+        """
+        frame, further = Frame.of(self.fit), (*processes, *(() if stretches is None else (stretches,)))
         terms = [component.term for component in chosen if component.term is not None]
-        terms += [term for process in processes for term in as_terms(frame, process)]
+        terms += [term for process in further for term in as_terms(frame, process)]
         found = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), terms)
-        return replace(self, fit=found, chosen=chosen)
+        return replace(self, fit=found, chosen=chosen, stretches=stretches)
 
     @property
     def sizes(self) -> Floats:
@@ -94,9 +120,9 @@ class DriveState:
         return bool(np.all(np.abs(self.sizes[given:]) <= np.array(limits[given:])))
 
     def joint(self, candidates: Sequence[Component] = ()) -> JointLikelihood:
-        """The likelihood of those chosen, which come first, and of ``candidates``."""
-        components = [*self.chosen, *candidates]
-        joint = JointLikelihood(self.strides, self.fit, components, np.random.default_rng(PROBE_SEED))
+        """The likelihood of those chosen, which come first, and of ``candidates``; stretches are in every set."""
+        components, rng = [*self.chosen, *candidates], np.random.default_rng(PROBE_SEED)
+        joint = JointLikelihood(self.strides, self.fit, components, rng, self.stretches)
         for rest in self.rests:
             per_unit = {i: at_rest(component, rest) for i, component in enumerate(components)}
             weights = {i: power / rest.sd for i, power in per_unit.items() if power}
@@ -142,7 +168,7 @@ def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect
     component = of_term(joint.frame, Term(effect, None, times[0]), times[1])
     column = component.columns(joint.frame)
     products, score = joint.projected(ours, column)
-    precision = float(products[0, 0]) + component.sd**-2.0
+    precision = max(float(products[0, 0]), 0.0) + component.sd**-2.0
     gain = 0.5 * float(score[0]) ** 2 / precision - 0.5 * np.log(precision * component.sd**2)
     return Form(
         component=component,

@@ -3,14 +3,15 @@
 An effect of the vehicle has to hold in all drives, so its evidence adds up; an event is a cause on one drive.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.components import stretches
 from estimator.components.candidates import Candidate
-from estimator.components.component import Component
+from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState
 from estimator.components.model_table import Cause, Chosen, ModelTable
 from estimator.signals import Floats
@@ -68,7 +69,9 @@ class Hypotheses:
         self.keys, self.each = list(found), list(found.values())
         own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
         known = [tuple(replace(component, largest=np.inf) for component in each) for each in given]  # of any size
-        self._joints = [replace(d, chosen=g).joint(c) for d, g, c in zip(drives, known, own, strict=True)]
+        self._joints = [
+            replace(d, chosen=g, stretches=None).joint(c) for d, g, c in zip(drives, known, own, strict=True)
+        ]
         count = [len(start) for start in given]
         self._places: list[dict[int, int]] = []
         for each in self.each:
@@ -123,16 +126,19 @@ class Hypotheses:
         grouped: dict[Key, list[int]] = defaultdict(list)
         for i, key in enumerate(self.keys):
             grouped[key[:2]].append(i)
-        named = {own: self.component(forms[0]).term is not None for own, forms in grouped.items()}
-        number = sum(named.values())
+        kinds = {own: self.kind(forms[0]) for own, forms in grouped.items()}
+        number = Counter(kinds.values())
+        log_odds = {
+            Kind.EFFECT: np.log(ODDS_OF_EFFECTS / max(number[Kind.EFFECT], 1)),
+            Kind.PROCESS: np.log(ODDS_OF_PROCESSES / max(number[Kind.PROCESS], 1)),
+            Kind.ROAD: stretches.LOG_ODDS,
+        }
         return [
             Cause(
                 name=" ".join(map(str, own)),
-                is_named=named[own],
+                is_named=kinds[own] is Kind.EFFECT,
                 forms=tuple(forms),
-                log_odds=float(
-                    np.log(ODDS_OF_EFFECTS / number if named[own] else ODDS_OF_PROCESSES / (len(named) - number))
-                ),
+                log_odds=float(log_odds[kinds[own]]),
                 log_forms=float(np.log(max(sum(not self.component(i).cost for i in forms), 1))),
             )
             for own, forms in grouped.items()
@@ -149,21 +155,26 @@ class Hypotheses:
 
     def worthwhile(self, chosen: Chosen) -> Chosen:
         """A set without effects that gain less than the largest one's form may be wrong by."""
-        gains = {i: self.gain(chosen, i) for i in chosen if self.is_named(i)}
+        gains = {i: self.gain(chosen, i) for i in chosen if self.kind(i) is Kind.EFFECT}
         most = max(gains.values(), default=0.0)
         small = {i for i in gains if gains[i] < most * (MIN_GAIN_TIMED if self.component(i).is_timed else MIN_GAIN)}
         return tuple(i for i in chosen if i not in small)
 
-    def is_named(self, i: int) -> bool:
-        """Whether form ``i`` is of an effect."""
-        return self.component(i).term is not None
+    def kind(self, i: int) -> Kind:
+        """What form ``i`` is to the answer."""
+        return self.component(i).kind
 
-    def parts(self, chosen: Chosen, named: bool) -> tuple[tuple[Component, ...], ...]:
-        """The effects in a set, or its nameless processes, for each drive."""
-        each = [self.each[i] for i in chosen if self.is_named(i) is named]
-        return tuple(tuple(own[n] for own in each if n in own) for n in range(len(self.drives)))
+    def _parts(self, chosen: Chosen, number: int, kind: Kind) -> tuple[Component, ...]:
+        """What is of one kind in a set, on the drive with this ``number``."""
+        return tuple(self.each[i][number] for i in chosen if self.kind(i) is kind and number in self.each[i])
 
     def fitted(self, chosen: Chosen) -> tuple[DriveState, ...]:
-        """The drives with the effects of a set, and scales found beside its processes too."""
-        own = zip(self.drives, self.given, self.parts(chosen, True), self.parts(chosen, False), strict=True)
-        return tuple(drive.having((*given, *effects), processes) for drive, given, effects, processes in own)
+        """The drives with the effects and stretches of a set, and scales found beside its processes too."""
+        return tuple(
+            drive.having(
+                (*given, *self._parts(chosen, n, Kind.EFFECT)),
+                self._parts(chosen, n, Kind.PROCESS),
+                next(iter(self._parts(chosen, n, Kind.ROAD)), None),
+            )
+            for n, (drive, given) in enumerate(zip(self.drives, self.given, strict=True))
+        )

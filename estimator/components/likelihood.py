@@ -8,9 +8,10 @@ the measured force adds to the products is taken off first (a corrected score, s
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.components.component import Component, Frame
-from estimator.components.set_likelihood import SetLikelihood, places_of
+from estimator.components.set_likelihood import SetLikelihood
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
 from estimator.model.road import Conditioned, RoadModel
@@ -31,6 +32,8 @@ class JointLikelihood(SetLikelihood):
         All that may be asked about.
     rng
         Source of the simulated noise of the correction.
+    stretches
+        Of the road, that are in every set; None where its slopes are those of the process alone.
     """
 
     def __init__(
@@ -39,24 +42,25 @@ class JointLikelihood(SetLikelihood):
         fit: RoadFit,
         components: Sequence[Component],
         rng: np.random.Generator,
+        stretches: Component | None = None,
     ) -> None:
         self.frame, self.components = Frame.of(fit), list(components)
         self.model = model = RoadModel(strides, fit.scales.alpha, fit.scales.wander)
         base = Likelihood(model, (), fit.theta[:3], fit.scales.lag)
         self.conditioned: Conditioned = model.condition(fit.scales.values)
-        shared = list({id(component.columns): component for component in components}.values())  # by several strengths
-        columns = [component.columns(self.frame) for component in shared]
-        base_size = base.data.shape[1] - 1
-        widths = [column.shape[1] for column in columns]
-        data = np.zeros((len(base.data), base.data.shape[1] + sum(widths)))
-        data[:, : 1 + base_size] = base.data
-        if columns:
-            data[: len(model.driven), 1 + base_size :] = np.hstack(columns)
-        unit = np.concatenate([base.unit, np.ones(sum(widths))])
-        at = dict(zip([id(one.columns) for one in shared], places_of(base_size, widths), strict=True))
-        places = [at[id(component.columns)] for component in components]
-        super().__init__(data, self.conditioned.gram, np.diag(base.prior).copy(), self.components, places, unit)
-        widest = np.concatenate([np.diag(base.prior), np.full(sum(widths), np.inf)])
+        steep = np.empty((len(model.driven), 0)) if stretches is None else stretches.columns(self.frame)
+        plain, base_size = base.data.shape[1] - 1, base.data.shape[1] - 1 + steep.shape[1]
+        self.stretches = np.arange(plain, base_size)  # their places among the amplitudes
+        columns, places = _shared(components, self.frame, base_size)
+        data = np.zeros((len(base.data), 1 + base_size + columns.shape[1]))
+        data[:, : 1 + plain] = base.data
+        data[: len(model.driven), 1 + plain : 1 + base_size] = steep
+        data[: len(model.driven), 1 + base_size :] = columns
+        unit = np.concatenate([base.unit, np.ones(data.shape[1] - 1 - plain)])
+        of_stretches = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
+        base_precision = np.concatenate([np.diag(base.prior), of_stretches])
+        super().__init__(data, self.conditioned.gram, base_precision, self.components, places, unit)
+        widest = np.concatenate([base_precision, np.full(columns.shape[1], np.inf)])
         for place, component in zip(places, components, strict=True):
             widest[place] = np.minimum(widest[place], component.sd**-2.0)
         believed = self._information + np.diag(widest)
@@ -84,3 +88,22 @@ class JointLikelihood(SetLikelihood):
         amplitudes = np.linalg.solve(information, self._moment[places])
         residual = self.data[:, 0] - self.data[:, 1 + places] @ amplitudes
         return self.conditioned.weighed(residual)[: len(self.frame.strides)]
+
+
+def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[Floats, list[NDArray[np.int64]]]:
+    """The columns (n, k) of ``components``, and their places for each, the first of which is ``first``.
+
+    Strengths of one process share its columns, and stretches of the road those of the same times.
+    """
+    at: dict[object, int] = {}
+    kept: list[Floats] = []
+    places: dict[int, NDArray[np.int64]] = {}
+    for key, one in {id(one.columns): one for one in components}.items():
+        numbers = []
+        for k, column in enumerate(one.columns(frame).T):
+            number = at.setdefault(column.tobytes() if one.is_slope else (key, k), len(kept))
+            kept += [column] if number == len(kept) else []
+            numbers.append(number)
+        places[key] = first + np.array(numbers, dtype=np.int64)
+    columns = np.column_stack(kept) if kept else np.empty((len(frame.strides), 0))
+    return columns, [places[id(one.columns)] for one in components]

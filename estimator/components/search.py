@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from estimator.components.candidates import Candidates
-from estimator.components.component import Component
+from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState, Form
 from estimator.components.hypotheses import Hypotheses, OtherSets
 from estimator.components.model_table import MAX_CAUSES, Chosen, ModelTable, weigh
@@ -148,13 +148,13 @@ class Search:
 
     def explained(self) -> Explained:
         """The drives with what acts on them."""
-        return self._explained(self._converged(self.alone, with_processes=True))
+        return self._explained(self._converged(self.alone, with_processes=True, with_stretches=True))
 
     def explained_above(self, least: float) -> Explained | None:
         """The same; None once it shows that the log evidence will not reach ``least``."""
         try:
             alone = self._alone(least)
-            return self._explained(self._converged(alone.states, with_processes=True, least=least))
+            return self._explained(self._converged(alone.states, with_processes=True, with_stretches=True, least=least))
         except _OutOfReachError:
             return None
 
@@ -163,6 +163,9 @@ class Search:
 
     def _alone(self, least: float = -np.inf) -> _Converged:
         """Beside effects alone, from the noise of the drives, and from the usual one where theirs is larger.
+
+        Over a road that no signal shows, its stretches come before the effects or after them: either may hold the place
+        of the other.
 
         Raises
         ------
@@ -175,12 +178,20 @@ class Search:
         found = list[_Converged]()
         for start in starts:
             with suppress(_OutOfReachError):
-                found.append(self._converged(start, with_processes=False, least=least))
+                found.append(self._converged(start, least=least))
+                if any(drive.is_hidden for drive in start):
+                    found += [self._converged(first, with_stretches=True) for first in (found[-1].states, start)]
         if not found:
             raise _OutOfReachError
         return max(found, key=lambda one: one.log_posterior)
 
-    def _converged(self, states: tuple[DriveState, ...], with_processes: bool, least: float = -np.inf) -> _Converged:
+    def _converged(
+        self,
+        states: tuple[DriveState, ...],
+        with_processes: bool = False,
+        with_stretches: bool = False,
+        least: float = -np.inf,
+    ) -> _Converged:
         """Tables and scales, each found beside the other while that gains.
 
         A set that is best with the scales found beside another one may have less evidence with its own, and sizes that
@@ -193,7 +204,10 @@ class Search:
         """
         found, last, value = None, None, log_evidence(states)
         for size in range(2, MAX_ROUNDS + 2):
-            candidates = [self._candidates.on(number, state, with_processes) for number, state in enumerate(states)]
+            candidates = [
+                self._candidates.on(number, state, with_processes, with_stretches)
+                for number, state in enumerate(states)
+            ]
             joint = Hypotheses(states, self._given, candidates)
             causes = joint.causes()
             table = weigh(joint, causes, min(size, MAX_CAUSES))
@@ -238,7 +252,8 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
                     drive=max(joint.each[own[0]], key=lambda n: len(joint.drives[n].strides)),
                 )
             )
-    named = [i for i in best if joint.component(i).term is not None]
+    road = [i for i in best if joint.kind(i) is Kind.ROAD]
+    named = [i for i in best if joint.kind(i) is Kind.EFFECT] + road
     beside = joint.unlimited(named)
     gains = {
         cause.name: (
@@ -246,20 +261,21 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
             max(cause.forms, key=lambda i: joint.unlimited([*named, i])),
         )
         for cause in causes
-        if not cause.is_named
+        if joint.kind(cause.forms[0]) is Kind.PROCESS
     }
     left_over, process = max(gains.values())
-    unnamed = [i for cause in causes if not cause.is_named for i in cause.forms]
-    none = joint.unlimited([])
-    alone = [joint.unlimited(own) for own in table.sets if own and set(own) <= set(unnamed)]
+    of_kind = {kind: {i for i in forms if joint.kind(i) is kind} for kind in Kind}
+    unnamed = of_kind[Kind.PROCESS]
+    none = joint.unlimited(road)
+    alone = [joint.unlimited(own) for own in table.sets if unnamed & set(own) and not of_kind[Kind.EFFECT] & set(own)]
     return Explained(
         drives=states,
         choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
         ranking=first,
         beside=ranked(states, effects) if choices else first,
         probability=probability,
-        none=table.none,
-        unknown=table.holding(unnamed),
+        none=1 - table.holding([*of_kind[Kind.EFFECT], *unnamed]),
+        unknown=table.holding([*unnamed]),
         unnamed=joint.each[process],
         left_over=left_over,
         by_effects=beside - none,

@@ -87,7 +87,7 @@ class Conclusion:
     @property
     def slope_sd(self) -> float:
         """Standard deviation of the road's slope [1]."""
-        return self.longest.fit.slope_sd
+        return self.longest.slope_sd
 
     @cached_property
     def road_load(self) -> tuple[Shift, Shift]:

@@ -78,7 +78,7 @@ def _on_either_road(
         return Explanation(level, False, slopes, False)
     slopes = min([_slopes(beside.drives), *([beside.log_evidence - level.log_evidence] if level else [])])
     longest = max(beside.drives, key=lambda drive: len(drive.fit.strides))
-    return Explanation(beside, True, slopes, is_shown is not False and longest.fit.slope_sd > thresholds.min_grade_sd)
+    return Explanation(beside, True, slopes, is_shown is not False and longest.slope_sd > thresholds.min_grade_sd)
 
 
 def _slopes(drives: Sequence[DriveState]) -> float:

@@ -31,7 +31,8 @@ def _log_evidence(strides: Strides, found: RoadFit, is_level: bool) -> float:
     """Of strides with the orders, effects and lag that were found; the scales are found again."""
     sloping = ALPHAS[0] if found.scales.alpha == LEVEL else found.scales.alpha
     model = RoadModel(strides, LEVEL if is_level else sloping, found.scales.wander)
-    likelihood = Likelihood(model, found.terms, found.theta[:ROAD_LOAD], found.scales.lag)
+    terms = [term for term in found.terms if not (is_level and term.effect.is_gravity)]  # stretches of the road
+    likelihood = Likelihood(model, terms, found.theta[:ROAD_LOAD], found.scales.lag)
     start = found.scales.values[: len(model.scales)]  # those of signals come last
     free = [i for i in range(len(model.scales)) if not (is_level and i in (SLOPE, LENGTH))]
     values, _ = most_probable(likelihood, start, free)

@@ -6,6 +6,7 @@ whose magnitude is the mass itself adds to the column of m instead.
 
 from collections.abc import Set
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -66,6 +67,13 @@ def union(one: Spans, other: Spans) -> Spans:
         else:
             joined.append((start, end))
     return tuple(joined)
+
+
+def cut(one: Spans, other: Spans) -> Spans:
+    """Times that are within either, cut wherever a span of either begins or ends."""
+    edges = sorted({edge for span in (*one, *other) for edge in span})
+    within = union(one, other)
+    return tuple((a, b) for a, b in pairwise(edges) if any(start <= a and b <= end for start, end in within))
 
 
 def without(one: Spans, other: Spans) -> Spans:

@@ -1,0 +1,64 @@
+"""Stretches of a hidden road that are steeper than the rest: part of the road, neither an effect nor unknown.
+
+The slopes of the road model are a stationary Gaussian process. Real roads are nearly level for kilometres and steep on
+a bridge or a hill: on 29 trips of a car whose accelerometer shows the slopes, their kurtosis is 2.5 to 8, where the
+process has 3. The beginning and the end of a steep stretch are then better explained by a load or a brake that
+switches. So the times at which an effect may act are also candidates for stretches of the road, each with a slope of
+its own: a load that switches is told from them only if its power is the same in all its times, at all speeds.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from estimator.components.component import Component, Frame
+from estimator.components.switching import CHANGE_COST, MAX_ON_SHARE, prior_cost
+from estimator.model.design_matrix import Spans, covered
+from estimator.model.effects.effect import Effect, Timing, always
+from estimator.signals import Floats
+from estimator.strides import DURATION
+from estimator.units import STANDARD_GRAVITY
+
+LOG_ODDS = 1.4  # prior, of any stretches against none: 22 of 27 trips of that car have some
+SLOPE_SD = 0.02  # of the prior of the slope of a stretch, over that of the process
+STEEPEST = 0.15  # sine: public roads are hardly steeper
+
+# What they are to the search for times: a force in proportion to the mass, of either sign.
+STRETCHES = Effect(
+    name="steep stretches of the road",
+    equation="m g v sin(th) on [t1, t2] ...",
+    source="component of gravity along the road",
+    symbol="slope",
+    unit="1",
+    power=lambda view, shape: view.m * STANDARD_GRAVITY * view.v,
+    usual=always(SLOPE_SD),
+    positive=False,
+    timing=Timing.SWITCHING,
+    dwells=(12.0, 60.0, 200.0),  # as brakes and loads have: the same times are as likely for either
+)
+
+
+def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
+    """The road steeper or less steep in each of ``spans``; none if that is nearly everywhere, for A holds a slope."""
+    if not spans or covered(frame.strides.t, DURATION, spans).mean() > MAX_ON_SHARE:
+        return
+
+    def columns(frame: Frame) -> Floats:
+        on = np.column_stack([covered(frame.strides.t, DURATION, (span,)) for span in spans])
+        return -STANDARD_GRAVITY * on
+
+    yield Component(
+        name=STRETCHES.name,
+        columns=columns,
+        sd=SLOPE_SD,
+        largest=STEEPEST,
+        cost=_cost(spans),
+        is_slope=True,
+        spans=spans,
+    )
+
+
+def _cost(spans: Spans) -> float:
+    """Minus the log prior probability of the times; where one stretch follows another, that is one change."""
+    return prior_cost(spans, STRETCHES) - CHANGE_COST * sum(a[1] == b[0] for a, b in pairwise(spans))
