@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.logs import open_log
+from estimator.can_io.logs.csv_columns import read_usual
 from estimator.can_io.logs.digits import decimal, hexadecimal, nibbles
 from estimator.errors import LogError
 
@@ -76,6 +77,67 @@ def test_csv_values_are_exact_to_the_last_bit(lines: list[tuple[str, float, int,
     assert frames.t.tolist() == [line[1] for line in lines]
     assert frames.ident.tolist() == [line[2] for line in lines]
     assert [bytes(d[:n]) for d, n in zip(frames.data, frames.length, strict=True)] == [line[3] for line in lines]
+
+
+@st.composite
+def odd_csv_line(draw: st.DrawFn) -> str:
+    """A line that is nearly one of python-can: an unusual field, or some characters that are others."""
+    line, _, _, _ = draw(csv_line())
+    fields = line.split(",")
+    place = draw(st.integers(0, len(fields)))
+    if place < len(fields):
+        short = draw(
+            st.sampled_from(["", "0", "1", "9", "1e-05", "12345678901234.5", "1.", ".5", "0x", "0X1", "0x123456789"])
+        )
+        fields[place] = draw(st.sampled_from([fields[place], short, fields[place] + "0", "=" + fields[place]]))
+    text = list(",".join(fields))
+    for _ in range(draw(st.integers(0, 2))):
+        at = draw(st.integers(0, len(text)))
+        text[at : at + draw(st.integers(0, 1))] = draw(st.sampled_from([*"0aF=,.x/+\r :", "\xff", "\n", ""]))
+    return "".join(text)
+
+
+def outcome(path: Path) -> tuple[list[float], list[int], list[bytes], dict[str, int], str]:
+    """All that a reader says about a log."""
+    parts: list[Frames] = []
+    log, error = open_log(path), ""
+    try:
+        parts.extend(log)
+    except LogError as found:
+        error = str(found)
+    frames = Frames.concatenate(parts)
+    payloads = [bytes(d[:n]) for d, n in zip(frames.data, frames.length, strict=True)]
+    return frames.t.tolist(), frames.ident.tolist(), payloads, dict(log.skipped), error
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    st.lists(csv_line().map(lambda line: line[0]) | odd_csv_line(), min_size=1, max_size=6),
+    st.sampled_from(["\n", "\r\n"]),
+    st.booleans(),
+)
+def test_usual_csv_lines_are_read_as_by_the_grammar(lines: list[str], end: str, is_ended: bool) -> None:
+    text = end.join(["timestamp,arbitration_id,extended,remote,error,dlc,data", *lines]) + end * is_ended
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        path = Path(folder, "drive.csv")
+        path.write_bytes(text.encode("latin-1"))
+        found = outcome(path)
+        patch.setattr("estimator.can_io.logs.csv_text.CsvLog.usual", None)
+        assert found == outcome(path)
+
+
+def test_lines_as_python_can_writes_them_are_usual() -> None:
+    lines = [
+        "1700000000.0313795,0x18f00503,1,0,0,8,////f/////8=",
+        "0.5,0x7ff,0,0,0,0,",
+        "123456789012.25,0x0,1,0,0,1,/w==",
+    ]
+    text = b"".join(line.encode() + b"\n" for line in lines)
+    buffer = np.frombuffer(bytes(16) + text + bytes(32), np.uint8)
+    ends = np.flatnonzero(buffer == ord("\n"))
+    rows, frames = read_usual(buffer, np.append(16, ends[:-1] + 1), ends)
+    assert rows.tolist() == [0, 1, 2]
+    assert frames.t.tolist() == [float(line.split(",")[0]) for line in lines]
 
 
 @st.composite

@@ -5,6 +5,7 @@ import re
 import can
 
 from estimator.can_io.frames import CLASSIC_BYTES
+from estimator.can_io.logs.csv_columns import read_usual
 from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Coding, Layout, shown
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
@@ -19,6 +20,8 @@ FRAME = re.compile(
 
 class CsvLog(LineLog):
     """A ``.csv`` log of python-can; any other table of numbers is refused."""
+
+    usual = staticmethod(read_usual)
 
     def _begin(self) -> None:
         self._header_seen = False

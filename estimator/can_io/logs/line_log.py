@@ -15,7 +15,7 @@ import numpy as np
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs.channels import UNNAMED
 from estimator.can_io.logs.line_layout import BadLineError, Layout, shown
-from estimator.can_io.logs.line_table import Lines
+from estimator.can_io.logs.line_table import Lines, Usual
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.messages import check_message, kind_of
 from estimator.can_io.logs.source import Source
@@ -23,7 +23,7 @@ from estimator.can_io.logs.tap import MAX_IDLE, MAX_LINE, Tap
 from estimator.can_io.logs.text import CUT, READER_ERRORS, is_digit_missing
 from estimator.errors import LogError
 
-CHUNK = 1 << 21  # bytes read at once
+CHUNK = 1 << 19  # bytes read at once; what is made of more does not fit a processor's cache
 MAX_LINES = 1 << 16  # parsed at once: more of them in a chunk are no traffic, but would take memory
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 Reader = Callable[[Tap], Iterable[can.Message]]
@@ -33,6 +33,7 @@ class LineLog(Log):
     """A text log; a subclass gives the grammar of its lines, and treats those that it leaves open."""
 
     byte_digits, byte_base = 2, 16  # how a payload byte is written
+    usual: Usual | None = None  # reads usual lines faster than by the grammar
 
     def __init__(self, path: Path, channels: Iterable[str] = ()) -> None:
         super().__init__(path, channels)
@@ -87,7 +88,7 @@ class LineLog(Log):
         if not text:
             return
         ended = text.endswith(b"\n")
-        lines = Lines(text if ended else text + b"\n", self._checked_layout)
+        lines = Lines(text if ended else text + b"\n", self._checked_layout, self.usual)
         self._settle(lines, ended)
         frames, channel, skipped = lines.frames()
         self.skipped.update(skipped)

@@ -13,8 +13,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, Frames, widened
-from estimator.can_io.logs.channels import Numbers
-from estimator.can_io.logs.digits import WORD, decimal, hexadecimal, nibbles
+from estimator.can_io.logs.channels import UNNAMED, Numbers
+from estimator.can_io.logs.digits import WORD, decimal, hexadecimal, nibbles, with_fraction
 from estimator.can_io.logs.line_layout import ERROR_FLAG, NOTHING, BadLineError, Coding, Layout
 from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
 from estimator.signals import Floats, Mask
@@ -22,7 +22,9 @@ from estimator.signals import Floats, Mask
 Grammar = Callable[[bytes], Layout | None]
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.intp]
+Usual = Callable[[Bytes, Rows, Rows], tuple[Rows, Frames]]  # of a buffer, starts and ends of lines
 
+BEFORE, BEHIND = 2 * WORD, 4 * WORD  # bytes around the lines, so that words can be read that only overlap them
 NEWLINE = 0x0A
 NO_DIGIT = 0xFF
 DIGITS = 10
@@ -31,7 +33,6 @@ BASE64[list(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")
 PAD = ord("=")
 MAX_LAYOUTS = 64  # among lines of one length; where there are more, the rest is taken line by line
 EXACT_DIGITS, EXACT_BITS = 15, 53  # of a number that a float holds exactly
-MAX_ROUNDING_ERROR = 2.0**-53  # of a fraction that is rounded once, and more
 SKIP, DATA, ERROR, REMOTE = range(4)  # what a line is
 
 
@@ -59,10 +60,10 @@ class Lines:
         Names of the channels.
     """
 
-    def __init__(self, text: bytes, grammar: Grammar) -> None:
-        self._window = np.frombuffer(text + bytes(WORD), np.uint8)
+    def __init__(self, text: bytes, grammar: Grammar, usual: Usual | None = None) -> None:
+        self._window = np.frombuffer(b"".join([bytes(BEFORE), text, bytes(BEHIND)]), np.uint8)
         self._ends = np.flatnonzero(self._window == NEWLINE)
-        self._starts = np.concatenate(([0], self._ends[:-1] + 1))
+        self._starts = np.concatenate(([BEFORE], self._ends[:-1] + 1))
         count = len(self._ends)
         self.t = np.zeros(count)
         self.odd: list[int] = []
@@ -73,7 +74,10 @@ class Lines:
         self._kind = np.full(count, SKIP, np.uint8)
         self._channel = np.zeros(count, np.uint16)  # index in `channels`
         self.channels: list[str] = []
-        self._parse(grammar)
+        rows = np.arange(count)
+        if usual is not None:
+            rows = self._put_usual(*usual(self._window, self._starts, self._ends))
+        self._parse(rows, grammar)
 
     def __len__(self) -> int:
         return len(self._ends)
@@ -110,12 +114,22 @@ class Lines:
             self.channels.append(channel)
         return self.channels.index(channel)
 
-    def _parse(self, grammar: Grammar) -> None:
-        lengths = self._ends - self._starts
+    def _put_usual(self, rows: Rows, frames: Frames) -> Rows:
+        """Add data frames that were found without the grammar, and give the rows that are left."""
+        if not len(rows):
+            return np.arange(len(self))
+        index: Rows | slice = slice(None) if len(rows) == len(self) else rows
+        self.t[index], self._ident[index], self._length[index] = frames.t, frames.ident, frames.length
+        self._data[index], self._kind[index], self._channel[index] = frames.data, DATA, self._index_of(UNNAMED)
+        return np.flatnonzero(self._kind == SKIP)
+
+    def _parse(self, rows: Rows, grammar: Grammar) -> None:
+        """Parse some lines by the grammar."""
+        lengths = (self._ends - self._starts)[rows]
         order = np.argsort(lengths, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
-            if len(rows) and lengths[rows[0]]:
-                self._parse_group(rows, int(lengths[rows[0]]), grammar)
+        for same in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
+            if len(same) and lengths[same[0]]:
+                self._parse_group(rows[same], int(lengths[same[0]]), grammar)
 
     def _parse_group(self, rows: Rows, width: int, grammar: Grammar) -> None:
         """Parse lines of one length, the first row being the earliest."""
@@ -215,12 +229,7 @@ def _times(table: Bytes, layout: Layout, seconds: NDArray[np.int64], parts: NDAr
     if seconds.max(initial=0) < 2**EXACT_BITS // scale:
         t: Floats = (seconds * scale + parts) / scale  # both exact, and rounded once
         return t
-    fraction = parts / scale
-    t = seconds + fraction
-    # A second rounding, which is wrong only where the first one decided it.
-    lost, unit = np.abs(fraction - (t - seconds)), np.spacing(t)
-    close = (np.abs(lost - unit / 2) <= MAX_ROUNDING_ERROR) | (np.abs(lost - unit / 4) <= MAX_ROUNDING_ERROR)
-    doubtful = np.flatnonzero(close)
+    t, doubtful = with_fraction(seconds, parts, scale)
     if len(doubtful):
         t[doubtful] = _parsed(table[doubtful], layout)
     return t
