@@ -203,6 +203,42 @@ def test_arbitrary_frames_in_arbitrary_batches(events: list[Row], places: list[i
     assert all(8 < len(m.payload) <= MAX_BYTES for m in expected)
 
 
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(
+    st.lists(st.tuples(st.integers(0, 2), st.integers(9, 40), st.sampled_from([0.05, 0.05, 0.7])), max_size=12),
+    st.lists(st.tuples(st.integers(0, 200), st.sampled_from(["drop", "repeat", "swap", "late", "abort"])), max_size=5),
+    st.integers(0, 200),
+)
+def test_many_broadcasts_at_once_are_joined_as_one_by_one(
+    sent: list[tuple[int, int, float]], faults: list[tuple[int, str]], cut: int
+) -> None:
+    each = [
+        broadcast(2.0 * i, source, bytes(range(size)), period=period) for i, (source, size, period) in enumerate(sent)
+    ]
+    rows = sorted(itertools.chain(*each))
+    for place, fault in faults:
+        if not rows:
+            break
+        at = place % len(rows)
+        t, ident, data = rows[at]
+        rows[at : at + 1] = {
+            "drop": [],
+            "repeat": [rows[at], rows[at]],
+            "swap": [*rows[at + 1 : at + 2], rows[at]],
+            "late": [(t + 1.0, ident, data)],
+            "abort": [(t, 0x1CECFF00 | ident & 0xFF, b"\xff" + data[1:]), rows[at]],
+        }[fault]
+
+    def outcome(least: int) -> tuple[list[MultiPacket], dict[str, int]]:
+        transport = Transport()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("estimator.can_io.j1939.MIN_AT_ONCE", least)
+            found = [*transport.feed(pack(rows[:cut])), *transport.feed(pack(rows[cut:]))]
+        return found, dict(transport.rejected)
+
+    assert outcome(1) == outcome(10**9)
+
+
 def test_memory_is_bounded() -> None:
     rng = np.random.default_rng(1)
     n = 20_000

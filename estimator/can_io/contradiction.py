@@ -101,13 +101,18 @@ def are_alternating(value: Floats, bounds: NDArray[np.intp], magnitude: float, s
     count = np.diff(bounds)
     size = np.maximum(magnitude, block_sums(np.abs(value), bounds) / count)
     steps = _steps(value, bounds, 1)
-    next_step = block_sums(np.abs(steps), bounds) / np.maximum(count - 1, 1)
+    sizes = np.abs(steps)
+    next_step = block_sums(sizes, bounds) / np.maximum(count - 1, 1)
     found: Mask = next_step > step + TOLERANCE / 2 * size
     if found.any():
         next_but_one = block_sums(np.abs(_steps(value, bounds, 2)), bounds) / np.maximum(count - 2, 1)
         found &= next_step > MAX_STEP_RATIO * next_but_one
     found |= _stand_out(
-        value, steps, bounds, QUANTA * step + MIN_MATERIAL_STEP * size, SLIGHT_QUANTA * step + MIN_SLIGHT_STEP * size
+        value,
+        _reversals(steps, sizes),
+        bounds,
+        QUANTA * step + MIN_MATERIAL_STEP * size,
+        SLIGHT_QUANTA * step + MIN_SLIGHT_STEP * size,
     )
     return found & (count >= MIN_READINGS)
 
@@ -121,10 +126,16 @@ def _steps(value: Floats, bounds: NDArray[np.intp], ahead: int) -> Floats:
     return steps
 
 
-def _stand_out(value: Floats, steps: Floats, bounds: NDArray[np.intp], material: Floats, slight: Floats) -> Mask:
-    """Blocks (k,) in which too many readings stand out from both neighbours, by the limits (k,) of each block."""
-    beyond = np.zeros(len(value))
-    np.multiply(np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), steps[:-1] * steps[1:] < 0, out=beyond[1:])
+def _reversals(steps: Floats, sizes: Floats) -> Floats:
+    """By how much readings (n,) are beyond both their neighbours, given the steps to the next and their sizes."""
+    beyond = np.zeros(len(steps))
+    np.minimum(sizes[:-1], sizes[1:], out=beyond[1:])
+    beyond[1:] *= steps[:-1] * steps[1:] < 0
+    return beyond
+
+
+def _stand_out(value: Floats, beyond: Floats, bounds: NDArray[np.intp], material: Floats, slight: Floats) -> Mask:
+    """Blocks (k,) in which too many readings are ``beyond`` both neighbours, by the limits (k,) of each block."""
     if beyond.max() <= slight.min():
         return np.zeros(len(slight), dtype=bool)
     count = np.diff(bounds)

@@ -164,11 +164,14 @@ class Decoder:
 
     def _take_message(self, carried: CarriedMessage, verdicts: list[Verdict], out: dict[Role, list[Series]]) -> None:
         """Add the readings of a message that may be used, and count its frames."""
+        every = [self._take(each, verdict, out) for each, verdict in zip(carried.signals, verdicts, strict=True)]
         count = len(carried.t)
+        if any(every):
+            self.used += count
+            return
         useful, spoken_for, carrying = np.zeros((3, count), dtype=bool)
         for each, verdict in zip(carried.signals, verdicts, strict=True):
             here = each.of_message(np.ones(len(each.heard.t), dtype=bool), count)
-            self._take(each, verdict, out)
             carrying |= here
             useful |= each.of_message(verdict.taken, count)
             if self._choices[each.path].source is not None:
@@ -179,8 +182,8 @@ class Decoder:
             if number := int(np.count_nonzero(mask)):
                 self.rejected[f"{carried.message.name}: {reason}"] += number
 
-    def _take(self, carried: CarriedSignal, verdict: Verdict, out: dict[Role, list[Series]]) -> None:
-        """Add the readings of one signal that may be used, NaN where it is contested."""
+    def _take(self, carried: CarriedSignal, verdict: Verdict, out: dict[Role, list[Series]]) -> bool:
+        """Add the readings of one signal that may be used, NaN where it is contested; whether every frame gave one."""
         path, bound, taken, value = carried.path, carried.bound, verdict.taken, carried.heard.value
         self.replaced |= verdict.replaced
         for reason, mask in carried.masks.items():
@@ -193,10 +196,13 @@ class Decoder:
             value = np.full(len(value), np.nan)
         else:
             self.contested.pop(path, None)
-        if taken.any():
+        number = int(np.count_nonzero(taken))
+        is_whole = number == len(taken)
+        if number:
             places = out.setdefault(bound.role, [NOTHING] * self._places[bound.role])
             t = carried.heard.t
-            places[bound.place] = Series(t, value) if taken.all() else Series(t[taken], value[taken])
+            places[bound.place] = Series(t, value) if is_whole else Series(t[taken], value[taken])
+        return is_whole and carried.frames is None
 
     def _withhold(self, out: dict[Role, list[Series]]) -> None:
         """Make every input of the road load unknown: without one of them, the others give no or a wrong estimate."""

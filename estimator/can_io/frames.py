@@ -35,8 +35,8 @@ class Frames:
         if isinstance(index, slice):
             return Frames(self.t[index], self.ident[index], self.length[index], self.data[index])
         rows = np.flatnonzero(index) if index.dtype == np.bool_ else index
-        words = np.take(self.words, rows, axis=0)  # faster than byte by byte
-        return Frames(self.t[rows], self.ident[rows], self.length[rows], words.view(np.uint8))
+        words = np.take(self.words, rows, axis=0)  # faster than byte by byte, and `take` than an index
+        return Frames(self.t.take(rows), self.ident.take(rows), self.length.take(rows), words.view(np.uint8))
 
     @property
     def words(self) -> NDArray[np.uint64]:
