@@ -38,6 +38,8 @@ class Heard:
     @property
     def bounds(self) -> NDArray[np.intp]:
         """Places (k + 1,) between which the readings of each block lie."""
+        if len(self.ends) == 1:
+            return np.array([0, len(self.t)])
         return np.concatenate([[0], np.searchsorted(self.t, self.ends[:-1]), [len(self.t)]])
 
     @property

@@ -196,7 +196,8 @@ class SenderChoice:
         """Whether values alternate in any of the blocks."""
         if not self._is_j1939:
             return False
-        bounds = np.unique(own.bounds)  # of blocks with readings
+        bounds = own.bounds
+        bounds = bounds[np.flatnonzero(np.diff(bounds, prepend=-1))]  # of blocks with readings
         if self._is_state:
             return bool(are_flickering(own.value, bounds).any())
         return bool(are_alternating(own.value, bounds, self._magnitude, self._step).any())
