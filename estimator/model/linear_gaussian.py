@@ -67,6 +67,14 @@ def with_squares(stored: Floats, columns: Floats) -> Floats:
     return total
 
 
+def _by_observation(rows: Places, values: Floats, size: int) -> sp.csc_matrix:
+    """A matrix (size, n) whose column k has ``values`` (n, q) at the rows (n, q); those given twice add up."""
+    n, q = rows.shape
+    made = sp.csc_matrix((values.ravel(), rows.ravel(), np.arange(0, n * q + 1, q)), (size, n), copy=True)
+    made.sort_indices()
+    return made
+
+
 class Observations:
     """The linear map A of n observations, in the two forms that the likelihood needs.
 
@@ -81,19 +89,15 @@ class Observations:
     """
 
     def __init__(self, places: Places, weights: Floats, shape: tuple[int, int]) -> None:
-        n, q = places.shape
+        q = places.shape[1]
         self._shape = shape
-        self._gather = sp.csr_matrix((weights.T.ravel(), (places.T.ravel(), np.tile(np.arange(n), q))), (shape[1], n))
-        rows, columns, values = [], [], []
-        for a in range(q):
-            for b in range(q):
-                apart = places[:, a] - places[:, b]
-                lower = np.flatnonzero(apart >= 0)
-                rows.append(apart[lower] * shape[1] + places[lower, b])
-                columns.append(lower)
-                values.append(weights[lower, a] * weights[lower, b])
-        elements = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        self._square = sp.csr_matrix(elements, (shape[0] * shape[1], n))
+        self._gather = _by_observation(places, weights, shape[1])
+        # Each pair of an observation's places once, the later one in front; of two equal ones both orders count.
+        first, second = np.triu_indices(q)
+        apart = places[:, first] - places[:, second]
+        twice = np.where((apart == 0) & (first != second), 2.0, 1.0)
+        rows = np.abs(apart) * shape[1] + np.minimum(places[:, first], places[:, second])
+        self._square = _by_observation(rows, weights[:, first] * weights[:, second] * twice, shape[0] * shape[1])
 
     def information(self, variance: Floats) -> Floats:
         """The band of A' R^-1 A, for variances (n,)."""
