@@ -127,6 +127,7 @@ class Likelihood:
     ) -> None:
         self.model, self.lag, self.terms, self.departures = model, lag, tuple(terms), tuple(departures)
         self._road_load, self._taken = road_load, taken
+        self._last: tuple[bytes, Conditioned, Floats] | None = None
         X = self._columns(model.driven)
         self._plain = X.shape[1] - len(terms)  # coefficients before the offsets
         data = model.given(np.column_stack([model.driven.a, X]))
@@ -152,23 +153,37 @@ class Likelihood:
         beta = np.linalg.solve(information, gram[1:, 0])
         return beta, information, float(gram[0, 0] - gram[1:, 0] @ beta)
 
+    def at(self, scales: Floats) -> tuple[Conditioned, Floats]:
+        """The model with ``scales`` (k,), and the gram matrix of the data; those asked for last are kept.
+
+        Raises
+        ------
+        NotPositiveDefiniteError
+            The scales lie too far apart for floating point.
+        """
+        key = scales.tobytes()
+        if self._last is None or self._last[0] != key:
+            conditioned = self.model.condition(scales)
+            self._last = key, conditioned, conditioned.gram(self.data)
+        return self._last[1:]
+
     def log_evidence(self, scales: Floats) -> float:
         """Log marginal likelihood of ``scales`` (k,), coefficients integrated out, up to a constant of the model.
 
         Minus infinity where they lie too far apart for floating point.
         """
         try:
-            conditioned = self.model.condition(scales)
+            conditioned, gram = self.at(scales)
         except NotPositiveDefiniteError:
             return -np.inf
-        _, information, misfit = self.solve(conditioned.gram(self.data))
+        _, information, misfit = self.solve(gram)
         volume = float(np.linalg.slogdet(information)[1] - np.log(np.diag(self.prior)).sum())
         return -0.5 * (conditioned.log_determinant + volume + misfit)
 
     def score(self, scales: Floats) -> Score:
         """How the log evidence changes with the logarithms of ``scales`` (k,)."""
-        conditioned = self.model.condition(scales)
-        beta, information, _ = self.solve(conditioned.gram(self.data))
+        conditioned, gram = self.at(scales)
+        beta, information, _ = self.solve(gram)
         return score(conditioned, scales, self.data, beta, information)
 
     def noise_information(
