@@ -19,9 +19,11 @@ from estimator.settings import (
     Bus,
     Gate,
     Kinematics,
+    Lake,
     Load,
     Prior,
     Publish,
+    Range,
     Reception,
     RoadTable,
     Sampler,
@@ -36,7 +38,12 @@ from estimator.settings import (
 MAX_FILE_BYTES = 1 << 20  # bytes of a configuration: an endless device or fifo does not fill the memory
 MAX_MAP_BYTES = 256 << 20  # bytes of a map: 13 million places, more than the cells of the main roads of a continent
 DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
-FREE_TABLES: dict[str, Any] = {"signals": SignalPaths, "bus.source_addresses": Address}  # keys are the user's
+FREE_TABLES: dict[str, Any] = {  # keys are the user's
+    "signals": SignalPaths,
+    "bus.source_addresses": Address,
+    "lake.units": str,
+    "lake.ranges": Range,
+}
 
 J1939_BINDING: dict[str, SignalPaths] = {
     Role.SPEED: "CCVS1.WheelBasedVehicleSpeed",
@@ -73,6 +80,7 @@ class Config(Section, frozen=True):
     effects: list[str] = msgspec.field(default_factory=list)  # beyond the plain road load, as the catalogue names them
     vehicle: Vehicle = Vehicle()
     bus: Bus = Bus()
+    lake: Lake | None = None  # logs hold decoded signals instead of frames
     signals: dict[str, SignalPaths] = msgspec.field(default_factory=dict)
     kinematics: Kinematics = Kinematics()
     admission: Admission = Admission()
@@ -129,6 +137,12 @@ def check(config: Config) -> None:
             message, _, name = signal.partition(".")
             if not message or not name or "." in name:
                 raise ConfigError(f"signals.{role}: {signal!r} is not of the form MESSAGE.signal")
+    paths = {path for bound in config.binding.values() for path in ([bound] if isinstance(bound, str) else bound)}
+    for table in ("units", "ranges"):
+        for path in sorted(getattr(config.lake, table, {}).keys() - paths):
+            raise ConfigError(
+                f"lake.{table}.{path}: no signal of that name is bound; bound are {', '.join(sorted(paths))}"
+            )
 
 
 def from_dict(tables: dict[str, Any]) -> Config:
@@ -206,7 +220,7 @@ def load(path: Path | str | None = None) -> Config:
     )
 
 
-def replace(config: Config, **sections: Section) -> Config:
+def replace(config: Config, **sections: Section | None) -> Config:
     """A copy of ``config`` with whole tables exchanged."""
     return msgspec.structs.replace(config, **sections)
 

@@ -42,6 +42,16 @@ class Bus(Section, frozen=True):
     contest_s: Annotated[float, Meta(ge=10)] = 30.0  # without a contradiction after which a signal is used again
 
 
+class Lake(Section, frozen=True):
+    """Traffic that was decoded before: a folder of Parquet files by device, message and day, read without a DBC.
+
+    Keys are MESSAGE.signal. Units and ranges that are not given are those of the DBC, if it has a signal of that name.
+    """
+
+    units: dict[str, str] = {}
+    ranges: dict[str, Range] = {}  # in that unit: what lies outside is no value, as "not available" of J1939
+
+
 class Kinematics(Section, frozen=True):
     """How speed becomes acceleration."""
 

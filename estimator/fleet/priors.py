@@ -75,6 +75,7 @@ def as_toml(config: Config) -> str:
     whole = configuration.replace(
         config,
         bus=msgspec.structs.replace(config.bus, dbc=databases),
+        lake=None,  # a gateway hears frames
         road=msgspec.structs.replace(config.road, map=road_map),
     )
     return toml_text.dump(msgspec.to_builtins(whole))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.can_io.binding import bind, load_database
+from estimator.can_io.bound_traffic import bound_messages
 from estimator.config import Config
 from estimator.errors import ConfigError
 from estimator.estimation.evidence import Coefficients
@@ -78,7 +78,7 @@ def run_fleet(
     """
     if config.sampler.likelihood != "road":
         raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
-    bind(config, load_database(config.bus.dbc))
+    bound_messages(config)
     if config.road.map is not None:
         RoadMap.read(Path(config.road.map))
     grouped = group(_surveys(logs, config, engine, progress))

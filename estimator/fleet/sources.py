@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from estimator.can_io.logs import FORMATS
+from estimator.can_io.logs.lake import day_of, files_of, is_day
 from estimator.errors import ConfigError, InputError, LogError
 
 LIST = ".txt"  # suffix of a list of logs: a log a line, and its vehicle after a tab
@@ -77,16 +78,18 @@ def _logs_of(source: str) -> Iterator[LogFile]:
         yield from _listed(Path(source))
     elif Path(source).is_dir():
         for path in Path(source).rglob("*"):
-            if _is_log(path.name) and path.is_file():
-                yield LogFile(str(path), _vehicle(source, str(path)))
+            if (log := _log_of(str(path), source)) is not None and path.is_file():
+                yield log
+    elif is_day(Path(source)) and files_of(Path(source)):
+        yield LogFile(source, _device(source))
     elif Path(source).is_file():
         yield LogFile(source, _vehicle(source, source))
     elif WILD.search(source):
         for name in glob(source, recursive=True):
             if Path(name).is_dir():
                 yield from _logs_of(name)
-            elif _is_log(name):
-                yield LogFile(name, _vehicle(name, name))
+            elif (log := _log_of(name, name)) is not None:
+                yield log
     else:
         raise InputError(f"{source}: no such file or folder; check the path")
 
@@ -102,7 +105,7 @@ def _listed(path: Path) -> Iterator[LogFile]:
         if not name:
             continue
         place = name if "://" in name else str(path.parent / name)
-        if "://" not in name and not Path(place).is_file():
+        if "://" not in name and not (files_of(Path(place)) if is_day(Path(place)) else Path(place).is_file()):
             raise InputError(f"{path}:{number}: no such log: {place}; correct or delete the line")
         yield LogFile(place, vehicle.strip() or _vehicle(place, place))
 
@@ -118,13 +121,23 @@ def _remote(source: str) -> Iterator[LogFile]:
     except Exception as error:  # of any storage library
         raise InputError(f"{source}: cannot be listed ({_line(error)})") from error
     for name in names:
-        if _is_log(name):
-            yield LogFile(files.unstrip_protocol(name), _vehicle(root, name))
+        if (log := _log_of(name, root)) is not None:
+            yield LogFile(files.unstrip_protocol(log.source), log.vehicle)
 
 
-def _is_log(name: str) -> bool:
-    lower = name.lower()
-    return lower.endswith(tuple(FORMATS)) and not PurePosixPath(name).name.startswith(".")
+def _log_of(name: str, root: str) -> LogFile | None:
+    """The log that a file is, or a part of; None where it is none. ``root`` is the source that it was found in."""
+    if PurePosixPath(name).name.startswith("."):
+        return None
+    if name.lower().endswith(tuple(FORMATS)):
+        return LogFile(name, _vehicle(root, name))
+    day = day_of(Path(name).as_posix())
+    return None if day is None else LogFile(day, _device(day))
+
+
+def _device(day: str) -> str:
+    """The folder that the messages of a lake are in."""
+    return PurePosixPath(day).parents[4].name or Path.cwd().name
 
 
 def _vehicle(root: str, log: str) -> str:
@@ -169,13 +182,25 @@ def local_copy(source: str) -> Iterator[Path]:
         yield Path(source)
         return
     with TemporaryDirectory(prefix="roadload-") as folder:
-        path = Path(folder, PurePosixPath(source).name)
         files, name = file_system(source)
         try:
-            files.get_file(name, str(path))
+            path = _fetch(files, name, Path(folder))
         except Exception as error:  # of any storage library
             raise LogError(f"{source}: cannot be fetched ({_line(error)})") from error
         yield path
+
+
+def _fetch(files: Any, name: str, folder: Path) -> Path:
+    """Copy a log, or all files of a day of a lake, into a folder; its path there."""
+    path = PurePosixPath(name)
+    if not is_day(path):
+        files.get_file(name, str(folder / path.name))
+        return folder / path.name
+    for one in files.glob(name):
+        copy = folder.joinpath(*PurePosixPath(one).parts[-5:])
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        files.get_file(one, str(copy))
+    return folder.joinpath(*path.parts[-5:])
 
 
 def _line(error: Exception) -> str:

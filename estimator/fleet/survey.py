@@ -6,6 +6,7 @@ from hashlib import blake2b
 from pathlib import Path
 
 from estimator.can_io.logs.channels import described
+from estimator.can_io.logs.lake import files_of, is_day
 from estimator.config import Config
 from estimator.errors import RoadloadError
 from estimator.fleet.sources import LogFile, local_copy
@@ -56,9 +57,10 @@ def _line(log: LogFile, error: Exception) -> str:
 
 
 def _content(path: Path) -> str:
-    """Hash of the bytes of a file."""
+    """Hash of the bytes of a file, or of all files of a day of a lake."""
     digest = blake2b(digest_size=16)
-    with path.open("rb") as file:
-        while piece := file.read(PIECE):
-            digest.update(piece)
+    for one in files_of(path) if is_day(path) else [path]:
+        with one.open("rb") as file:
+            while piece := file.read(PIECE):
+                digest.update(piece)
     return digest.hexdigest()

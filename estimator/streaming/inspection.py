@@ -10,7 +10,7 @@ import numpy as np
 from estimator.answers.inspection import Busy, InspectionAnswer
 from estimator.answers.inspection import Frames as FrameCounts
 from estimator.answers.inspection import Input as InputAnswer
-from estimator.can_io.binding import bind, load_database
+from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
 from estimator.config import Config
@@ -59,7 +59,7 @@ class Inspection:
     """Collects the inputs in traffic, batch by batch; `report` returns them."""
 
     def __init__(self, config: Config) -> None:
-        messages = bind(config, load_database(config.bus.dbc))
+        messages = bound_messages(config)
         bound = sorted((s.role, s.place, f"{m.name}.{s.signal.name}") for m in messages for s in m.signals)
         self._several = {role for role, place, _ in bound if place > 0}
         self._inputs = {(role, place): Input(name) for role, place, name in bound}

@@ -4,9 +4,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs import Log, open_log
+from estimator.can_io.logs.lake import LakeLog, is_day
 from estimator.config import Config
+from estimator.errors import LogError
 
 Progress = Callable[[float], None]  # called with the share of the work that is done
 
@@ -33,10 +36,21 @@ class LogFrames:
 
     def __init__(self, paths: Sequence[Path], config: Config, progress: Progress = no_progress) -> None:
         self._channels = [str(channel) for channel in config.bus.channels]
-        self._logs: list[Log] = [open_log(path, self._channels) for path in paths]
+        self._logs: list[Log] = [self._open(path, config) for path in paths]
         self._progress = progress
         self.skipped: Counter[str] = Counter()
         self.mixed: Counter[str] = Counter()
+
+    def _open(self, path: Path, config: Config) -> Log:
+        if not is_day(path):
+            if config.lake is not None:
+                raise LogError(
+                    f"{path}: is no day of a lake (DEVICE/*/2024/01/15/*.parquet); take the table [lake] out"
+                )
+            return open_log(path, self._channels)
+        if config.lake is None:
+            raise LogError(f"{path}: holds decoded signals; give a configuration with a table [lake], and their units")
+        return LakeLog(path, self._channels, bound_messages(config))
 
     def __iter__(self) -> Iterator[Frames]:
         for i, log in enumerate(self._logs):

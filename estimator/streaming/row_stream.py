@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.can_io.binding import bind, load_database
+from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import Frames
 from estimator.can_io.time_order import MAX_DELAY, TimeOrder
@@ -105,7 +105,7 @@ class RowStream:
     """
 
     def __init__(self, config: Config) -> None:
-        self._messages = bind(config, load_database(config.bus.dbc))
+        self._messages = bound_messages(config)
         self._names = {s.role: f"{m.name}.{s.signal.name}" for m in self._messages for s in m.signals}
         self._config = config
         self._decoder, self._aligner = self._new()

@@ -68,6 +68,8 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
         Configuration, databases or the choice of buses are wrong.
     """
     settings = settle(path, dbc, options)
+    if settings.lake is not None:
+        raise ConfigError("lake: a bus carries frames; take the table out")
     messages = bind(settings, load_database(settings.bus.dbc))
     source = spec_of(options, settings.reception)
     source.resolved()

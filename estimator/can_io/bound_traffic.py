@@ -1,0 +1,89 @@
+"""The messages that the configuration binds: those of databases, or of a lake of decoded signals.
+
+Decoded signals take the way of frames: each row of a lake is a frame of numbers of 64 bits, so that senders, times and
+values are judged as those of a bus are. What is known of raw values, resolution and rates is not known of them.
+"""
+
+from dataclasses import replace
+
+from cantools.database import Message as AnyMessage
+from cantools.database.can import Database, Message, Signal
+from cantools.database.conversion import BaseConversion
+
+from estimator.can_io.binding import BoundMessage, bind, load_database
+from estimator.can_io.frames import FD_BYTES
+from estimator.config import Config
+from estimator.errors import ConfigError
+
+NUMBER_BYTES = 8  # of a value in a frame
+FIRST_IDENT = 0x18FF0000  # of groups without a meaning of their own (J1939 proprietary B)
+MAX_MESSAGES = 256  # of these groups
+
+
+def bound_messages(config: Config) -> list[BoundMessage]:
+    """The messages and signals that roles are bound to.
+
+    Raises
+    ------
+    DatabaseError
+        A message or signal is not known, or its unit is unknown or of the wrong kind.
+    ConfigError
+        ``bus.match`` or ``bus.source_addresses`` does not fit a message, or a lake's signals are too many.
+    """
+    database = load_database(config.bus.dbc)
+    if config.lake is None:
+        return bind(config, database)
+    # Neither special values nor rates of J1939 are looked for in numbers that another program decoded.
+    return [replace(message, j1939=False, cycle=None) for message in bind(config, _lake_database(config, database))]
+
+
+def _lake_database(config: Config, known: Database) -> Database:
+    """A database of the bound messages, each signal a number of 64 bits."""
+    names: dict[str, list[str]] = {}
+    for bound in config.binding.values():
+        for path in [bound] if isinstance(bound, str) else bound:
+            message, signal = path.split(".")
+            if signal not in names.setdefault(message, []):
+                names[message].append(signal)
+    if len(names) > MAX_MESSAGES:
+        raise ConfigError(f"signals: of {len(names)} messages; a lake can be read for {MAX_MESSAGES}")
+    return Database([_message(i, name, signals, config, known) for i, (name, signals) in enumerate(names.items())])
+
+
+def _message(index: int, name: str, signals: list[str], config: Config, known: Database) -> Message:
+    if len(signals) * NUMBER_BYTES > FD_BYTES:
+        raise ConfigError(f"signals: {len(signals)} of {name}; of one message a lake can be read for {FD_BYTES // 8}")
+    return Message(
+        frame_id=FIRST_IDENT | index << 8,
+        name=name,
+        length=NUMBER_BYTES * len(signals),
+        signals=[_signal(place, f"{name}.{signal}", config, known) for place, signal in enumerate(signals)],
+        is_extended_frame=True,
+        is_fd=len(signals) > 1,
+        protocol="j1939",  # so that the last byte of an id is its sender
+    )
+
+
+def _signal(place: int, path: str, config: Config, known: Database) -> Signal:
+    lake = config.lake
+    assert lake is not None
+    like = _known(known, path)
+    unit = lake.units.get(path, None if like is None else like.unit)
+    low, high = lake.ranges.get(path, (None, None) if like is None else (like.minimum, like.maximum))
+    return Signal(
+        name=path.split(".")[1],
+        start=8 * NUMBER_BYTES * place,
+        length=8 * NUMBER_BYTES,
+        is_signed=True,
+        conversion=BaseConversion.factory(is_float=True),
+        minimum=low,
+        maximum=high,
+        unit=unit,
+    )
+
+
+def _known(database: Database, path: str) -> Signal | None:
+    """The signal of that name in a database, if there is one."""
+    message, name = path.split(".")
+    found: list[AnyMessage] = [each for each in database.messages if each.name == message]
+    return next((signal for each in found for signal in each.signals if signal.name == name), None)
