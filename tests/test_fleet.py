@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -210,6 +211,73 @@ def test_one_worker_and_two_give_the_same_bits(outputs: list[tuple[Path, dict[st
     for name in names:
         assert (one / name).read_bytes() == (two / name).read_bytes()
     assert first["rows"] == second["rows"] == {"estimated": 2, "duplicate": 1, "unreadable": 1, "failed": 1}
+
+
+@pytest.fixture
+def cluster() -> Iterator[tuple[str, int]]:
+    """A scheduler and a worker of their own: its address, and its process."""
+    pytest.importorskip("distributed")
+    dask = [sys.executable, "-m", "dask"]
+    command = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    scheduler = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    worker = None
+    try:
+        assert scheduler.stderr is not None
+        address = next(found[1] for line in scheduler.stderr if (found := re.search(r"at: *(tcp://\S+)", line)))
+        command = [*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+        worker = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        yield address, scheduler.pid
+    finally:
+        for process in (worker, scheduler):
+            if process is not None:
+                process.kill()
+                process.communicate()
+
+
+def test_a_cluster_gives_the_same_bits(
+    fleet: Path, outputs: list[tuple[Path, dict[str, Any], list[str]]], cluster: tuple[str, int], tmp_path: Path
+) -> None:
+    status, answer, _ = ask(fleet, "-o", tmp_path / "fleet", "--scheduler", cluster[0], "--report")
+    assert status == 0
+    assert answer["rows"] == outputs[0][1]["rows"]
+    for path in outputs[0][0].rglob("*"):
+        if path.is_file():
+            assert path.read_bytes() == (tmp_path / "fleet" / path.relative_to(outputs[0][0])).read_bytes()
+
+
+def test_a_scheduler_that_goes_away_is_one_line(cluster: tuple[str, int]) -> None:
+    address, process = cluster
+    program = (
+        "import os, signal, sys\n"
+        "from estimator.errors import RoadloadError\n"
+        "from estimator.fleet.engine import dask_engine\n"
+        "try:\n"
+        "    with dask_engine(sys.argv[1], 1) as engine:\n"
+        "        list(engine.map(lambda pid: os.kill(pid, signal.SIGTERM), [int(sys.argv[2])]))\n"
+        "except RoadloadError as error:\n"
+        "    print(error, file=sys.stderr)\n"
+    )
+    command = [sys.executable, "-c", program, address, str(process)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.stderr == "the scheduler has gone away; run again: the drives that are done are kept\n"
+
+
+def test_an_interrupt_from_the_terminal_is_no_traceback() -> None:
+    pytest.importorskip("distributed")
+    program = (
+        "import os, signal\n"
+        "from estimator.fleet.engine import dask_engine\n"
+        "if __name__ == '__main__':\n"
+        "    try:\n"
+        "        with dask_engine(None, 2) as engine:\n"
+        "            list(engine.map(lambda group: os.killpg(group, signal.SIGINT), [os.getpgid(0)]))\n"
+        "            signal.pause()\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('interrupted')\n"
+    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, start_new_session=True)
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
 def test_each_fault_is_one_line(outputs: list[tuple[Path, dict[str, Any], list[str]]]) -> None:

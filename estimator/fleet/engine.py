@@ -1,9 +1,11 @@
 """Tasks of a fleet: in this process, or on Dask's workers."""
 
 import logging
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import Any, Protocol, TypeVar
 
 from estimator.errors import RoadloadError
@@ -103,6 +105,7 @@ def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
     try:
         import dask
         from distributed import Client, LocalCluster
+        from distributed.utils import silence_logging_cmgr
     except ImportError as error:
         raise RoadloadError("roadload fleet needs Dask: pip install 'roadload[fleet]'") from error
     if scheduler is not None:
@@ -110,7 +113,7 @@ def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
             client = Client(scheduler, timeout=SECONDS_TO_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             raise RoadloadError(f"{scheduler}: no Dask scheduler answers there; check --scheduler") from error
-        with client:
+        with silence_logging_cmgr(logging.CRITICAL), client:  # else a scheduler that goes away is a traceback
             yield Distributed(client)
         return
     options: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "silence_logs": logging.CRITICAL}
@@ -119,9 +122,21 @@ def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
         "distributed.scheduler.allowed-failures": DEATHS,
         "distributed.worker.profile.enabled": False,  # keeps what a worker did in each of the last 3,600 s: 0.3 MiB/s
     }
-    with (
-        dask.config.set(settings),
-        LocalCluster(n_workers=workers, **options) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        yield Distributed(client)
+    with dask.config.set(settings), ExitStack() as stack:
+        with _no_interrupts():
+            cluster = stack.enter_context(LocalCluster(n_workers=workers, **options))
+        yield Distributed(stack.enter_context(Client(cluster, set_as_default=False)))
+
+
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Let no thread and no process that is started in the block be interrupted from the terminal, then or later.
+
+    Ctrl-C goes to all processes; each worker would write a traceback. It ends them through this one.
+    """
+    resource_tracker.ensure_running()  # once; its start would undo what follows for the thread that starts workers
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
