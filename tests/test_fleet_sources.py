@@ -33,6 +33,21 @@ def test_a_vehicle_is_the_first_folder_below_the_source(tmp_path: Path) -> None:
     assert found(f"{tmp_path}/**/*.log") == {"a.log": "2024", "b.log": "truck-2"}
 
 
+def test_device_session_and_split_files_of_a_logger_are_drives_of_the_device(tmp_path: Path) -> None:
+    """The card of a CANedge: LOG/DEVICE/SESSION/SPLIT, and a bucket: DEVICE/SESSION/SPLIT-TIME."""
+    for later, device in enumerate(("2F6913DB", "AABBCCDD")):
+        for session in range(2):
+            for split in range(3):
+                start = T0 + 86_400.0 * session + 61.0 * split + later
+                candump(tmp_path / f"LOG/{device}/{session + 1:08}/{split + 1:08}.log", start, 60)
+    logs = find_logs([str(tmp_path / "LOG")])
+    drives = group([survey(log, Config()) for log in logs]).drives
+    assert [(drive.vehicle, len(drive.sources)) for drive in drives] == [
+        ("2F6913DB", 3), ("2F6913DB", 3), ("AABBCCDD", 3), ("AABBCCDD", 3)
+    ]  # fmt: skip
+    assert [Path(source).name for source in drives[0].sources] == ["00000001.log", "00000002.log", "00000003.log"]
+
+
 def test_a_vehicle_is_the_group_of_a_pattern(tmp_path: Path) -> None:
     candump(tmp_path / "drives/truck-1_monday.log")
     candump(tmp_path / "drives/truck-2_monday.log")
