@@ -6,7 +6,7 @@ import pytest
 
 from estimator.config import Config
 from estimator.errors import ConfigError, InputError, LogError
-from estimator.fleet.grouping import YEAR, Drive, group
+from estimator.fleet.grouping import YEAR, Drive, by_engine, group
 from estimator.fleet.sources import LogFile, find_logs, local_copy
 from estimator.fleet.survey import Survey, survey
 
@@ -46,6 +46,23 @@ def test_device_session_and_split_files_of_a_logger_are_drives_of_the_device(tmp
         ("2F6913DB", 3), ("2F6913DB", 3), ("AABBCCDD", 3), ("AABBCCDD", 3)
     ]  # fmt: skip
     assert [Path(source).name for source in drives[0].sources] == ["00000001.log", "00000002.log", "00000003.log"]
+
+
+def test_a_vehicle_is_the_engine_that_claims_its_address(tmp_path: Path) -> None:
+    first, second = "0102030405060708", "1102030405060708"
+    for name, engine, start in (("a", first, 0.0), ("b", "", 62.0), ("c", second, 600.0), ("d", "", 4000.0)):
+        path = candump(tmp_path / f"mixed/{name}.log", T0 + start, 60)
+        if engine:
+            other = f"({T0 + start:.6f}) can0 18EEFF0B#FFFFFFFFFFFFFFFF\n"  # of the brakes
+            path.write_text(f"{other}({T0 + start:.6f}) can0 18EEFF00#{engine}\n" + path.read_text())
+    surveys = [survey(log, Config()) for log in find_logs([str(tmp_path / "mixed")])]
+    assert [one.engine for one in surveys] == ["0807060504030201", "", "0807060504030211", ""]
+    drives = group(by_engine(surveys)).drives
+    assert [(drive.vehicle, [Path(source).name for source in drive.sources]) for drive in drives] == [
+        ("0807060504030201", ["a.log", "b.log"]),
+        ("0807060504030211", ["c.log"]),
+        ("mixed", ["d.log"]),
+    ]
 
 
 def test_a_vehicle_is_the_group_of_a_pattern(tmp_path: Path) -> None:

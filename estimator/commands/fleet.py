@@ -21,6 +21,8 @@ from estimator.fleet.tables import Row, require_arrow
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
+BY_ENGINE = "NAME"  # instead of a regular expression for the vehicle
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
@@ -28,7 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     parser.add_argument("source", nargs="+", metavar="SOURCE", help=SOURCES)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="folder of the tables")
-    parser.add_argument("--vehicle", metavar="REGEX", help="its first group names the vehicle in the path of a log")
+    vehicle = (
+        f"its first group names the vehicle in the path of a log; or {BY_ENGINE}, of the engine on the bus (J1939)"
+    )
+    parser.add_argument("--vehicle", metavar="REGEX", help=vehicle)
     engine = parser.add_mutually_exclusive_group()
     engine.add_argument("--workers", type=_workers, metavar="N", help="processes; as many as there are cores")
     engine.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a Dask cluster, instead of processes")
@@ -45,12 +50,21 @@ def run(options: argparse.Namespace) -> int:
     """Estimate the fleet, write the tables, and print what came of it."""
     config = settings(options)
     require_arrow()
-    logs = find_logs(options.source, options.vehicle)
+    are_named = options.vehicle == BY_ENGINE
+    logs = find_logs(options.source, None if are_named else options.vehicle)
     prepare(options.output)
     cache = Cache.of(options.output / CACHE, config, options.diagnose)
     workers = options.workers or len(os.sched_getaffinity(0))
     with progress_bar("fleet") as progress, dask_engine(options.scheduler, workers) as engine:
-        found = run_fleet(logs, config, engine, cache=cache, with_diagnosis=options.diagnose, progress=progress)
+        found = run_fleet(
+            logs,
+            config,
+            engine,
+            cache=cache,
+            with_diagnosis=options.diagnose,
+            are_named=are_named,
+            progress=progress,
+        )
     written = write_fleet(
         found, config, options.output, options.fdr, with_diagnosis=options.diagnose, with_page=options.report
     )

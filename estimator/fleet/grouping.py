@@ -2,8 +2,9 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from math import inf
 
 from estimator.fleet.survey import Survey
 from estimator.streaming.row_stream import MIN_SET_CLOCK
@@ -67,6 +68,23 @@ def group(surveys: Sequence[Survey]) -> Grouped:
             by_vehicle[one.log.vehicle].append(one)
     drives = [drive for name in sorted(by_vehicle) for drive in _joined(by_vehicle[name])]
     return Grouped(tuple(drives), tuple(rejected), _notes(drives))
+
+
+def by_engine(surveys: Sequence[Survey]) -> list[Survey]:
+    """The same logs, each of the vehicle whose engine claimed an address in it.
+
+    Nodes claim addresses when they start, so files that continue such a log are of its vehicle. Others keep theirs.
+    """
+    named: dict[int, Survey] = {}
+    last: dict[str, tuple[float, str]] = {}  # end [s] and vehicle of the newest log, by folder
+    for i, one in sorted(enumerate(surveys), key=lambda pair: (pair[1].start, pair[1].log.source)):
+        end, before = last.get(one.log.vehicle, (-inf, ""))
+        continues = end >= MIN_SET_CLOCK and 0 <= one.start - end <= JOIN_GAP
+        vehicle = one.engine or (before if continues else one.log.vehicle)
+        named[i] = replace(one, log=replace(one.log, vehicle=vehicle))
+        if not one.fault:
+            last[one.log.vehicle] = one.end, vehicle
+    return [named[i] for i in range(len(surveys))]
 
 
 def _rejection(one: Survey, status: str, reason: str) -> Rejected:

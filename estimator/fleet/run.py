@@ -14,7 +14,7 @@ from estimator.estimation.evidence import Coefficients
 from estimator.fleet.cache import Cache
 from estimator.fleet.drive_result import DriveResult, estimate_drive
 from estimator.fleet.engine import Engine, Failure
-from estimator.fleet.grouping import Drive, Grouped, group
+from estimator.fleet.grouping import Drive, Grouped, by_engine, group
 from estimator.fleet.pooling import Mixture
 from estimator.fleet.population import MIN_VEHICLES, population, q_values
 from estimator.fleet.road import LearnedRoad, learned
@@ -67,9 +67,10 @@ def run_fleet(
     *,
     cache: Cache | None = None,
     with_diagnosis: bool = False,
+    are_named: bool = False,
     progress: Progress = lambda share: None,
 ) -> Fleet:
-    """Estimate the drives and vehicles of a fleet.
+    """Estimate the drives and vehicles of a fleet; where they ``are_named``, by the NAME that each engine claims.
 
     Raises
     ------
@@ -81,7 +82,8 @@ def run_fleet(
     bound_messages(config)
     if config.road.map is not None:
         RoadMap.read(Path(config.road.map))
-    grouped = group(_surveys(logs, config, engine, progress))
+    surveys = _surveys(logs, config, engine, progress)
+    grouped = group(by_engine(surveys) if are_named else surveys)
     results = _results(grouped.drives, config, engine, cache, with_diagnosis, progress)
     return conclude(grouped, results, config, engine)
 

@@ -5,6 +5,12 @@ from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 
+import numpy as np
+
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.j1939 import GLOBAL
+from estimator.can_io.j1939_name import BYTES
+from estimator.can_io.j1939_node import ADDRESS_CLAIMED
 from estimator.can_io.logs.channels import described
 from estimator.can_io.logs.lake import files_of, is_day
 from estimator.config import Config
@@ -13,6 +19,8 @@ from estimator.fleet.sources import LogFile, local_copy
 from estimator.streaming.log_frames import LogFrames
 
 PIECE = 1 << 20  # bytes hashed at a time
+WITHOUT_PRIORITY = EXTENDED | 0x3FFFFFF  # bits of an id
+ENGINE_CLAIM = EXTENDED | ADDRESS_CLAIMED << 8 | GLOBAL << 8  # by the address 0, that of engine 1 (J1939-81)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +29,7 @@ class Survey:
 
     ``content`` is a hash of its bytes, empty where it cannot be read; ``start`` and ``end`` are the times of its
     first and last frame [s], ``fault`` is the reason why it cannot be read to the end, or empty, and ``note`` a doubt.
+    ``engine`` is the J1939 NAME that the engine claimed its address with, in hexadecimal, or empty.
     """
 
     log: LogFile
@@ -29,11 +38,12 @@ class Survey:
     end: float
     fault: str = ""
     note: str = ""
+    engine: str = ""
 
 
 def survey(log: LogFile, config: Config) -> Survey:
     """Read a log without decoding it."""
-    content, start, end = "", 0.0, 0.0
+    content, engine, start, end = "", "", 0.0, 0.0
     try:
         with local_copy(log.source) as path:
             first = True
@@ -41,10 +51,17 @@ def survey(log: LogFile, config: Config) -> Survey:
             for frames in logs:
                 start, first = (float(frames.t[0]) if first else start), False
                 end = float(frames.t[-1])
+                engine = engine or _engine(frames)
             content = _content(path)
     except (RoadloadError, OSError) as error:
         return Survey(log=log, content=content, start=start, end=end, fault=_line(log, error))
-    return Survey(log=log, content=content, start=start, end=end, note=_note(logs.mixed))
+    return Survey(log=log, content=content, start=start, end=end, note=_note(logs.mixed), engine=engine)
+
+
+def _engine(frames: Frames) -> str:
+    """The NAME in the first address claim of the engine, empty where there is none."""
+    claims = np.flatnonzero((frames.ident & np.uint32(WITHOUT_PRIORITY) == ENGINE_CLAIM) & (frames.length == BYTES))
+    return bytes(frames.data[claims[0], BYTES - 1 :: -1]).hex().upper() if len(claims) else ""
 
 
 def _note(mixed: Mapping[str, int]) -> str:
