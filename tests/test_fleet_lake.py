@@ -71,13 +71,14 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_a_lake_gives_the_estimate_of_its_log(drive: Path) -> None:
-    reference = configuration.from_dict({"vehicle": {"reference_torque_Nm": 2000.0}})
+    reference = configuration.from_dict({"vehicle": {"reference_torque_Nm": 2500.0}})
     log = estimate_logs([drive / "2F6913DB.blf"], reference).final
     found = estimate_drives([drive / "lake"], configuration.replace(reference, lake=LAKE.lake))
     assert found["vehicle"].tolist() == ["2F6913DB"]
     assert found["status"].tolist() == ["estimated"]
     assert log.mass is not None
     assert found["mass_kg_mean"][0] == pytest.approx(log.mass.mean, rel=1e-4)
+    assert found["mass_kg_mean"][0] == pytest.approx(TRUCK.mass, rel=0.03)
     assert found["mass_kg_sd"][0] == pytest.approx(log.mass.sd, rel=1e-2)
     assert found["source"][0] == f"{drive}/lake/2F6913DB/*/2024/01/15/*.parquet"
 
@@ -93,7 +94,7 @@ def test_a_drive_over_midnight_is_one(drive: Path, tmp_path: Path) -> None:
             target = tmp_path / "lake/2F6913DB" / file.parents[3].name / day / file.name
             target.parent.mkdir(parents=True)
             parquet.write_table(part, target)
-    config = configuration.from_dict({"lake": {}, "vehicle": {"reference_torque_Nm": 2000.0}})
+    config = configuration.from_dict({"lake": {}, "vehicle": {"reference_torque_Nm": 2500.0}})
     found = estimate_drives([tmp_path / "lake"], config)
     assert found["files"].tolist() == [2]
     assert found["status"].tolist() == ["estimated"]
