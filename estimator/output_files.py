@@ -37,9 +37,29 @@ def whole(path: Path) -> Iterator[Path]:
     RoadloadError
         The file cannot be written.
     """
+    with _replacing(path) as temporary:
+        os.close(create(temporary, 0o666))
+        yield temporary
+
+
+def write(path: Path, content: bytes, mode: int) -> None:
+    """Write a file whole or not at all, through the descriptor of the new file: nobody can put a link in its place.
+
+    Raises
+    ------
+    RoadloadError
+        The file cannot be written.
+    """
+    with _replacing(path) as temporary, open(create(temporary, mode), "wb") as file:
+        os.fchmod(file.fileno(), mode)  # whatever the umask
+        file.write(content)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A temporary name that becomes ``path`` when all went well and vanishes otherwise."""
     temporary = path.with_name(f"{PART}{path.name}")
     try:
-        os.close(create(temporary, 0o666))
         yield temporary
         temporary.replace(path)
     except OSError as error:

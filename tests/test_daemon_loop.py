@@ -470,6 +470,10 @@ def test_a_status_of_another_version_is_refused_with_the_reason(tmp_path: Path) 
     path.write_text("{broken")
     with pytest.raises(InputError, match="not a status file"):
         status_file.read(path)
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="is larger than 1 MiB"):
+        status_file.read(path)
 
 
 def test_metrics_can_be_read_by_prometheus(sending: Bench) -> None:

@@ -1,5 +1,6 @@
 """Our own faults on the bus: DM1 and DM2 in the bytes of J1939-73, sent whole by the transport protocol."""
 
+import os
 from pathlib import Path
 
 import can
@@ -37,6 +38,7 @@ from estimator.daemon.service.faults import ESTIMATE, FIRST_ROLE, FRAMES_LOST, S
 from estimator.daemon.service.worker import Knowledge
 from estimator.errors import InputError
 from estimator.estimate import Coverage, Estimate, Status
+from estimator.input_files import MIB
 from estimator.signals import Role
 
 SPEED = TroubleCode(84, Fmi.NETWORK_DATA)
@@ -453,6 +455,21 @@ def test_a_file_that_holds_no_codes_is_refused(tmp_path: Path, content: bytes) -
     (tmp_path / "codes.json").write_bytes(content)
     with pytest.raises(InputError, match="holds no trouble codes"):
         faults.load(tmp_path / "codes.json")
+
+
+@pytest.mark.parametrize("kind", ["link", "device", "pipe", "of everybody", "endless"])
+def test_a_file_of_codes_that_somebody_else_planted_is_refused(tmp_path: Path, kind: str) -> None:
+    path, elsewhere = tmp_path / "codes.json", tmp_path / "elsewhere"
+    elsewhere.write_bytes(b"[]")
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind in ("link", "device"):
+        path.symlink_to(elsewhere if kind == "link" else "/dev/zero")
+    else:
+        path.write_bytes(b"[]" + b" " * (MIB if kind == "endless" else 0))
+        path.chmod(0o666 if kind == "of everybody" else 0o600)
+    with pytest.raises(InputError, match=r"codes\.json"):
+        faults.load(path)
 
 
 # Commanded Address

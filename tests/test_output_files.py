@@ -8,7 +8,7 @@ import pytest
 
 from estimator import output_files
 from estimator.errors import RoadloadError
-from estimator.output_files import PART, whole
+from estimator.output_files import PART, create, whole, write
 
 
 def test_a_file_appears_whole(tmp_path: Path):
@@ -53,6 +53,36 @@ def test_a_link_planted_at_the_temporary_name_is_not_written_through(tmp_path: P
     assert not planted.exists()
     assert elsewhere.exists() == (kind == "link to a file")
     assert not elsewhere.exists() or elsewhere.read_text() == "of somebody else"
+
+
+def test_bytes_are_written_with_their_mode_and_not_through_a_link(tmp_path: Path):
+    path, elsewhere = tmp_path / "codes.json", tmp_path / "elsewhere"
+    elsewhere.write_text("of somebody else")
+    path.symlink_to(elsewhere)
+    (tmp_path / f"{PART}{path.name}").symlink_to(elsewhere)
+    before = os.umask(0o077)
+    try:
+        write(path, b"all of it", 0o644)
+    finally:
+        os.umask(before)
+    assert (path.read_text(), path.stat().st_mode & 0o777, path.is_symlink()) == ("all of it", 0o644, False)
+    assert elsewhere.read_text() == "of somebody else"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["codes.json", "elsewhere"]
+
+
+def test_a_link_put_in_the_place_of_a_file_that_is_being_written_is_not_written_through(tmp_path: Path, monkeypatch):
+    path, elsewhere = tmp_path / "status.json", tmp_path / "elsewhere"
+    elsewhere.write_text("of somebody else")
+
+    def made_and_exchanged(temporary: Path, mode: int) -> int:
+        descriptor = create(temporary, mode)
+        temporary.unlink()
+        temporary.symlink_to(elsewhere)
+        return descriptor
+
+    monkeypatch.setattr(output_files, "create", made_and_exchanged)
+    write(path, b"status", 0o644)
+    assert elsewhere.read_text() == "of somebody else"
 
 
 @pytest.mark.parametrize("call", ["open", "replace", "unlink"])

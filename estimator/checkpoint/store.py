@@ -6,7 +6,6 @@ can write is refused.
 """
 
 import os
-import stat
 import struct
 import zlib
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ import msgspec
 import numpy as np
 
 from estimator.errors import RoadloadError, StateError
+from estimator.input_files import check_owner, read_own
 from estimator.output_files import create
 
 MAGIC = b"roadload"
@@ -90,7 +90,7 @@ class StateStore:
         reasons, missing = [], []
         for path in (self._current, self._previous):
             try:
-                state = unpack(_read(path), key)
+                state = unpack(read_own(path, MAX_BYTES), key)
             except FileNotFoundError:
                 missing.append(f"{path}: is missing")
             except (OSError, StateError) as error:
@@ -102,7 +102,7 @@ class StateStore:
         return None, "; ".join(reasons) or f"{self._directory}: no state saved yet"
 
     def _check_directory(self) -> None:
-        _check_owner(os.stat(self._directory))
+        check_owner(os.stat(self._directory))
 
 
 def pack(state: Mapping[str, Any], key: str) -> bytes:
@@ -185,24 +185,6 @@ def _write(path: Path, content: bytes) -> None:
         file.write(content)
         file.flush()
         os.fsync(descriptor)
-
-
-def _read(path: Path) -> bytes:
-    # Not blocking: the path may be a pipe.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    with open(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        _check_owner(status)
-        if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_BYTES:
-            raise StateError("is no file, or too large for a state")
-        return file.read(MAX_BYTES + 1)
-
-
-def _check_owner(status: os.stat_result) -> None:
-    if status.st_uid != os.geteuid():
-        raise StateError("belongs to another user; not trusted")
-    if status.st_mode & stat.S_IWOTH:
-        raise StateError("may be written by everybody; not trusted: chmod o-w")
 
 
 def _sync(directory: Path) -> None:

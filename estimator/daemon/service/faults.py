@@ -16,12 +16,14 @@ from estimator.can_io.contradiction import Contradiction
 from estimator.can_io.source_selection import KIND, Kind
 from estimator.can_io.trouble_codes import MAX_CODES, MAX_COUNT, MAX_SPN, Fmi, TroubleCode, TroubleMemory
 from estimator.daemon.service.worker import Knowledge
-from estimator.errors import InputError
+from estimator.errors import InputError, StateError
 from estimator.estimate import Status
-from estimator.output_files import whole
+from estimator.input_files import MIB, read_own
+from estimator.output_files import write
 from estimator.signals import Role
 
 FILE = "trouble_codes.json"
+MAX_FILE_BYTES = MIB  # bytes; codes have some kB
 ESTIMATE, FRAMES_LOST, STATE_NOT_SAVED = 516096, 516097, 516098  # SPNs
 FIRST_ROLE = 516352  # SPN of the first role of `Role`, where its signal has none
 MAX_SILENCE_S = 30.0  # s of traffic without an input of the road load, after which it counts as not coming
@@ -115,8 +117,7 @@ def save(path: Path, memory: TroubleMemory) -> None:
         It cannot be written.
     """
     codes = [_Kept(code.spn, code.fmi, count) for code, count in (memory.previous | memory.active).items()]
-    with whole(path) as temporary:
-        temporary.write_bytes(msgspec.json.encode(codes))
+    write(path, msgspec.json.encode(codes), 0o600)
 
 
 def load(path: Path) -> list[tuple[TroubleCode, int]]:
@@ -128,11 +129,13 @@ def load(path: Path) -> list[tuple[TroubleCode, int]]:
         The file cannot be read, or is not one of codes.
     """
     try:
-        kept = msgspec.json.decode(path.read_bytes(), type=list[_Kept])
+        kept = msgspec.json.decode(read_own(path, MAX_FILE_BYTES), type=list[_Kept])
     except FileNotFoundError:
         return []
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
+    except StateError as error:
+        raise InputError(f"{path}: {error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError):
         raise InputError(f"{path}: holds no trouble codes") from None
     return [(TroubleCode(one.spn, one.fmi), one.count) for one in kept[: 2 * MAX_CODES]]

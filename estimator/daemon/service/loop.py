@@ -23,7 +23,7 @@ from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
 from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
-from estimator.output_files import whole
+from estimator.output_files import write
 from estimator.streaming.listener import Listener
 
 log = logging.getLogger(__name__)
@@ -273,9 +273,7 @@ class Daemon:
             if self._status_file is not None:
                 status_file.write(self._status_file, found)
             if self._metrics_file is not None:
-                with whole(self._metrics_file) as temporary:
-                    temporary.write_text(metrics.exposition(found), encoding="utf-8")
-                    temporary.chmod(0o644)
+                write(self._metrics_file, metrics.exposition(found).encode(), 0o644)
         except RoadloadError as error:
             log.warning("status not written: %s", error)
         estimate = found.estimate

@@ -9,8 +9,10 @@ import msgspec
 from estimator.answers.answer import decode, encode
 from estimator.answers.status import StatusAnswer
 from estimator.errors import InputError
-from estimator.output_files import whole
+from estimator.input_files import MIB, read_bounded
+from estimator.output_files import write as write_whole
 
+MAX_BYTES = MIB  # bytes; a status has some kB
 MAX_AGE = 10.0  # s, of a running daemon's status: ten times the period of writing
 
 
@@ -22,9 +24,7 @@ def write(path: Path, status: StatusAnswer) -> None:
     RoadloadError
         The file cannot be written.
     """
-    with whole(path) as temporary:
-        temporary.write_bytes(encode(status))
-        temporary.chmod(0o644)
+    write_whole(path, encode(status), 0o644)
 
 
 def read(path: Path) -> StatusAnswer:
@@ -36,7 +36,7 @@ def read(path: Path) -> StatusAnswer:
         The file cannot be read, or is not a status of this version.
     """
     try:
-        return decode(path.read_bytes(), StatusAnswer)
+        return decode(read_bounded(path, MAX_BYTES), StatusAnswer)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except msgspec.ValidationError as error:
