@@ -36,6 +36,7 @@ from estimator.settings import (
 )
 
 MAX_FILE_BYTES = 1 << 20  # bytes of a configuration: an endless device or fifo does not fill the memory
+MAX_DOTS = 100  # in a line of a configuration
 MAX_MAP_BYTES = 256 << 20  # bytes of a map: 13 million places, more than the cells of the main roads of a continent
 DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
 FREE_TABLES: dict[str, Any] = {  # keys are the user's
@@ -202,7 +203,9 @@ def load(path: Path | str | None = None) -> Config:
         return Config()
     path = Path(path)
     try:
-        tables = tomllib.loads(read_bounded(path, MAX_FILE_BYTES).decode("utf-8"))
+        text = read_bounded(path, MAX_FILE_BYTES).decode("utf-8")
+        _refuse_long_keys(text)
+        tables = tomllib.loads(text)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # also bytes that are not UTF-8, and numbers of thousands of digits
@@ -218,6 +221,13 @@ def load(path: Path | str | None = None) -> Config:
         bus=msgspec.structs.replace(config.bus, dbc=databases),
         road=msgspec.structs.replace(config.road, map=road),
     )
+
+
+def _refuse_long_keys(text: str) -> None:
+    """ValueError where a line has so many dots that `tomllib` may need hours for the key that they make."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.count(".") > MAX_DOTS:
+            raise ValueError(f"more than {MAX_DOTS} dots in line {number}; no key or list here has so many")
 
 
 def replace(config: Config, **sections: Section | None) -> Config:

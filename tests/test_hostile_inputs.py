@@ -30,7 +30,10 @@ def run_limited(arguments: list[str], answer: Path) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS))
     resource.setrlimit(resource.RLIMIT_DATA, (BYTES, BYTES))
     with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as error:
-        status = main(arguments)
+        try:
+            status: int | str | None = main(arguments)
+        except SystemExit as refusal:  # of argparse
+            status = refusal.code
     answer.write_text(out.getvalue() + error.getvalue())
     sys.exit(status)
 
@@ -81,10 +84,10 @@ def test_a_time_of_no_clock_in_a_blf(refused: Refused, tmp_path: Path) -> None:
     assert "missing inputs" in refused("estimate", tmp_path / "a.blf")  # 584 years are a time
 
 
-def frame(time: int) -> bytes:
+def frame(time: int, channel: int = 1) -> bytes:
     """A CAN frame object of a BLF log, at ``time`` [ns]."""
     head = struct.pack("<4sHHLLLHHQ", b"LOBJ", 32, 1, 48, 1, 2, 0, 0, time)
-    return head + struct.pack("<HBBL8s", 1, 0, 8, 0x123, bytes(8))
+    return head + struct.pack("<HBBL8s", channel, 0, 8, 0x123, bytes(8))
 
 
 def blf_of(objects: list[bytes] | None = None, containers: list[bytes] | None = None) -> bytes:
@@ -137,6 +140,16 @@ def test_a_device_without_end(refused: Refused, tmp_path: Path, suffix: str) -> 
     assert path.name in refused("estimate", path)
 
 
+@pytest.mark.parametrize("suffix", [".log", ".blf"])
+def test_a_log_of_more_channels_than_any_logger_has(refused: Refused, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".log":
+        path.write_text("".join(f"({k}.0) can{k} {k:08X}#00\n" for k in range(100_000)))
+    else:
+        path.write_bytes(blf_of(objects=[frame(k, channel=k) for k in range(60_000)]))
+    assert "more than 250 channels" in refused("estimate", path)
+
+
 # Databases and settings
 
 DBC = 'VERSION ""\nBU_: X\nBO_ 2566844926 M: 8 X\n SG_ S : {}@1+ (1,0) [0|0] "km/h" X\n'
@@ -148,6 +161,68 @@ def test_a_signal_of_absurd_size(refused: Refused, tmp_path: Path, layout: str) 
     assert "a.dbc:4: a signal beyond bit" in refused("estimate", plain(tmp_path), "--dbc", tmp_path / "a.dbc")
 
 
+MULTIPLEXED = ' SG_ S{0} m{0} : 16|8@1+ (1,0) [0|0] "" X\n'
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (f'VERSION "{"a" * (7 << 20)}"\n' + DBC.format("0|8"), "a.dbc:1: a text of over 65,536 characters"),
+        (DBC.format("0|8") + 'CM_ "' + "\n" * (1 << 20), "a.dbc:5: a text of over 65,536 characters"),
+        (DBC.format("0|8") + "".join(map(MULTIPLEXED.format, range(90_000))), "more than 1,000 signals in a message"),
+        (DBC.format("0|8") + ";" * (7 << 20), "over 400,000 names, numbers and texts"),
+        ("".join(f"BO_ {k} M{k}: 8 X\n" for k in range(300_000)), "over 400,000 names, numbers and texts"),
+    ],
+)
+def test_a_database_that_takes_minutes_or_gigabytes_to_parse(
+    refused: Refused, tmp_path: Path, content: str, said: str
+) -> None:
+    (tmp_path / "a.dbc").write_text(content)
+    assert said in refused("estimate", plain(tmp_path), "--dbc", tmp_path / "a.dbc")
+
+
+def test_databases_that_are_too_large_together(refused: Refused, tmp_path: Path) -> None:
+    for k in range(10):
+        text = DBC.format("0|8").replace("M:", f"M{k}:") + f'CM_ "{"a" * 60_000}";\n' * 15
+        (tmp_path / f"{k}.dbc").write_text(text)
+    options = [text for k in range(10) for text in ("--dbc", tmp_path / f"{k}.dbc")]
+    assert "9.dbc: the databases have over 8 MiB" in refused("estimate", plain(tmp_path), *options)
+
+
+def test_what_cantools_says_of_a_long_line_is_cut(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "a.dbc").write_text(DBC.format("0|8") + "X " * 100_000)
+    assert "not a DBC that can be read" in refused("estimate", plain(tmp_path), "--dbc", tmp_path / "a.dbc")
+
+
+@pytest.mark.parametrize("line", ["{} = 1", "[{}]", "x = {{{} = 1}}"])
+def test_a_key_of_thousands_of_parts(refused: Refused, tmp_path: Path, line: str) -> None:
+    (tmp_path / "a.toml").write_text("\n" + line.format(".".join(["a"] * 400_000)))
+    said = refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+    assert "a.toml: not valid TOML: more than 100 dots in line 2" in said
+
+
+# Simulated drives
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("--mass=1e308", "not a positive number up to 1e+06"),
+        ("--A=1e308", "not a positive number up to 1e+06"),
+        ("--C=1e308", "not a positive number up to 1000"),
+        ("--minutes=1e308", "not a number of minutes"),
+        ("--cycle=/dev/zero", "is larger than 4 MiB"),
+    ],
+)
+def test_a_drive_of_no_vehicle(refused: Refused, tmp_path: Path, option: str, said: str) -> None:
+    assert said in refused("simulate", tmp_path / "a.log", option)
+
+
+def test_a_cycle_of_thirty_million_years(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t_s,v_mps\n0,0\n1,10\n1e15,0\n")
+    assert "a cycle of more than 1,000,000 s" in refused("simulate", tmp_path / "a.log", "--cycle", tmp_path / "a.csv")
+
+
 def test_a_signal_that_no_message_can_carry(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "a.dbc").write_text(DBC.format("500000|16"))
     (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
@@ -157,7 +232,7 @@ def test_a_signal_that_no_message_can_carry(refused: Refused, tmp_path: Path) ->
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/urandom"])
 def test_a_device_for_a_database_or_settings(refused: Refused, tmp_path: Path, name: str) -> None:
     (tmp_path / "a.toml").write_text(f'[bus]\ndbc = ["{name}"]\n')
-    assert f"{name}: is larger than 32 MiB" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+    assert f"{name}: is larger than 8 MiB" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
     assert f"{name}: is larger than 1 MiB" in refused("estimate", plain(tmp_path), "--config", name)
 
 

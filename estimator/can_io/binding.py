@@ -2,20 +2,18 @@
 
 import difflib
 import logging
-import re
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from pathlib import Path
 
 import cantools
 import numpy as np
 from cantools.database.can import Database, Message, Signal
 
+from estimator.can_io.database_limits import read_databases
 from estimator.can_io.frames import EXTENDED
 from estimator.can_io.j1939 import MAX_BYTES, pgn_of
 from estimator.config import Config
 from estimator.errors import ConfigError, DatabaseError
-from estimator.input_files import read_bounded
 from estimator.signals import DIMENSION, STATE, Role
 from estimator.units import KNOWN_UNITS, Conversion, conversion_of
 
@@ -23,9 +21,7 @@ logging.getLogger("cantools").setLevel(logging.ERROR)
 
 MAX_SIGNAL_BITS = 64  # bits of a signal: the widest word that the decoder extracts
 FLOATS = (16, 32, 64)  # bits of a floating-point signal
-MAX_FILE_BYTES = 32 << 20  # bytes of a database: an endless device or fifo does not fill the memory
-MAX_LAYOUT_BITS = 1 << 19  # bits; cantools lays out every bit of a message, so a larger number fills the memory
-_LAYOUT = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")  # start bit and length of a signal
+MAX_REASON = 200  # characters of what cantools says, which may quote a whole line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,14 +63,9 @@ def load_database(paths: list[str]) -> Database:
     """
     if not paths:
         return _parse("j1939.dbc (shipped)", files("estimator.dbc").joinpath("j1939.dbc").read_text("utf-8"))
-    texts = []
-    for path in paths:
-        try:
-            texts.append((path, _text(read_bounded(Path(path), MAX_FILE_BYTES))))
-        except OSError as error:
-            raise DatabaseError(f"{path}: {error.strerror}; correct bus.dbc, or give --dbc FILE.dbc") from error
-    database = _parse(*texts[0])
-    for path, text in texts[1:]:
+    texts = read_databases(paths)
+    database = _parse(*next(texts))
+    for path, text in texts:
         more = _parse(path, text).messages
         for name in {m.name for m in more} & {m.name for m in database.messages}:
             raise DatabaseError(f"{path}: message {name!r} is in another of the databases too; give one of them")
@@ -83,34 +74,15 @@ def load_database(paths: list[str]) -> Database:
     return database
 
 
-def _text(data: bytes) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:  # what Windows tools write
-        return data.decode("cp1252", errors="replace")
-
-
 def _parse(path: str, text: str) -> Database:
-    _check_layouts(path, text)
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except (cantools.Error, ValueError, KeyError, IndexError, AttributeError) as error:
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split())[:MAX_REASON]
         raise DatabaseError(f"{path}: not a DBC that can be read: {reason}") from error
     if not isinstance(database, Database) or not database.messages:
         raise DatabaseError(f"{path}: holds no CAN messages")
     return database
-
-
-def _check_layouts(path: str, text: str) -> None:
-    """Refuse a signal of absurd size before cantools reserves memory for it."""
-    for match in _LAYOUT.finditer(text):
-        digits = max(map(len, match.groups()))
-        if digits > len(str(MAX_LAYOUT_BITS)) or sum(map(int, match.groups())) > MAX_LAYOUT_BITS:
-            line = text.count("\n", 0, match.start()) + 1
-            raise DatabaseError(
-                f"{path}:{line}: a signal beyond bit {MAX_LAYOUT_BITS:,} of its message; correct the DBC"
-            )
 
 
 def bind(config: Config, database: Database) -> list[BoundMessage]:

@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import sys
 from pathlib import Path
 from typing import get_args
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import WRITABLE, write_log
-from estimator.commands.arguments import add_output, not_negative, number, positive, whole_number
+from estimator.commands.arguments import add_output, not_negative, number, whole_number
 from estimator.commands.terminal import print_json
 from estimator.output_files import check_suffix
 from estimator.printable import printable
@@ -24,6 +25,7 @@ from estimator.simulation.sensors import OPTIONAL, Sensors
 from estimator.simulation.truck import draw_truck
 
 METRES_PER_MINUTE = 2000.0  # of simulated road, 120 km/h: longer than any drive
+TRUTHS = {"mass": ("kg", "mass", 1e6), "A": ("N", "rolling force", 1e6), "C": ("N s2/m2", "drag coefficient", 1e3)}
 MINUTES = number(0.5, 10_000.0, "a number of minutes from 0.5 to 10000")
 
 
@@ -36,8 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cycle", type=Path, metavar="FILE.csv", help=f"road of a driving cycle instead: {COLUMNS}")
     parser.add_argument("--shape", choices=get_args(Shape), default="one-way", help="how the road is driven")
     parser.add_argument("--seed", type=whole_number, default=1, help="draws truck, route and noise (default: 1)")
-    for name, unit, what in (("mass", "kg", "mass"), ("A", "N", "rolling force"), ("C", "N s2/m2", "drag coefficient")):
-        parser.add_argument(f"--{name}", type=positive, metavar=unit, help=f"{what}, instead of the drawn one")
+    for name, (unit, what, most) in TRUTHS.items():
+        allowed = number(sys.float_info.min, most, f"a positive number up to {most:g}")
+        parser.add_argument(f"--{name}", type=allowed, metavar=unit, help=f"{what}, instead of the drawn one")
     noise = "sd of the wheel speed's noise (default: 0.01)"
     parser.add_argument("--speed-noise", type=not_negative, default=0.01, metavar="m/s", help=noise)
     steps = "of the reference torque, in which torque is sent: 0.125 (default) or 1"

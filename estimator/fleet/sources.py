@@ -15,8 +15,10 @@ from typing import Any
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.logs.lake import day_of, files_of, is_day
 from estimator.errors import ConfigError, InputError, LogError
+from estimator.input_files import MIB, read_bounded
 
 LIST = ".txt"  # suffix of a list of logs: a log a line, and its vehicle after a tab
+MAX_LIST_BYTES = 64 * MIB  # bytes of a list; a million names need less
 WILD = re.compile(r"[*?\[]")
 
 
@@ -97,7 +99,7 @@ def _logs_of(source: str) -> Iterator[LogFile]:
 def _listed(path: Path) -> Iterator[LogFile]:
     """Logs of a list; paths in it are relative to it."""
     try:
-        lines = path.read_text("utf-8").splitlines()
+        lines = read_bounded(path, MAX_LIST_BYTES).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as a list of logs ({error})") from error
     for number, line in enumerate(lines, start=1):

@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from estimator.errors import InputError
+from estimator.input_files import MIB, read_bounded
 from estimator.signals import Floats
 from estimator.simulation.bends import curvature_of
 from estimator.simulation.route import GRADE_SPACING, Route
 
 COLUMNS = "t_s,v_mps or s_m,v_mps, and grade"
+MAX_FILE_BYTES = 4 * MIB  # bytes of a table; a day of seconds has half of it
+MAX_DURATION = 1e6  # s, of a table by time: more than the longest drive
 STANDSTILL = 0.1  # m/s
 MIN_SPEED = 2.0  # m/s between stops: a limit of nearly nothing would never be left again
 SECOND = 1.0  # s, grid of a table by time
@@ -74,8 +77,8 @@ def _stops(s: Floats, v: Floats, t: Floats | None) -> tuple[Floats, Floats]:
 
 def _read(path: Path) -> dict[str, Floats]:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(line for line in file if line.strip() and not line.startswith("#")))
+        lines = read_bounded(path, MAX_FILE_BYTES).decode("utf-8-sig").splitlines(keepends=True)
+        rows = list(csv.DictReader(line for line in lines if line.strip() and not line.startswith("#")))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:
@@ -93,5 +96,7 @@ def _read(path: Path) -> dict[str, Floats]:
         raise InputError(f"{path}: times and distances must rise, and speeds not be negative")
     if "t_s" not in names:
         return table
+    if table["t_s"][-1] - table["t_s"][0] > MAX_DURATION:
+        raise InputError(f"{path}: a cycle of more than {MAX_DURATION:,.0f} s; give a part of it")
     t = np.arange(table["t_s"][0], table["t_s"][-1] + 0.5, SECOND)
     return {"t_s": t} | {name: np.interp(t, table["t_s"], table[name]) for name in names - {"t_s", "s_m"}}

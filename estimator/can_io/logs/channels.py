@@ -15,6 +15,8 @@ from estimator.signals import Mask
 Numbers = NDArray[np.unsignedinteger[Any]]
 
 UNNAMED = ""  # where a log does not say the channel
+MAX_CHANNELS = 250  # of a log; loggers have some dozens
+MAX_NAMED = 20  # channels that a message names
 MAX_IDENTS = 1 << 16  # that are remembered; a bus has far fewer
 
 
@@ -86,6 +88,17 @@ class Channels:
             if len(self._channel_of) < MAX_IDENTS:
                 self._channel_of[one] = name
 
+    def check_number(self, path: Path) -> None:
+        """Check that so many channels can be meant.
+
+        Raises
+        ------
+        LogError
+            There are more than MAX_CHANNELS.
+        """
+        if len(self.counts) > MAX_CHANNELS:
+            raise LogError(f"{path}: more than {MAX_CHANNELS} channels; give the log that the logger wrote")
+
     def check(self, path: Path) -> None:
         """Check that the channels of a log that was read can be used.
 
@@ -108,4 +121,5 @@ class Channels:
 def described(counts: Mapping[str, int]) -> str:
     """Channels and their frames in words."""
     parts = [f"{name or 'without a name'} ({count:,} frames)" for name, count in sorted(counts.items())]
-    return f"channel{'s' * (len(parts) > 1)} {', '.join(parts)}" if parts else "no data frame"
+    more = f" and {len(parts) - MAX_NAMED} more" if len(parts) > MAX_NAMED else ""
+    return f"channel{'s' * (len(parts) > 1)} {', '.join(parts[:MAX_NAMED])}{more}" if parts else "no data frame"

@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, Frames, widened
-from estimator.can_io.logs.channels import UNNAMED, Numbers
+from estimator.can_io.logs.channels import MAX_CHANNELS, UNNAMED, Numbers
 from estimator.can_io.logs.digits import WORD, decimal, hexadecimal, nibbles, with_fraction
 from estimator.can_io.logs.line_layout import ERROR_FLAG, NOTHING, BadLineError, Coding, Layout
 from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
@@ -111,6 +111,8 @@ class Lines:
 
     def _index_of(self, channel: str) -> int:
         if channel not in self.channels:
+            if len(self.channels) == MAX_CHANNELS:
+                raise BadLineError(f"more than {MAX_CHANNELS} channels")
             self.channels.append(channel)
         return self.channels.index(channel)
 
@@ -138,6 +140,8 @@ class Lines:
         while len(rows):
             try:
                 layout = grammar(table[0, :width].tobytes())
+                if layout is not None and layout is not NOTHING:
+                    self._index_of(layout.channel.decode("ascii", "replace"))
             except BadLineError as error:
                 self.refuse(int(rows[0]), str(error))
                 return

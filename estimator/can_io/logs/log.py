@@ -53,6 +53,7 @@ class Log(ABC):
         times = TimeCheck(self.path)
         empty = True
         for frames in regroup(self._guarded(), BATCH):
+            self.channels.check_number(self.path)
             if self.channels.shared is not None:
                 continue  # only to count the frames of each channel
             times.check(frames)

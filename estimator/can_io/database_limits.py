@@ -1,0 +1,85 @@
+"""Limits of DBC files, checked before cantools parses them: it takes minutes and gigabytes for some files of 1 MB.
+
+Parsing takes 8 us and up to 1 kB a token, 200 bytes a character of a quoted text, and for multiplexed signals a time
+that grows with the square of their number.
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from estimator.errors import DatabaseError
+from estimator.input_files import MIB, read_bounded
+
+MAX_BYTES = 8 * MIB  # bytes of all databases; one of all of J1939 has half of it, most of it comments
+MAX_TOKENS = 400_000  # names, numbers, texts and other characters of all databases
+MAX_TEXT = 1 << 16  # characters of a quoted text
+MAX_SIGNALS = 1000  # of a message
+MAX_LAYOUT_BITS = 1 << 19  # bits; cantools lays out every bit of a message, so a larger number fills the memory
+_TOKEN = re.compile(r'"[^"]*"?|[\w.+-]+|\S')
+_LAYOUT = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")  # start bit and length of a signal
+
+
+def read_databases(paths: list[str]) -> Iterator[tuple[str, str]]:
+    """Paths and texts of DBC files.
+
+    Raises
+    ------
+    DatabaseError
+        A file cannot be read, or what a limit forbids is in it.
+    """
+    bytes_left, tokens_left = MAX_BYTES, MAX_TOKENS
+    for path in paths:
+        try:
+            data = read_bounded(Path(path), MAX_BYTES)
+        except OSError as error:
+            raise DatabaseError(f"{path}: {error.strerror}; correct bus.dbc, or give --dbc FILE.dbc") from error
+        text = _text(data)
+        _check_layouts(path, text)
+        bytes_left -= len(data)
+        tokens_left -= _checked_tokens(path, text, tokens_left)
+        if bytes_left < 0 or tokens_left < 0:
+            raise DatabaseError(
+                f"{path}: the databases have over {MAX_BYTES // MIB} MiB, or over {MAX_TOKENS:,} names, numbers and "
+                "texts; take out what is not needed"
+            )
+        yield path, text
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:  # what Windows tools write
+        return data.decode("cp1252", errors="replace")
+
+
+def _check_layouts(path: str, text: str) -> None:
+    for match in _LAYOUT.finditer(text):
+        digits = max(map(len, match.groups()))
+        if digits > len(str(MAX_LAYOUT_BITS)) or sum(map(int, match.groups())) > MAX_LAYOUT_BITS:
+            beyond = f"a signal beyond bit {MAX_LAYOUT_BITS:,} of its message"
+            raise DatabaseError(f"{_place(path, text, match)}: {beyond}; correct the DBC")
+
+
+def _checked_tokens(path: str, text: str, most: int) -> int:
+    """The number of tokens, at most one more than ``most``."""
+    count = signals = 0  # of the message at hand; whatever else names signals ends with a semicolon
+    for count, match in enumerate(_TOKEN.finditer(text), start=1):
+        token = match[0]
+        if count > most:
+            break
+        if len(token) > MAX_TEXT:
+            place = _place(path, text, match)
+            raise DatabaseError(f"{place}: a text of over {MAX_TEXT:,} characters; shorten it, or end it")
+        if token in ("BO_", ";"):
+            signals = 0
+        elif token == "SG_":
+            signals += 1
+        if signals > MAX_SIGNALS:
+            place = _place(path, text, match)
+            raise DatabaseError(f"{place}: more than {MAX_SIGNALS:,} signals in a message; correct the DBC")
+    return count
+
+
+def _place(path: str, text: str, match: re.Match[str]) -> str:
+    return f"{path}:{text.count(chr(10), 0, match.start()) + 1}"
