@@ -140,6 +140,12 @@ def test_a_device_without_end(refused: Refused, tmp_path: Path, suffix: str) -> 
     assert path.name in refused("estimate", path)
 
 
+def test_a_payload_cut_in_the_middle_of_its_padding(refused: Refused, tmp_path: Path) -> None:
+    head = "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+    (tmp_path / "a.csv").write_text(f"{head}1.0,0xcf00203,1,0,0,8,zP///1e17////8=\n")
+    assert "a.csv:2: this line cannot be read (Incorrect padding)" in refused("estimate", tmp_path / "a.csv")
+
+
 @pytest.mark.parametrize("suffix", [".log", ".blf"])
 def test_a_log_of_more_channels_than_any_logger_has(refused: Refused, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"

@@ -14,7 +14,7 @@ from estimator.errors import LogError
 HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 FRAME = re.compile(
     rb"(?P<seconds>\d{1,12})\.(?P<fraction>\d{1,18}),0x(?P<id>[0-9A-Fa-f]{1,8}),(?P<extended>[01]),0,0,"
-    rb"(?P<length>[0-8]),(?P<data>(?:[A-Za-z0-9+/]{4})*(?P<last>[A-Za-z0-9+/]{2,3}={1,2})?)\r?"
+    rb"(?P<length>[0-8]),(?P<data>(?:[A-Za-z0-9+/]{4})*(?:[A-Za-z0-9+/]{3}=|[A-Za-z0-9+/]{2}==)?)\r?"
 )
 
 

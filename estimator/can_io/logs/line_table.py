@@ -155,6 +155,9 @@ class Lines:
                 columns = _read_columns(table[:1] if layouts > MAX_LAYOUTS else table, layout)
                 self._put_columns(rows[columns.rows], columns, layout)
                 same = columns.rows
+                if not len(same) or same[0]:  # the line that was parsed has values that are none
+                    self.odd.append(int(rows[0]))
+                    same = np.concatenate((np.zeros(1, np.intp), same))
             if len(same) == 1:
                 rows, table = rows[1:], table[1:]
             else:
