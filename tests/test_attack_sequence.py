@@ -11,8 +11,9 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
 import can
-from attacks_vm import Play, has_ended, heard_in, summary, table
+from attacks_vm import Play, has_ended, heard_in, rows_of, summary, table, with_earlier
 from bus_attacks.catalogue import attacks
+from bus_attacks.forging import announcements
 from bus_attacks.sequence import (
     HELD,
     LEAD,
@@ -194,9 +195,31 @@ def test_a_service_that_falls_silent_is_heard_as_withheld_to_the_end_of_the_driv
 def test_the_table_counts_outcomes_and_those_that_differ() -> None:
     one = results(heard(withheld=(110, 150)), SLOTS, TRUCK)
     other = results(heard(), SLOTS, TRUCK)
-    text = table([*one, *other], [*one, *one], "")
+    text = table(rows_of([*one, *other], [*one, *one]), [""])
     assert "2 attacks: unharmed 1, withheld 1, silently biased 0" in text
     assert "The outcome of 1 is that in process." in text
+
+
+def test_a_table_keeps_the_rows_of_attacks_that_were_not_played_again() -> None:
+    old = [("a", "withheld", "5 s", "-", "3.0 sd", "unharmed, -"), ("c", "unharmed", "-", "-", "9.0 sd", "unharmed, -")]
+    new = [
+        ("b", "unharmed", "-", "-", "1.0 sd", "unharmed, -"),
+        ("c", "withheld", "-", "-", "no estimate", "withheld, -"),
+    ]
+    text = with_earlier(new, "second run.", f"\n\n{table(old, ['first run.'])}\n\n", ["a", "b", "c"])
+    assert text == table([old[0], *new], ["first run.", "second run."])
+    assert "3 attacks: unharmed 1, withheld 2, silently biased 0; largest deviation 3.0 sd. The outcome of 2" in text
+    assert with_earlier([*new, old[0]], "second run.", text, ["a", "b", "c"]) == table([old[0], *new], ["second run."])
+
+
+def test_real_and_forged_broadcasts_of_the_reference_torque_do_not_overlap() -> None:
+    rng = np.random.default_rng(1)
+    drive = frames_of(record(TRUCK, generate_route("mixed", 3000, rng), 60.0, rng).signals)
+    (attack,) = [one for one in throughout() if one.name.startswith("EC1 3,250 Nm after each, same address")]
+    frames, _ = on_a_drive(drive, attack)
+    announced = announcements(frames, "EC1")
+    assert len(announced) == 2 * len(announcements(drive, "EC1"))
+    assert np.diff(announced.t).min() > 2.0  # s; a broadcast takes 0.3 s
 
 
 def a_status(t: float, frames: int, pid: int = 7) -> str:

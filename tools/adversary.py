@@ -78,9 +78,14 @@ def write_table(begin: str, table: str) -> None:
     PAGE.write_text(f"{before}{begin}\n\n{table}\n\n{END}{rest.partition(END)[2]}", encoding="utf-8")
 
 
+def table_on(page: str, begin: str) -> str:
+    """The table of a page after the line ``begin``."""
+    return page.partition(begin)[2].partition(END)[0]
+
+
 def names_on(page: str) -> list[str]:
     """The attacks in the table of a page, in order."""
-    table = page.partition(BEGIN)[2].partition(END)[0]
+    table = table_on(page, BEGIN)
     return [cells[1] for line in table.splitlines() if len(cells := re.split(r" ?\| ?", line)) == 8][2:]
 
 

@@ -1,11 +1,11 @@
-"""Attacks on a real SocketCAN bus: python tools/attacks_vm.py [--throughout] [--only TEXT] [--folder FOLDER] [--write].
+"""Attacks on a real SocketCAN bus: python tools/attacks_vm.py [--throughout] [--skip N] [--folder FOLDER] [--write].
 
 A drive with one attack after the other is played on a virtual CAN bus in a machine with systemd, to the service of the
 Debian package, at the speed of driving: the kernel gives the times of the frames. The parameters that the service
 broadcasts are compared with the truth, and the outcome of every attack with that of the same drive in process. With
 ``--throughout`` the attacks that begin with the drive are played instead, on a short drive each. ``--write`` puts the
-table into docs/adversary.md. Exit status 1 if a wrong parameter was broadcast. Needs what tools/package_vm.py needs; 48
-minutes of driving take half an hour of an idle processor.
+table into docs/adversary.md, beside the rows there of attacks that were not played. Exit status 1 if a wrong parameter
+was broadcast. Needs what tools/package_vm.py needs; 48 minutes of driving take half an hour of an idle processor.
 """
 
 import argparse
@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import can
-from adversary import TRUCK, drive_of, write_table
+from adversary import PAGE, TRUCK, drive_of, table_on, write_table
 from bus_attacks import sequence
-from bus_attacks.sequence import OWN, Heard, Result, Slot, Values, chosen, duration, looked_up, of_looks
+from bus_attacks.catalogue import Attack
+from bus_attacks.sequence import OWN, Heard, Result, Slot, Values, chosen, duration, looked_up, of_looks, throughout
 from bus_attacks.trial import look_at
 from cantools.typechecking import DecodeResultType
 from package_vm import share_package
@@ -47,6 +48,7 @@ value_period_s = 1.0
 SETTINGS_THROUGHOUT = f"{SETTINGS}{EARLY_GATE}"
 STALE = 5.0  # s without a broadcast value, five of its periods, after which a receiver has none
 WIDTH_SD = 3.29  # from the 5 % to the 95 % quantile of a normal distribution, in standard deviations
+Row = tuple[str, ...]  # attack, outcome, withheld after, back after, largest deviation, in process
 MESSAGES = {"RoadloadMass": "mass", "RoadloadA": "A", "RoadloadC": "C"}
 
 
@@ -73,14 +75,18 @@ def main() -> int:
     """Play, compare, print the table, return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--throughout", action="store_true", help="the attacks that begin with the drive")
-    parser.add_argument("--only", default="", help="attacks whose name contains this")
+    parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="attacks whose name contains one")
+    parser.add_argument("--skip", type=int, default=0, help="not the first so many of them")
     parser.add_argument("--first", type=int, help="so many attacks only")
     parser.add_argument("--package", type=Path, help="the package, where it has been built (tools/build_deb.py)")
     parser.add_argument("--folder", type=Path, help="what was heard is kept here; a run that is there is not repeated")
     parser.add_argument("--timeout", type=float, default=LONGEST, help=f"s of the host, default {LONGEST:.0f}")
     parser.add_argument("--write", action="store_true", help="put the table into docs/adversary.md")
     options = parser.parse_args()
-    plays = (own_drives if options.throughout else one_drive)(options.only, options.first)
+    attacks = throughout() if options.throughout else chosen()
+    order = [attack for attack in attacks if any(text in attack.name for text in options.only)]
+    order = order[options.skip :][: options.first]
+    plays = own_drives(order) if options.throughout else one_drive(order)
     settings = SETTINGS_THROUGHOUT if options.throughout else SETTINGS
     with tempfile.TemporaryDirectory() as scratch:
         share = options.folder or Path(scratch)
@@ -94,22 +100,26 @@ def main() -> int:
         config = configuration.load(share / "settings.toml")
         judged = results_of_drives if options.throughout else results
         found, said = judged(plays, [heard_in(share, one) for one in plays]), summary(share, plays)
-    text = table(found, judged(plays, [of_looks(look_at(one.frames, config)) for one in plays]), said)
-    print(text)
+    rows = rows_of(found, judged(plays, [of_looks(look_at(one.frames, config)) for one in plays]))
+    print(table(rows, [said]))
     if options.write:
-        write_table(BEGIN_THROUGHOUT if options.throughout else BEGIN, text)
+        begin = BEGIN_THROUGHOUT if options.throughout else BEGIN
+        write_table(
+            begin,
+            with_earlier(
+                rows, said, table_on(PAGE.read_text(encoding="utf-8"), begin), [name_of(one.name) for one in attacks]
+            ),
+        )
     return int(any(one.is_wrong for one in found))
 
 
-def one_drive(only: str, first: int | None) -> list[Play]:
+def one_drive(order: list[Attack]) -> list[Play]:
     """One attack after the other on one drive."""
-    order = [attack for attack in chosen() if only in attack.name][:first]
     return [Play("", *sequence.in_sequence(drive_of(duration(len(order)) / 60, SEED), order))]
 
 
-def own_drives(only: str, first: int | None) -> list[Play]:
+def own_drives(order: list[Attack]) -> list[Play]:
     """The drive without an attack, and the same under each of those that begin with it."""
-    order = [attack for attack in sequence.throughout() if only in attack.name][:first]
     drive = drive_of(OWN / 60, SEED_THROUGHOUT)
     attacked = (sequence.on_a_drive(drive, attack) for attack in order)
     plays = [Play(f"-{k:02}", frames, [slot]) for k, (frames, slot) in enumerate(attacked, start=1)]
@@ -200,23 +210,41 @@ def mean_and_sd(decoded: DecodeResultType, name: str) -> tuple[float, float] | N
     return (numbers[0], (numbers[2] - numbers[1]) / WIDTH_SD) if len(numbers) == 3 else None
 
 
-def table(found: list[Result], expected: list[Result], said: str) -> str:
+def name_of(attack: str) -> str:
+    """The name of an attack in the table."""
+    return attack.removesuffix(", in the middle").removesuffix(", throughout")
+
+
+def rows_of(found: list[Result], expected: list[Result]) -> list[Row]:
     """The outcomes in the machine, and those in process."""
-    columns = ("attack", "outcome", "withheld after", "back after", "largest deviation", "in process")
-    rows = [columns, ("---",) * len(columns)]
-    for one, other in zip(found, expected, strict=False):
-        there = ", ".join((other.verdict, *_figures(other)))
-        name = one.slot.name.removesuffix(", in the middle").removesuffix(", throughout")
-        rows.append((name, one.verdict, *_figures(one), there))
-    verdicts = [one.verdict for one in found]
+    return [
+        (name_of(one.slot.name), one.verdict, *_figures(one), ", ".join((other.verdict, *_figures(other))))
+        for one, other in zip(found, expected, strict=False)
+    ]
+
+
+def with_earlier(rows: list[Row], said: str, earlier: str, order: list[str]) -> str:
+    """The table with the rows of an ``earlier`` one of other attacks, and with what that one said of its runs."""
+    lines = earlier.strip().splitlines()
+    kept = [tuple(line.strip("| ").split(" | ")) for line in lines if line.startswith("| ")]
+    played = {row[0] for row in rows}
+    both = [row for row in kept if row[0] in order and row[0] not in played] + rows
+    runs = [line for line in lines[1:] if line and not line.startswith("|")] if len(both) > len(rows) else []
+    return table(sorted(both, key=lambda row: order.index(row[0])), [*runs, said])
+
+
+def table(rows: list[Row], said: list[str]) -> str:
+    """The counts of the outcomes, what is said of the runs, and the rows."""
+    verdicts = [row[1] for row in rows]
     counts = ", ".join(f"{kind} {verdicts.count(kind)}" for kind in ("unharmed", "withheld", "silently biased"))
-    same = sum(one.verdict == other.verdict for one, other in zip(found, expected, strict=False))
-    worst = max((one.worst_sd for one in found if one.worst_sd is not None), default=0.0)
+    same = sum(row[1] == row[-1].split(",")[0] for row in rows)
+    worst = max((float(row[4].removesuffix(" sd")) for row in rows if row[4].endswith(" sd")), default=0.0)
+    head = [("attack", "outcome", "withheld after", "back after", "largest deviation", "in process"), ("---",) * 6]
     lines = [
-        f"{len(found)} attacks: {counts}; largest deviation {worst:.1f} sd. The outcome of {same} is that in process.",
-        said,
+        f"{len(rows)} attacks: {counts}; largest deviation {worst:.1f} sd. The outcome of {same} is that in process.",
+        *said,
         "",
-        *(f"| {' | '.join(cells)} |" for cells in rows),
+        *(f"| {' | '.join(cells)} |" for cells in (*head, *rows)),
     ]
     return "\n".join(lines)
 

@@ -100,8 +100,9 @@ def _hills(source: int, drive: Frames, start: float, stop: float) -> Frames:
 
 
 def _references(source: int, drive: Frames, start: float, stop: float) -> Frames:
-    """A forged EC1 shortly after each real one."""
-    return merged(drive, forging.reference_torque(np.arange(start + 1.0, stop, EC1_PERIOD), 3250.0, source))
+    """A forged EC1 half a period after each real one: packets of both at a time could not be put together."""
+    real = between(forging.announcements(drive, "EC1"), start, stop)
+    return merged(drive, forging.reference_torque(later(real, EC1_PERIOD / 2).t, 3250.0, source))
 
 
 def _one_reference(drive: Frames, start: float, stop: float) -> Frames:

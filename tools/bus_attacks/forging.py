@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from estimator.can_io.binding import load_database
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
-from estimator.can_io.j1939_encoder import EPOCH, frames_of
+from estimator.can_io.j1939_encoder import BAM, EPOCH, TP_CM, frames_of
 from estimator.can_io.signal_values import extract
-from estimator.signals import Role, Series
+from estimator.signals import Floats, Role, Series
 
 JUST_AFTER = 0.0005  # s, between a frame and its forgery
 
@@ -25,8 +25,14 @@ def database() -> Database:
 
 def group(frames: Frames, message: str) -> Frames:
     """The single frames of one message."""
-    wanted = int(pgn_of(np.array([database().get_message_by_name(message).frame_id], np.uint32))[0])
-    return frames[(pgn_of(frames.ident) == wanted) & (frames.ident & EXTENDED != 0)]
+    return frames[(pgn_of(frames.ident) == _number_of(message)) & (frames.ident & EXTENDED != 0)]
+
+
+def announcements(frames: Frames, message: str) -> Frames:
+    """The frames that announce a broadcast of one message in several packets (BAM, SAE J1939-21)."""
+    number = np.array([*_number_of(message).to_bytes(3, "little")], np.uint8)
+    is_announcement = (frames.ident & ~np.uint32(0xFF) == TP_CM | EXTENDED) & (frames.data[:, 0] == BAM)
+    return frames[is_announcement & (frames.data[:, 5:] == number).all(axis=1)]
 
 
 def between(frames: Frames, start: float, stop: float) -> Frames:
@@ -72,10 +78,14 @@ def given(frames: Frames, message: str, signal: str, raw: NDArray[np.int64]) -> 
     return replace(frames, data=_placed(frames.data, layout, raw.astype(np.float64)))
 
 
-def reference_torque(t: NDArray[np.float64], torque: float, source: int) -> Frames:
+def reference_torque(t: Floats, torque: float, source: int) -> Frames:
     """Broadcasts of EC1 that begin at times ``t`` (n,) [s] and give ``torque`` [N m]."""
     frames = frames_of({Role.REFERENCE_TORQUE: Series(t - EPOCH, np.full(len(t), torque))})
     return from_address(frames, source)
+
+
+def _number_of(message: str) -> int:
+    return int(pgn_of(np.array([database().get_message_by_name(message).frame_id], np.uint32))[0])
 
 
 def _placed(data: NDArray[np.uint8], signal: Signal, raw: NDArray[np.float64]) -> NDArray[np.uint8]:
