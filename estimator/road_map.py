@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from math import pi
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +127,7 @@ class RoadMap:
         data = read_map(path)
         try:
             return cls._decoded(data)
-        except ValueError as error:
+        except (ValueError, TypeError, SyntaxError, OverflowError, TokenError) as error:  # numpy parses Python there
             reason = " ".join(str(error).split())
             raise ConfigError(f"{path}: not a map of slopes: {reason}; give the road.npy of roadload fleet") from error
 

@@ -163,7 +163,8 @@ def _bound(message: Message, signals: tuple[BoundSignal, ...], config: Config) -
     if source is not None and not by_pgn:
         raise ConfigError(f"bus.source_addresses.{name}: matched by its whole id, not by PGN; leave it out")
     key = _pgn(message.frame_id) if by_pgn else message.frame_id | (EXTENDED if extended else 0)
-    cycle = message.cycle_time / 1000 if message.cycle_time else None
+    period: object = message.cycle_time  # [ms]; an attribute of the database may be of any type
+    cycle = period / 1000 if isinstance(period, int | float) and period > 0 else None
     return BoundMessage(name=name, key=key, by_pgn=by_pgn, j1939=j1939, source=source, cycle=cycle, signals=signals)
 
 

@@ -140,7 +140,8 @@ class LineLog(Log):
                     lines.put(row, Frames.from_messages([message]), kind, self._channel_of(message))
             except READER_ERRORS as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                lines.refuse(rows[max(tap.number - before, 1) - 1], f"this line cannot be read ({reason})")
+                place = min(max(tap.number - before, 1), len(rows)) - 1  # the text may hold more line ends than rows
+                lines.refuse(rows[place], f"this line cannot be read ({reason})")
 
 
 def line_from(text: bytes, start: int) -> tuple[bytes, int]:
