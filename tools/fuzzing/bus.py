@@ -1,6 +1,5 @@
 """Spoilt traffic through the daemon's link, loop and estimator, on a clock that the traffic sets."""
 
-import logging
 import math
 from collections.abc import Callable
 
@@ -95,7 +94,6 @@ def spoilt_traffic(count: int, seed: int) -> str:
     Exception
         Of any kind where the daemon ended.
     """
-    logging.disable()
     noise, sent = Noise(seed), 0
 
     class Bus(can.BusABC):

@@ -24,7 +24,7 @@ PATIENCE = 5.0  # s for what a process does beside reading
 PROCESSES = multiprocessing.get_context("fork")
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Found:
     """What became of the files; ``faults`` name the reason and the file of the corpus."""
 
