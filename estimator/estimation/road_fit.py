@@ -317,7 +317,7 @@ class _Search:
 
     def _follow(self, likelihood: Likelihood, scales: RoadScales) -> float:
         """Take the road load, and what effects take, as they are at ``scales``; the lag [s] that its place leaves."""
-        beta, _, _ = likelihood.solve(likelihood.model.condition(scales.values).gram(likelihood.data))
+        beta, _, _ = likelihood.solve(likelihood.at(scales.values)[1])
         beta = beta / likelihood.unit
         self._road_load = scaled_by(beta)
         m, driven = float(self._road_load[2]), likelihood.model.driven
@@ -336,8 +336,7 @@ def _exchanged(scales: RoadScales) -> RoadScales:
 def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng: np.random.Generator) -> RoadFit:
     """Coefficients corrected for the noise of the torque, with all doubts in their covariance."""
     model, unit = likelihood.model, likelihood.unit
-    conditioned = model.condition(scales.values)
-    gram = conditioned.gram(likelihood.data)
+    conditioned, gram = likelihood.at(scales.values)
     plain, information, _ = likelihood.solve(gram)
     noise = likelihood.noise_information(scales.values, conditioned, plain, rng)
     direction = np.linalg.solve(information, np.eye(len(plain))[0])  # of the information on 1/m
