@@ -48,8 +48,9 @@ PIECE = 1.0  # s of driving read at a time
 INTERVAL = 5.0  # s of driving between saves
 BLOCKS = 10.0  # s of driving that wait in blocks, and are in no state yet (README, State)
 MOVING = 1.0  # m/s; a vehicle at rest adds nothing to save
-MAX_LIFE = 0.3  # s until a child is killed
-MAX_WAIT = 20.0  # s for a child to write
+MAX_LIFE = 60.0  # s of driving until a child is killed
+MAX_WAIT = 60.0  # s for a child to drive or to write
+LOOK = 0.002  # s, the longest time between two looks at a child
 MAX_OUTAGE = 20.0  # s of driving between two children, not recorded
 BREAK = 60.0  # s between two laps of the same drive
 LAST = 1500.0  # s driven after the last cut, for a last estimate
@@ -180,13 +181,31 @@ def live(drive: Drive, directory: Path, config: Config, witness: Witness, start:
         worker.turn()
 
 
-def wait_for_write(witness: Witness, child: int, rng: np.random.Generator) -> None:
-    """Return at a random time of the child's next write of its state."""
+def has_ended(child: int) -> bool:
+    """Whether the child ended by itself."""
+    return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+
+def wait_for_driving(witness: Witness, child: int, until: float, rng: np.random.Generator) -> None:
+    """Return at a random time after the child has driven to ``until`` [s], however slow the machine is."""
     deadline = time.monotonic() + MAX_WAIT
-    while witness[SAVING] <= witness[SAVED] and time.monotonic() < deadline:
-        if os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+    while witness[DRIVEN] < until and time.monotonic() < deadline and not has_ended(child):
+        time.sleep(rng.uniform(0, LOOK))
+
+
+def stop_in_write(witness: Witness, child: int, rng: np.random.Generator) -> None:
+    """Stop the child at a random time of a write of its state; a write that ended before it stopped does not count."""
+    deadline = time.monotonic() + MAX_WAIT
+    while time.monotonic() < deadline:
+        while witness[SAVING] <= witness[SAVED] and time.monotonic() < deadline:
+            if has_ended(child):
+                return
+        time.sleep(rng.uniform(0, witness[WRITING]))
+        os.kill(child, signal.SIGSTOP)
+        os.waitid(os.P_PID, child, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+        if witness[SAVING] > witness[SAVED]:
             return
-    time.sleep(rng.uniform(0, witness[WRITING]))
+        os.kill(child, signal.SIGCONT)
 
 
 def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.random.Generator) -> dict[str, Any]:
@@ -201,9 +220,9 @@ def cut(drive: Drive, directory: Path, config: Config, kills: int, rng: np.rando
             finally:
                 os._exit(70)  # reached only after an error: a child runs until it is killed
         if kill % 2:
-            wait_for_write(witness, child, rng)
+            stop_in_write(witness, child, rng)
         else:
-            time.sleep(rng.uniform(0, MAX_LIFE))
+            wait_for_driving(witness, child, begin + rng.uniform(0, MAX_LIFE), rng)
         os.kill(child, signal.SIGKILL)
         counts["failed"] += os.WIFEXITED(os.waitpid(child, 0)[1])
         counts["while_saving"] += witness[SAVING] > witness[SAVED]
