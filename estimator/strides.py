@@ -30,10 +30,10 @@ class Strides:
     ``t`` [s] of the middle; ``rows`` of the time grid that it stands for; ``v0``, ``v1`` [m/s] and ``s0``, ``s1`` [m]
     speed and distance at the ends; ``a`` [m/s^2] between them; ``speed_squared`` [m^2/s^2]; ``force`` [N] of the
     engine at the wheels with its power taken later by each of LAGS; ``gearing`` [rad/m] turns of the engine per
-    distance, 1/v where its speed is not known; ``density`` of the air [kg/m^3]. Of the road: ``altitude`` [m],
+    distance; ``density`` of the air [kg/m^3]. Of the road: ``altitude`` [m],
     ``grade`` sine of the slope and ``grade_offset_sd`` of its constant error, where that is known, ``gravity`` [m/s^2]
     along the road by an accelerometer. What is not known is NaN.
-    ``known`` where the force is known throughout; only there do a, force and gearing count. ``context`` holds what
+    ``known`` where the force is known throughout; only there do a and force count. ``context`` holds what
     effects are computed from.
     """
 
@@ -62,6 +62,14 @@ class Strides:
     def speed(self) -> Floats:
         """Mean of the speeds at both ends [m/s] (n,)."""
         return 0.5 * (self.v0 + self.v1)
+
+    @property
+    def filled_gearing(self) -> Floats:
+        """Gearing [rad/m] (n,), by the median engine speed where the engine's is not known; 1/v where none is."""
+        turns = self.gearing * self.speed
+        there = np.isfinite(turns)
+        usual = np.median(turns[there]) if there.any() else 1.0
+        return np.where(there, self.gearing, usual / self.speed)
 
     @property
     def power(self) -> Floats:
@@ -141,7 +149,7 @@ class Strides:
         columns["force"] = array(state, "force", (n, len(LAGS)), finite=False)
         columns["context"] = {q: array(context, q, (n,), finite=False) for q in names(context, Quantity)}
         strides = cls(**columns)
-        needed = [strides.v0, strides.v1, strides.a, strides.speed_squared, strides.gearing, *strides.force.T]
+        needed = [strides.v0, strides.v1, strides.a, strides.speed_squared, *strides.force.T]
         if not np.isfinite(np.array(needed)[:, strides.known]).all() or not np.isfinite([strides.s0, strides.s1]).all():
             raise StateError("strides: are not all complete")
         if np.any(strides.rows < 0) or np.any(strides.s1 < strides.s0):

@@ -224,12 +224,22 @@ def test_signals_of_the_road_are_read_as_slope_and_gravity():
     assert_allclose(strides.context[Quantity.ENGINE_SPEED], 140.0)
 
 
-def test_without_signals_of_the_road_they_are_not_known_and_the_gearing_is_that_of_no_engine():
+def test_without_signals_of_road_and_engine_they_are_not_known():
     strides = known(strided(pull())[0])
     for values in (strides.altitude, strides.grade, strides.gravity, strides.density):
         assert np.isnan(values).all()
+    assert np.isnan(strides.gearing).all()
     assert_allclose(strides.relative_density, 1.0)
-    assert_allclose(strides.gearing, 1 / strides.speed, rtol=1e-3)
+    assert_allclose(strides.filled_gearing, 1 / strides.speed, rtol=1e-3)
+
+
+def test_an_engine_speed_of_zero_is_not_known_and_the_usual_one_fills_its_gaps():
+    n = 300
+    turns = np.where(np.arange(n) < 200, 140.0, 0.0)
+    strides = known(strided(rows_of(10 + 0.03 * np.arange(n), 1e5, **{Role.ENGINE_SPEED: turns}))[0])
+    there = np.isfinite(strides.gearing)
+    np.testing.assert_array_equal(there, strides.t < 19.5)
+    assert_allclose(strides.filled_gearing, 140 / strides.speed, rtol=1e-3)
 
 
 # Which forces are known

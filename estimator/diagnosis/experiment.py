@@ -175,7 +175,7 @@ def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int)
     v, a = 0.5 * (v0 + v1), (v1 - v0) / DURATION
     ends = s + np.concatenate([[0.0], np.cumsum(v * DURATION)])
     order = np.argsort(known.speed)
-    gearing = factor * np.interp(v, known.speed[order], known.gearing[order])
+    gearing = factor * np.interp(v, known.speed[order], known.filled_gearing[order])
     force, unknown, times = A + C * v**2 + m * a, np.full(n, np.nan), t + DURATION * (np.arange(n) + 0.5)
     own = {
         Quantity.ENGINE_SPEED: gearing * v,

@@ -154,7 +154,8 @@ class RoadModel:
     def _motion(self) -> tuple[Places, Floats]:
         """Unknowns that each driven stride's acceleration depends on, and their weights."""
         driven = self.driven
-        self.weight = driven.gearing / np.median(driven.gearing)  # of the torque's error in each stride's force
+        gearing = driven.filled_gearing
+        self.weight = gearing / np.median(gearing)  # of the torque's error in each stride's force
         self.slowness = np.median(driven.speed) / driven.speed  # the same of the power's
         ends = np.column_stack([self._before, self._after])
         places = [error[ends] for error in (self._speed_error, self._force_error, self._power_error)]

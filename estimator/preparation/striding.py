@@ -134,7 +134,6 @@ class Strider:
         slow = np.maximum(speed, MIN_SPEED)
         force = np.column_stack([mean(np.where(coasting, 0.0, _later(rows.power, lag) / slow)) for lag in LAGS])
         turns = signal(Role.ENGINE_SPEED)
-        gearing = np.where(np.isfinite(turns), turns, 1.0) / slow
         rise = signal(Role.GRADE)
         middle = at[:, SPAN_ROWS // 2]
         there = measured(rows, self._start)
@@ -149,7 +148,7 @@ class Strider:
             a=a,
             speed_squared=mean(speed**2),
             force=force,
-            gearing=mean(gearing),
+            gearing=mean(np.where(turns > 0, turns, np.nan) / slow),  # 0: what a gateway sends that knows none
             density=mean(air_density(rows)),
             altitude=mean(signal(Role.ALTITUDE)),
             grade=mean(rise / np.hypot(1.0, rise)),
