@@ -1,8 +1,7 @@
 """Recordings and logs from the 1 Hz table of a class-8 truck (Wang and Rakha 2017).
 
-The table joins recordings phase by phase, and rows are missing inside some: speed or elevation jumps there. Fuel, the
-measure of power, is smoothed in time relative to speed, so the estimated mass is too low, most at short time scales.
-Therefore recordings are cut at jumps, and all columns pass the same low-pass.
+The table joins recordings phase by phase, and rows are missing inside some: speed or elevation jumps there. Recordings
+are cut at these jumps.
 """
 
 from collections import Counter
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from table import Table
 from table_to_log import frames_of_table
 
@@ -33,10 +31,9 @@ MAP = [
 MAX_STEPS = {SPEED: 5.6, ELEVATION: 4.0}  # between two rows: 2.5 m/s^2; more than on the steepest road
 MIN_ROWS = 30  # rows between jumps
 PAUSE = 60.0  # s inserted at a jump, so that no signal is held across it
-LOW_PASS = 4.0  # s, sd of the Gaussian
 
 
-def recordings(table: Table, low_pass: float = LOW_PASS) -> Iterator[tuple[str, Table]]:
+def recordings(table: Table) -> Iterator[tuple[str, Table]]:
     """Name, such as ``1b`` for the second of phase 1, and rows of each recording, with a column TIME [s]."""
     phase = np.array([int(float(cell)) for cell in table.column(PHASE)])
     seen: Counter[int] = Counter()
@@ -44,20 +41,18 @@ def recordings(table: Table, low_pass: float = LOW_PASS) -> Iterator[tuple[str, 
         number = int(phase[rows[0]])
         chosen = np.zeros(len(table), dtype=bool)
         chosen[rows] = True
-        yield f"{number}{chr(ord('a') + seen[number])}", _smoothed(table[chosen], low_pass)
+        yield f"{number}{chr(ord('a') + seen[number])}", _cut(table[chosen])
         seen[number] += 1
 
 
-def _smoothed(recording: Table, low_pass: float) -> Table:
-    """The recording between its jumps, each column low-passed there."""
+def _cut(recording: Table) -> Table:
+    """The recording without the rows near its jumps, with a pause in the place of each."""
     columns = {name: recording.numbers(name) for name in (SPEED, FUEL, ENGINE, ELEVATION)}
     jumps = np.any([np.abs(np.diff(columns[name])) > most for name, most in MAX_STEPS.items()], axis=0)
     pieces = [(i, rows) for i, rows in enumerate(_runs(jumps)) if len(rows) >= MIN_ROWS]
     chosen = np.concatenate([rows for _, rows in pieces]) if pieces else np.empty(0, np.int64)
     cells = {TIME: [float(row + PAUSE * i) for i, rows in pieces for row in rows.tolist()]}
-    for name, values in columns.items():
-        parts = [gaussian_filter1d(values[rows], low_pass) if low_pass else values[rows] for _, rows in pieces]
-        cells[name] = np.concatenate(parts).tolist() if parts else []
+    cells |= {name: values[chosen].tolist() for name, values in columns.items()}
     return Table(recording.path, [recording.line[row] for row in chosen.tolist()], cells)
 
 
