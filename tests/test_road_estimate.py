@@ -210,6 +210,14 @@ def test_a_bad_signal_of_the_road_makes_no_wrong_mass(drive, role, spoil):
         assert found.reason
 
 
+def test_a_late_torque_is_a_wrong_time_stamp_unless_the_configuration_expects_it(drive):
+    late = measure(drive.truth, Sensors(without=CLIMB, torque_lag=0.55), np.random.default_rng(5))
+    assert "+0.6 s apart: check their time stamps" in concluded(late).reason
+    expected = concluded(late, kinematics={"maximum_lag_s": 2.0})
+    assert away(expected) < 0.02
+    assert in_sds(expected) < 2
+
+
 def test_a_torque_that_drifts_is_withheld_because_parts_of_the_drive_contradict():
     rng = np.random.default_rng(4)
     road = generate_route("mixed", 1500.0 * 45, rng, 0.01)

@@ -31,7 +31,7 @@ from estimator.estimation.mass_changes import mass_changes
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given
-from estimator.estimation.road_likelihood import ROAD_LOAD
+from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.shapes import averaged, best_shapes, fitted_with_shapes
 from estimator.estimation.window import Window
@@ -50,7 +50,8 @@ MIN_GROWTH = 1.5
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
 MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.009, 0.013)
 MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.09)
-MAX_LAG = 0.5  # s, between power and speed: beyond, the time stamps are wrong (0.07, 0.05)
+USUAL_LAG = 0.5  # s, between power and speed, may be more only where `kinematics.maximum_lag_s` is above its default
+LONGEST_LAG = float(LAGS.max()) + LAG_SD  # s, that the model can describe
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
 MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
 MAX_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
@@ -247,7 +248,7 @@ class RoadInference:
         reasons = self._reasons(judged, found, *bounds)
         if "m" in reasons:
             return withheld(reasons["m"], coverage)
-        if reason := _misfit(found):
+        if reason := _misfit(found, self._config.kinematics.maximum_lag_s):
             return withheld(reason, coverage, Status.INVALID)
         for change in changes:
             if change.contradiction:
@@ -347,7 +348,7 @@ def _restored_scales(state: State) -> RoadScales:
     return RoadScales(values=values, alpha=alpha, wander=wander, readings=readings, lag=lag)
 
 
-def _misfit(found: RoadFit) -> str:
+def _misfit(found: RoadFit, maximum_lag: float) -> str:
     """Reason why vehicle and road do not describe the strides; empty where they do."""
     a = found.strides.a
     explained = 1 - float(np.var(a - found.fitted)) / max(float(np.var(a)), 1e-12)
@@ -360,7 +361,7 @@ def _misfit(found: RoadFit) -> str:
         return f"only slopes of {100 * found.slope_sd:.0f} % would explain the drive: a wrong signal?"
     if found.scales.values[[TORQUE, POWER]].max() > MAX_NOISE:
         return "force and acceleration are hardly correlated: a wrong signal?"
-    if abs(found.lag) > MAX_LAG:
+    if abs(found.lag) > (LONGEST_LAG if maximum_lag > LAGS.max() else USUAL_LAG):
         return f"power and speed are {found.lag:+.1f} s apart: check their time stamps"
     return ""
 
