@@ -30,7 +30,7 @@ from estimator.units import STANDARD_GRAVITY
 TOOLS = Path(__file__).parents[1] / "tools"
 ROOMS = (
     "table", "table_to_log", "vt_truck", "surrogate_drives", "real_recordings", "check_fastsim", "check_transfer",
-    "fastsim_world",
+    "dynamometer", "fastsim_world",
 )  # fmt: skip
 CAR = """VERSION ""
 NS_ :
@@ -50,6 +50,7 @@ def tools(monkeypatch):
     monkeypatch.syspath_prepend(TOOLS)
     import check_fastsim
     import check_transfer
+    import dynamometer
     import fastsim_world.bus
     import fastsim_world.roads
     import fastsim_world.truck
@@ -64,6 +65,7 @@ def tools(monkeypatch):
         table=table,
         to_log=table_to_log,
         vt=vt_truck,
+        rolls=dynamometer,
         recordings=real_recordings,
         second=check_fastsim,
         pair=check_transfer,
@@ -244,6 +246,17 @@ def test_without_fuel_the_power_of_the_truck_is_not_known(tools, tmp_path):
     tools.vt.write(recording, tmp_path / "truck.blf")
     ids = [message.arbitration_id for message in can.LogReader(tmp_path / "truck.blf")]
     assert (ids.count(256), ids.count(257), ids.count(258)) == (100, 80, 100)
+
+
+@pytest.mark.slow
+def test_a_car_on_rolls_has_the_mass_that_the_rolls_give_it(tools, recordings, tmp_path):
+    """1,671 to 1,679 kg by least squares of the measured force; there A is about 0, which is not an estimate."""
+    log = tmp_path / "car.blf"
+    tools.rolls.write(recordings / "argonne_d3" / "61506048.txt", log)
+    found = tools.recordings.roadload(RunAnswer, "estimate", log, "--config", TOOLS / "dynamometer.toml").parameters
+    assert found.mass_kg.q05 < 1675 < found.mass_kg.q95
+    assert found.mass_kg.sd < 0.01 * found.mass_kg.mean
+    assert (found.A_N.status, found.A_N.mean) == ("unestimated", None)
 
 
 @pytest.mark.slow

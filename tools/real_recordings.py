@@ -1,10 +1,12 @@
 """Diagnosis of real recordings with signals withheld and then revealed: predicted against measured gap closed.
 
-python tools/real_recordings.py [--only bmw|battery|vt|kenworth|surrogates] [--trip TripA02 ...] [--surrogates N]
+python tools/real_recordings.py [--only bmw|battery|vt|dynamometer|kenworth|surrogates] [--trip TripA02 ...]
+    [--surrogates N]
 
 * A BMW i3, 29 trips: accelerometer and elevation withheld, so the road's grade is a gap; then each of them revealed.
 * The same trips with the power of the battery: heater and air conditioner, which have signals, are withheld.
 * A class-8 truck at 1 Hz (tools/table_to_log.py): elevation withheld, then revealed, with the mass by either.
+* Two electric cars on a chassis dynamometer (tools/dynamometer.py): the force at the wheels is measured.
 * A Kenworth, three drives of 30 s: too short for a diagnosis.
 * Surrogates of the BMW's trips, clean drives with the noise of real ones: every named effect is a false alarm.
 
@@ -23,6 +25,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import can
+import dynamometer
 import numpy as np
 import vt_truck
 from rich.console import Console
@@ -34,7 +37,7 @@ from table import read_table
 from estimator import config
 from estimator.answers.answer import Answer, decode
 from estimator.answers.diagnosis import DiagnosisAnswer, Magnitude
-from estimator.answers.run import RunAnswer
+from estimator.answers.run import Parameter, RunAnswer
 from estimator.can_io.binding import load_database
 from estimator.errors import InputError, RoadloadError
 
@@ -257,6 +260,32 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
         }
 
 
+def on_rolls(folder: Path, work: Path) -> Iterator[dict[str, str]]:
+    """Per car and model: mass, A and C with 90 % intervals, beside that of least squares of the measured force."""
+    settings = ROOT / "tools" / "dynamometer.toml"
+    for path in sorted((folder / "argonne_d3").glob("*.txt")):
+        log = work / f"{path.stem}.blf"
+        dynamometer.write(path, log)
+        for effects in ((), ("viscous_drag",)):
+            added = [argument for effect in effects for argument in ("--effect", effect)]
+            found = roadload(RunAnswer, "estimate", log, "--config", settings, *added).parameters
+            yield {
+                "recording": path.stem,
+                "effects": " + ".join(effects) or "-",
+                "least squares [kg]": f"{dynamometer.least_squares(path):,.0f}",
+                "mass [kg]": _interval(found.mass_kg, ",.0f"),
+                "A [N]": _interval(found.A_N, ".1f"),
+                "C [N s2/m2]": _interval(found.C_N_s2_m2, ".3f"),
+            }
+
+
+def _interval(found: Parameter, form: str) -> str:
+    """Mean with its 90 % interval, or the status."""
+    if found.mean is None or found.q05 is None or found.q95 is None:
+        return found.status
+    return f"{found.mean:{form}} ({found.q05:{form}} .. {found.q95:{form}})"
+
+
 def kenworth(folder: Path) -> Iterator[dict[str, str]]:
     """Per drive: the verdict, expected to be "cannot tell", and its reason."""
     for log in sorted((folder / "j1939_trucks" / "kenworth_t270").glob("*.log")):
@@ -313,7 +342,7 @@ def print_table(title: str, rows: list[dict[str, str]]) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Diagnose the chosen recordings and print a table for each vehicle."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=["bmw", "battery", "vt", "kenworth", "surrogates"])
+    parser.add_argument("--only", choices=["bmw", "battery", "vt", "dynamometer", "kenworth", "surrogates"])
     parser.add_argument("--trip", action="append", default=[], metavar="NAME", help="of the BMW; default: all")
     parser.add_argument("--surrogates", type=int, default=54, metavar="N", help="how many in all; default: %(default)s")
     parser.add_argument("--json", action="store_true")
@@ -329,6 +358,7 @@ def main(arguments: list[str] | None = None) -> int:
                 "bmw": lambda: bmw(folder, work, options.trip),
                 "battery": lambda: battery(folder, options.trip),
                 "vt": lambda: vt(folder, work),
+                "dynamometer": lambda: on_rolls(folder, work),
                 "kenworth": lambda: kenworth(folder),
                 "surrogates": lambda: surrogates(folder, work, options.trip, options.surrogates),
             }
