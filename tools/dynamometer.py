@@ -23,8 +23,10 @@ COLUMNS = (0, 4, 5)  # time [s], speed [mph] and force [N] of the rolls, in file
 
 def read(path: Path) -> tuple[Floats, Floats, Floats]:
     """Time [s], speed [mph] and force [N] (n,) of the rolls; the first row may be a header."""
-    rows = np.genfromtxt(path, delimiter="\t", comments=None, usecols=COLUMNS)
-    t, speed, force = rows[np.isfinite(rows).all(axis=1)].T
+    with path.open() as lines:
+        header = next(lines).startswith("Time")
+    rows = np.loadtxt(path, delimiter="\t", comments=None, usecols=COLUMNS, skiprows=int(header))
+    t, speed, force = rows.T
     return t, speed, force
 
 

@@ -142,14 +142,14 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
     half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
     moves = MOVES[np.abs(MOVES) < half]
     column = joint.frame.column(term)
-    each = [profile * _moved(t, spans[i][side], move, side) for i, side in edges for move in moves]
-    changes = np.array(each).reshape(-1, len(t))
-    near = np.flatnonzero(np.any(changes != 0, axis=0))
+    near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
+    each = [profile[near] * _moved(t[near], spans[i][side], move, side) for i, side in edges for move in moves]
+    changes = np.array(each).reshape(-1, len(near))
     single = np.zeros((len(t), 1 + len(near)))
     single[:, 0], single[near, 1 + np.arange(len(near))] = column, 1.0
     G, s = joint.projected(chosen, single)
     made = np.zeros((1 + len(near), 1 + len(changes)))
-    made[0, 0], made[1:, 1:] = 1.0, changes[:, near].T
+    made[0, 0], made[1:, 1:] = 1.0, changes.T
     G, s = made.T @ G @ made, made.T @ s
     sd = term.effect.usual(joint.frame.road_load)
     taken = np.zeros(len(edges), dtype=np.int64) - 1
@@ -178,6 +178,14 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
         if move >= 0:
             found[i][side] += float(moves[move])
     return tuple((a, b) for a, b in found)
+
+
+def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.intp]:
+    """Strides (k,) whose share may change when ``edges`` [s] are moved by up to ``furthest`` [s]."""
+    reached = np.zeros(len(t), dtype=bool)
+    for edge in edges:
+        reached |= np.abs(t - edge) < furthest + DURATION / 2
+    return np.flatnonzero(reached)
 
 
 def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
