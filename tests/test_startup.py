@@ -13,10 +13,18 @@ from estimator.daemon.service import status_file
 
 COMPUTING = {"numpy", "scipy", "filterpy", "matplotlib", "pandas", "can", "cantools"}
 OTHER_COMMANDS = {
-    "estimate": {"matplotlib", "filterpy", "estimator.simulation", "estimator.diagnosis", "estimator.daemon"},
+    "estimate": {
+        "matplotlib",
+        "filterpy",
+        "scipy.signal",
+        "scipy.stats",
+        "estimator.simulation",
+        "estimator.diagnosis",
+        "estimator.daemon",
+    },
     "diagnose": {"matplotlib", "filterpy", "estimator.simulation", "estimator.daemon"},
     "simulate": {"matplotlib", "filterpy", "estimator.estimation", "estimator.diagnosis", "estimator.daemon"},
-    "run": {"matplotlib", "filterpy", "estimator.simulation", "estimator.diagnosis"},
+    "run": {"matplotlib", "filterpy", "scipy.signal", "scipy.stats", "estimator.simulation", "estimator.diagnosis"},
 }
 
 

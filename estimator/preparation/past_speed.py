@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from estimator.checkpoint.validation import State, array, read
+from estimator.preparation.recursion import recursive
 from estimator.roles import PAST_SPEEDS
 from estimator.samples import STEP
 from estimator.signals import Floats, Quantity
@@ -22,8 +22,7 @@ def low_passed(speed: Floats, before: float, step: float, time: float) -> Floats
     ``before`` [m/s] is the value a step before the first one.
     """
     keep = exp(-step / time)
-    passed: Floats = lfilter([1.0 - keep], [1.0, -keep], speed, zi=[keep * before])[0]
-    return passed
+    return recursive(np.concatenate([[before], (1.0 - keep) * speed]), np.array([1.0, -keep]))[1:]
 
 
 def last_known(values: Floats, before: float) -> Floats:

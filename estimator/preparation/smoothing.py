@@ -20,10 +20,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import minimize_scalar
 
 from estimator.checkpoint.validation import State, array, table
+from estimator.preparation.recursion import recursive
 from estimator.samples import STEP
 from estimator.signals import Floats
 
@@ -157,19 +157,9 @@ def fit_ratio(speed: Floats, dt: float) -> float:
         recursion = np.array([1.0, g + h * dt - 2.0, 1.0 - g])
         squares, count = 0.0, 0
         for piece in pieces:
-            e = _filtered(np.diff(piece - piece[0], 2, prepend=[0.0, 0.0]), recursion)[2:]
+            e = recursive(np.diff(piece - piece[0], 2, prepend=[0.0, 0.0]), recursion)[2:]
             squares, count = squares + float(e @ e), count + len(e)
         return count * float(np.log(max(squares / count, np.finfo(float).tiny)))
 
     low, high = np.log(RATIO_BOUNDS)
     return float(np.exp(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 0.05}).x))
-
-
-def _filtered(signal: Floats, recursion: Floats) -> Floats:
-    """Solve sum_k recursion[k] y[t - k] = signal[t] for y (n,), zero before the start; recursion[0] is 1.
-
-    A banded triangular system; `scipy.signal.lfilter` does the same, and takes a daemon's memory to import.
-    """
-    band = np.repeat(recursion[:, None], len(signal), axis=1)
-    solution: Floats = dtbtrs(band, signal[:, None], uplo="L", diag="U")[0][:, 0]
-    return solution
