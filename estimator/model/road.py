@@ -62,6 +62,7 @@ ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
 MAX_PASSAGE = 60.0
 HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numerically exact
 START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
+TOGETHER = 64  # columns of data that are whitened at once: bounds the memory of many
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up
 _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the stride's mean
 
@@ -411,13 +412,17 @@ class Conditioned:
 
     def gram(self, data: Floats) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""
-        product, gathered = np.zeros((data.shape[1], data.shape[1])), np.zeros((self.model.size, data.shape[1]))
-        for observed, rows in self.model.present(data):
-            sd = np.sqrt(self.variance[rows])[:, None]
-            scaled = data[rows] / sd
+        count, kinds = data.shape[1], list(self.model.present(data))
+        product, whitened = np.zeros((count, count)), np.empty((self.model.size, count), order="F")
+        for _, rows in kinds:
+            scaled = data[rows] / np.sqrt(self.variance[rows])[:, None]
             product += scaled.T @ scaled  # of a matrix with itself: half the work
-            gathered += observed.gathered(scaled / sd)
-        whitened = self.factor.whiten(gathered)
+        for start in range(0, count, TOGETHER):
+            part = slice(start, start + TOGETHER)
+            gathered = np.zeros_like(whitened[:, part])
+            for observed, rows in kinds:
+                gathered += observed.gathered(data[rows, part] / self.variance[rows][:, None])
+            whitened[:, part] = self.factor.whiten(gathered)
         product -= whitened.T @ whitened
         return product
 
