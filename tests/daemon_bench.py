@@ -15,6 +15,7 @@ from estimator.daemon.reception.buses import BusSpec
 from estimator.daemon.reception.device import Device
 from estimator.daemon.reception.link import Link
 from estimator.daemon.reception.reader import Batch
+from estimator.daemon.service import faults
 from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.worker import Worker
@@ -114,7 +115,7 @@ class Bench:
             clock=lambda: self.now,
             wall=lambda: self.now + self.ahead,
             own_faults=Faults(bind(settings, load_database(settings.bus.dbc)), settings.publish.stale_after_s),
-            codes_file=None if folder is None else folder / "codes.json",
+            save_codes=None if folder is None else lambda memory: faults.save(folder / "codes.json", memory),
         )
 
     @property

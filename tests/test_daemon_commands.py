@@ -23,6 +23,7 @@ from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import open_log
 from estimator.checkpoint.store import StateStore
 from estimator.commands.main import main
+from estimator.daemon.service import folder_lock
 from estimator.daemon.service.assembly import Plan, plan, restored
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.supervision import Signals, supervise
@@ -326,6 +327,19 @@ def test_two_daemons_do_not_share_a_state(running: Running, settings: Path, tmp_
     until(lambda: bool(shown(tmp_path)))
     with pytest.raises(ConfigError, match="another daemon"):
         supervise(lambda: plan(settings, None, Namespace()), Signals())
+
+
+def test_a_new_configuration_with_the_folder_of_another_daemon_is_not_used(
+    running: Running, settings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    until(lambda: bool(shown(tmp_path)))
+    with folder_lock.alone(tmp_path / "other"):
+        settings.write_text(settings.read_text().replace(f"'{tmp_path / 'state'}'", f"'{tmp_path / 'other'}'"))
+        running.signals.reload.set()
+        until(lambda: "the old one stays" in caplog.text)
+    assert "another daemon" in caplog.text
+    running.stop()
+    assert running.failure is None
 
 
 def test_a_pipeline_that_is_still_at_work_is_not_given_to_the_next_daemon(

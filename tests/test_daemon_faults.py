@@ -1,9 +1,9 @@
 """File systems that turn read-only, buses closed in the wrong instant, datagrams that are no frames: it runs on."""
 
 import errno
-import fcntl
 import logging
 import os
+import shutil
 from pathlib import Path
 
 import can
@@ -14,6 +14,7 @@ from daemon_bench import Bench, FakeBus, frame
 from estimator.checkpoint.store import StateStore
 from estimator.daemon.reception.reader import MAX_BATCH, MessageReader
 from estimator.daemon.service import folders
+from estimator.daemon.service.folder_lock import LockedStore, alone
 from estimator.errors import ConfigError, RoadloadError
 
 READ_ONLY = OSError(errno.EROFS, os.strerror(errno.EROFS))
@@ -28,7 +29,7 @@ def refuse(*arguments, **keywords):
 
 def test_a_state_folder_on_a_read_only_file_system_does_not_stop_the_daemon(tmp_path: Path, monkeypatch, caplog):
     monkeypatch.setattr(Path, "mkdir", refuse)
-    with caplog.at_level(logging.WARNING), folders.alone(tmp_path / "state"):
+    with caplog.at_level(logging.WARNING), alone(tmp_path / "state"):
         pass
     assert "Read-only file system; nothing is kept there until it can be written" in caplog.text
 
@@ -40,10 +41,61 @@ def test_a_folder_that_waiting_does_not_mend_is_refused(tmp_path: Path):
 
 
 def test_two_daemons_do_not_share_a_folder(tmp_path: Path):
-    with folders.alone(tmp_path), pytest.raises(ConfigError, match="another daemon"), folders.alone(tmp_path):
+    with alone(tmp_path), pytest.raises(ConfigError, match="another daemon"), alone(tmp_path):
         pass
-    with open(tmp_path / folders.LOCK_FILE) as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with alone(tmp_path):
+        pass
+
+
+@pytest.fixture
+def file_system(monkeypatch):
+    """A file system that can be written, or cannot."""
+    read_only, opened, made = [False], os.open, Path.mkdir
+
+    def open_(path, flags, *rest, **keywords):
+        if read_only[0] and flags & (os.O_RDWR | os.O_WRONLY | os.O_CREAT):
+            raise READ_ONLY
+        return opened(path, flags, *rest, **keywords)
+
+    def mkdir(path, *rest, **keywords):
+        if read_only[0] and not path.is_dir():
+            raise READ_ONLY
+        made(path, *rest, **keywords)
+
+    monkeypatch.setattr(os, "open", open_)
+    monkeypatch.setattr(Path, "mkdir", mkdir)
+    return read_only
+
+
+def test_two_daemons_do_not_share_a_folder_that_cannot_be_written(tmp_path: Path, file_system):
+    with alone(tmp_path):
+        pass
+    file_system[0] = True
+    with alone(tmp_path), pytest.raises(ConfigError, match="another daemon"), alone(tmp_path):
+        pass
+
+
+def test_of_two_daemons_that_found_no_folder_one_saves(tmp_path: Path, file_system):
+    file_system[0] = True
+    folder = tmp_path / "state"
+    with alone(folder) as first, alone(folder) as second:
+        one, other = (LockedStore(StateStore(folder), lock) for lock in (first, second))
+        with pytest.raises(RoadloadError, match="cannot be locked"):
+            one.save({"a": 1}, "key")
+        file_system[0] = False
+        other.save({"a": 2}, "key")
+        with pytest.raises(ConfigError, match="another daemon"):
+            one.save({"a": 1}, "key")
+    assert StateStore(folder).load("key") == ({"a": 2}, "")
+
+
+def test_a_folder_that_was_replaced_is_locked_again(tmp_path: Path):
+    folder = tmp_path / "state"
+    with alone(folder) as lock:
+        shutil.rmtree(folder)
+        lock.require()
+        with pytest.raises(ConfigError, match="another daemon"), alone(folder):
+            pass
 
 
 class Disk:

@@ -12,13 +12,15 @@ from estimator import config as configuration
 from estimator.can_io.binding import BoundMessage, bind, load_database
 from estimator.can_io.foreign_senders import CVW
 from estimator.can_io.publisher import output_groups
+from estimator.can_io.trouble_codes import TroubleMemory
 from estimator.checkpoint.store import StateStore
 from estimator.config import Config, estimation_key
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
 from estimator.daemon.reception.filters import input_filters, node_filters, of_group
 from estimator.daemon.reception.link import Link
-from estimator.daemon.service import faults, file_permissions, folders
+from estimator.daemon.service import faults, file_permissions, folder_lock, folders
 from estimator.daemon.service.boot_id import boot_id
+from estimator.daemon.service.folder_lock import FolderLock, LockedStore
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.sd_notify import Notifier
 from estimator.daemon.service.worker import BOOT, Worker
@@ -119,7 +121,10 @@ def rehearse(following: Plan, running: Plan) -> None:
         A bus cannot be opened, or a folder cannot be used.
     """
     service = following.config.service
-    folders.make(folders.state_directory(service), 0o700)
+    states = folders.state_directory(service)
+    if states != folders.state_directory(running.config.service):
+        with folder_lock.alone(states):
+            pass
     folders.make(folders.runtime_directory(service), 0o755)
     for spec in (following.source, following.target):
         if spec is None or spec in (running.source, running.target):
@@ -130,8 +135,12 @@ def rehearse(following: Plan, running: Plan) -> None:
             raise NotThereError(f"{spec.label}: {error}") from error
 
 
-def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | None = None) -> Daemon:
-    """A daemon, not yet started; ``pipeline`` is one that goes on, instead of the saved state.
+def assemble(
+    plan: Plan, lock: FolderLock, pipeline: Pipeline | None = None, notifier: Notifier | None = None
+) -> Daemon:
+    """A daemon, not yet started; ``lock`` is that of its state folder.
+
+    ``pipeline`` is one that goes on, instead of the saved state.
 
     Raises
     ------
@@ -141,7 +150,7 @@ def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | 
     settings = plan.config
     reception, service = settings.reception, settings.service
     state_folder = folders.make(folders.state_directory(service), 0o700)
-    store = StateStore(state_folder)
+    store, codes = StateStore(state_folder), state_folder / faults.FILE
     runtime = folders.make(folders.runtime_directory(service), 0o755)
     filters, own = input_filters(plan.messages), node_filters(settings.publish.source_address)
     heard = [] if not settings.transmit.enabled else own if plan.target is None else [of_group(CVW)]
@@ -151,14 +160,19 @@ def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | 
     if settings.transmit.enabled:
         output = target or source
         transmitter = Transmitter(settings.publish, settings.transmit, output.send, np.random.default_rng())
-        _recall_codes(transmitter, state_folder / faults.FILE)
+        _recall_codes(transmitter, codes)
     worker = Worker(
         pipeline or restored(settings, store, plan.key),
         reception.queue_frames,
-        store,
+        LockedStore(store, lock),
         plan.key,
         service.save_interval_s,
     )
+
+    def save_codes(memory: TroubleMemory) -> None:
+        lock.require()
+        faults.save(codes, memory)
+
     return Daemon(
         source,
         target,
@@ -169,7 +183,7 @@ def assemble(plan: Plan, pipeline: Pipeline | None = None, notifier: Notifier | 
         Path(service.metrics) if service.metrics else None,
         notifier,
         own_faults=faults.Faults(plan.messages, settings.publish.stale_after_s),
-        codes_file=state_folder / faults.FILE,
+        save_codes=save_codes,
     )
 
 

@@ -1,11 +1,8 @@
 """Where the daemon's files are: as configured, as systemd says, or the user's own folders (XDG)."""
 
 import errno
-import fcntl
 import logging
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from estimator.daemon.service.file_permissions import refuse_if_writable_by_all
@@ -22,7 +19,6 @@ TEMPORARY_ERRORS = (
     errno.EIO,
 )  # of a file system; it may be mended while we run
 STATUS_FILE = "status.json"
-LOCK_FILE = "lock"
 SYSTEM_RUNTIME = Path("/run") / NAME
 
 
@@ -76,32 +72,3 @@ def make(folder: Path, mode: int) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise ConfigError(f"{folder}: cannot be written; choose another folder in [service]")
     return folder
-
-
-@contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder for this process: two daemons would overwrite each other's state.
-
-    Raises
-    ------
-    ConfigError
-        Another process has it.
-    """
-    try:
-        descriptor = os.open(
-            make(folder, 0o700) / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
-        )
-    except OSError as error:
-        if error.errno not in (*TEMPORARY_ERRORS, errno.ENOENT):
-            raise ConfigError(f"{folder / LOCK_FILE}: {error.strerror}") from error
-        yield  # nothing can be written there, so no other daemon is disturbed
-        return
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError:
-        raise ConfigError(
-            f"{folder}: another daemon keeps its state there; give each its own service.state_directory"
-        ) from None
-    finally:
-        os.close(descriptor)

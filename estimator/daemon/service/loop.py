@@ -13,10 +13,11 @@ from pathlib import Path
 from estimator import __version__
 from estimator.answers.status import State, StatusAnswer
 from estimator.can_io.frames import Frames
+from estimator.can_io.trouble_codes import TroubleMemory
 from estimator.daemon.reception.link import Link
 from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import Batch
-from estimator.daemon.service import faults, metrics, status, status_file
+from estimator.daemon.service import metrics, status, status_file
 from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.sd_notify import Notifier
 from estimator.daemon.service.worker import Worker
@@ -53,8 +54,8 @@ class Daemon:
         Time without a frame [s] after which the ignition counts as off.
     status_file, metrics_file
         Where the status goes; None for nowhere.
-    codes_file
-        Where trouble codes outlast the power; None for nowhere.
+    save_codes
+        Keeps trouble codes where they outlast the power; raises RoadloadError where that is not possible.
     clock, wall
         Monotonic and wall time [s].
     """
@@ -72,7 +73,7 @@ class Daemon:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         own_faults: Faults | None = None,
-        codes_file: Path | None = None,
+        save_codes: Callable[[TroubleMemory], None] | None = None,
     ) -> None:
         self.source, self.target, self.worker, self.transmitter = source, target, worker, transmitter
         self._output = target or source
@@ -82,7 +83,7 @@ class Daemon:
         self._is_receiving = False
         self._silence, self._clock, self._wall = silence, clock, wall
         self._status_file, self._metrics_file = status_file, metrics_file
-        self._faults, self._codes_file = own_faults, codes_file
+        self._faults, self._save_codes = own_faults, save_codes
         self._notifier = notifier or Notifier()
         self._is_ready = False
         ahead = wall() - clock()
@@ -260,9 +261,9 @@ class Daemon:
         if not diagnostics.observe(present, now):
             return
         log.warning("active trouble codes: %s", ", ".join(map(str, diagnostics.memory.active)) or "none")
-        if self._codes_file is not None:
+        if self._save_codes is not None:
             try:
-                faults.save(self._codes_file, diagnostics.memory)
+                self._save_codes(diagnostics.memory)
             except RoadloadError as error:
                 log.warning("trouble codes not saved: %s", error)
 

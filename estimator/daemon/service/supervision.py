@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from estimator.blas_threads import one_blas_thread
-from estimator.daemon.service import folders
+from estimator.daemon.service import folder_lock, folders
 from estimator.daemon.service.assembly import Plan, assemble, rehearse
 from estimator.daemon.service.loop import PERIOD, Daemon
 from estimator.daemon.service.sd_notify import Notifier
@@ -59,8 +59,8 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
     plan = make_plan()
     pipeline: Pipeline | None = None
     while True:
-        with folders.alone(folders.state_directory(plan.config.service)):
-            daemon = assemble(plan, pipeline, notifier)
+        with folder_lock.alone(folders.state_directory(plan.config.service)) as lock:
+            daemon = assemble(plan, lock, pipeline, notifier)
             following = _serve(daemon, plan, make_plan, signals, notifier)
         if following is None:
             return
