@@ -22,16 +22,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import can
 import numpy as np
+from stepped_daemon import PlayedTraffic, link_to, turn
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.checkpoint.store import StateStore, pack
 from estimator.config import Config
-from estimator.daemon.reception.buses import BusSpec
-from estimator.daemon.reception.link import Link
-from estimator.daemon.reception.reader import Batch
 from estimator.daemon.service.assembly import restored
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.worker import Worker
@@ -85,39 +82,19 @@ class Drive:
         return PIECE * int(self._is_moving[pieces.astype(int)].sum())
 
 
-class Traffic:
-    """Clock and reader of a child: every read returns the next piece of the drive and advances the time."""
+class Traffic(PlayedTraffic):
+    """The drive from ``start`` [s] on, as a child has it."""
 
     def __init__(self, drive: Drive, start: float, witness: "Witness") -> None:
-        self.now = start
+        super().__init__(drive.epoch, start)
         self._drive, self._witness = drive, witness
 
-    def clock(self) -> float:
-        """Monotonic time [s]: seconds driven."""
-        return self.now
-
-    def wall(self) -> float:
-        """Time of day [s], as that of the frames."""
-        return self._drive.epoch + self.now
-
-    def read(self, timeout: float) -> Batch:
-        """The next piece."""
+    def next_piece(self) -> Frames:
+        """The next second of driving."""
         frames = self._drive.between(self.now, self.now + PIECE)
         self.now += PIECE
         self._witness[DRIVEN] = self.now
-        return Batch(frames=frames)
-
-    def kernel_drops(self) -> int:
-        """No frames are lost."""
-        return 0
-
-    def buffer_bytes(self) -> int | None:
-        """There is no buffer."""
-        return None
-
-    def is_confirming(self) -> bool:
-        """Nothing is sent."""
-        return False
+        return frames
 
 
 class WitnessedStore(StateStore):
@@ -159,15 +136,7 @@ def live(drive: Drive, directory: Path, config: Config, witness: Witness, start:
     """Main function of a child: the daemon, its threads turned in one loop."""
     traffic = Traffic(drive, start, witness)
     store = WitnessedStore(directory, traffic, witness)
-    link = Link(
-        BusSpec({"interface": "virtual", "channel": "power"}),
-        None,
-        config.reception,
-        traffic.clock,
-        lambda *_: can.Bus(interface="virtual", channel="power", ignore_config=True),
-        lambda: True,
-        lambda *_: traffic,
-    )
+    link = link_to(traffic, config.reception)
     worker = Worker(
         restored(config, store, KEY), config.reception.queue_frames, store, KEY, INTERVAL, clock=traffic.clock
     )
@@ -176,9 +145,7 @@ def live(drive: Drive, directory: Path, config: Config, witness: Witness, start:
         link, None, worker, None, config.reception.silence_s, *files, clock=traffic.clock, wall=traffic.wall
     )
     while True:
-        link.step()
-        daemon.turn()
-        worker.turn()
+        turn(link, daemon, worker)
 
 
 def has_ended(child: int) -> bool:

@@ -20,18 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
-import can
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from stepped_daemon import PlayedTraffic, link_to, turn
 
 from daemon_bench import traffic
 from estimator.can_io.frames import Frames
 from estimator.checkpoint.store import StateStore
 from estimator.config import Config
-from estimator.daemon.reception.buses import BusSpec
-from estimator.daemon.reception.link import Link
-from estimator.daemon.reception.reader import Batch
 from estimator.daemon.service.loop import Daemon
 from estimator.daemon.service.worker import Worker
 from estimator.settings import Reception
@@ -46,39 +43,19 @@ EPOCH = 1_700_000_000.0  # s, wall time of the start
 ENVIRONMENT = {"PYTHONMALLOC": "malloc", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
 
 
-class Day:
-    """Clock and reader of the day: every read returns the next piece of traffic and advances the time."""
+class Day(PlayedTraffic):
+    """The traffic of the day, a second at a time."""
 
     def __init__(self, hours: int, folder: Path) -> None:
-        self.now = 0.0  # s
+        super().__init__(EPOCH)
         self.sent = 0  # frames
         self.hour = 0  # hours completed
         self._pieces = self._traffic(hours, folder)
 
-    def clock(self) -> float:
-        """Monotonic time [s]."""
-        return self.now
-
-    def wall(self) -> float:
-        """Wall time [s]."""
-        return EPOCH + self.now
-
-    def read(self, timeout: float) -> Batch:
-        """The next piece, or nothing when the day is over."""
+    def next_piece(self) -> Frames:
+        """The next second, without frames when the day is over."""
         self.now += PIECE
-        return Batch(frames=next(self._pieces, NOTHING))
-
-    def kernel_drops(self) -> int:
-        """No frames are lost."""
-        return 0
-
-    def buffer_bytes(self) -> int | None:
-        """There is no buffer."""
-        return None
-
-    def is_confirming(self) -> bool:
-        """Nothing is sent."""
-        return False
+        return next(self._pieces, NOTHING)
 
     def _traffic(self, hours: int, folder: Path) -> Iterator[Frames]:
         for hour in range(hours):
@@ -119,23 +96,13 @@ def run(hours: int) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         day = Day(hours, folder)
-        link = Link(
-            BusSpec({"interface": "virtual", "channel": "soak"}),
-            None,
-            Reception(),
-            day.clock,
-            lambda *_: can.Bus(interface="virtual", channel="soak", ignore_config=True),
-            lambda: True,
-            lambda *_: day,
-        )
+        link = link_to(day, Reception())
         worker = Worker(Pipeline(Config()), Reception().queue_frames, StateStore(folder), "soak", 60.0, day.clock)
         files = (folder / "status.json", folder / "metrics")
         daemon = Daemon(link, None, worker, None, 5.0, *files, clock=day.clock, wall=day.wall)
         begun, reported = time.monotonic(), 0
         while reported < hours:
-            link.step()
-            daemon.turn()
-            worker.turn()
+            turn(link, daemon, worker)
             if day.hour > reported:
                 reported = day.hour
                 print(json.dumps(report(day, worker) | {"seconds": time.monotonic() - begun}), flush=True)

@@ -5,14 +5,12 @@ from collections.abc import Callable
 
 import can
 import numpy as np
+from stepped_daemon import PlayedTraffic, link_to, turn
 
 from estimator.answers.answer import encode
 from estimator.can_io.binding import bind, load_database
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.config import from_dict
-from estimator.daemon.reception.buses import BusSpec
-from estimator.daemon.reception.link import Link
-from estimator.daemon.reception.reader import Batch
 from estimator.daemon.service import metrics
 from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.loop import Daemon
@@ -32,36 +30,25 @@ MANAGEMENT = (0x18EEFF00, 0x18EAFFF9, 0x18EAFBF9, 0x18FECA00, 0x18FED8F9, 0x18FF
 STAMPS = (math.nan, math.inf, -math.inf, 1e300, 0.0, -1.0, 1e17)
 
 
-class Noise:
-    """A bus that gives the next piece of spoilt traffic at each read."""
+class Noise(PlayedTraffic):
+    """Spoilt traffic without end."""
 
     def __init__(self, seed: int) -> None:
-        self.now, self.frames = 0.0, 0
+        super().__init__(WALL)
+        self.frames = 0
         self._rng = np.random.default_rng(seed)
         self._drive = drive(60.0)
 
-    def read(self, timeout: float) -> Batch:
+    def next_piece(self) -> Frames:
         """The next frames."""
         self.now += PACE
         self.frames += PIECE
         makers: tuple[Callable[[], Frames], ...] = (self._driven, self._driven, self._forged, self._anything)
         frames = makers[int(self._rng.integers(len(makers)))]()
-        t = np.sort(WALL + self.now + self._rng.uniform(-PACE, 0.0, PIECE))
+        t = np.sort(self.wall() + self._rng.uniform(-PACE, 0.0, PIECE))
         odd = self._rng.random(PIECE) < 0.002
         t[odd] = self._rng.choice(STAMPS, int(odd.sum()))
-        return Batch(frames=Frames(t, frames.ident, frames.length, frames.data))
-
-    def kernel_drops(self) -> int:
-        """None."""
-        return 0
-
-    def buffer_bytes(self) -> int | None:
-        """There is no buffer."""
-        return None
-
-    def is_confirming(self) -> bool:
-        """What is sent is not heard."""
-        return False
+        return Frames(t, frames.ident, frames.length, frames.data)
 
     def _driven(self) -> Frames:
         """Frames of a drive, some of them spoilt."""
@@ -105,29 +92,19 @@ def spoilt_traffic(count: int, seed: int) -> str:
             sent += 1
 
     config = from_dict({"transmit": {"enabled": True}})
-    link = Link(
-        BusSpec({"interface": "virtual", "channel": "fuzz"}),
-        None,
-        config.reception,
-        lambda: noise.now,
-        lambda *_: Bus(),
-        lambda: True,
-        lambda *_: noise,
-    )
-    worker = Worker(Pipeline(config), config.reception.queue_frames, clock=lambda: noise.now)
+    link = link_to(noise, config.reception, Bus)
+    worker = Worker(Pipeline(config), config.reception.queue_frames, clock=noise.clock)
     transmitter = Transmitter(config.publish, config.transmit, link.send, np.random.default_rng(seed))
     faults = Faults(bind(config, load_database([])), config.publish.stale_after_s)
     daemon = Daemon(
         *(link, None, worker, transmitter, 5.0),
-        clock=lambda: noise.now,
-        wall=lambda: WALL + noise.now,
+        clock=noise.clock,
+        wall=noise.wall,
         own_faults=faults,
     )
     pieces = 0
     while noise.frames < count:
-        link.step()
-        daemon.turn()
-        worker.turn()
+        turn(link, daemon, worker)
         pieces += 1
         if pieces % LOOK == 0:
             check(daemon, noise.now)
