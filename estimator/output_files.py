@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from estimator.errors import ConfigError, RoadloadError
 
@@ -27,31 +28,31 @@ def check_suffix(path: Path, formats: tuple[str, ...]) -> None:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A name to write to, which becomes ``path`` when all went well and vanishes otherwise.
+def whole(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """A new, empty file in the same folder, which becomes ``path`` when all went well and vanishes otherwise.
 
-    It names a new, empty file in the same folder. A symbolic link at its place is removed, not followed.
+    It is written through its descriptor only, so a symbolic link at its name, planted before or meanwhile, is not
+    followed. ``mode`` is that of a new file, of which the umask takes its part.
 
     Raises
     ------
     RoadloadError
         The file cannot be written.
     """
-    with _replacing(path) as temporary:
-        os.close(create(temporary, 0o666))
-        yield temporary
+    with _replacing(path) as temporary, open(temporary, "wb", opener=lambda *_: create(temporary, mode)) as file:
+        yield file
 
 
 def write(path: Path, content: bytes, mode: int) -> None:
-    """Write a file whole or not at all, through the descriptor of the new file: nobody can put a link in its place.
+    """Write a file whole or not at all, with this mode whatever the umask.
 
     Raises
     ------
     RoadloadError
         The file cannot be written.
     """
-    with _replacing(path) as temporary, open(create(temporary, mode), "wb") as file:
-        os.fchmod(file.fileno(), mode)  # whatever the umask
+    with whole(path, mode) as file:
+        os.fchmod(file.fileno(), mode)
         file.write(content)
 
 

@@ -13,9 +13,8 @@ from estimator.output_files import PART, create, whole, write
 
 def test_a_file_appears_whole(tmp_path: Path):
     path = tmp_path / "page.html"
-    with whole(path) as temporary:
-        assert temporary.suffix == ".html"
-        temporary.write_text("all of it")
+    with whole(path) as file:
+        file.write(b"all of it")
         assert not path.exists()
     assert path.read_text() == "all of it"
     assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
@@ -26,8 +25,8 @@ def test_what_was_there_stays_when_writing_fails(tmp_path: Path):
     path.write_text("old")
 
     def write_half() -> None:
-        with whole(path) as temporary:
-            temporary.write_text("half")
+        with whole(path) as file:
+            file.write(b"half")
             raise RuntimeError("boom")
 
     with pytest.raises(RuntimeError, match="boom"):
@@ -46,8 +45,8 @@ def test_a_link_planted_at_the_temporary_name_is_not_written_through(tmp_path: P
         planted.symlink_to(elsewhere)
     if kind == "link to a file":
         elsewhere.write_text("of somebody else")
-    with whole(path) as temporary:
-        temporary.write_text("status")
+    with whole(path) as file:
+        file.write(b"status")
     assert path.read_text() == "status"
     assert not path.is_symlink()
     assert not planted.exists()

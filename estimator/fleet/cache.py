@@ -54,8 +54,8 @@ class Cache:
         RoadloadError
             It cannot be written.
         """
-        with whole(self._path(drive)) as path:
-            path.write_bytes(msgspec.json.encode(result))
+        with whole(self._path(drive)) as file:
+            file.write(msgspec.json.encode(result))
 
     def _path(self, drive: Drive) -> Path:
         key = "\n".join([self.settings, *drive.contents])

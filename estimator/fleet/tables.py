@@ -144,7 +144,9 @@ def write_tables(
     }
     with ExitStack() as stack:
         for path, content in contents.items():
-            stack.enter_context(whole(path)).write_bytes(content)
+            file = stack.enter_context(whole(path))
+            file.write(content)
+            file.flush()  # a full disk is noticed before one of them is replaced
 
 
 def require_arrow() -> Any:

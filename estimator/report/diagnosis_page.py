@@ -48,9 +48,9 @@ def write_page(diagnosis: Diagnosis, path: Path) -> None:
         The file cannot be written.
     """
     check_suffix(path, FORMATS)
-    with whole(path) as temporary:
+    with whole(path) as file:
         # File names may hold bytes that are no text; they become question marks.
-        temporary.write_bytes(page(diagnosis).encode("utf-8", "replace"))
+        file.write(page(diagnosis).encode("utf-8", "replace"))
 
 
 def page(d: Diagnosis) -> str:

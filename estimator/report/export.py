@@ -7,7 +7,9 @@ the posterior, and the drag coefficient in reference air.
 import csv
 import importlib.util
 from dataclasses import asdict
+from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from msgspec import UNSET, UnsetType
@@ -52,19 +54,22 @@ def write_draws(evidence: Evidence, path: Path) -> None:
         The file cannot be written.
     """
     check_suffix(path, FORMATS)
-    with whole(path) as temporary:
-        if path.suffix.lower() == ".json":
-            temporary.write_bytes(encode(_draws(evidence)))
-        else:
-            {".csv": _csv, ".nc": _netcdf}[path.suffix.lower()](evidence.posterior, temporary)
+    contents = {
+        ".json": lambda: encode(_draws(evidence)),
+        ".csv": lambda: _csv(evidence.posterior),
+        ".nc": lambda: _netcdf(evidence.posterior),
+    }
+    with whole(path) as file:
+        file.write(contents[path.suffix.lower()]())
 
 
-def _csv(posterior: Posterior, path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(["chain", "draw", *NAMES])
-        for i, chain in enumerate(posterior.draws[:, :, : len(NAMES)].tolist()):
-            table.writerows([i, j, *draw] for j, draw in enumerate(chain))
+def _csv(posterior: Posterior) -> bytes:
+    text = StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow(["chain", "draw", *NAMES])
+    for i, chain in enumerate(posterior.draws[:, :, : len(NAMES)].tolist()):
+        table.writerows([i, j, *draw] for j, draw in enumerate(chain))
+    return text.getvalue().encode()
 
 
 def _draws(evidence: Evidence) -> DrawsAnswer:
@@ -109,9 +114,12 @@ def _metrics(metrics: EigenMetrics) -> answer.EigenMetrics:
     return answer.EigenMetrics(log10_eigenvalues=metrics.log10_eigenvalues.tolist(), angles_deg=metrics.angles.tolist())
 
 
-def _netcdf(posterior: Posterior, path: Path) -> None:
+def _netcdf(posterior: Posterior) -> bytes:
     import arviz_base  # heavy, and an extra
 
     tree = arviz_base.from_dict({"posterior": {name: posterior.draws[:, :, i] for i, name in enumerate(NAMES)}})
     del tree["posterior"].attrs["created_at"]  # the clock's: the same log gives the same bytes
-    tree.to_netcdf(path, engine="h5netcdf")
+    with TemporaryDirectory() as folder:  # it writes to a name only
+        file = Path(folder) / "draws.nc"
+        tree.to_netcdf(file, engine="h5netcdf")
+        return file.read_bytes()

@@ -40,8 +40,8 @@ def write_plot(evidence: Evidence, title: str, path: Path) -> None:
     content = image.getvalue()
     if kind == "html":
         content = _page(title, content).encode()
-    with whole(path) as temporary:
-        temporary.write_bytes(content)
+    with whole(path) as file:
+        file.write(content)
 
 
 def draw(evidence: Evidence, title: str) -> Figure:
