@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|check|test``.
+"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|check|test|python``.
 
-``check`` is the fast loop, ``test`` is everything; further options are passed on to the last step.
+``check`` is the fast loop, ``test`` is everything, ``python`` runs a tool; further options are passed on to the last
+step.
 
 Needs Python >= 3.11 and nothing else. The virtual environment `.venv` is made once and renewed when the pinned
 dependencies change.
@@ -25,6 +26,7 @@ TASKS = {
     "demo": ("", [["python", "tools/demo.py"]]),
     "check": ("[dev]", [*LINT, [*TESTS, "-m", "not slow"]]),
     "test": ("[dev]", [*LINT, TESTS]),
+    "python": ("[dev]", [["python"]]),
 }
 
 
