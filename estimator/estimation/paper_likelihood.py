@@ -64,7 +64,7 @@ class PaperLikelihood:
 
         The key of a block is unique among all blocks, past and future.
         """
-        self._blocks = {key: self._blocks.get(key) or _Block.of(samples) for key, samples in blocks.items()}
+        self._blocks = {key: self._blocks.get(key) or _Block.of(blocks[key]) for key in blocks}
         held = list(self._blocks.values())
         M, everything = _mixing(held), partial(_stacked, held)
         if held and (region := self._region):

@@ -1,6 +1,6 @@
 """A bounded window of admitted samples: blocks of consecutive driving; those in rare cells are kept longest."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimator.checkpoint.validation import Count, State, array, read, substate
 from estimator.config import Config
 from estimator.errors import StateError
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 
 MIN_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins; lower values fall into its first cells
 SPEED_CELLS = 64  # of `gate.speed_step_m_s`: up to 160 m/s by default
@@ -41,12 +41,7 @@ class Grid:
         return (row + 0.5) * self.speed_step, MIN_ACCELERATION + (column + 0.5) * self.acceleration_step
 
 
-@dataclass(frozen=True)
-class Cells:
-    """Cells of a block's elements, and how many rows each stands for."""
-
-    places: NDArray[np.int64]
-    rows: NDArray[np.int64]
+Cells = tuple[NDArray[np.int64], NDArray[np.int64]]  # places on the grid, and how many rows each stands for
 
 
 class Content(Protocol):
@@ -54,7 +49,7 @@ class Content(Protocol):
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, part: slice) -> Self: ...
+    def __getitem__(self, part: slice | Mask) -> Self: ...
 
     @property
     def t(self) -> Floats:
@@ -89,6 +84,24 @@ class Content(Protocol):
 C = TypeVar("C", bound=Content)
 
 
+class Blocks(Mapping[int, C]):
+    """The blocks (b,) of a window by their numbers, each cut out when it is asked for."""
+
+    def __init__(self, content: C, numbers: NDArray[np.int64], lengths: NDArray[np.int64]) -> None:
+        ends = np.cumsum(lengths)
+        self._content = content
+        self._parts = dict(zip(numbers.tolist(), map(slice, (ends - lengths).tolist(), ends.tolist()), strict=True))
+
+    def __getitem__(self, number: int) -> C:
+        return self._content[self._parts[number]]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._parts)
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+
 class Window(Generic[C]):
     """Holds at most ``config.window.samples`` rows, none older than ``config.window.hours``.
 
@@ -110,9 +123,13 @@ class Window(Generic[C]):
         self._kind = kind
         self._capacity = config.window.samples
         self._longest = config.window.hours * 3600.0
-        self._blocks: dict[int, C] = {}  # by number, in the order of time
-        self._cells: dict[int, Cells] = {}
         self._numbered = 0
+        self._empty()
+
+    def _empty(self) -> None:
+        self._content = self._kind.concatenate([])  # of all blocks: hundreds of small ones are mostly overhead
+        self._numbers, self._lengths, self._cell_lengths = np.zeros((3, 0), dtype=np.int64)  # of each block
+        self._places, self._rows = np.zeros((2, 0), dtype=np.int64)  # cells, and how many rows each stands for
         self._counts = np.zeros(self.grid.size, dtype=np.int64)  # rows
 
     def __len__(self) -> int:
@@ -121,73 +138,83 @@ class Window(Generic[C]):
     @property
     def samples(self) -> C:
         """Everything in the window, oldest first."""
-        return self._kind.concatenate(list(self._blocks.values()))
+        return self._content
 
     @property
     def blocks(self) -> Mapping[int, C]:
         """The same in blocks, each under a number that no other block ever has."""
-        return self._blocks
+        return Blocks(self._content, self._numbers, self._lengths)
 
     @property
     def counts(self) -> NDArray[np.int64]:
         """Rows per cell of their own speed and acceleration (grid.size,)."""
-        return self._counted(self._place(self.samples.own_cells))
+        return self._counted(*self._place(self._content.own_cells))
 
     def add(self, block: C) -> None:
         """Add a block of consecutive driving, and evict blocks beyond the capacity or the age limit."""
         if not len(block):
             return
-        cells = self._place(block.cells)
-        self._blocks[self._numbered], self._cells[self._numbered] = block, cells
+        self._content = self._kind.concatenate([self._content, block]) if len(self._content) else block
+        self._numbers = np.append(self._numbers, self._numbered)
+        self._lengths = np.append(self._lengths, len(block))
+        self._count(self._place(block.cells))
         self._numbered += len(block)
-        self._counts += self._counted(cells)
-        self.added += int(cells.rows.sum())
-        while self._blocks and block.t[-1] - self._blocks[oldest := min(self._blocks)].t[0] > self._longest:
-            self._drop(oldest)
-        while len(self) > self._capacity:
-            self._drop(max(self._cells, key=self._fullness))
+        self._evict(float(block.t[-1]))
 
-    def _fullness(self, number: int) -> float:
-        """Mean count of the cells of a block's rows; 0 for a block without cells, which is evicted last."""
-        cells = self._cells[number]
-        total = int(cells.rows.sum())
-        return float((self._counts[cells.places] * cells.rows).sum()) / total if total else 0.0
+    def _count(self, cells: Cells) -> None:
+        places, rows = cells
+        self._places, self._rows = np.append(self._places, places), np.append(self._rows, rows)
+        self._cell_lengths = np.append(self._cell_lengths, len(places))
+        self._counts += self._counted(places, rows)
+        self.added += int(rows.sum())
+
+    def _evict(self, newest: float) -> None:
+        first = np.cumsum(self._lengths) - self._lengths
+        self.evicted += self._keep(newest - self._content.t[first] <= self._longest)
+        while len(self) > self._capacity:
+            self.evicted += self._keep(np.arange(len(self._numbers)) != np.argmax(self._fullness()))
+
+    def _fullness(self) -> Floats:
+        """Mean count of the cells of each block's rows (blocks,); 0 for one without cells, which is evicted last."""
+        count = len(self._numbers)
+        block = np.repeat(np.arange(count), self._cell_lengths)
+        total = np.bincount(block, self._rows, count)
+        filled = np.bincount(block, self._counts[self._places] * self._rows, count)
+        return np.divide(filled, total, out=np.zeros(count), where=total > 0)
 
     def _place(self, cells: tuple[Floats, Floats, NDArray[np.int64]]) -> Cells:
         speed, acceleration, rows = cells
-        return Cells(self.grid.cell(speed, acceleration), rows)
+        return self.grid.cell(speed, acceleration), rows
 
-    def _counted(self, cells: Cells) -> NDArray[np.int64]:
-        counted = np.bincount(cells.places, cells.rows, minlength=self.grid.size)
-        return counted.astype(np.int64)
+    def _counted(self, places: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.bincount(places, rows, minlength=self.grid.size).astype(np.int64)
 
-    def _drop(self, number: int) -> None:
-        self.evicted += self._remove(number)
-
-    def _remove(self, number: int) -> int:
-        """Take a block away, and return its rows."""
-        self._blocks.pop(number)
-        cells = self._cells.pop(number)
-        self._counts -= self._counted(cells)
-        return int(cells.rows.sum())
+    def _keep(self, kept: Mask) -> int:
+        """Forget all blocks but the ``kept`` (blocks,), and return the rows of those."""
+        if kept.all():
+            return 0
+        before, cells = len(self), np.repeat(kept, self._cell_lengths)
+        self._content = self._content[np.repeat(kept, self._lengths)]
+        self._places, self._rows = self._places[cells], self._rows[cells]
+        self._numbers, self._lengths = self._numbers[kept], self._lengths[kept]
+        self._cell_lengths = self._cell_lengths[kept]
+        self._counts = self._counted(self._places, self._rows)
+        return before - len(self)
 
     def forget_before(self, t: float) -> None:
         """Forget the blocks that end before time ``t`` [s]."""
-        for number in [number for number, block in self._blocks.items() if block.t[-1] < t]:
-            self._remove(number)
+        self._keep(self._content.t[np.cumsum(self._lengths) - 1] >= t)
 
     def clear(self) -> None:
         """Forget everything, as after a change of vehicle or an unexplained step in time."""
-        self._blocks, self._cells = {}, {}
-        self._counts[:] = 0
+        self._empty()
 
     def state(self) -> dict[str, Any]:
         """The state that `restore` reads."""
-        lengths = np.array([len(block) for block in self._blocks.values()], dtype=np.int64)
         return {
-            "samples": self.samples.state(),
-            "lengths": lengths,
-            "numbers": np.array(list(self._blocks), dtype=np.int64),
+            "samples": self._content.state(),
+            "lengths": self._lengths,
+            "numbers": self._numbers,
             "numbered": self._numbered,
             "added": self.added,
             "evicted": self.evicted,
@@ -201,18 +228,18 @@ class Window(Generic[C]):
         StateError
             The state is not one that a window with this configuration can have.
         """
-        samples, lengths = self._kind.restore(substate(state, "samples")), array(state, "lengths", (-1,), np.int64)
+        content, lengths = self._kind.restore(substate(state, "samples")), array(state, "lengths", (-1,), np.int64)
         numbers = array(state, "numbers", (len(lengths),), np.int64)
         ends = np.cumsum(lengths)
-        if np.any(lengths <= 0) or len(samples) != lengths.sum() or np.any(np.diff(numbers) < lengths[:-1]):
-            raise StateError(f"window: {len(samples)} samples in {len(lengths)} blocks cannot be")
-        self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)
-        self._numbered = read(state, "numbered", Count)
-        if len(numbers) and (numbers[0] < 0 or numbers[-1] + lengths[-1] > self._numbered):
+        if np.any(lengths <= 0) or len(content) != lengths.sum() or np.any(np.diff(numbers) < lengths[:-1]):
+            raise StateError(f"window: {len(content)} samples in {len(lengths)} blocks cannot be")
+        numbered = read(state, "numbered", Count)
+        if len(numbers) and (numbers[0] < 0 or numbers[-1] + lengths[-1] > numbered):
             raise StateError("window: numbers of blocks are out of range")
-        slices = [slice(end - length, end) for end, length in zip(ends.tolist(), lengths.tolist(), strict=True)]
-        self._blocks = {number: samples[part] for number, part in zip(numbers.tolist(), slices, strict=True)}
-        self._cells = {number: self._place(block.cells) for number, block in self._blocks.items()}
-        self._counts = self._counted(self._place(samples.cells))
+        self._empty()
+        for start, end in zip((ends - lengths).tolist(), ends.tolist(), strict=True):
+            self._count(self._place(content[start:end].cells))
+        self._content, self._numbers, self._lengths, self._numbered = content, numbers, lengths, numbered
+        self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)
         if len(self) > self._capacity:
             raise StateError(f"window: {len(self)} rows where {self._capacity} are the most")
