@@ -126,6 +126,14 @@ def test_a_gzip_bomb(refused: Refused, tmp_path: Path, suffix: str, content: byt
 
 
 @pytest.mark.slow
+def test_a_gzip_bomb_of_frames_at_one_time(refused: Refused, tmp_path: Path) -> None:
+    line = b"(1.0) can0 123#\n"
+    packed = gzip.compress(line * ((1 << 20) // len(line)), 1)  # less than a bomb of blank lines is
+    (tmp_path / "a.log.gz").write_bytes(256 * packed)
+    assert "within 5 s, which no bus carries" in refused("estimate", tmp_path / "a.log.gz")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc"])
 def test_a_flood_of_blank_lines(refused: Refused, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"

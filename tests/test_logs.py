@@ -5,6 +5,8 @@ import re
 import tempfile
 from collections import deque
 from collections.abc import Iterable
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -239,6 +241,17 @@ def test_a_clock_that_steps_back_again_and_again_is_refused(batch: int) -> None:
     batches = [times(*t[start : start + batch]) for start in range(0, len(t), batch)]
     with pytest.raises(LogError, match=refusal):
         deque(map(check.check, batches), maxlen=0)
+
+
+@pytest.mark.parametrize(("pace", "is_refused"), [(0.0, True), (4e-6, True), (6e-6, False)])
+def test_more_frames_in_a_time_than_buses_carry_are_refused(pace: float, is_refused: bool) -> None:
+    """Whatever else is in them, the block in which they are judged would not fit into memory."""
+    batches = [times(0.0)[np.zeros(1 << 16, np.intp)] for _ in range(20)]
+    check = TimeCheck(Path("a.log"))
+    refusal = pytest.raises(LogError, match="within 5 s, which no bus carries") if is_refused else nullcontext()
+    with refusal:
+        for i, batch in enumerate(batches):
+            check.check(replace(batch, t=pace * (i * len(batch) + np.arange(len(batch)))))
 
 
 @pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf"), 1e17])

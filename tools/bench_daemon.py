@@ -10,7 +10,7 @@ start not counted; "peak" is the memory of the whole process, as installed witho
 frame is handed to the pipeline, which decodes in blocks of five seconds of traffic.
 
 The soak is another run: a day of traffic, as fast as the machine can, through the daemon's link, loop and estimator on
-a clock that the traffic sets.
+a clock that the traffic sets. Exit status 1 if it lost a frame, or if memory grew by more than 5 MiB after an hour.
 """
 
 import argparse
@@ -166,9 +166,7 @@ def main() -> int:
     console = Console() if sys.stdout.isatty() else Console(width=WIDE)
     if options.seconds or options.loss_seconds:
         show(console, options)
-    if options.soak_hours:
-        soak.show(console, options.soak_hours)
-    return 0
+    return soak.show(console, options.soak_hours) if options.soak_hours else 0
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Whether the times of a log can be used.
 
 A log is read in the order of the file. Frames up to MAX_DELAY late are put in order later; a larger step back starts
-another recording, as where logs were joined. Many of them mean that the times are not those of one clock.
+another recording, as where logs were joined. Many of them mean that the times are not those of one clock. More frames
+in a time than ten buses carry mean that it stands still: the blocks in which frames are judged would fill the memory.
 """
 
 from pathlib import Path
@@ -13,6 +14,7 @@ from estimator.can_io.time_order import MAX_DELAY, MAX_TIME, latest_before
 from estimator.errors import LogError
 
 MAX_STEPS_BACK = 100  # recordings in one log
+SPAN, MAX_IN_SPAN = 5.0, 1 << 20  # s, and frames that are too many for it: ten full buses of 1 Mbit/s carry as many
 
 
 class TimeCheck:
@@ -24,6 +26,8 @@ class TimeCheck:
         self._seen = 0
         self._steps_back = 0
         self._first_step = ""
+        self._span_start = -np.inf  # s
+        self._in_span = 0  # frames since then
 
     def check(self, frames: Frames) -> None:
         """Take note of the next frames of the log.
@@ -31,9 +35,10 @@ class TimeCheck:
         Raises
         ------
         LogError
-            Where a time is none, or steps back more than MAX_DELAY for the MAX_STEPS_BACK-th time.
+            Where a time is none, or steps back more than MAX_DELAY for the MAX_STEPS_BACK-th time, or stands still.
         """
         t = frames.t
+        self._count(float(t[-1]), len(t))
         if max(self._latest, 0.0) <= t[0] and t[-1] <= MAX_TIME and (t[1:] >= t[:-1]).all():  # the rule
             self._latest, self._seen = float(t[-1]), self._seen + len(frames)
             return
@@ -57,6 +62,17 @@ class TimeCheck:
             self._latest = -np.inf
             first += i
         self._seen += len(frames)
+
+    def _count(self, t: float, count: int) -> None:
+        """Count frames up to time ``t`` [s]."""
+        if not 0.0 <= t - self._span_start <= SPAN:
+            self._span_start, self._in_span = t, 0
+        self._in_span += count
+        if self._in_span > MAX_IN_SPAN:
+            raise LogError(
+                f"{self._path}: {self._in_span:,} frames up to frame {self._seen + count:,} within {SPAN:g} s, "
+                "which no bus carries; give a log whose times are right"
+            )
 
     def _step_back(self, frame: int, before: float, t: float) -> None:
         self._steps_back += 1
