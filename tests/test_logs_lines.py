@@ -14,6 +14,7 @@ from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.logs import open_log
 from estimator.can_io.logs.csv_columns import read_usual
 from estimator.can_io.logs.digits import decimal, hexadecimal, nibbles
+from estimator.can_io.logs.line_table import MAX_LAYOUTS
 from estimator.errors import LogError
 
 ANY = st.characters(min_codepoint=1, max_codepoint=255)
@@ -183,6 +184,23 @@ def test_asc_is_read_as_python_can_reads_it(events: list[str], start: int) -> No
     assert frames.ident.tolist() == expected.ident.tolist()
     for i, message in enumerate(messages):
         assert bytes(frames.data[i, : frames.length[i]]) == bytes(message.data)
+
+
+def test_lines_of_one_length_and_of_more_layouts_than_are_read_together() -> None:
+    rng, width = np.random.default_rng(1), 60
+    lines, expected = [], []
+    for i in range(4 * MAX_LAYOUTS):
+        before, behind, size = " " * int(rng.integers(9)), " " * int(rng.integers(1, 9)), int(rng.integers(9))
+        ident, data = int(rng.integers(1 << 29)), rng.bytes(size)
+        line = f"{before}({1000 + i}.{i:03d}) can0{behind}{ident:08X}#{data.hex()}"
+        lines.append(line + " " * (width - len(line)) + "\n")
+        expected.append((float(f"{1000 + i}.{i:03d}"), ident | EXTENDED, data))
+    lines.insert(200, f"(1200.5) can0 {0x20000004:08X}#00".ljust(width) + "\n")  # an error frame
+    frames = read(".log", "".join(lines))
+    found = zip(frames.t.tolist(), frames.ident.tolist(), frames.length.tolist(), frames.data, strict=True)
+    assert [(t, ident, data[:length].tobytes()) for t, ident, length, data in found] == expected
+    with pytest.raises(LogError, match=r"drive\.log:201: expected a CAN id"):
+        read(".log", "".join([*lines[:200], f"(1200.5) can0 {0x40000000:08X}#00".ljust(width) + "\n"]))
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".csv"])
