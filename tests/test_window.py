@@ -56,6 +56,28 @@ def test_the_window_is_bounded_whatever_comes(sequence, capacity, hours):
     assert w.added == added
 
 
+@settings(max_examples=50)
+@given(blocks, st.integers(600, 1200))
+def test_the_fullest_block_goes_first(sequence, capacity):
+    """Fullness: the mean number of rows in the cells of a block's rows. Numbers of blocks stay."""
+    w, t, held, number = window(capacity), 0.0, {}, 0
+    for n, pause, v, a in sequence:
+        added = block(n, t, v, a)
+        w.add(added)
+        if n:
+            held[number] = added
+        t, number = t + n * STEP + pause, number + n
+        while sum(map(len, held.values())) > capacity:
+            cells = {key: w.grid.cell(one.zv, one.za) for key, one in held.items()}
+            counts = np.bincount(np.concatenate([*cells.values()]))
+            held.pop(max(held, key=lambda key: counts[cells[key]].mean()))
+    assert {key: one.t.tolist() for key, one in w.blocks.items()} == {key: one.t.tolist() for key, one in held.items()}
+    again = window(capacity)
+    again.restore(w.state())
+    assert list(again.blocks) == list(held)
+    assert consistent(again)
+
+
 def test_what_is_older_than_a_time_can_be_forgotten():
     w = window()
     for start in (0.0, 100.0, 200.0):
