@@ -4,7 +4,7 @@ The work of the threads runs in one loop, so that a day takes only its computing
 one truck, simulated in its own process; between two drives the bus is silent for a minute. Two sizes of memory are
 shown: what is resident, and what the C library has given out, for which Python uses no allocator of its own. The first
 also holds what was given back to the C library and not to the kernel. NumPy keeps up to seven freed blocks of every
-size below 1 KiB, 3.6 MiB in all, which takes it many hours; here it has them from the start.
+size below 1 KiB, 3.6 MiB in all; here it has them from the start, so that they do not look like growth.
 """
 
 import ctypes
