@@ -20,9 +20,10 @@ from test_logs import FD_LENGTHS, assert_read_or_refused, message_of, recorded, 
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs import open_log
 from estimator.can_io.logs.mdf import unsorted_frames
-from estimator.can_io.logs.mdf.groups import Group
+from estimator.can_io.logs.mdf.groups import REAL, Field, Group, Times
 from estimator.can_io.logs.mdf.locate import ROOM, Chain, locate
 from estimator.can_io.logs.mdf.merging import merged
+from estimator.can_io.logs.mdf.records import Rows, times
 from estimator.errors import LogError
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
@@ -350,3 +351,11 @@ def test_an_older_version_is_named(tmp_path: Path) -> None:
     raw[28:30] = struct.pack("<H", 330)
     (tmp_path / "a.mf4").write_bytes(raw)
     assert "MDF version 3.30; convert it to version 4" in message_of(tmp_path / "a.mf4")
+
+
+def test_times_that_are_no_numbers_give_no_warning() -> None:
+    raw = np.array([1.0, np.inf, -np.inf, np.nan, 1e308])
+    layout = Times(Field(byte=0, bit=0, bits=64, kind=REAL[0]), 10.0, 1.0)
+    found = times(Rows(raw.tobytes(), 8, len(raw)), layout, np.inf)
+    assert found[0] == np.inf
+    assert np.isnan(found[2])

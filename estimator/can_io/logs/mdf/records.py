@@ -136,8 +136,9 @@ def times(records: Records, layout: Times, start: float) -> Floats:
         raw = records.numbers(field.byte, f"{'>' if field.kind == REAL[1] else '<'}f{field.bits // 8}")
     else:
         raw = unsigned(records, field)
-    if (layout.factor, layout.offset) != (1, 0):
-        raw = raw * layout.factor
-        if layout.offset:
-            raw = raw + layout.offset
-    return raw.astype(np.float64) + start
+    with np.errstate(over="ignore", invalid="ignore"):  # what is then no time is refused
+        if (layout.factor, layout.offset) != (1, 0):
+            raw = raw * layout.factor
+            if layout.offset:
+                raw = raw + layout.offset
+        return raw.astype(np.float64) + start
