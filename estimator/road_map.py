@@ -8,6 +8,7 @@ The file is an array of `LAYOUT` in numpy's format, one record a place in ascend
 numpy alone.
 """
 
+import warnings
 from dataclasses import dataclass
 from io import BytesIO
 from math import pi
@@ -137,7 +138,8 @@ class RoadMap:
         file = BytesIO(data)
         if np.lib.format.read_magic(file) != (1, 0):
             raise ValueError("another version of numpy's format")
-        shape, _, layout = np.lib.format.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
+        with warnings.catch_warnings(action="ignore", category=SyntaxWarning):  # the header is parsed as Python
+            shape, _, layout = np.lib.format.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
         if layout != LAYOUT or len(shape) != 1:
             raise ValueError("other columns than row, column, octant, slope, offset_sd")
         if len(data) - file.tell() != shape[0] * LAYOUT.itemsize:

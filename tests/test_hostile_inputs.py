@@ -6,6 +6,7 @@ import multiprocessing
 import resource
 import struct
 import sys
+import warnings
 import zlib
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -16,6 +17,8 @@ import pytest
 
 from estimator.commands.main import main
 from estimator.config import Config
+from estimator.errors import ConfigError
+from estimator.road_map import RoadMap
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
 
 CPU_SECONDS, BYTES = 10, 500 << 20
@@ -291,3 +294,11 @@ def test_a_listener_counts_messages_without_a_usable_time(bad: float, first: boo
     assert worker.pipeline.traffic.frames == 51
     assert sum(listener.skipped.values()) == len(stamps) - 51
     assert {100.0 <= message.timestamp <= 106.0 for message in sent} == {True}
+
+
+def test_the_header_of_a_map_gives_no_warning_of_python(tmp_path: Path) -> None:
+    header = b"{'descr': '<i4', 'fortran_order': False, 'shape': (1in (2,),)}".ljust(117) + b"\n"
+    (tmp_path / "map.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with warnings.catch_warnings(record=True, action="always") as caught, pytest.raises(ConfigError, match="not a map"):
+        RoadMap.read(tmp_path / "map.npy")
+    assert not caught
