@@ -9,6 +9,7 @@ from typing import NoReturn
 from estimator import __version__
 from estimator.commands.complaints import complain, show_traceback
 from estimator.errors import RoadloadError
+from estimator.freed_memory import keep_freed_memory
 
 COMMANDS = {  # module of this package, and its use
     "replay": "play logs on a virtual bus to the daemon's loop",
@@ -25,6 +26,7 @@ COMMANDS = {  # module of this package, and its use
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one subcommand; returns the exit status: 0, 2 for bad input, 1 for a run that could not finish."""
+    keep_freed_memory()
     options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
     # python-can logs frames that it cannot parse; the log readers raise or count them.
     logging.getLogger("can").setLevel(logging.CRITICAL)

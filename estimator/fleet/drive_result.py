@@ -15,6 +15,7 @@ from estimator.estimation.road_fit import RoadFit
 from estimator.fleet.grouping import Drive
 from estimator.fleet.passes import Passes, Places, passes_of
 from estimator.fleet.sources import local_copy
+from estimator.freed_memory import keep_freed_memory
 from estimator.streaming.drive_extraction import diagnose_logs
 from estimator.streaming.log_frames import LogFrames
 from estimator.streaming.pipeline import Pipeline
@@ -82,6 +83,7 @@ class DriveResult:
 @one_blas_thread()
 def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -> DriveResult:
     """Estimate one drive from its files."""
+    keep_freed_memory()  # in workers too, which Dask makes give it back
     try:
         with ExitStack() as stack:
             paths = [stack.enter_context(local_copy(source)) for source in drive.sources]
