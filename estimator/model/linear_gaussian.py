@@ -90,23 +90,27 @@ class Observations:
 
     def __init__(self, places: Places, weights: Floats, shape: tuple[int, int]) -> None:
         q = places.shape[1]
-        self._shape = shape
         self._gather = _by_observation(places, weights, shape[1])
         # Each pair of an observation's places once, the later one in front; of two equal ones both orders count.
         first, second = np.triu_indices(q)
         apart = places[:, first] - places[:, second]
         twice = np.where((apart == 0) & (first != second), 2.0, 1.0)
-        rows = np.abs(apart) * shape[1] + np.minimum(places[:, first], places[:, second])
-        self._square = _by_observation(rows, weights[:, first] * weights[:, second] * twice, shape[0] * shape[1])
+        stored = np.abs(apart) * shape[1] + np.minimum(places[:, first], places[:, second])
+        is_touched = np.zeros(shape[0] * shape[1], dtype=bool)
+        is_touched[stored] = True
+        self._touched = np.flatnonzero(is_touched)  # of the band: most of it is zero
+        number = np.empty(len(is_touched), dtype=np.int32)  # among those touched
+        number[self._touched] = np.arange(len(self._touched))
+        values = weights[:, first] * weights[:, second] * twice
+        self._square = _by_observation(number[stored], values, len(self._touched))
 
-    def information(self, variance: Floats) -> Floats:
-        """The band of A' R^-1 A, for variances (n,)."""
-        stored: Floats = (self._square @ (1 / variance)).reshape(self._shape)
-        return stored
+    def add_information(self, target: Floats, variance: Floats) -> None:
+        """Add A' R^-1 A, for variances (n,), to a band ``target`` (bandwidth + 1, size)."""
+        target.ravel()[self._touched] += self._square @ (1 / variance)
 
     def variance(self, products: Floats) -> Floats:
         """What unknowns of `both_triangles` of a covariance add to the variance of each observation (n,)."""
-        spread: Floats = self._square.T @ products.ravel()
+        spread: Floats = self._square.T @ products.ravel()[self._touched]
         return spread
 
     def gathered(self, scaled: Floats) -> Floats:
@@ -184,12 +188,13 @@ class Factor:
         inverse = np.array([dtrtri(block.T, lower=0)[0].T for block in blocks[:, :width]])
         own = inverse.transpose(0, 2, 1) @ inverse
         turned = blocks[:-1, width:] @ inverse[:-1]
+        across, product = np.empty_like(turned), np.empty((width, width))
+        for after, turn, S_kk_G, S_ii in zip(own[:0:-1], turned[::-1], across[::-1], own[-2::-1], strict=True):
+            np.matmul(after, turn, out=S_kk_G)
+            S_ii += np.matmul(turn.T, S_kk_G, out=product)
         blocks, stored = _blocks(number, width, reach)
-        blocks[-1, :width] = own[-1]
-        for i in range(number - 2, -1, -1):
-            below = blocks[i + 1, :width] @ turned[i]
-            blocks[i, :width] = own[i] + turned[i].T @ below
-            blocks[i, width:] = -below
+        blocks[:, :width] = own
+        np.negative(across, out=blocks[:-1, width:])
         return stored.reshape(reach + 1, -1)[:, :size]
 
 

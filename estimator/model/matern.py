@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.special import gamma
 
-from estimator.model.linear_gaussian import Factor, Places, band
+from estimator.model.linear_gaussian import Factor, Places
 from estimator.signals import Floats
 
 
@@ -52,9 +52,8 @@ class MaternField:
         powers = [mass[None], stiffness]
         for _ in range(alpha - 1):
             powers.append(_product(stiffness, 1 / mass, powers[-1]))
-        bands = [comb(alpha, k) * _lower(power, places, shape).ravel() for k, power in enumerate(powers)]
-        self._touched = np.flatnonzero(np.any(bands, axis=0))
-        self._powers = np.array(bands)[:, self._touched]
+        self._touched, self._powers = _lower(powers, places, shape[1])
+        self._powers *= np.array([comb(alpha, k) for k in range(alpha + 1)])[:, None]
 
     @property
     def _nu(self) -> float:
@@ -119,10 +118,20 @@ def _product(stiffness: Floats, scale: Floats, power: Floats) -> Floats:
     return product
 
 
-def _lower(diagonals: Floats, places: Places, shape: tuple[int, int]) -> Floats:
-    """The band of ``shape`` of a symmetric matrix with diagonals (2 r + 1, N) on ``places`` (N,)."""
-    middle, n = len(diagonals) // 2, len(places)
-    below = range(min(middle + 1, n))
-    rows = np.concatenate([places[down:] for down in below])
-    columns = np.concatenate([places[: n - down] for down in below])
-    return band(rows, columns, np.concatenate([diagonals[middle - down, down:] for down in below]), shape)
+def _lower(powers: list[Floats], places: Places, size: int) -> tuple[Places, Floats]:
+    """Elements of bands of ``size`` unknowns that hold symmetric matrices on ``places`` (N,): where, and their values.
+
+    Each of the ``powers`` is given by its diagonals (2 r + 1, N). Elements (m,) that are zero in all of them are left
+    out; the values are (len(powers), m).
+    """
+    n, reach = len(places), min(len(powers[-1]) // 2 + 1, len(places))
+    where = np.concatenate([(places[down:] - places[: n - down]) * size + places[: n - down] for down in range(reach)])
+    values = np.zeros((len(powers), len(where)))
+    for value, diagonals in zip(values, powers, strict=True):
+        middle, begin = len(diagonals) // 2, 0
+        for down in range(min(middle + 1, reach)):
+            value[begin : begin + n - down] = diagonals[middle - down, down:]
+            begin += n - down
+    order = np.argsort(where, kind="stable")
+    order = order[np.any(values[:, order], axis=0)]
+    return where[order], values[:, order]

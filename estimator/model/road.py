@@ -210,8 +210,8 @@ class RoadModel:
         self._is_fixed = [False, *([True, True] if self.has_altitude else []), *([False] * len(self.readings))]
         self._fixed = np.zeros(shape)
         if self.has_altitude:
-            self._fixed += self._maps[1].information(np.full(len(maps[1][0]), HEIGHT_SD**2))
-            self._fixed += self._maps[2].information(np.full(len(maps[2][0]), START_HEIGHT_SD**2))
+            self._maps[1].add_information(self._fixed, np.full(len(maps[1][0]), HEIGHT_SD**2))
+            self._maps[2].add_information(self._fixed, np.full(len(maps[2][0]), START_HEIGHT_SD**2))
         nodes = self.nodes
         self._field = None if self.is_level else MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
@@ -313,7 +313,7 @@ class RoadModel:
         precision = self._fixed.copy()
         for observed, variance, fixed in zip(self._maps, variances, self._is_fixed, strict=True):
             if not fixed:
-                precision += observed.information(variance)
+                observed.add_information(precision, variance)
         log_prior = sum(each.process.add_precision(precision, each.sd, each.memory) for each in self.acting(scales))
         factor = Factor.of(precision)
         log_noise = float(sum(np.log(variance).sum() for variance in variances))
