@@ -11,6 +11,7 @@ the rise of their products.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -197,9 +198,11 @@ class Likelihood:
             disturbed = replace(driven, force=driven.force + error[:, None])
             change = self._columns(disturbed) - clean
             change[:, LAG] = rate
-            data = np.zeros((len(self.data), len(places)))
-            data[: len(driven)] = change / self.unit[places]
-            total[np.ix_(places, places)] += conditioned.gram(data) / PROBES
+            disturbed_columns = np.flatnonzero(change.any(axis=0))  # A and C have no force in theirs
+            at = places[disturbed_columns]
+            data = np.zeros((len(self.data), len(at)))
+            data[: len(driven)] = change[:, disturbed_columns] / self.unit[at]
+            total[np.ix_(at, at)] += conditioned.gram(data) / PROBES
         return total
 
 
@@ -223,7 +226,7 @@ def force_errors(
     """Simulated errors [N] (n,) of the measured force of each driven stride, and their rates [N/s] (n,)."""
     time, size = scales[TORQUE + 1], scales[TORQUE] * mass
     weight, own = mean_given_ends(DURATION, time)
-    keep = np.exp(-DURATION / time)
+    keep = float(np.exp(-DURATION / time))
     for _ in range(number):
         before, after = (size * ends for ends in ou_at_ends(model, keep, rng))
         white = np.sqrt(own) * size * rng.standard_normal(len(model.driven))
@@ -233,11 +236,12 @@ def force_errors(
 def ou_at_ends(model: RoadModel, keep: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """An Ornstein-Uhlenbeck process of variance 1 at the beginning (n,) and the end (n,) of each driven stride."""
     n = len(model.driven)
-    shocks = rng.standard_normal((2, n))
+    starts, shocks = rng.standard_normal((2, n))
+    shocks *= np.sqrt(1 - keep**2)
+    firsts = np.flatnonzero(~model.joined).tolist()
     before, after = np.empty(n), np.empty(n)
-    last, gain = 0.0, np.sqrt(1 - keep**2)
-    for k, joined in enumerate(model.joined.tolist()):
-        start = last if joined else shocks[0, k]
-        last = keep * start + gain * shocks[1, k]
-        before[k], after[k] = start, last
+    for first, end in pairwise([*firsts, n]):
+        steps = accumulate(shocks[first:end].tolist(), lambda last, shock: keep * last + shock, initial=starts[first])
+        ends = np.array([*steps])
+        before[first:end], after[first:end] = ends[:-1], ends[1:]
     return before, after
