@@ -29,6 +29,7 @@ def page_of(fleet: Fleet) -> str:
             vehicles=vehicle_rows(fleet, 0.05),
             seasons=season_rows(fleet),
             effects=effect_rows(fleet),
+            road=fleet.road,
             rate=0.05,
         )
     )

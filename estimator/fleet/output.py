@@ -69,7 +69,7 @@ def write_fleet(
     learnt[NEW_VEHICLE] = of_new_vehicle(config, found.vehicles, found.new)
     texts = {out / PRIORS / f"{_file_name(name)}.toml": as_toml(c) for name, c in learnt.items() if c is not None}
     if with_page:
-        of = Tables(drives=drives, vehicles=vehicles, seasons=seasons, effects=effects, rate=rate)
+        of = Tables(drives=drives, vehicles=vehicles, seasons=seasons, effects=effects, road=found.road, rate=rate)
         texts[out / PAGE] = page(of)
     exported = {out / EXPORTS / f"{_file_name(one.vehicle)}.json": export(one) for one in found.vehicles}
     texts |= {path: encode(answer).decode() + "\n" for path, answer in exported.items() if answer is not None}

@@ -1,4 +1,4 @@
-"""A fleet as one page that opens offline: vehicles out of line, A/m and C, masses by day, seasons, gaps by cause."""
+"""A fleet as one page that opens offline: vehicles out of line, A/m and C, masses by day, seasons, gaps, the road."""
 
 import html
 import re
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from estimator.fleet.population import MIN_VEHICLES
+from estimator.fleet.road import LearnedRoad
+from estimator.fleet.road_page import road_figures
 from estimator.fleet.seasons import SEASONS
 from estimator.fleet.tables import Row
 from estimator.report import wording
@@ -40,12 +42,13 @@ TERMS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Tables:
-    """Rows of the tables of a fleet, and the false-discovery ``rate`` of its outliers."""
+    """Rows of the tables of a fleet, its road, and the false-discovery ``rate`` of its outliers."""
 
     drives: Sequence[Row]
     vehicles: Sequence[Row]
     seasons: Sequence[Row]
     effects: Sequence[Row]
+    road: LearnedRoad
     rate: float
 
 
@@ -57,6 +60,7 @@ def page(of: Tables) -> str:
         Section("masses", "Masses by day", _masses(of.drives)),
         Section("seasons", "A/m and C by season", _seasons(of)),
         Section("gaps", "Gaps by cause", _gaps(of)),
+        Section("road", "The learned road", road_figures(of.road)),
         Section("unused", "What was not estimated", _unestimated(of.drives)),
         Section("terms", "Terms", _terms()),
     ]
