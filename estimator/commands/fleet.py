@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from estimator.answers.fleet import FleetAnswer
+from estimator.columns import Row
 from estimator.commands.arguments import add_output, add_settings, number
 from estimator.commands.complaints import complain
 from estimator.commands.log_options import add_channels, add_effects, add_seed, settings
@@ -17,7 +18,7 @@ from estimator.fleet.output import CACHE, PAGE, prepare, write_fleet
 from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, run_fleet
 from estimator.fleet.sources import find_logs
-from estimator.fleet.tables import Row, require_arrow
+from estimator.fleet.tables import require_arrow
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 

@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from estimator.answers.diagnosis import Verdict
+from estimator.columns import Column, Row, columns
 from estimator.components.budget import Budget
 from estimator.signals import Floats
 
@@ -186,6 +187,22 @@ class Traces:
     log: Floats  # which of the logs
 
 
+CANDIDATES = (
+    Column("effect", "text"),
+    Column("status", "text", meaning='"named", or "candidate" for one that the verdict does not rest on'),
+    Column("probability", "number", "1"),
+    Column("log_bayes_factor", "number", "1", "natural logarithm"),
+    Column("magnitude", "text", meaning="quantity that is estimated"),
+    Column("value", "number", meaning="of the magnitude, in `unit`"),
+    Column("sd", "number", meaning="of the magnitude, in `unit`"),
+    Column("unit", "text"),
+    Column("gap_closed", "number", "1", "share of the held-out squared residual beyond noise that it explains"),
+    Column("mass_shift_kg", "number", "kg", "change of the mass with it"),
+    Column("A_shift_N", "number", "N", "change of A with it"),
+    Column("C_shift_N_s2_m2", "number", "N s2/m2", "change of C with it"),
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
     """The whole answer. Without a fit (log too short, standing, no power) only verdict and obstacle are meaningful."""
@@ -219,3 +236,32 @@ class Diagnosis:
     traces: Traces | None = None
     logs: tuple[str, ...] = field(default=())
     mixed_channels: Mapping[str, int] = field(default_factory=dict)  # frames by channel, where several are one bus
+
+    @property
+    def table(self) -> dict[str, Any]:
+        """A row for each effect, those of the verdict first, as arrays (n,) by column.
+
+        ``pandas.DataFrame`` and ``polars.DataFrame`` take it. Numbers that are missing are NaN.
+        """
+        named = {found.name for found in self.effects}
+        others = [found for found in self.candidates if found.name not in named]
+        rows = [_row(found, "named") for found in self.effects] + [_row(found, "candidate") for found in others]
+        return columns(CANDIDATES, rows)
+
+
+def _row(found: Finding, status: str) -> Row:
+    row: dict[str, Any] = {
+        "effect": found.name,
+        "status": status,
+        "probability": found.probability,
+        "log_bayes_factor": found.log_bayes_factor,
+        "magnitude": found.magnitude.name,
+        "value": found.magnitude.value,
+        "sd": found.magnitude.sd,
+        "unit": found.magnitude.unit,
+    }
+    if found.gap_closed is not None:
+        row["gap_closed"] = found.gap_closed.fraction
+    if (shift := found.shift) is not None:
+        row |= {"mass_shift_kg": shift.mass, "A_shift_N": shift.A, "C_shift_N_s2_m2": shift.C}
+    return row

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from estimator.columns import columns
 from estimator.config import Config
 from estimator.fleet.engine import Serial
 from estimator.fleet.rows import drive_rows
 from estimator.fleet.run import run_fleet
 from estimator.fleet.sources import find_logs
-from estimator.fleet.tables import DRIVES, columns
+from estimator.fleet.tables import DRIVES
 
 
 def estimate_drives(sources: Sequence[str | Path], config: Config, vehicle: str | None = None) -> dict[str, Any]:

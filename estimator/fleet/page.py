@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from estimator.columns import Row
 from estimator.fleet.population import MIN_VEHICLES
 from estimator.fleet.road import LearnedRoad
 from estimator.fleet.road_page import road_figures
 from estimator.fleet.seasons import SEASONS
-from estimator.fleet.tables import Row
 from estimator.report import wording
 from estimator.report.number_format import NOTHING, rounded, signed, with_sd
 from estimator.report.page.document import Section, document

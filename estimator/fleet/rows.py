@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from estimator.columns import Row, statistics
 from estimator.estimate import Marginal, Status
 from estimator.fleet.drive_result import Segment
 from estimator.fleet.road import LearnedRoad
 from estimator.fleet.run import Fleet
-from estimator.fleet.tables import Row, statistics
 from estimator.fleet.vehicles import DRAG, ROLLING, Normal, VehicleResult
 from estimator.road_map import COURSES, centre_of, place_of
 from estimator.signals import Floats

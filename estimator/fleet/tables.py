@@ -1,34 +1,16 @@
-"""Tables of a fleet as columns, and as Parquet files with units in the schema."""
+"""Columns of the tables of a fleet, and the tables as Parquet files with units in the schema."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from estimator.columns import Column, Row, posterior
 from estimator.errors import RoadloadError
-from estimator.estimate import Marginal
 from estimator.output_files import whole
-
-Row = Mapping[str, Any]
-STATISTICS = ("mean", "sd", "q05", "q95")
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table: ``kind`` is "text", "number", "count" or "time"."""
-
-    name: str
-    kind: str
-    unit: str = ""
-    meaning: str = ""
-
-
-def _posterior(name: str, unit: str, meaning: str) -> list[Column]:
-    return [Column(f"{name}_{part}", "number", unit, f"{meaning}: {part}") for part in STATISTICS]
 
 
 def _change(name: str, unit: str, meaning: str) -> list[Column]:
@@ -45,12 +27,12 @@ DRIVES = (
     Column("status", "text"),
     Column("reason", "text"),
     Column("note", "text", meaning="doubts about the clock or the channels"),
-    *_posterior("mass_kg", "kg", "mass, by the drive"),
-    *_posterior("A_N", "N", "rolling and friction force, by the drive"),
-    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient, by the drive"),
+    *posterior("mass_kg", "kg", "mass, by the drive"),
+    *posterior("A_N", "N", "rolling and friction force, by the drive"),
+    *posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient, by the drive"),
     Column("A_reason", "text", meaning="why A is not estimated"),
     Column("C_reason", "text", meaning="why C is not estimated"),
-    *_posterior("joint_mass_kg", "kg", "mass, given all drives of the vehicle"),
+    *posterior("joint_mass_kg", "kg", "mass, given all drives of the vehicle"),
     Column("verdict", "text", meaning="of the diagnosis"),
 )
 VEHICLES = (
@@ -61,13 +43,13 @@ VEHICLES = (
     Column("start", "time", "UTC", "first row of the first drive"),
     Column("end", "time", "UTC", "last row of the last drive"),
     Column("status", "text"),
-    *_posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m at the newest drive"),
+    *posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m at the newest drive"),
     *_change("A_per_mass_trend_N_kg", "N/kg/year", "change of A/m a year"),
     *_change("A_per_mass_winter_N_kg", "N/kg", "A/m in January above that in July"),
     Column("A_per_mass_reason", "text", meaning="why A/m is not estimated"),
     Column("A_per_mass_scatter_N_kg", "number", "N/kg", "sd of A/m between drives"),
     Column("A_per_mass_q_value", "number", "1", "false-discovery rate at which A/m is out of line"),
-    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient at the newest drive"),
+    *posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient at the newest drive"),
     *_change("C_trend_N_s2_m2", "N s2/m2/year", "change of C a year"),
     *_change("C_winter_N_s2_m2", "N s2/m2", "C in January above that in July"),
     Column("C_reason", "text", meaning="why C is not estimated"),
@@ -81,8 +63,8 @@ SEASONS = (
     Column("vehicle", "text"),
     Column("season", "text", meaning="months, of any year, by UTC"),
     Column("loads", "count", meaning="with an estimated mass, and a clock that was set"),
-    *_posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m"),
-    *_posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient"),
+    *posterior("A_per_mass_N_kg", "N/kg", "rolling coefficient A/m"),
+    *posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient"),
 )
 EFFECTS = (
     Column("source", "text", meaning="first file of the drive"),
@@ -105,27 +87,6 @@ ROAD = (
     Column("passes", "count"),
     Column("vehicles", "count"),
 )
-_FILL = {"text": "", "number": np.nan, "count": 0, "time": 0.0}
-_TYPES = {"text": np.str_, "number": np.float64, "count": np.int64, "time": np.float64}
-
-
-def statistics(name: str, posterior: Marginal | None) -> dict[str, float]:
-    """The columns of a posterior; none where it is not estimated."""
-    return {} if posterior is None else {f"{name}_{part}": getattr(posterior, part) for part in STATISTICS}
-
-
-def columns(schema: Sequence[Column], rows: Sequence[Row]) -> dict[str, Any]:
-    """Rows as arrays (n,) by column, which pandas and polars take.
-
-    A number that is missing is NaN, a text that is missing is empty. Times are ``datetime64[us]``, UTC.
-    """
-    table: dict[str, Any] = {}
-    for column in schema:
-        values: Any = np.array([row.get(column.name, _FILL[column.kind]) for row in rows], dtype=_TYPES[column.kind])
-        if column.kind == "time":
-            values = np.round(values * 1e6).astype("datetime64[us]")
-        table[column.name] = values
-    return table
 
 
 def write_tables(

@@ -15,7 +15,7 @@ from estimator.diagnosis.drive_data import Record, record
 from estimator.diagnosis.result import Diagnosis
 from estimator.model.effects import CATALOGUE, Effect, named
 from estimator.samples import Rows
-from estimator.streaming.log_frames import LogFrames, Progress, no_progress
+from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
 from estimator.streaming.row_stream import Block, RowStream
 
 READING_SHARE = 0.9  # of the work
@@ -23,7 +23,7 @@ READING_SHARE = 0.9  # of the work
 
 @one_blas_thread()
 def diagnose_logs(
-    paths: Sequence[Path],
+    paths: str | Path | Sequence[str | Path],
     config: Config,
     progress: Progress = no_progress,
     further: Sequence[Effect] = (),
@@ -46,8 +46,9 @@ def diagnose_logs(
     given = named(config.effects)
     records: list[Record] = []
     mixed: Counter[str] = Counter()
-    for i, path in enumerate(paths):
-        logs = LogFrames([path], config, partial(_part, progress, i, len(paths)))
+    given_paths = as_paths(paths)
+    for i, path in enumerate(given_paths):
+        logs = LogFrames([path], config, partial(_part, progress, i, len(given_paths)))
         found = [record(pieces, config) for pieces in _pieces(logs, path, config)]
         mixed.update(logs.mixed)
         records += [replace(drive, log=i, log_start=found[0].start) for drive in found]
@@ -55,7 +56,7 @@ def diagnose_logs(
         records, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further), surrogates=surrogates
     )
     progress(1.0)
-    return replace(result, logs=tuple(str(path) for path in paths), mixed_channels=dict(mixed))
+    return replace(result, logs=tuple(map(str, given_paths)), mixed_channels=dict(mixed))
 
 
 def _part(progress: Progress, done: int, of: int, share: float) -> None:

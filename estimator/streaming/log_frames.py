@@ -18,6 +18,11 @@ def no_progress(share: float) -> None:
     """Ignore the progress."""
 
 
+def as_paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """A path, or several, in whatever form a caller has them."""
+    return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+
+
 class LogFrames:
     """Batches of the frames of logs, one log after the other, on the channels that the configuration names.
 

@@ -5,19 +5,35 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import can
 
 from estimator.blas_threads import one_blas_thread
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
+from estimator.columns import Column, Row, columns, posterior, statistics
 from estimator.config import Config
 from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
-from estimator.streaming.log_frames import LogFrames, Progress, no_progress
+from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
 from estimator.streaming.pipeline import Pipeline
 
+UPDATES = (
+    Column("time", "time", "UTC", "of the update"),
+    Column("minutes", "number", "min", "since the first frame"),
+    Column("status", "text"),
+    Column("reason", "text"),
+    Column("samples", "count", meaning="in the window"),
+    *posterior("mass_kg", "kg", "mass"),
+    *posterior("A_N", "N", "rolling and friction force"),
+    *posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient"),
+    Column("A_reason", "text", meaning="why A is not estimated"),
+    Column("C_reason", "text", meaning="why C is not estimated"),
+    Column("rms_W", "number", "W", "residual power"),
+)
+MINUTE = 60.0  # s
 BATCH = 1000  # frames put on the virtual bus before the listener's side is drained
 
 
@@ -44,10 +60,36 @@ class Run:
         """The last estimate."""
         return self.updates[-1]
 
+    @property
+    def table(self) -> dict[str, Any]:
+        """A row for each update, as arrays (n,) by column; ``pandas.DataFrame`` and ``polars.DataFrame`` take it.
+
+        Numbers that are missing are NaN. Effects of the configuration have columns of their own, e.g. `headwind_mean`.
+        """
+        effects = [column for name in self.pipeline.effects for column in posterior(name, "", name)]
+        return columns((*UPDATES, *effects), [self._row(update) for update in self.updates])
+
+    def _row(self, update: Estimate) -> Row:
+        row: dict[str, Any] = {
+            "time": update.t,
+            "minutes": (update.t - self.start) / MINUTE,
+            "status": update.status.value,
+            "reason": update.reason,
+            "samples": update.admitted,
+            **statistics("mass_kg", update.mass),
+            **statistics("A_N", update.A),
+            **statistics("C_N_s2_m2", update.C),
+            "A_reason": update.status_of("A")[1],
+            "C_reason": update.status_of("C")[1],
+        }
+        for name, magnitude in update.effects.items():
+            row |= statistics(name, magnitude)
+        return row if update.rms is None else {**row, "rms_W": update.rms}
+
 
 @one_blas_thread()
-def estimate_logs(paths: Sequence[Path], config: Config, progress: Progress = no_progress) -> Run:
-    """Estimate from logs without a bus: same code, same numbers, only faster.
+def estimate_logs(paths: str | Path | Sequence[str | Path], config: Config, progress: Progress = no_progress) -> Run:
+    """Estimate from a log, or several in order, without a bus: same code, same numbers, only faster.
 
     Raises
     ------
@@ -56,11 +98,12 @@ def estimate_logs(paths: Sequence[Path], config: Config, progress: Progress = no
     MissingInputsError
         The logs lack inputs of the model.
     """
-    pipeline, logs, updates = Pipeline(config), LogFrames(paths, config, progress), list[Estimate]()
+    given = as_paths(paths)
+    pipeline, logs, updates = Pipeline(config), LogFrames(given, config, progress), list[Estimate]()
     for frames in logs:
         updates += pipeline.feed(frames)
     updates += pipeline.finish()
-    pipeline.traffic.require_inputs(_names(paths))
+    pipeline.traffic.require_inputs(_names(given))
     return Run(pipeline=pipeline, updates=updates, skipped=logs.skipped, mixed_channels=logs.mixed)
 
 
