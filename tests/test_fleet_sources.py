@@ -121,6 +121,9 @@ def test_logs_of_a_url(tmp_path: Path) -> None:
         with local_copy(logs[1].source) as path:
             assert path.read_bytes() == text
         assert not path.exists()
+        files.pipe_file("/lake/truck-2/empty.log", b"")
+        fault = survey(LogFile("memory:///lake/truck-2/empty.log", "truck-2"), Config()).fault
+        assert fault.startswith("memory:///lake/truck-2/empty.log: is empty")  # and does not name the copy
         with pytest.raises(LogError, match="cannot be fetched"), local_copy("memory:///lake/gone.log"):
             pass
         with pytest.raises(InputError, match="no logs there"):

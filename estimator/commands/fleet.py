@@ -19,6 +19,7 @@ from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import require_arrow
+from estimator.report.number_format import counted
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
@@ -110,10 +111,11 @@ def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], writt
 def _print(drives: Sequence[Row], vehicles: Sequence[Row], out: Path) -> None:
     console = standard_output()
     estimated = sum(row["status"] == "estimated" for row in drives)
-    say(console, f"{len(drives)} rows of drives, {estimated} estimated; {len(vehicles)} vehicles; written to {out}")
+    rows = f"{counted(len(drives), 'row')} of drives, {estimated:,} estimated"
+    say(console, f"{rows}; {counted(len(vehicles), 'vehicle')}; written to {out}")
     for row in vehicles:
         rolling, drag = (_value(row, name) for name in ("A_per_mass_N_kg", "C_N_s2_m2"))
-        line = f"{row['vehicle']}: {row['drives']} drives, A/m {rolling} N/kg, C {drag} N/(m/s)^2"
+        line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, A/m {rolling} N/kg, C {drag} N/(m/s)^2"
         say(console, line + (f"; out of line: {row['outlier']}" if row["outlier"] else ""))
 
 

@@ -16,7 +16,7 @@ from estimator.fleet.road import LearnedRoad
 from estimator.fleet.road_page import road_figures
 from estimator.fleet.seasons import SEASONS
 from estimator.report import wording
-from estimator.report.number_format import NOTHING, rounded, signed, with_sd
+from estimator.report.number_format import NOTHING, counted, rounded, signed, with_sd
 from estimator.report.page.document import Section, document
 from estimator.report.page.plot import DAY, DateAxis, axis, dots, plot, rods
 from estimator.report.page.tables import table
@@ -70,16 +70,16 @@ def page(of: Tables) -> str:
 def _headline(of: Tables) -> str:
     drives = len({row["source"] for row in of.drives if row["status"] not in UNUSED})
     hours = sum(row["minutes"] for row in of.vehicles) / HOUR
-    return f"{_count(len(of.vehicles), 'vehicle')}, {_count(drives, 'drive')}, {hours:,.0f} h"
+    return f"{counted(len(of.vehicles), 'vehicle')}, {counted(drives, 'drive')}, {hours:,.0f} h"
 
 
 def _header(of: Tables) -> str:
     named = [row["vehicle"] for row in of.vehicles if row["outlier"]]
     none = "none out of line" if _is_compared(of.vehicles) else "not compared"
-    pill = f"{_count(len(named), 'vehicle')} out of line" if named else none
+    pill = f"{counted(len(named), 'vehicle')} out of line" if named else none
     estimated = sum(row["status"] == "estimated" for row in of.drives)
     known = sum("C_N_s2_m2_mean" in row for row in of.vehicles)
-    words = f"The mass is known of {estimated:,} loads, C of {known:,} of {_count(len(of.vehicles), 'vehicle')}. "
+    words = f"The mass is known of {estimated:,} loads, C of {known:,} of {counted(len(of.vehicles), 'vehicle')}. "
     others = Counter(row["status"] for row in of.drives if row["status"] != "estimated")
     words += "; ".join(f"{count:,} {status}" for status, count in others.most_common()) + ("." if others else "")
     kind = "unknown-effect" if named else "no-gap"
@@ -87,10 +87,6 @@ def _header(of: Tables) -> str:
         f'<header class="{kind}"><p class="logs">Fleet <span>{_days(of.drives)}</span></p>'
         f'<p class="verdict">{pill}</p><h1>{_headline(of)}</h1><p class="reason">{html.escape(words)}</p></header>'
     )
-
-
-def _count(count: int, what: str) -> str:
-    return f"{count:,} {what}{'s' * (count != 1)}"
 
 
 def _days(rows: Sequence[Row]) -> str:
@@ -273,7 +269,7 @@ def _gaps(of: Tables) -> str:
         rows.append((html.escape(wording.label(effect)), f"{len(found):,}", meter, f"{vehicles:,}", what))
     said = ", ".join(f"{verdict} {count:,}" for verdict, count in verdicts.most_common())
     headings = ("cause", "drives", "of the diagnosed", "vehicles", "usual size, absolute")
-    return f"<p>{_count(diagnosed, 'drive')} diagnosed: {html.escape(said)}.</p>{table(headings, rows, 'gaps')}"
+    return f"<p>{counted(diagnosed, 'drive')} diagnosed: {html.escape(said)}.</p>{table(headings, rows, 'gaps')}"
 
 
 def _unestimated(rows: Sequence[Row]) -> str:

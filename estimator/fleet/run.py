@@ -159,7 +159,8 @@ def _joined(vehicle: _Vehicle, gate: Gate, scale: float) -> Joined:
 def _doubt(overlapping: int) -> str:
     if not overlapping:
         return ""
-    return f"{overlapping} of its drives overlap others in time: two vehicles in one folder? give --vehicle"
+    drives = f"{overlapping} of its drives overlap{'s' * (overlapping == 1)} others in time"
+    return f"{drives}: two vehicles in one folder? give --vehicle"
 
 
 def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture, ...]]:

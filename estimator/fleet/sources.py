@@ -14,7 +14,7 @@ from typing import Any
 
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.logs.lake import day_of, files_of, is_day
-from estimator.errors import ConfigError, InputError, LogError
+from estimator.errors import ConfigError, InputError, LogError, RoadloadError
 from estimator.input_files import MIB, read_bounded
 
 LIST = ".txt"  # suffix of a list of logs: a log a line, and its vehicle after a tab
@@ -173,7 +173,7 @@ def file_system(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def local_copy(source: str) -> Iterator[Path]:
-    """The log as a local file; that of a URL is there for the time of the block.
+    """The log as a local file; that of a URL is there for the time of the block, whose errors name the URL.
 
     Raises
     ------
@@ -189,7 +189,10 @@ def local_copy(source: str) -> Iterator[Path]:
             path = _fetch(files, name, Path(folder))
         except Exception as error:  # of any storage library
             raise LogError(f"{source}: cannot be fetched ({_line(error)})") from error
-        yield path
+        try:
+            yield path
+        except RoadloadError as error:  # names the copy, which is gone when the message is read
+            raise type(error)(str(error).replace(str(path), source)) from error
 
 
 def _fetch(files: Any, name: str, folder: Path) -> Path:

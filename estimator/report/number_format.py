@@ -61,6 +61,11 @@ def rounded(x: float, decimals: int) -> str:
     return signed(f"{round(x, decimals):,.{min(max(decimals, 0), MAX_DECIMALS)}f}")
 
 
+def counted(count: int, what: str) -> str:
+    """A number of things: `1 drive`, `1,020 drives`."""
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
 def signed(text: str) -> str:
     """A true minus sign, none before a number that is all zeros."""
     if text.startswith("-"):
