@@ -1,11 +1,12 @@
 """What `estimate_logs` and `diagnose_logs` give to pandas and polars."""
 
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas
-import polars
 import pytest
 from simulated_logs import TRUCK
 
@@ -27,8 +28,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(path)
 
 
-def frames(table: dict[str, Any]) -> tuple[pandas.DataFrame, polars.DataFrame]:
-    return pandas.DataFrame(table), polars.DataFrame(table)
+def frames(table: dict[str, Any]) -> Iterator[Any]:
+    """The table as data frames of the libraries that are installed; python-can would load polars in each process."""
+    modules = [find_spec(name) and import_module(name) for name in ("pandas", "polars")]
+    yield from (module.DataFrame(table) for module in modules if module)
 
 
 @pytest.mark.slow
