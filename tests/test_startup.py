@@ -69,3 +69,9 @@ def test_a_command_imports_its_own_needs_only(command: str) -> None:
     modules = imported(command, "--help")
     assert f"estimator.commands.{command}" in modules
     assert not OTHER_COMMANDS[command] & modules
+
+
+def test_a_worker_of_a_fleet_imports_no_diagnosis() -> None:
+    program = "import sys, estimator.fleet.run; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert not {"estimator.diagnosis", "scipy.signal", "scipy.stats", "matplotlib"} & set(done.stdout.split())

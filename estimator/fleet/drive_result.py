@@ -16,7 +16,6 @@ from estimator.fleet.grouping import Drive
 from estimator.fleet.passes import Passes, Places, passes_of
 from estimator.fleet.sources import local_copy
 from estimator.freed_memory import keep_freed_memory
-from estimator.streaming.drive_extraction import diagnose_logs
 from estimator.streaming.log_frames import LogFrames
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block
@@ -90,6 +89,9 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
             segments, passes = _segments(paths, config)
             if not with_diagnosis:
                 return DriveResult(segments=segments, passes=passes)
+            # Imported above, it would be half of a worker's start.
+            from estimator.streaming.drive_extraction import diagnose_logs
+
             diagnosis = diagnose_logs(paths, config)
     except (RoadloadError, OSError) as error:
         return DriveResult(fault=" ".join(str(error).split()))
