@@ -30,7 +30,11 @@ class Log(ABC):
         The data frames of the file by channel, and which of them are yielded.
     progress : float
         Share of the file read so far, 0 to 1.
+    batch : int
+        Frames, the most that are yielded at once.
     """
+
+    batch = BATCH
 
     def __init__(self, path: Path, channels: Iterable[str] = ()) -> None:
         self.path = path
@@ -39,7 +43,7 @@ class Log(ABC):
         self.progress = 0.0
 
     def __iter__(self) -> Iterator[Frames]:
-        """Yield the data frames in file order, at most ``BATCH`` at a time.
+        """Yield the data frames in file order, at most ``batch`` at a time.
 
         Raises
         ------
@@ -52,7 +56,7 @@ class Log(ABC):
         self.progress = 0.0
         times = TimeCheck(self.path)
         empty = True
-        for frames in regroup(self._guarded(), BATCH):
+        for frames in regroup(self._guarded(), self.batch):
             self.channels.check_number(self.path)
             if self.channels.shared is not None:
                 continue  # only to count the frames of each channel
