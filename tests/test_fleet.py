@@ -8,10 +8,11 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from estimator.fleet.engine import Failure, Serial, dask_engine
 from estimator.fleet.rows import drive_rows
 from estimator.fleet.run import run_fleet
 from estimator.fleet.sources import find_logs
+from estimator.output_files import whole
 from estimator.simulation.recording import simulate
 from estimator.simulation.truck import Truck
 
@@ -326,15 +328,18 @@ def test_a_full_disk_leaves_the_tables_of_before(fleet: Path, monkeypatch: pytes
     output.prepare(out)
     (out / "drives.parquet").write_text("before")
     found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]), Config(), Serial())
-    write = Path.write_bytes
 
-    def full(path: Path, content: bytes) -> int:
-        if "vehicles" in path.name:
-            write(path, content[:100])
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        return write(path, content)
+    @contextmanager
+    def full(path: Path) -> Iterator[Any]:
+        with whole(path) as file:
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+            def write(content: bytes) -> None:
+                file.write(content[:100])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+            yield SimpleNamespace(write=write, flush=file.flush) if "vehicles" in path.name else file
+
+    monkeypatch.setattr("estimator.fleet.tables.whole", full)
     with pytest.raises(RoadloadError, match=r"vehicles\.parquet: cannot write: No space left on device"):
         output.write_fleet(found, Config(), out, 0.05, with_diagnosis=False)
     assert [path.name for path in out.iterdir() if path.is_file()] == ["drives.parquet"]
