@@ -24,6 +24,16 @@ class Column:
     meaning: str = ""
 
 
+EVIDENCE = (  # for an effect
+    Column("probability", "number", "1"),
+    Column("log_bayes_factor", "number", "1", "natural logarithm"),
+    Column("magnitude", "text", meaning="quantity that is estimated"),
+    Column("value", "number", meaning="of the magnitude, in `unit`"),
+    Column("sd", "number", meaning="of the magnitude, in `unit`"),
+    Column("unit", "text"),
+)
+
+
 def posterior(name: str, unit: str, meaning: str) -> list[Column]:
     """The columns of a posterior, which `statistics` fills."""
     return [Column(f"{name}_{part}", "number", unit, f"{meaning}: {part}") for part in STATISTICS]

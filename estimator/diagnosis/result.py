@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from estimator.answers.diagnosis import Verdict
-from estimator.columns import Column, Row, columns
+from estimator.columns import EVIDENCE, Column, Row, columns
 from estimator.components.budget import Budget
 from estimator.signals import Floats
 
@@ -190,12 +190,7 @@ class Traces:
 CANDIDATES = (
     Column("effect", "text"),
     Column("status", "text", meaning='"named", or "candidate" for one that the verdict does not rest on'),
-    Column("probability", "number", "1"),
-    Column("log_bayes_factor", "number", "1", "natural logarithm"),
-    Column("magnitude", "text", meaning="quantity that is estimated"),
-    Column("value", "number", meaning="of the magnitude, in `unit`"),
-    Column("sd", "number", meaning="of the magnitude, in `unit`"),
-    Column("unit", "text"),
+    *EVIDENCE,
     Column("gap_closed", "number", "1", "share of the held-out squared residual beyond noise that it explains"),
     Column("mass_shift_kg", "number", "kg", "change of the mass with it"),
     Column("A_shift_N", "number", "N", "change of A with it"),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.columns import Column, Row, posterior
+from estimator.columns import EVIDENCE, Column, Row, posterior
 from estimator.errors import RoadloadError
 from estimator.output_files import whole
 
@@ -70,12 +70,7 @@ EFFECTS = (
     Column("source", "text", meaning="first file of the drive"),
     Column("vehicle", "text"),
     Column("effect", "text"),
-    Column("probability", "number", "1"),
-    Column("log_bayes_factor", "number", "1", "natural logarithm"),
-    Column("magnitude", "text", meaning="quantity that is estimated"),
-    Column("value", "number", meaning="of the magnitude, in `unit`"),
-    Column("sd", "number", meaning="of the magnitude, in `unit`"),
-    Column("unit", "text"),
+    *EVIDENCE,
 )
 ROAD = (
     Column("latitude", "number", "deg", "centre of the cell of the ground"),
