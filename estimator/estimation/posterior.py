@@ -8,11 +8,10 @@ from estimator.config import Config
 from estimator.estimate import Convergence, Marginal
 from estimator.estimation.moments import SMALL_LAG, Belief, Fit
 from estimator.sampling.likelihood import StudentTarget, Target
-from estimator.sampling.run import run
+from estimator.sampling.run import MAX_R_HAT, run
 from estimator.settings import Prior
 from estimator.signals import Floats
 
-MAX_R_HAT = 1.05  # rank-normalised split R-hat (Vehtari et al. 2021), of the worst parameter
 MIN_ESS = 100.0  # effective draws: the mean is then known to a tenth of the sd
 MAX_USUAL_MAGNITUDES = 20.0  # bound of an effect's magnitude, over its usual one
 LAG_BOX = (-1.0, 1.0)  # s, far wider than the prior of the lag

@@ -105,14 +105,6 @@ class RoadFit:
         spread: Floats = jacobian @ self.covariance @ jacobian.T
         return spread
 
-    def with_doubt_of_mass(self, share: float) -> "RoadFit":
-        """The same with a relative sd of 1/m of at least ``share``, as from a wrong gain of the torque."""
-        missing = share**2 - float(self.covariance[0, 0]) / float(self.beta[0]) ** 2
-        if missing <= 0:
-            return self
-        form = np.append(np.sqrt(missing) * self.beta[0], np.zeros(len(self.beta) - 1))
-        return replace(self, covariance=self.covariance + np.outer(form, form))
-
     def mixed(self, shift: Floats, covariance: Floats) -> "RoadFit":
         """The same, with what other models add to the first coefficients: a shift (b,) and covariance (b, b)."""
         b, beta, wider = len(shift), self.beta.copy(), self.covariance.copy()

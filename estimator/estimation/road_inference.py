@@ -25,9 +25,9 @@ from estimator.errors import StateError
 from estimator.estimate import PARAMETERS, Coverage, Estimate, Road, Status
 from estimator.estimation import posterior
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
+from estimator.estimation.gain_changes import gain_changes
 from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
-from estimator.estimation.mass_changes import mass_changes
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given
@@ -234,8 +234,8 @@ class RoadInference:
         drive = RoadTarget.of(found, empty, *bounds)
         if reason := contradiction(self._config.prior, _Judged(drive.free_mode, drive.free_sd)):
             return withheld(reason, status=Status.INVALID)
-        changes = mass_changes(self._window.samples, found, PROBE_SEED)
-        found = found.with_doubt_of_mass(max((change.doubt for change in changes), default=0.0))
+        changes = gain_changes(self._window.samples, found)
+        contradicted, found = changes.contradiction(found), changes.averaged(found)
         belief = self._given + self._loads.carried_over(t, self._config.load)
         target = RoadTarget.of(found, belief, *bounds)
         judged = _Judged(target.free_mode, target.free_sd)
@@ -245,14 +245,13 @@ class RoadInference:
         )
         if reason := self._gate.missing_coverage(coverage) or _outside(judged, *bounds):
             return withheld(reason, coverage)
+        if contradicted:
+            return withheld(contradicted, coverage)
         reasons = self._reasons(judged, found, *bounds)
         if "m" in reasons:
             return withheld(reasons["m"], coverage)
         if reason := _misfit(found, self._config.kinematics.maximum_lag_s):
             return withheld(reason, coverage, Status.INVALID)
-        for change in changes:
-            if change.contradiction:
-                return withheld(change.contradiction, coverage)
         draws = posterior.sample(target, self._config, self._rng)
         if not draws.has_converged:
             c = draws.convergence

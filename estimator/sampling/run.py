@@ -11,6 +11,10 @@ from estimator.signals import Floats
 
 SPREAD = 3.0  # sd of the chains' starting points around the centre
 MIN_ACCEPTANCE = 0.2  # of independence proposals that resemble the target
+MAX_R_HAT = 1.05  # of every parameter (Vehtari et al. 2021)
+LONGER = (
+    8  # times the draws, where chance in the means of short chains keeps R-hat above that (a density cut by its box)
+)
 MIN_ESS_PER_DRAW = 0.05  # effective draws over draws, of the worst parameter
 MAX_IMPORTANCE_WEIGHT = 20.0  # of an independence proposal, over the mean weight
 WALK_BURN_IN = 1000  # iterations of the random walk that replaces them
@@ -43,17 +47,20 @@ def overdispersed(target: Target, chains: int, rng: np.random.Generator) -> Floa
 def run(target: Target, kernel: str, chains: int, burn_in: int, draws: int, rng: np.random.Generator) -> Run:
     """Draw from ``target`` with one of `metropolis.KERNELS`, ``chains`` x ``draws`` after ``burn_in`` iterations.
 
-    Independence proposals need a density that resembles their Gaussian. Where it has several modes or another shape,
-    few are accepted, the effective draws are few, or a few draws have all the weight; then the random walk, which does
-    not need the resemblance, is run with more iterations. The diagnoses show whether it converged: chains that stay in
-    different modes give a large R-hat.
+    Independence proposals need a density that resembles their Gaussian. Where a box cuts it, chains mix slowly and are
+    made LONGER. Where it has several modes or another shape, few are accepted, the effective draws are few, or a few
+    draws have all the weight; then the random walk, which does not need the resemblance, is run with more iterations.
+    The diagnoses show whether it converged: chains that stay in different modes give a large R-hat.
     """
     starts = overdispersed(target, chains, rng)
     if kernel == "independence":
-        made = KERNELS[kernel](target, starts, burn_in, draws, rng)
-        judged = _judged(kernel, made)
-        if made.heaviest <= MAX_IMPORTANCE_WEIGHT and _is_like_target(judged):
-            return judged
+        for length in (draws, LONGER * draws):
+            made = KERNELS[kernel](target, starts, burn_in, length, rng)
+            judged = _judged(kernel, made)
+            if made.heaviest > MAX_IMPORTANCE_WEIGHT or not _is_like_target(judged):
+                break
+            if max(diagnosis.r_hat for diagnosis in judged.diagnoses) < MAX_R_HAT:
+                return judged
     burn_in, draws = max(burn_in, WALK_BURN_IN), max(draws, WALK_DRAWS)
     return _judged("random_walk", KERNELS["random_walk"](target, starts, burn_in, draws, rng))
 
