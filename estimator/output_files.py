@@ -1,5 +1,6 @@
 """Output files: their names are refused early, their contents appear whole or not at all."""
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -9,6 +10,13 @@ from typing import BinaryIO
 from estimator.errors import ConfigError, RoadloadError
 
 PART = ".part-"  # before the name of a file that is being written; the suffix stays, for it may name the format
+
+REMEDY = {
+    errno.ENOSPC: "free space on the disk and run again",
+    errno.EDQUOT: "free space on the disk and run again",
+    errno.EFBIG: "allow larger files (ulimit -f) and run again",
+    errno.EACCES: "check the permissions",
+}
 
 
 def check_suffix(path: Path, formats: tuple[str, ...]) -> None:
@@ -64,7 +72,8 @@ def _replacing(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(path)
     except OSError as error:
-        raise RoadloadError(f"{path}: cannot write: {error.strerror}") from error
+        remedy = f"; {REMEDY[error.errno]}" if error.errno in REMEDY else ""
+        raise RoadloadError(f"{path}: cannot write: {error.strerror}{remedy}") from error
     finally:
         with suppress(OSError):  # where nothing could be written there is nothing to remove
             temporary.unlink()

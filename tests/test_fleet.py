@@ -189,7 +189,7 @@ def test_an_error_in_a_task_is_the_reason_of_its_drive(monkeypatch: pytest.Monke
 def test_only_the_road_likelihood_can_be_joined(fleet: Path) -> None:
     other = configuration.from_dict({"sampler": {"likelihood": "instruments"}})
     with pytest.raises(ConfigError, match=r"sampler\.likelihood"):
-        run_fleet(find_logs([str(fleet)]), other, Serial())
+        estimate_drives([fleet], other)
 
 
 @pytest.fixture(scope="module")
@@ -346,6 +346,44 @@ def test_a_full_disk_leaves_the_tables_of_before(fleet: Path, monkeypatch: pytes
     assert (out / "drives.parquet").read_text() == "before"
 
 
+def test_a_folder_in_the_place_of_a_table_leaves_all_files_as_they_were(fleet: Path, tmp_path: Path) -> None:
+    output.prepare(tmp_path)
+    (tmp_path / "vehicles.parquet").mkdir()
+    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]), Config(), Serial())
+    with pytest.raises(RoadloadError, match=r"vehicles\.parquet: is a folder; move it away"):
+        output.write_fleet(found, Config(), tmp_path, 0.05, with_page=True)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_a_folder_that_must_not_be_written_to_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("estimator.fleet.output.os.access", lambda path, mode: path.name != "cache")
+    with pytest.raises(ConfigError, match=rf"{tmp_path}/cache: must not be written to; check its permissions"):
+        output.prepare(tmp_path)
+    with pytest.raises(ConfigError, match=r"/proc/fleet: cannot be made \(No such file.*\); give another folder"):
+        output.prepare(Path("/proc/fleet"))
+
+
+def test_a_run_that_can_use_no_log_writes_nothing_and_ends_with_status_2(fleet: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    out = tmp_path / "out"
+    logs = [fleet / "truck-2" / name for name in ("cut.blf", "idle.blf")]
+    status, _, lines = ask(*logs, "-o", out, "--workers", 1)
+    assert status == 2
+    assert [line.split(":")[0] for line in lines] == ["failed", "unreadable", "error"]
+    assert lines[2] == f"error: none of 2 logs can be used, for the reasons above; nothing was written to {out}"
+    assert [path for path in out.rglob("*") if path.is_file()] == []
+
+
+def test_a_wrong_configuration_is_told_before_a_folder_is_made(fleet: Path, tmp_path: Path) -> None:
+    config = tmp_path / "own.toml"
+    config.write_text('[sampler]\nlikelihood = "instruments"\n')
+    status, _, lines = ask(fleet, "-o", tmp_path / "out", "--config", config)
+    assert (status, len(lines)) == (2, 1)
+    assert not (tmp_path / "out").exists()
+
+
 def test_bad_arguments_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     (tmp_path / "empty").mkdir()
@@ -359,6 +397,15 @@ def test_bad_arguments_are_one_line(tmp_path: Path) -> None:
         assert status == 2
         assert len(lines) == 1
         assert reason in lines[0]
+
+
+def test_what_is_no_address_of_a_scheduler_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """Dask tries for a minute, and then writes a traceback."""
+    for address in ("nonsense", "foo://host:1", "tcp://host"):
+        with pytest.raises(SystemExit) as refused:
+            main(["fleet", "a.log", "-o", "out", "--scheduler", address])
+        assert refused.value.code == 2
+        assert f"'{address}' is not an address; write it as tcp://HOST:PORT" in capsys.readouterr().err
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

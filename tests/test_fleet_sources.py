@@ -1,9 +1,13 @@
 """Logs of a fleet: where they are found, whose they are, which belong together, and what is wrong with them."""
 
+import errno
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from estimator.can_io.logs import open_log
 from estimator.config import Config
 from estimator.errors import ConfigError, InputError, LogError
 from estimator.fleet.grouping import YEAR, Drive, by_engine, group
@@ -96,6 +100,58 @@ def test_a_source_without_logs_is_refused(tmp_path: Path) -> None:
         found(tmp_path / "nowhere")
     with pytest.raises(InputError, match="no logs there"):
         found(f"{tmp_path}/*.blf")
+
+
+def refuse_to_list(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """As for a user without permissions; the tests may run as root, who has all."""
+    listed = Path.iterdir
+
+    def iterdir(self: Path) -> Iterator[Path]:
+        if self == folder:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+        yield from listed(self)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+
+
+def test_a_folder_that_must_not_be_read_is_an_unreadable_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    candump(tmp_path / "truck-1/a.log")
+    candump(tmp_path / "truck-2/b.log")
+    locked = tmp_path / "truck-2"
+    refuse_to_list(monkeypatch, locked)
+    logs = find_logs([str(tmp_path)])
+    assert [(log.source, log.vehicle) for log in logs] == [
+        (f"{tmp_path}/truck-1/a.log", "truck-1"),
+        (str(locked), "truck-2"),
+    ]
+    surveys = [survey(log, Config()) for log in logs]
+    assert [one.fault for one in surveys] == [
+        "",
+        f"{locked}: cannot be read (Permission denied); check its permissions",
+    ]
+
+
+def test_a_source_that_must_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = tmp_path / "locked/a.log"
+
+    def is_dir(self: Path) -> bool:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+
+    monkeypatch.setattr(Path, "is_dir", is_dir)
+    with pytest.raises(InputError, match=rf"{source}: cannot be read \(Permission denied\); check its permissions"):
+        find_logs([str(source)])
+    with pytest.raises(LogError, match=rf"{source}: cannot be read \(Permission denied\); check its permissions"):
+        open_log(source)
+
+
+def test_links_to_folders_are_followed_and_circles_end(tmp_path: Path) -> None:
+    candump(tmp_path / "disk/2024/a.log")
+    (tmp_path / "fleet").mkdir()
+    (tmp_path / "fleet/truck-1").symlink_to(tmp_path / "disk")
+    (tmp_path / "disk/all").symlink_to(tmp_path / "fleet")
+    assert [(log.source, log.vehicle) for log in find_logs([str(tmp_path / "fleet")])] == [
+        (f"{tmp_path}/fleet/truck-1/2024/a.log", "truck-1")
+    ]
 
 
 def test_a_log_that_two_sources_name_counts_once(tmp_path: Path) -> None:

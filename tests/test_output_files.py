@@ -99,3 +99,16 @@ def test_a_file_system_that_turned_read_only_is_one_error(tmp_path: Path, monkey
 def test_a_missing_folder_is_told(tmp_path: Path):
     with pytest.raises(RoadloadError, match="cannot write: No such file"), whole(tmp_path / "nowhere" / "x"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENOSPC, "No space left on device; free space on the disk and run again"),
+        (errno.EFBIG, r"File too large; allow larger files \(ulimit -f\) and run again"),
+        (errno.EACCES, "Permission denied; check the permissions"),
+    ],
+)
+def test_a_file_that_cannot_be_written_says_what_to_do(tmp_path: Path, number: int, remedy: str):
+    with pytest.raises(RoadloadError, match=f"cannot write: {remedy}$"), whole(tmp_path / "x"):
+        raise OSError(number, os.strerror(number))

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,17 +13,19 @@ from estimator.commands.arguments import add_output, add_settings, number
 from estimator.commands.complaints import complain
 from estimator.commands.log_options import add_channels, add_effects, add_seed, settings
 from estimator.commands.terminal import print_json, progress_bar, say, standard_output
+from estimator.errors import InputError
 from estimator.fleet.cache import Cache
 from estimator.fleet.engine import dask_engine
 from estimator.fleet.output import CACHE, PAGE, prepare, write_fleet
 from estimator.fleet.rows import drive_rows, vehicle_rows
-from estimator.fleet.run import Fleet, run_fleet
+from estimator.fleet.run import Fleet, check, run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import require_arrow
 from estimator.report.number_format import counted
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
+UNUSED = ("unreadable", "duplicate", "failed")  # status of a log that gives no estimate, with its reason
 BY_ENGINE = "NAME"  # instead of a regular expression for the vehicle
 
 
@@ -38,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicle", metavar="REGEX", help=vehicle)
     engine = parser.add_mutually_exclusive_group()
     engine.add_argument("--workers", type=_workers, metavar="N", help="processes; as many as there are cores")
-    engine.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a Dask cluster, instead of processes")
+    engine.add_argument(
+        "--scheduler", type=_address, metavar="tcp://HOST:PORT", help="a Dask cluster, instead of processes"
+    )
     parser.add_argument("--diagnose", action="store_true", help="diagnose each drive too; takes much longer")
     parser.add_argument("--report", action="store_true", help=f"also one page with figures, OUT/{PAGE}, opens offline")
     rate = number(0.0, 1.0, "a rate from 0 to 1")
@@ -54,6 +59,7 @@ def run(options: argparse.Namespace) -> int:
     require_arrow()
     are_named = options.vehicle == BY_ENGINE
     logs = find_logs(options.source, None if are_named else options.vehicle)
+    check(config)
     prepare(options.output)
     cache = Cache.of(options.output / CACHE, config, options.diagnose)
     workers = options.workers or len(os.sched_getaffinity(0))
@@ -67,11 +73,14 @@ def run(options: argparse.Namespace) -> int:
             are_named=are_named,
             progress=progress,
         )
+    drives, vehicles = drive_rows(found), vehicle_rows(found, options.fdr)
+    _complain_of(drives, vehicles)
+    if all(row["status"] in UNUSED for row in drives):
+        nothing = f"none of {counted(len(logs), 'log')} can be used, for the reasons above"
+        raise InputError(f"{nothing}; nothing was written to {options.output}")
     written = write_fleet(
         found, config, options.output, options.fdr, with_diagnosis=options.diagnose, with_page=options.report
     )
-    drives, vehicles = drive_rows(found), vehicle_rows(found, options.fdr)
-    _complain_of(drives, vehicles)
     if options.json:
         print_json(_summary(found, drives, vehicles, written))
     else:
@@ -85,10 +94,16 @@ def _workers(text: str) -> int:
     return int(text)
 
 
+def _address(text: str) -> str:
+    if not re.fullmatch(r"(tcp|tls)://[^/\s]+:\d{1,5}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not an address; write it as tcp://HOST:PORT")
+    return text
+
+
 def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
     """One line for each log that was left out, each doubtful clock and each vehicle that was not joined."""
     for row in drives:
-        if row["status"] in ("unreadable", "duplicate", "failed"):
+        if row["status"] in UNUSED:
             complain(f"{row['status']}: {row['reason']}")
         elif row.get("note") and not row.get("segment"):
             complain(f"note: {row['source']}: {row['note']}")
@@ -114,10 +129,10 @@ def _print(drives: Sequence[Row], vehicles: Sequence[Row], out: Path) -> None:
     rows = f"{counted(len(drives), 'row')} of drives, {estimated:,} estimated"
     say(console, f"{rows}; {counted(len(vehicles), 'vehicle')}; written to {out}")
     for row in vehicles:
-        rolling, drag = (_value(row, name) for name in ("A_per_mass_N_kg", "C_N_s2_m2"))
-        line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, A/m {rolling} N/kg, C {drag} N/(m/s)^2"
+        rolling, drag = _value(row, "A_per_mass_N_kg", "N/kg"), _value(row, "C_N_s2_m2", "N/(m/s)^2")
+        line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, A/m {rolling}, C {drag}"
         say(console, line + (f"; out of line: {row['outlier']}" if row["outlier"] else ""))
 
 
-def _value(row: Row, name: str) -> str:
-    return f"{row[f'{name}_mean']:.4g} +- {row[f'{name}_sd']:.2g}" if f"{name}_mean" in row else "unestimated"
+def _value(row: Row, name: str, unit: str) -> str:
+    return f"{row[f'{name}_mean']:.4g} +- {row[f'{name}_sd']:.2g} {unit}" if f"{name}_mean" in row else "unestimated"

@@ -8,7 +8,7 @@ from estimator.columns import columns
 from estimator.config import Config
 from estimator.fleet.engine import Serial
 from estimator.fleet.rows import drive_rows
-from estimator.fleet.run import run_fleet
+from estimator.fleet.run import check, run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import DRIVES
 
@@ -24,5 +24,6 @@ def estimate_drives(sources: Sequence[str | Path], config: Config, vehicle: str 
     InputError
         A source is missing or holds no log; or the configuration is wrong. A log that cannot be read is a row.
     """
+    check(config)
     found = run_fleet(find_logs([str(source) for source in sources], vehicle), config, Serial())
     return columns(DRIVES, drive_rows(found))

@@ -1,10 +1,11 @@
 """The folder that a fleet is written to."""
 
+import os
 from pathlib import Path
 
 from estimator.answers.answer import encode
 from estimator.config import Config
-from estimator.errors import ConfigError, RoadloadError
+from estimator.errors import ConfigError
 from estimator.fleet.exports import export
 from estimator.fleet.page import Tables, page
 from estimator.fleet.priors import as_toml, of_new_vehicle, of_vehicle
@@ -27,17 +28,17 @@ def prepare(out: Path) -> None:
     Raises
     ------
     ConfigError
-        It is a file.
-    RoadloadError
-        It cannot be made.
+        It is a file, or cannot be made or written to.
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; give the name of a folder")
-    try:
-        for folder in (PRIORS, EXPORTS):
-            (out / folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RoadloadError(f"{out}: {error.strerror}") from error
+    for folder in (out, out / PRIORS, out / EXPORTS, out / CACHE):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be made ({error.strerror}); give another folder with -o") from error
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise ConfigError(f"{folder}: must not be written to; check its permissions, or give another with -o")
 
 
 def write_fleet(

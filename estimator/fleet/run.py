@@ -60,6 +60,21 @@ class _Vehicle:
     doubt: str
 
 
+def check(config: Config) -> None:
+    """Refuse a configuration with which no drive can be estimated, before the work is done.
+
+    Raises
+    ------
+    InputError
+        It has another likelihood than "road", or its databases or its map do not fit.
+    """
+    if config.sampler.likelihood != "road":
+        raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
+    bound_messages(config)
+    if config.road.map is not None:
+        RoadMap.read(Path(config.road.map))
+
+
 def run_fleet(
     logs: Sequence[LogFile],
     config: Config,
@@ -72,16 +87,8 @@ def run_fleet(
 ) -> Fleet:
     """Estimate the drives and vehicles of a fleet; where they ``are_named``, by the NAME that each engine claims.
 
-    Raises
-    ------
-    ConfigError
-        The configuration has another likelihood than "road", or its databases or its map do not fit.
+    `check` has been called with the configuration.
     """
-    if config.sampler.likelihood != "road":
-        raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
-    bound_messages(config)
-    if config.road.map is not None:
-        RoadMap.read(Path(config.road.map))
     surveys = _surveys(logs, config, engine, progress)
     grouped = group(by_engine(surveys) if are_named else surveys)
     results = _results(grouped.drives, config, engine, cache, with_diagnosis, progress)

@@ -3,6 +3,7 @@
 A source is a log, a folder, a glob, a list of logs or a URL of fsspec (``s3://bucket/truck-*/``).
 """
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from estimator.can_io.logs import FORMATS
-from estimator.can_io.logs.lake import day_of, files_of, is_day
+from estimator.can_io.logs.lake import ANY, day_of, files_of, is_day
 from estimator.errors import ConfigError, InputError, LogError, RoadloadError
 from estimator.input_files import MIB, read_bounded
 
@@ -39,14 +40,17 @@ def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFil
     Raises
     ------
     InputError
-        A source is missing or holds no log.
+        A source is missing, holds no log or must not be read.
     ConfigError
         The pattern is no regular expression with a group, or matches the path of no log.
     """
     expression = None if pattern is None else _compiled(pattern)
     found: dict[str, str] = {}
     for source in sources:
-        logs = list(_logs_of(source))
+        try:
+            logs = list(_logs_of(source))
+        except PermissionError as error:
+            raise InputError(f"{error.filename}: cannot be read ({error.strerror}); check its permissions") from error
         if not logs:
             raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(FORMATS)}")
         for log in logs:
@@ -79,8 +83,10 @@ def _logs_of(source: str) -> Iterator[LogFile]:
     elif Path(source).suffix == LIST and Path(source).is_file():
         yield from _listed(Path(source))
     elif Path(source).is_dir():
-        for path in Path(source).rglob("*"):
-            if (log := _log_of(str(path), source)) is not None and path.is_file():
+        for path in _files_below(Path(source), set()):
+            if path.is_dir():
+                yield LogFile(str(path), _vehicle(source, str(path / ANY)))
+            elif (log := _log_of(str(path), source)) is not None and path.is_file():
                 yield log
     elif is_day(Path(source)) and files_of(Path(source)):
         yield LogFile(source, _device(source))
@@ -96,12 +102,33 @@ def _logs_of(source: str) -> Iterator[LogFile]:
         raise InputError(f"{source}: no such file or folder; check the path")
 
 
+def _files_below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
+    """Files below a folder, links followed; a folder that must not be read stands for its files.
+
+    ``seen`` are the devices and inodes of the folders on the way, so that links in a circle end.
+    """
+    try:
+        entries = sorted(folder.iterdir())
+        status = folder.stat()
+    except PermissionError:
+        yield folder
+        return
+    if (place := (status.st_dev, status.st_ino)) in seen:
+        return
+    for entry in entries:
+        if os.path.isdir(entry):
+            yield from _files_below(entry, seen | {place})
+        else:
+            yield entry
+
+
 def _listed(path: Path) -> Iterator[LogFile]:
     """Logs of a list; paths in it are relative to it."""
     try:
         lines = read_bounded(path, MAX_LIST_BYTES).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a list of logs ({error})") from error
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise InputError(f"{path}: cannot be read as a list of logs, UTF-8 text ({reason}); correct it") from error
     for number, line in enumerate(lines, start=1):
         name, _, vehicle = line.strip().partition("\t")
         if not name:

@@ -98,6 +98,9 @@ def write_tables(
     contents |= {
         path: text.encode("utf-8", "replace") if isinstance(text, str) else text for path, text in others.items()
     }
+    for path in contents:
+        if path.is_dir():  # no file replaces it, and others would have been replaced by then
+            raise RoadloadError(f"{path}: is a folder; move it away and run again")
     with ExitStack() as stack:
         for path, content in contents.items():
             file = stack.enter_context(whole(path))

@@ -52,13 +52,14 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
         If there is no such file, it cannot be read, is empty, or its format is unknown.
     """
     path = Path(path)
-    if path.is_dir():
-        raise LogError(f"{path}: is a folder; give a log file in it")
-    if not path.exists():
-        raise LogError(f"{path}: no such file; check the path")
     try:
+        if path.is_dir():
+            next(path.iterdir(), None)  # raises where the folder must not be read
+            raise LogError(f"{path}: is a folder; give a log file in it")
         with path.open("rb") as file:
             start = file.read(MAX_LINE)
+    except FileNotFoundError as error:
+        raise LogError(f"{path}: no such file; check the path") from error
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
     if not start:
