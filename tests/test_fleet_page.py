@@ -110,6 +110,25 @@ def test_a_small_fleet_has_a_page_that_says_what_is_missing(vehicles: int, drive
     assert "All drives are in one season, Dec to Feb" in document
 
 
+def test_a_reason_that_one_log_has_is_shown_with_its_numbers(year: Case) -> None:
+    document = page_of(year.fleet)
+    assert "cut at byte 700" in document
+
+
+def test_drives_that_are_not_joined_are_on_the_page() -> None:
+    case = made(2, 4, 2)
+    first, *others = case.fleet.grouped.drives
+    grouped = replace(case.fleet.grouped, drives=(replace(first, end=first.start + 4 * 86_400), *others), notes={})
+    document = page_of(conclude(grouped, case.fleet.results, Config(), Serial()))
+    assert "<li>truck-01: 1 of its drives overlaps others in time: two vehicles in one folder? give --vehicle</li>" in (
+        document
+    )
+    assert "8 in all, given all drives of its vehicle where they are joined" in document  # those of truck-01 too
+    one = replace(grouped, drives=grouped.drives[:4])
+    alone = page_of(conclude(one, case.fleet.results[:4], Config(), Serial()))
+    assert "No vehicle has A/m or C estimated yet: 1 of its drives overlaps others in time" in alone
+
+
 def test_a_fleet_without_an_estimate_has_a_page() -> None:
     case = made(2, 2, 2)
     failed = tuple(

@@ -20,12 +20,11 @@ from estimator.fleet.output import CACHE, PAGE, prepare, write_fleet
 from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, check, run_fleet
 from estimator.fleet.sources import find_logs
-from estimator.fleet.tables import require_arrow
+from estimator.fleet.tables import UNUSED, doubts, require_arrow
 from estimator.report.number_format import counted
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
-UNUSED = ("unreadable", "duplicate", "failed")  # status of a log that gives no estimate, with its reason
 BY_ENGINE = "NAME"  # instead of a regular expression for the vehicle
 
 
@@ -105,11 +104,8 @@ def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
     for row in drives:
         if row["status"] in UNUSED:
             complain(f"{row['status']}: {row['reason']}")
-        elif row.get("note") and not row.get("segment"):
-            complain(f"note: {row['source']}: {row['note']}")
-    for row in vehicles:
-        if "overlap" in row["C_reason"]:
-            complain(f"note: {row['vehicle']}: {row['C_reason']}")
+    for doubt in doubts(drives, vehicles):
+        complain(f"note: {doubt}")
 
 
 def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], written: Sequence[Path]) -> FleetAnswer:

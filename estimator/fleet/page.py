@@ -15,6 +15,7 @@ from estimator.fleet.population import MIN_VEHICLES
 from estimator.fleet.road import LearnedRoad
 from estimator.fleet.road_page import road_figures
 from estimator.fleet.seasons import SEASONS
+from estimator.fleet.tables import UNUSED, doubts
 from estimator.report import wording
 from estimator.report.number_format import NOTHING, counted, rounded, signed, with_sd
 from estimator.report.page.document import Section, document
@@ -27,7 +28,6 @@ MAX_ROWS = 40  # of a list; the others are folded away
 HOUR = 60.0  # min
 STRONG_CHANGE = 10.0  # %, shown in the full colour
 PARAMETERS = (("A_per_mass_N_kg", "A/m", "N/kg"), ("C_N_s2_m2", "C", "N s²/m²"))
-UNUSED = ("unreadable", "duplicate", "failed")
 NUMBERS = re.compile(r"[+-]?\d[\d.,]*")
 TERMS = (
     ("A/m", "rolling and friction force over the mass; 0.06 N/kg is a rolling resistance of 0.6 %"),
@@ -61,7 +61,7 @@ def page(of: Tables) -> str:
         Section("seasons", "A/m and C by season", _seasons(of)),
         Section("gaps", "Gaps by cause", _gaps(of)),
         Section("road", "The learned road", road_figures(of.road)),
-        Section("unused", "What was not estimated", _unestimated(of.drives)),
+        Section("unused", "What was not estimated", _unestimated(of)),
         Section("terms", "Terms", _terms()),
     ]
     return document(_headline(of), _header(of), sections)
@@ -135,7 +135,9 @@ def _vehicles(rows: Sequence[Row]) -> str:
         if known:
             lists.append(f"<div><h3>{short} [{unit}]</h3>{_folded(_intervals(known, name, short))}</div>")
     if not lists:
-        return "<p>No vehicle has A/m or C estimated yet; give more drives.</p>"
+        reasons = Counter(row["C_reason"] for row in rows if row["C_reason"])
+        why = "".join(f": {html.escape(reason)}" for reason, _ in reasons.most_common(1))
+        return f"<p>No vehicle has A/m or C estimated yet{why}.</p>"
     note = "Each as at its newest drive, with 90 % intervals, largest first; the line is the median of the vehicles."
     return f'<p class="soft">{note}</p><div class="columns">{"".join(lists)}</div>'
 
@@ -169,25 +171,30 @@ def _folded(entries: Sequence[str]) -> str:
 
 
 def _masses(rows: Sequence[Row]) -> str:
-    name = "joint_mass_kg" if any("joint_mass_kg_mean" in row for row in rows) else "mass_kg"
-    known = [row for row in rows if f"{name}_mean" in row and row["start"] >= MIN_SET_CLOCK]
+    known = [row for row in rows if "mass_kg_mean" in row and row["start"] >= MIN_SET_CLOCK]
     if not known:
         return ""
     day = np.array([row["start"] for row in known]) / DAY
-    mean, low, high = (np.array([row[f"{name}_{part}"] for row in known]) / 1e3 for part in ("mean", "q05", "q95"))
+    mean, low, high = (np.array([_tonnes(row, part) for row in known]) for part in ("mean", "q05", "q95"))
     days = axis([day.min() - 0.5, day.max() + 0.5], "")
     x = DateAxis(days.low, days.high, "day, UTC")
     y = axis([*low.tolist(), *high.tolist()], "mass [t]", zero=True, margin=0.04)
     words = f"Masses of {len(known)} loads from {mean.min():.1f} to {mean.max():.1f} t by day"
     shapes = rods(x, y, day, low, high, "after") + dots(x, y, day, mean, "after")
-    note = f"A dot is a load, {len(known):,} in all, given all drives of its vehicle; bars are 90 % intervals."
-    return f'<p class="soft">{note}</p>' + plot(shapes, x, y, words, kind="trace") + _loads_by_vehicle(known, name)
+    note = f"A dot is a load, {len(known):,} in all, given all drives of its vehicle where they are joined; "
+    note += "bars are 90 % intervals. Loads without a set clock are left out."
+    return f'<p class="soft">{note}</p>' + plot(shapes, x, y, words, kind="trace") + _loads_by_vehicle(known)
 
 
-def _loads_by_vehicle(known: Sequence[Row], name: str) -> str:
+def _tonnes(row: Row, part: str) -> float:
+    """Mass of a load [t], given all drives of its vehicle, or by its drive alone."""
+    return float(row.get(f"joint_mass_kg_{part}", row[f"mass_kg_{part}"])) / 1e3
+
+
+def _loads_by_vehicle(known: Sequence[Row]) -> str:
     masses: dict[str, list[float]] = defaultdict(list)
     for row in known:
-        masses[row["vehicle"]].append(row[f"{name}_mean"] / 1e3)
+        masses[row["vehicle"]].append(_tonnes(row, "mean"))
     rows = [
         (html.escape(vehicle), f"{len(own):,}", *(rounded(float(np.quantile(own, q)), 1) for q in (0.0, 0.5, 1.0)))
         for vehicle, own in sorted(masses.items())
@@ -272,22 +279,20 @@ def _gaps(of: Tables) -> str:
     return f"<p>{counted(diagnosed, 'drive')} diagnosed: {html.escape(said)}.</p>{table(headings, rows, 'gaps')}"
 
 
-def _unestimated(rows: Sequence[Row]) -> str:
-    reasons: Counter[tuple[str, str]] = Counter()
-    examples: dict[tuple[str, str], str] = {}
-    for row in rows:
+def _unestimated(of: Tables) -> str:
+    """Rows by status and reason, those that differ by numbers only as one, and doubts."""
+    alike: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for row in of.drives:
         if row["status"] != "estimated":
-            text = row["reason"].removeprefix(f"{row['source']}: ")
-            key = row["status"], NUMBERS.sub("…", text)
-            reasons[key] += 1
-            examples.setdefault(key, row["source"])
-    cells = [
-        (html.escape(status), f"{count:,}", html.escape(reason or NOTHING), html.escape(examples[status, reason]))
-        for (status, reason), count in reasons.most_common(MAX_ROWS)
-    ]
-    notes = [f"<li>{html.escape(row['source'])}: {html.escape(row['note'])}</li>" for row in rows if row.get("note")]
-    doubts = f'<h3>Doubts</h3><ul class="advice">{"".join(notes[:MAX_ROWS])}</ul>' if notes else ""
-    return table(("status", "rows", "reason", "for example"), cells, "reasons") + doubts
+            alike[row["status"], NUMBERS.sub("…", row["reason"].removeprefix(f"{row['source']}: "))].append(row)
+    cells = []
+    for (status, reason), rows in sorted(alike.items(), key=lambda item: -len(item[1]))[:MAX_ROWS]:
+        source = rows[0]["source"]
+        text = reason if len(rows) > 1 else rows[0]["reason"].removeprefix(f"{source}: ")
+        cells.append(tuple(map(html.escape, (status, f"{len(rows):,}", text or NOTHING, source))))
+    notes = [f"<li>{html.escape(doubt)}</li>" for doubt in doubts(of.drives, of.vehicles)]
+    listed = f'<h3>Doubts</h3><ul class="advice">{"".join(notes[:MAX_ROWS])}</ul>' if notes else ""
+    return table(("status", "rows", "reason", "for example"), cells, "reasons") + listed
 
 
 def _terms() -> str:

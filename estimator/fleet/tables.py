@@ -12,6 +12,8 @@ from estimator.columns import EVIDENCE, Column, Row, posterior
 from estimator.errors import RoadloadError
 from estimator.output_files import whole
 
+UNUSED = ("unreadable", "duplicate", "failed")  # status of a log that gives no estimate, with its reason
+
 
 def _change(name: str, unit: str, meaning: str) -> list[Column]:
     return [Column(f"{name}_{part}", "number", unit, f"{meaning}: {part}") for part in ("mean", "sd")]
@@ -82,6 +84,15 @@ ROAD = (
     Column("passes", "count"),
     Column("vehicles", "count"),
 )
+
+
+def doubts(drives: Sequence[Row], vehicles: Sequence[Row]) -> list[str]:
+    """What is doubted of drives that are used, and vehicles whose drives are not joined, by their rows."""
+    noted = [row for row in drives if row.get("note") and not row.get("segment")]
+    apart = [row for row in vehicles if "overlap" in row["C_reason"]]
+    return [f"{row['source']}: {row['note']}" for row in noted] + [
+        f"{row['vehicle']}: {row['C_reason']}" for row in apart
+    ]
 
 
 def write_tables(
