@@ -1,5 +1,7 @@
 """Decoded signals in a lake of Parquet files: read as the log that they were decoded from."""
 
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +156,41 @@ def test_pieces_of_files_come_in_order_of_time(tmp_path: Path, monkeypatch: pyte
     pieces = frames(tmp_path, config)
     for name in ("t", "ident", "length", "data"):
         assert np.array_equal(getattr(whole, name), getattr(pieces, name))
+
+
+def test_a_file_with_large_groups_of_rows_is_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    motion(tmp_path, n=10_000, Power=[None, *[10.0] * 9_999])
+    whole = frames(tmp_path)
+    monkeypatch.setattr(lakes, "LARGE", 0)
+    unpacked = frames(tmp_path)
+    for name in ("t", "ident", "length", "data"):
+        assert np.array_equal(getattr(whole, name), getattr(unpacked, name))
+
+
+def test_a_full_disk_for_temporary_files_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = motion(tmp_path)
+
+    def full() -> Any:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(lakes, "LARGE", 0)
+    monkeypatch.setattr(lakes, "TemporaryFile", full)
+    with pytest.raises(LogError, match=rf"{path}: cannot be unpacked to .* \(No space left on device\); free space"):
+        frames(tmp_path)
+
+
+@pytest.mark.parametrize("kind", [pa.int64(), pa.float32(), pa.bool_()])
+def test_no_value_is_nan_in_every_type_of_column(tmp_path: Path, kind: Any) -> None:
+    motion(tmp_path, n=3, Speed=pa.array([1, None, 0]).cast(kind))
+    assert values(frames(tmp_path))[:, 0].tolist() == pytest.approx([1.0, np.nan, 0.0], nan_ok=True)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_times_of_every_unit_are_seconds(tmp_path: Path, unit: str) -> None:
+    path = motion(tmp_path, n=2)
+    times = pa.array([START, START + 1], pa.timestamp("s", tz="UTC")).cast(pa.timestamp(unit, tz="UTC"))
+    parquet.write_table(pa.table({"t": times, "Speed": [1.0, 2.0]}), path)
+    assert frames(tmp_path).t.tolist() == [START, START + 1]
 
 
 def test_the_name_of_a_folder_holds_bus_sender_and_more(tmp_path: Path) -> None:

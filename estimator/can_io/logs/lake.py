@@ -9,8 +9,10 @@ one log, named ``DEVICE/*/2024/01/15/*.parquet``. They are read side by side, so
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePath
+from tempfile import TemporaryFile, gettempdir
 from typing import Any
 
 import numpy as np
@@ -27,8 +29,11 @@ ANY = "*"  # stands for the folders of all messages in the name of a day
 DAY = re.compile(r"(?P<device>.*/|)(?P<message>[A-Z]+\d+_[^/]+)/(?P<day>\d{4}/\d{2}/\d{2})/[^/]+\.parquet", re.DOTALL)
 TIMES = ("t", "TimeStamp", "timestamp", "time")  # names of the column of times, which may be an index of pandas
 ROWS = 1 << 12  # of one file that are read at once: four times as many took 40 MiB more
+LARGE = 1 << 20  # bytes of a group of rows
 BUFFER = 1 << 16  # bytes of a column that are read at once, and not all that a file has
-NANOSECONDS = 1e9  # in a second
+PER_SECOND = {"s": 1e0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # units of Arrow's dates
+
+Rows = tuple[Floats, Floats]  # times (n,) [s] and values (n, k) of signals, NaN where there is none
 
 
 def day_of(path: str) -> str | None:
@@ -116,7 +121,7 @@ def _frames(stream: _Stream, width: int) -> Iterator[Frames]:
     """Rows of a stream as frames, in order of time within each of them."""
     names = _names(stream.message)
     for file in stream.files:
-        for t, values in _rows(file, names):
+        for t, values in _pieces(file, names):
             order = np.argsort(t, kind="stable")
             data = np.zeros((len(t), width), np.uint8)
             data[:, : values.shape[1] * NUMBER_BYTES] = values[order].view(np.uint8)
@@ -128,8 +133,36 @@ def _frames(stream: _Stream, width: int) -> Iterator[Frames]:
             )
 
 
-def _rows(file: Path, names: list[str]) -> Iterator[tuple[Floats, Floats]]:
-    """Times (n,) [s] and values (n, k) of signals, NaN where there is none; pieces of a file."""
+def _pieces(file: Path, names: list[str]) -> Iterator[Rows]:
+    """Rows of a file, ROWS at a time.
+
+    Of an open file Arrow holds the times of a whole group of rows, 8 MiB for 10^6, and the files of a day are open side
+    by side. So a file with large groups is unpacked to a temporary one first.
+    """
+    with _opened(file) as table:
+        sizes = [table.metadata.row_group(i).total_byte_size for i in range(table.num_row_groups)]
+    rows = _rows(file, names)
+    return _unpacked(file, rows, 1 + len(names)) if max(sizes, default=0) > LARGE else rows
+
+
+def _unpacked(file: Path, rows: Iterator[Rows], width: int) -> Iterator[Rows]:
+    """The same rows by way of a temporary file, ``width`` numbers each."""
+    try:
+        with TemporaryFile() as disk:
+            for t, values in rows:
+                disk.write(np.column_stack([t, values]).tobytes())
+            disk.seek(0)
+            while piece := disk.read(ROWS * width * NUMBER_BYTES):
+                numbers = np.frombuffer(piece).reshape(-1, width)
+                yield numbers[:, 0], numbers[:, 1:]
+    except OSError as error:
+        advice = "free space there, or name another folder in TMPDIR"
+        raise LogError(f"{file}: cannot be unpacked to {gettempdir()} ({error.strerror}); {advice}") from error
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[Any]:
+    """A Parquet file; what is wrong with it, also within the block, is a LogError."""
     try:
         from pyarrow import ArrowException
         from pyarrow.parquet import ParquetFile
@@ -137,19 +170,24 @@ def _rows(file: Path, names: list[str]) -> Iterator[tuple[Floats, Floats]]:
         raise LogError(f"{file}: Parquet needs pyarrow: pip install 'roadload[fleet]'") from error
     try:
         with ParquetFile(file, buffer_size=BUFFER) as table:
-            there = set(table.schema_arrow.names)
-            time = next((name for name in TIMES if name in there), None)
-            if time is None:
-                raise LogError(f"{file}: no column of times ({', '.join(TIMES)}); give another lake")
-            wanted = [name for name in names if name in there]
-            for batch in table.iter_batches(ROWS, columns=[time, *wanted], use_threads=False) if wanted else ():
-                values = np.full((batch.num_rows, len(names)), np.nan)
-                for name in wanted:
-                    values[:, names.index(name)] = _numbers(file, name, batch.column(name))
-                yield _times(file, time, batch.column(time)), values
+            yield table
     except (ArrowException, OSError) as error:
         reason = " ".join(str(error).split())
         raise LogError(f"{file}: cannot be read as Parquet ({reason}); copy it anew, or delete it") from error
+
+
+def _rows(file: Path, names: list[str]) -> Iterator[Rows]:
+    with _opened(file) as table:
+        there = set(table.schema_arrow.names)
+        time = next((name for name in TIMES if name in there), None)
+        if time is None:
+            raise LogError(f"{file}: no column of times ({', '.join(TIMES)}); give another lake")
+        wanted = [name for name in names if name in there]
+        for batch in table.iter_batches(ROWS, columns=[time, *wanted], use_threads=False) if wanted else ():
+            values = np.full((batch.num_rows, len(names)), np.nan)
+            for name in wanted:
+                values[:, names.index(name)] = _numbers(file, name, batch.column(name))
+            yield _times(file, time, batch.column(time)), values
 
 
 def _numbers(file: Path, name: str, column: Any) -> Floats:
@@ -157,8 +195,8 @@ def _numbers(file: Path, name: str, column: Any) -> Floats:
 
     if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
         raise LogError(f"{file}: column {name} holds no numbers but {column.type}; bind another signal")
-    numbers: Floats = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
-    return numbers
+    # Not Arrow's cast: it loads pyarrow.compute, 15 MiB. numpy makes NaN of None, which booleans have for no value.
+    return column.to_numpy(zero_copy_only=False).astype(np.float64)  # type: ignore[no-any-return]
 
 
 def _times(file: Path, name: str, column: Any) -> Floats:
@@ -168,7 +206,7 @@ def _times(file: Path, name: str, column: Any) -> Floats:
     if column.null_count:
         raise LogError(f"{file}: column {name} has {column.null_count} rows without a time; delete them")
     if pa.types.is_timestamp(column.type):
-        return column.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy() / NANOSECONDS  # type: ignore[no-any-return]
+        return column.view(pa.int64()).to_numpy() / PER_SECOND[column.type.unit]  # type: ignore[no-any-return]
     return _numbers(file, name, column)
 
 
