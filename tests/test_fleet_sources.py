@@ -69,6 +69,15 @@ def test_a_vehicle_is_the_engine_that_claims_its_address(tmp_path: Path) -> None
     ]
 
 
+def test_a_name_without_a_serial_number_tells_no_vehicle(tmp_path: Path) -> None:
+    path = candump(tmp_path / "mixed/a.log")
+    forged, own = "0000000000000000", "0102030405060708"
+    path.write_text(f"({T0:.6f}) can0 18EEFF00#{forged}\n" + path.read_text())
+    assert survey(LogFile(str(path), "mixed"), Config()).engine == ""
+    path.write_text(path.read_text() + f"({T0 + 4:.6f}) can0 18EEFF00#{own}\n")
+    assert survey(LogFile(str(path), "mixed"), Config()).engine == "0807060504030201"
+
+
 def test_a_vehicle_is_the_group_of_a_pattern(tmp_path: Path) -> None:
     candump(tmp_path / "drives/truck-1_monday.log")
     candump(tmp_path / "drives/truck-2_monday.log")

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import GLOBAL
-from estimator.can_io.j1939_name import BYTES
+from estimator.can_io.j1939_name import BYTES, Name
 from estimator.can_io.j1939_node import ADDRESS_CLAIMED
 from estimator.can_io.logs.channels import described
 from estimator.can_io.logs.lake import files_of, is_day
@@ -59,9 +59,13 @@ def survey(log: LogFile, config: Config) -> Survey:
 
 
 def _engine(frames: Frames) -> str:
-    """The NAME in the first address claim of the engine, empty where there is none."""
+    """The NAME in the first address claim of the engine with a serial number, empty where there is none.
+
+    Without one (0), units of one kind have the same NAME; a forged claim has it too, for the lowest NAME wins.
+    """
     claims = np.flatnonzero((frames.ident & np.uint32(WITHOUT_PRIORITY) == ENGINE_CLAIM) & (frames.length == BYTES))
-    return bytes(frames.data[claims[0], BYTES - 1 :: -1]).hex().upper() if len(claims) else ""
+    names = (bytes(frames.data[claim, :BYTES]) for claim in claims)
+    return next((name[::-1].hex().upper() for name in names if Name.from_bytes(name).identity), "")
 
 
 def _note(mixed: Mapping[str, int]) -> str:
