@@ -177,6 +177,7 @@ def _opened(file: Path) -> Iterator[Any]:
 
 
 def _rows(file: Path, names: list[str]) -> Iterator[Rows]:
+    """Rows of a file as Arrow gives them, ROWS at a time."""
     with _opened(file) as table:
         there = set(table.schema_arrow.names)
         time = next((name for name in TIMES if name in there), None)

@@ -58,7 +58,7 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
             raise LogError(f"{path}: is a folder; give a log file in it")
         with path.open("rb") as file:
             start = file.read(MAX_LINE)
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise LogError(f"{path}: no such file; check the path") from error
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
