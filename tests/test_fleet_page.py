@@ -105,6 +105,7 @@ def test_names_are_no_markup_and_the_page_loads_nothing(year: Case) -> None:
 @pytest.mark.parametrize(("vehicles", "drives"), [(1, 1), (3, 2)])
 def test_a_small_fleet_has_a_page_that_says_what_is_missing(vehicles: int, drives: int) -> None:
     document = page_of(made(vehicles, drives, 2).fleet)
+    assert f", {60 * vehicles * drives} min</h1>" in document
     assert "Too few vehicles" in document
     assert "were not diagnosed" in document
     assert "All drives are in one season, Dec to Feb" in document

@@ -26,6 +26,7 @@ from estimator.streaming.row_stream import MIN_SET_CLOCK
 
 MAX_ROWS = 40  # of a list; the others are folded away
 HOUR = 60.0  # min
+SHORT = 10  # h of driving, given in minutes below
 STRONG_CHANGE = 10.0  # %, shown in the full colour
 PARAMETERS = (("A_per_mass_N_kg", "A/m", "N/kg"), ("C_N_s2_m2", "C", "N s²/m²"))
 NUMBERS = re.compile(r"[+-]?\d[\d.,]*")
@@ -69,8 +70,9 @@ def page(of: Tables) -> str:
 
 def _headline(of: Tables) -> str:
     drives = len({row["source"] for row in of.drives if row["status"] not in UNUSED})
-    hours = sum(row["minutes"] for row in of.vehicles) / HOUR
-    return f"{counted(len(of.vehicles), 'vehicle')}, {counted(drives, 'drive')}, {hours:,.0f} h"
+    minutes = sum(row["minutes"] for row in of.vehicles)
+    driven = f"{minutes / HOUR:,.0f} h" if minutes >= SHORT * HOUR else f"{minutes:.0f} min"
+    return f"{counted(len(of.vehicles), 'vehicle')}, {counted(drives, 'drive')}, {driven}"
 
 
 def _header(of: Tables) -> str:

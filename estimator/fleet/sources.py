@@ -148,7 +148,7 @@ def _remote(source: str) -> Iterator[LogFile]:
         else:
             names = files.find(root)
     except Exception as error:  # of any storage library
-        raise InputError(f"{source}: cannot be listed ({_line(error)})") from error
+        raise InputError(f"{source}: cannot be listed ({_line(error)}); check the name and the credentials") from error
     for name in names:
         if (log := _log_of(name, root)) is not None:
             yield LogFile(files.unstrip_protocol(log.source), log.vehicle)
