@@ -346,6 +346,16 @@ def test_a_full_disk_leaves_the_tables_of_before(fleet: Path, monkeypatch: pytes
     assert (out / "drives.parquet").read_text() == "before"
 
 
+def test_files_of_an_earlier_run_are_named(fleet: Path, tmp_path: Path) -> None:
+    output.prepare(tmp_path)
+    found = run_fleet(find_logs([str(fleet / "truck-2/cut.blf")]), Config(), Serial())
+    output.write_fleet(found, Config(), tmp_path, 0.05, with_diagnosis=True, with_page=True)
+    (tmp_path / "priors/sold.toml").write_text("")
+    written = output.write_fleet(found, Config(), tmp_path, 0.05)
+    names = [str(path.relative_to(tmp_path)) for path in output.left_over(tmp_path, written)]
+    assert names == ["effects.parquet", "fleet.html", "priors/sold.toml"]
+
+
 def test_a_folder_in_the_place_of_a_table_leaves_all_files_as_they_were(fleet: Path, tmp_path: Path) -> None:
     output.prepare(tmp_path)
     (tmp_path / "vehicles.parquet").mkdir()

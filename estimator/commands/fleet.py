@@ -16,7 +16,7 @@ from estimator.commands.terminal import print_json, progress_bar, say, standard_
 from estimator.errors import InputError
 from estimator.fleet.cache import Cache
 from estimator.fleet.engine import dask_engine
-from estimator.fleet.output import CACHE, PAGE, prepare, write_fleet
+from estimator.fleet.output import CACHE, PAGE, left_over, prepare, write_fleet
 from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, check, run_fleet
 from estimator.fleet.sources import find_logs
@@ -25,6 +25,7 @@ from estimator.report.number_format import counted
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
+MAX_LISTED = 5  # files in a line
 BY_ENGINE = "NAME"  # instead of a regular expression for the vehicle
 
 
@@ -80,6 +81,8 @@ def run(options: argparse.Namespace) -> int:
     written = write_fleet(
         found, config, options.output, options.fdr, with_diagnosis=options.diagnose, with_page=options.report
     )
+    if earlier := left_over(options.output, written):
+        complain(f"note: {_listed(earlier)}: of an earlier run, not of this one; delete what is not needed")
     if options.json:
         print_json(_summary(found, drives, vehicles, written))
     else:
@@ -106,6 +109,11 @@ def _complain_of(drives: Sequence[Row], vehicles: Sequence[Row]) -> None:
             complain(f"{row['status']}: {row['reason']}")
     for doubt in doubts(drives, vehicles):
         complain(f"note: {doubt}")
+
+
+def _listed(paths: Sequence[Path]) -> str:
+    more = f" and {len(paths) - MAX_LISTED} more" if len(paths) > MAX_LISTED else ""
+    return ", ".join(map(str, paths[:MAX_LISTED])) + more
 
 
 def _summary(found: Fleet, drives: Sequence[Row], vehicles: Sequence[Row], written: Sequence[Path]) -> FleetAnswer:

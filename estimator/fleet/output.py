@@ -1,6 +1,7 @@
 """The folder that a fleet is written to."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from estimator.answers.answer import encode
@@ -81,6 +82,12 @@ def write_fleet(
         maps[out / ROAD_MAP] = found.road.map.encoded()
     write_tables(tables, {**texts, **maps})
     return [*tables, *texts, *maps]
+
+
+def left_over(out: Path, written: Sequence[Path]) -> list[Path]:
+    """Files of an earlier run in the folder, which the run that has ``written`` these did not make anew."""
+    made = [*out.glob("*.parquet"), out / PAGE, out / ROAD_MAP, *out.glob(f"{PRIORS}/*"), *out.glob(f"{EXPORTS}/*")]
+    return sorted(path for path in made if path.is_file() and path not in set(written))
 
 
 def _file_name(vehicle: str) -> str:
