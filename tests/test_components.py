@@ -85,16 +85,16 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
         replace(c, positive=False) for c in of_effect(Frame.of(quiet), BY_NAME["warm_up"], frozenset(strides.context))
     ]
     joint = JointLikelihood(strides, quiet, [free[0], free[3], wander], np.random.default_rng(2))
-    K, base = covariance(strides, quiet), joint.data[:, 1 : 1 + joint.base_size]
+    K, base = covariance(strides, quiet), joint.columns[:, : joint.base_size].toarray()
     K = K + base @ np.diag(1 / joint._prior) @ base.T
 
     def dense(chosen):
         total = K.copy()
         for i in chosen:
-            X = joint.data[:, 1 + joint.places[i]]
+            X = joint.columns[:, joint.places[i]].toarray()
             total += joint.components[i].sd ** 2 * X @ X.T
         factor = np.linalg.cholesky(total)
-        return -np.log(np.diag(factor)).sum() - 0.5 * np.sum(np.linalg.solve(factor, joint.data[:, 0]) ** 2)
+        return -np.log(np.diag(factor)).sum() - 0.5 * np.sum(np.linalg.solve(factor, joint.response) ** 2)
 
     none = joint.log_evidence([])
     for chosen in ([0], [1], [2], [0, 2], [0, 1, 2]):
@@ -105,10 +105,10 @@ def test_what_a_set_imitates_is_the_change_of_its_fit(strides, quiet):
     joint = joint_of(strides, quiet, names=("auxiliary_load", "warm_up"))
     chosen, left_out, size = [1], 0, 5e3
     before = joint.posterior(chosen).mean
-    column = joint.data[:, 1 + joint.places[left_out][0]]
+    columns = joint.columns.toarray()
+    response = joint.response + size * columns[:, joint.places[left_out][0]]
     other = SetLikelihood(
-        np.column_stack([joint.data[:, 0] + size * column, joint.data[:, 1:]]),
-        joint.conditioned.gram,
+        joint.conditioned.gram(np.column_stack([response, columns])),
         joint._prior,
         joint.priors,
         joint.places,

@@ -41,7 +41,7 @@ def test_evidence_to_expect_is_that_of_the_drive_on_which_the_effect_acts(state:
     acting, other = form_of(state, "auxiliary_load", 2e4), form_of(state, "viscous_drag", 0.5)
     joint = state.joint([other.component])
     column = acting.component.columns(joint.frame)
-    rival = joint.data[: len(column), 1 + joint.places[0]]
+    rival = joint.columns[:, joint.places[0]].toarray()[: len(column)]
     products, _ = joint.projected([], np.column_stack([acting.value * column, rival]))
     precision = products[1, 1] + other.component.sd**-2.0
     left = products[0, 0] - products[0, 1] ** 2 / precision  # of the squared residual, beside the other effect

@@ -96,7 +96,7 @@ def test_the_table_is_that_of_all_sets():
     y = 0.5 * X[:, 0] + 0.3 * X[:, 3] + rng.normal(size=80)
     forms = [Form(cause=str(i), columns=X[:, [i]], sd=0.7, positive=i == 3, cost=0.1 * i) for i in range(5)]
     data = np.column_stack([y, X])
-    likelihood = SetLikelihood(data, lambda Y: Y.T @ Y, np.zeros(0), forms, places_of(0, [1] * 5), np.ones(5))
+    likelihood = SetLikelihood(data.T @ data, np.zeros(0), forms, places_of(0, [1] * 5), np.ones(5))
     causes = [
         Cause(name="a", is_named=True, forms=(0, 1), log_odds=-1.0, log_forms=np.log(2)),
         *(Cause(name=str(i), is_named=True, forms=(i,), log_odds=-2.0, log_forms=0.0) for i in (2, 3, 4)),
@@ -117,9 +117,8 @@ def test_what_explains_most_alone_is_exchanged_for_what_explains_more_beside_oth
     X = np.column_stack([first, second, first + 0.7 * second + 0.3 * other])
     y = 8 * (first + second) + rng.normal(size=200)
     forms = [Form(cause=str(i), columns=X[:, [i]], sd=10.0) for i in range(3)]
-    likelihood = SetLikelihood(
-        np.column_stack([y, X]), lambda Y: Y.T @ Y, np.zeros(0), forms, places_of(0, [1] * 3), np.ones(3)
-    )
+    data = np.column_stack([y, X])
+    likelihood = SetLikelihood(data.T @ data, np.zeros(0), forms, places_of(0, [1] * 3), np.ones(3))
     causes = [Cause(name=str(i), is_named=True, forms=(i,), log_odds=-1.0, log_forms=0.0) for i in range(3)]
     alone = [likelihood.log_evidence([i]) for i in range(3)]
     assert alone[2] > max(alone[:2]) + WINDOW
@@ -137,7 +136,7 @@ def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
     forms = [Form(cause=str(i), columns=X[:, [i]], sd=0.3 + 0.2 * i, positive=i == 2) for i in (1, 2, 3)]
     noise = Noise(t, SCALES)
     data = np.column_stack([y, X])
-    likelihood = SetLikelihood(data, noise.gram, np.array([wide**-2]), forms, places_of(1, [1] * 3), np.ones(4))
+    likelihood = SetLikelihood(noise.gram(data), np.array([wide**-2]), forms, places_of(1, [1] * 3), np.ones(4))
 
     def density(others, rest=y):
         covariance = K + wide**2 * np.outer(X[:, 0], X[:, 0])
@@ -156,7 +155,7 @@ def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
     for other in (1, 2):
         gain = likelihood.log_evidence((0, other)) - likelihood.log_evidence([0])
         assert likelihood.gains([0], [other]).gain[0] == pytest.approx(gain)
-    gain, value, sd = judged(*likelihood.projected([0], forms[2].sd * X[:, [3]]))
+    gain, value, sd = judged(*likelihood.off([0], noise.gram(np.column_stack([y, X[:, :2], forms[2].sd * X[:, 3]]))))
     same = likelihood.gains([0], [2])
     assert (gain[0], forms[2].sd * value[0], forms[2].sd * sd[0]) == pytest.approx(
         (same.gain[0], same.value[0], same.sd[0])

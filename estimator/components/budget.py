@@ -177,11 +177,11 @@ def _powers(
     joint, components = drive.joint(added), [*drive.chosen, *added]
     off = Projection(drive)
     amplitudes = _amplitudes(joint, components, rng)
-    residuals = joint.data[:, :1] - joint.data[:, 1:] @ amplitudes
+    residuals = joint.residual(amplitudes)
     unknowns = joint.conditioned.draws(residuals, rng)
     n = len(joint.frame.strides)
     parts: dict[str, Floats] = {
-        _name(component): joint.data[:n, 1 + joint.places[i]] @ amplitudes[joint.places[i]]
+        _name(component): joint.acceleration(joint.places[i], amplitudes[joint.places[i]])
         for i, component in enumerate(components)
     }
     errors = joint.model.sensor_errors(unknowns)
@@ -189,7 +189,7 @@ def _powers(
     if not drive.is_level:
         slopes = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
         white = white - slopes
-        parts[ROAD] = slopes + joint.data[:n, 1 + joint.stretches] @ amplitudes[joint.stretches]
+        parts[ROAD] = slopes + joint.acceleration(joint.stretches, amplitudes[joint.stretches])
     scales = drive.fit.scales.values
     own, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + own))[:, None]
@@ -269,8 +269,7 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
             found[names[i]][out] = component.columns(frame) @ amplitude
         if drive.is_level:
             continue
-        residual = joint.data[:, 0] - joint.data[:, 1:] @ (posterior.mean * joint.unit)
-        unknowns = joint.conditioned.unknowns(residual)
+        unknowns = joint.conditioned.unknowns(joint.residual(posterior.mean * joint.unit))
         found[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(left, unknowns)
         if drive.stretches is not None:
             found[ROAD][out] += drive.stretches.columns(frame) @ posterior.mean[joint.stretches]

@@ -8,6 +8,7 @@ the measured force adds to the products is taken off first (a corrected score, s
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from estimator.components.component import Component, Frame
@@ -52,58 +53,81 @@ class JointLikelihood(SetLikelihood):
         plain, base_size = base.data.shape[1] - 1, base.data.shape[1] - 1 + steep.shape[1]
         self.stretches = np.arange(plain, base_size)  # their places among the amplitudes
         columns, places = _shared(components, self.frame, base_size)
-        data = np.zeros((len(base.data), 1 + base_size + columns.shape[1]))
-        data[:, : 1 + plain] = base.data
-        data[: len(model.driven), 1 + plain : 1 + base_size] = steep
-        data[: len(model.driven), 1 + base_size :] = columns
-        unit = np.concatenate([base.unit, np.ones(data.shape[1] - 1 - plain)])
+        self.response = base.data[:, 0]
+        parts = [sp.csc_array(base.data[:, 1:]), *(self._tall(part) for part in (steep, columns))]
+        self.columns = sp.hstack(parts, format="csc")  # of all amplitudes: most are zero at most times
+        unit = np.concatenate([base.unit, np.ones(self.columns.shape[1] - plain)])
         of_stretches = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
         base_precision = np.concatenate([np.diag(base.prior), of_stretches])
-        super().__init__(data, self.conditioned.gram, base_precision, self.components, places, unit)
+        super().__init__(self._products(self.columns), base_precision, self.components, places, unit)
         widest = np.concatenate([base_precision, np.full(columns.shape[1], np.inf)])
         for place, component in zip(places, components, strict=True):
             widest[place] = np.minimum(widest[place], component.sd**-2.0)
         believed = self._information + np.diag(widest)
         self._information -= limited(self._noise(base, fit, rng), believed)
 
+    def _tall(self, columns: Floats | sp.sparray) -> sp.csc_array:
+        """Columns (m, c) as columns of all data: rows behind the m are zero."""
+        found = sp.csc_array(columns)
+        return sp.csc_array((found.data, found.indices, found.indptr), (len(self.response), found.shape[1]))
+
+    def _products(self, columns: sp.csc_array) -> Floats:
+        """Of the data and of ``columns`` (n, c), weighted by K^-1: (1 + c, 1 + c)."""
+        return self.conditioned.gram(sp.hstack([sp.csc_array(self.response[:, None]), columns], format="csr"))
+
     def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
         noisy = list({id(one.columns): i for i, one in enumerate(self.components) if one.is_noisy}.values())
         places = np.concatenate([np.array([0, LAG, DRAG]), *(self.places[i] for i in noisy)]).astype(np.int64)
-        force, n = self.frame.force, len(self.frame.force)
-        total = np.zeros((self.data.shape[1] - 1, self.data.shape[1] - 1))
+        force = self.frame.force
+        clean = self.columns[: len(force)]
+        total = np.zeros((self.columns.shape[1], self.columns.shape[1]))
         for error, rate in force_errors(base.model, fit.scales.values, 1 / float(fit.beta[0]), PROBES, rng):
             drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
             frame = self.frame.disturbed(error)
-            changes = [error / self.unit[0], rate / self.unit[LAG], drag / self.unit[DRAG]]
-            changes += [self.components[i].columns(frame) - self.data[:n, 1 + self.places[i]] for i in noisy]
-            data = np.zeros((len(self.data), len(places)))
-            data[:n] = np.column_stack(changes)
+            plain = np.column_stack([error / self.unit[0], rate / self.unit[LAG], drag / self.unit[DRAG]])
+            changes = [sp.csc_array(self.components[i].columns(frame)) - clean[:, self.places[i]] for i in noisy]
+            data = sp.hstack([self._tall(change) for change in (plain, *changes)], format="csr")
             total[np.ix_(places, places)] += self.conditioned.gram(data) / PROBES
         return total
+
+    def projected(self, chosen: Sequence[int], columns: Floats | sp.sparray) -> tuple[Floats, Floats]:
+        """Products (c, c) and scores (c,) of further ``columns``, off a set of components.
+
+        They have (m, c) elements, m <= n; the other rows are zero.
+        """
+        beside = self.columns[:, self._set(chosen)[0]]
+        return self.off(chosen, self._products(sp.hstack([beside, self._tall(columns)], format="csc")))
 
     def weighed_residual(self, chosen: Sequence[int]) -> Floats:
         """K^-1 (a - X b) (n,) of the motion beside a set of components: its products with columns are their scores."""
         places, information, _ = self._set(chosen)
-        amplitudes = np.linalg.solve(information, self._moment[places])
-        residual = self.data[:, 0] - self.data[:, 1 + places] @ amplitudes
+        residual = self.response - self.columns[:, places] @ np.linalg.solve(information, self._moment[places])
         return self.conditioned.weighed(residual)[: len(self.frame.strides)]
 
+    def residual(self, amplitudes: Floats) -> Floats:
+        """Data (n, ...) less what all columns with ``amplitudes`` (p, ...) add."""
+        rest: Floats = (self.response - (self.columns @ amplitudes).T).T
+        return rest
 
-def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[Floats, list[NDArray[np.int64]]]:
+    def acceleration(self, places: NDArray[np.int64], amplitudes: Floats) -> Floats:
+        """Acceleration (n, ...) of the strides by the columns at ``places`` (k,) of ``amplitudes`` (k, ...)."""
+        added: Floats = self.columns[:, places][: len(self.frame.strides)] @ amplitudes
+        return added
+
+
+def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[sp.csc_array, list[NDArray[np.int64]]]:
     """The columns (n, k) of ``components``, and their places for each, the first of which is ``first``.
 
     Strengths of one process share its columns, and stretches of the road those of the same times.
     """
     at: dict[object, int] = {}
-    kept: list[Floats] = []
+    kept = [sp.csc_array((len(frame.strides), 0))]
     places: dict[int, NDArray[np.int64]] = {}
     for key, one in {id(one.columns): one for one in components}.items():
-        numbers = []
-        for k, column in enumerate(one.columns(frame).T):
-            number = at.setdefault(column.tobytes() if one.is_slope else (key, k), len(kept))
-            kept += [column] if number == len(kept) else []
-            numbers.append(number)
-        places[key] = first + np.array(numbers, dtype=np.int64)
-    columns = np.column_stack(kept) if kept else np.empty((len(frame.strides), 0))
-    return columns, [places[id(one.columns)] for one in components]
+        columns = np.asarray(one.columns(frame), dtype=np.float64)
+        names = [column.tobytes() if one.is_slope else (key, k) for k, column in enumerate(columns.T)]
+        new = [k for k, name in enumerate(names) if len(at) == at.setdefault(name, len(at))]
+        places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
+        kept.append(sp.csc_array(columns[:, new]))
+    return sp.hstack(kept, format="csc"), [places[id(one.columns)] for one in components]

@@ -8,7 +8,7 @@ columns weighted by K^-1,
 up to a constant that all sets share, b^ being the posterior mean. The columns of a base are in every set.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -74,10 +74,8 @@ class SetLikelihood:
 
     Parameters
     ----------
-    data
-        The data, and the columns of base and components (n, 1 + p).
-    gram
-        Gives the products (c, c) of columns (n, c), weighted by K^-1.
+    products
+        Of the data and the columns of base and components (1 + p, 1 + p), weighted by K^-1.
     base_precision
         Of the prior of the base's amplitudes (b,); zero where they are free.
     priors
@@ -90,8 +88,7 @@ class SetLikelihood:
 
     def __init__(
         self,
-        data: Floats,
-        gram: Callable[[Floats], Floats],
+        products: Floats,
         base_precision: Floats,
         priors: Sequence[Prior],
         places: Sequence[NDArray[np.int64]],
@@ -100,8 +97,6 @@ class SetLikelihood:
         self.priors, self.places, self.unit = list(priors), list(places), unit
         self.base_size = len(base_precision)
         self._prior = base_precision
-        self.data, self._gram = data, gram
-        products = gram(data)
         self._total, self._moment = float(products[0, 0]), products[1:, 0]
         self._information = products[1:, 1:]
 
@@ -224,20 +219,14 @@ class SetLikelihood:
         in_own_units: Floats = change / self.unit[places]
         return in_own_units
 
-    def projected(self, chosen: Sequence[int], columns: Floats) -> tuple[Floats, Floats]:
-        """Products (c, c) and scores (c,) of further ``columns``, off a set of components.
+    def off(self, chosen: Sequence[int], products: Floats) -> tuple[Floats, Floats]:
+        """Products (c, c) and scores (c,) of further columns, off a set of components.
 
-        They have (m, c) elements, m <= n; the other rows are zero.
+        ``products`` (1 + s + c, 1 + s + c) are those of the data, the s columns of base and set, and the further ones.
         """
         places, information, _ = self._set(chosen)
-        wide = np.zeros((len(self.data), 1 + len(places) + columns.shape[1]))
-        wide[:, 0] = self.data[:, 0]
-        wide[:, 1 : 1 + len(places)] = self.data[:, 1 + places]
-        wide[: len(columns), 1 + len(places) :] = columns
-        gram = self._gram(wide)
         split = 1 + len(places)
-        cross = gram[1:split, split:]
+        cross = products[1:split, split:]
         weights = np.linalg.solve(information, np.column_stack([cross, self._moment[places]]))
-        products = gram[split:, split:] - cross.T @ weights[:, :-1]
-        score: Floats = gram[split:, 0] - cross.T @ weights[:, -1]
-        return products, score
+        score: Floats = products[split:, 0] - cross.T @ weights[:, -1]
+        return products[split:, split:] - cross.T @ weights[:, :-1], score

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
@@ -84,8 +85,7 @@ class Switching:
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         there, place = np.unique(np.cumsum(steps | regular), return_inverse=True)
-        columns = np.zeros((len(t), len(there)))
-        columns[np.arange(len(t)), place] = column
+        columns = sp.csr_array((column, place, np.arange(len(t) + 1)), (len(t), len(there)))
         products, score = self._joint.projected(chosen, columns)
         first = np.searchsorted(place, np.arange(len(there)))
         return _Cut(place, np.append(t[first[1:]], t[-1]) - t[first], products, score)
@@ -145,9 +145,8 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
     near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
     each = [profile[near] * _moved(t[near], spans[i][side], move, side) for i, side in edges for move in moves]
     changes = np.array(each).reshape(-1, len(near))
-    single = np.zeros((len(t), 1 + len(near)))
-    single[:, 0], single[near, 1 + np.arange(len(near))] = column, 1.0
-    G, s = joint.projected(chosen, single)
+    single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
+    G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
     made = np.zeros((1 + len(near), 1 + len(changes)))
     made[0, 0], made[1:, 1:] = 1.0, changes.T
     G, s = made.T @ G @ made, made.T @ s

@@ -90,6 +90,7 @@ class Observations:
 
     def __init__(self, places: Places, weights: Floats, shape: tuple[int, int]) -> None:
         q = places.shape[1]
+        self._first = places.min(axis=1)
         self._gather = _by_observation(places, weights, shape[1])
         # Each pair of an observation's places once, the later one in front; of two equal ones both orders count.
         first, second = np.triu_indices(q)
@@ -113,9 +114,25 @@ class Observations:
         spread: Floats = self._square.T @ products.ravel()[self._touched]
         return spread
 
+    def within(self, begin: int, end: int) -> slice:
+        """The observations whose first unknown is at ``begin`` or behind it, and before ``end``."""
+        first, last = np.searchsorted(self._first, [begin, end]).tolist()
+        return slice(first, last)
+
     def gathered(self, scaled: Floats) -> Floats:
         """A' times columns (n, c)."""
         total: Floats = self._gather @ scaled
+        return total
+
+    def gathered_within(self, part: slice, scaled: Floats, begin: int, length: int) -> Floats:
+        """The ``length`` elements from ``begin`` on of A' times columns (m, c) of the observations in ``part``.
+
+        They depend on no other unknowns.
+        """
+        whole = self._gather
+        own = slice(whole.indptr[part.start], whole.indptr[part.stop])
+        kept = whole.data[own], whole.indices[own] - begin, whole.indptr[: len(scaled) + 1]
+        total: Floats = sp.csc_array(kept, (length, len(scaled))) @ scaled
         return total
 
     def observed(self, unknowns: Floats) -> Floats:

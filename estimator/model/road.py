@@ -27,7 +27,6 @@ evaluation of the likelihood costs O(n). On a road that is known to be level the
 the motion, so their unknowns come behind, and the band is a quarter as wide.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -36,6 +35,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from estimator.model.gram import Rows, gram
 from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
@@ -62,7 +62,6 @@ ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
 MAX_PASSAGE = 60.0
 HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numerically exact
 START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
-TOGETHER = 64  # columns of data that are whitened at once: bounds the memory of many
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up
 _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the stride's mean
 
@@ -322,16 +321,17 @@ class RoadModel:
     def gathered(self, scaled: Floats) -> Floats:
         """A' times columns (sum of counts, c)."""
         total = np.zeros((self.size, scaled.shape[1]))
-        for observed, rows in self.present(scaled):
+        for observed, rows in self.kinds:
             total += observed.gathered(scaled[rows])
         return total
 
-    def present(self, data: Floats) -> Iterator[tuple[Observations, slice]]:
-        """Each kind of observations and its rows of data columns (sum of counts, c), but for those that are zero."""
+    @cached_property
+    def kinds(self) -> list[tuple[Observations, slice]]:
+        """The map of each kind of observations, and their rows of data columns (sum of counts, c)."""
         ends = np.cumsum([0, *self.counts]).tolist()
-        for observed, (start, end) in zip(self._maps, pairwise(ends), strict=True):
-            if data[start:end].any():
-                yield observed, slice(start, end)
+        return [
+            (observed, slice(start, end)) for observed, (start, end) in zip(self._maps, pairwise(ends), strict=True)
+        ]
 
     def observed(self, unknowns: Floats) -> Floats:
         """A times unknowns (size,)."""
@@ -410,21 +410,9 @@ class Conditioned:
     factor: Factor = field(repr=False)
     log_determinant: float  # log|K|
 
-    def gram(self, data: Floats) -> Floats:
+    def gram(self, data: Rows) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""
-        count, kinds = data.shape[1], list(self.model.present(data))
-        product, whitened = np.zeros((count, count)), np.empty((self.model.size, count), order="F")
-        for _, rows in kinds:
-            scaled = data[rows] / np.sqrt(self.variance[rows])[:, None]
-            product += scaled.T @ scaled  # of a matrix with itself: half the work
-        for start in range(0, count, TOGETHER):
-            part = slice(start, start + TOGETHER)
-            gathered = np.zeros_like(whitened[:, part])
-            for observed, rows in kinds:
-                gathered += observed.gathered(data[rows, part] / self.variance[rows][:, None])
-            whitened[:, part] = self.factor.whiten(gathered)
-        product -= whitened.T @ whitened
-        return product
+        return gram(self.factor, self.model.kinds, self.variance, data)
 
     def unknowns(self, residual: Floats) -> Floats:
         """Posterior mean (size,) of all unknowns, given the data less the parameters' part (sum of counts,)."""

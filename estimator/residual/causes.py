@@ -80,4 +80,10 @@ class ResidualLikelihood(SetLikelihood):
         places = places_of(base, [form.columns.shape[1] for form in forms])
         unit = np.ones(data.shape[1] - 1)
         free = np.full(base, (BASE_SD * record.rms) ** -2.0)
-        super().__init__(data if rows is None else data[rows], noise.gram, free, forms, places, unit)
+        self.data, self._noise = data if rows is None else data[rows], noise
+        super().__init__(noise.gram(self.data), free, forms, places, unit)
+
+    def projected(self, chosen: Sequence[int], columns: Floats) -> tuple[Floats, Floats]:
+        """Products (c, c) and scores (c,) of further ``columns`` (n, c), off a set of forms."""
+        beside = [0, *(1 + self._set(chosen)[0])]
+        return self.off(chosen, self._noise.gram(np.hstack([self.data[:, beside], columns])))

@@ -1,0 +1,122 @@
+"""Products of columns of data weighed by the inverse of their covariance, in pieces of time.
+
+With the factor F of the precision of all unknowns given the data (`linear_gaussian`), columns Y of data have
+
+    Y' K^-1 Y = Y' R^-1 Y - W' W,   F W = A' R^-1 Y
+
+Unknowns are in order of time and F is banded, so the elements of W in a piece follow from the data there and from the
+last elements of W before it, as a filter's estimate follows from its state. One piece of W is in memory at a time. A
+column that is zero in a piece goes on from its last elements c as H c, with one H for all columns, and adds c' (H'H) c:
+most columns of what is switched, or wanders over time, are zero at most times, and cost little there.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtbtrs
+
+from estimator.model.linear_gaussian import Factor, Observations
+from estimator.signals import Floats, Mask
+
+Rows = Floats | sp.csr_array
+
+ELEMENTS = 2**20  # of a piece with all columns, 8 MB: a few columns go in one piece
+MIN_PIECE = 2048  # unknowns: in shorter pieces the products of columns that are zero take the most time
+
+
+def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: Floats, data: Rows) -> Floats:
+    """Y' K^-1 Y (c, c) of columns.
+
+    Parameters
+    ----------
+    factor
+        F.
+    kinds
+        The maps A of each kind of observations, and their rows of the data.
+    variance
+        Of the data given the unknowns (n,), R.
+    data
+        Y (n, c), sparse where most of it is zero.
+    """
+    size, count = factor.lower.shape[1], data.shape[1]
+    weight, whitened = 1 / np.sqrt(variance)[:, None], _Whitened(factor, count)
+    product, behind = np.zeros((count, count)), np.zeros((whitened.reach, count))
+    length = max(ELEMENTS // max(count, 1), MIN_PIECE, whitened.reach)
+    for begin in range(0, size, length):
+        end, found = min(begin + length, size), []
+        own: Mask = np.any(behind, axis=0)
+        for observed, rows in kinds:
+            part = observed.within(begin, end)
+            here = slice(rows.start + part.start, rows.start + part.stop)
+            there, values = _present(data[here])
+            if len(there):
+                scaled = values * weight[here]
+                product[np.ix_(there, there)] += scaled.T @ scaled
+                own[there] = True
+                found.append((observed, part, there, scaled * weight[here]))
+        place = np.cumsum(own) - 1
+        gathered = np.zeros((end - begin + len(behind), np.count_nonzero(own)))
+        gathered[: len(behind)] = behind[:, own]
+        for observed, part, there, weighed in found:
+            gathered[:, place[there]] += observed.gathered_within(part, weighed, begin, len(gathered))
+        behind = np.zeros_like(behind)
+        behind[:, own] = gathered[end - begin :]
+        whitened.add(begin, own, gathered[: end - begin])
+    return product - whitened.product
+
+
+def _present(rows: Rows) -> tuple[NDArray[np.intp], Floats]:
+    """Which columns (k,) are not zero in all ``rows`` (m, c), and those columns (m, k)."""
+    if not isinstance(rows, sp.csr_array):
+        there = np.flatnonzero(rows.any(axis=0))
+        return there, rows if len(there) == rows.shape[1] else rows[:, there]
+    is_there = np.zeros(rows.shape[1], dtype=np.bool_)
+    is_there[rows.indices] = True
+    place = np.cumsum(is_there) - 1
+    shape = len(rows.indptr) - 1, np.count_nonzero(is_there)
+    return np.flatnonzero(is_there), sp.csr_array((rows.data, place[rows.indices], rows.indptr), shape).toarray()
+
+
+class _Whitened:
+    """The products (c, c) of ``count`` columns W that come in pieces."""
+
+    def __init__(self, factor: Factor, count: int) -> None:
+        self._lower, self.reach = factor.lower, len(factor.lower) - 1
+        self._last = np.zeros((self.reach, count))  # elements before the next piece
+        self.product = np.zeros((count, count))
+
+    def add(self, begin: int, own: Mask, columns: Floats) -> None:
+        """The next piece of F W: of columns that are ``own`` (c,) there, the elements (m, own) from ``begin`` on."""
+        link = self._link(begin)[: len(columns)]
+        columns[: len(link)] += link @ self._last[:, own]
+        W = self._solved(begin, columns)
+        self.product[np.ix_(own, own)] += W.T @ W
+        last = np.where(own, 0.0, self._last)
+        if last.any():
+            answers = np.zeros((len(columns), self.reach))
+            answers[: len(link)] = link
+            H = self._solved(begin, answers)
+            self.product += last.T @ (H.T @ H) @ last
+            cross = (W.T @ H) @ last
+            self.product[own] += cross
+            self.product[:, own] += cross.T
+            last = H[-self.reach :] @ last
+        if len(W) >= self.reach:  # or it is the last piece
+            last[:, own] = W[len(W) - self.reach :]
+            self._last = last
+
+    def _link(self, begin: int) -> Floats:
+        """What the elements (reach,) before ``begin`` add to the right-hand side (reach,) from there on."""
+        if not begin:
+            return np.zeros((self.reach, self.reach))
+        row, column = np.indices((self.reach, self.reach))
+        below = self._lower[np.minimum(self.reach + row - column, self.reach), begin - self.reach + column]
+        added: Floats = -np.triu(below)
+        return added
+
+    def _solved(self, begin: int, columns: Floats) -> Floats:
+        """The rows and columns of F from ``begin`` on, solved for ``columns`` (m, c), which are overwritten."""
+        solved: Floats = dtbtrs(self._lower[:, begin : begin + len(columns)], columns, uplo="L", overwrite_b=1)[0]
+        return solved
