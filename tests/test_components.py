@@ -20,7 +20,17 @@ from estimator.components.drive_state import DriveState
 from estimator.components.hypotheses import Hypotheses
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import ModelTable
-from estimator.components.processes import SWITCHES, hats, processes, swings, switched
+from estimator.components.processes import (
+    FREQUENCY_STEP,
+    MAX_PERIOD,
+    MIN_PERIOD,
+    SWITCHES,
+    hats,
+    processes,
+    spectrum,
+    swings,
+    switched,
+)
 from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
@@ -30,6 +40,7 @@ from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
 from estimator.model.road import RoadModel
+from estimator.samples import STEP
 from estimator.signals import Quantity
 
 M, A, C = 25e3, 1600.0, 3.5
@@ -322,6 +333,15 @@ def test_the_period_of_a_load_that_swings_is_among_those_tried():
 
 
 @pytest.mark.slow
+def test_the_spectrum_is_the_sum_over_all_times_at_each_frequency():
+    rng = np.random.default_rng(SEED)
+    t = np.unique(rng.integers(0, 9000, 400)) * STEP
+    t, values = t - t[0], rng.normal(size=len(t))
+    frequencies, sizes = spectrum(t, values)
+    assert_allclose(frequencies, np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, FREQUENCY_STEP / t[-1]))
+    assert_allclose(sizes, np.abs(np.exp(2j * np.pi * np.outer(frequencies, t)) @ values))
+
+
 def test_a_power_that_switches_and_is_larger_than_any_effect_has_no_name_of_the_catalogue():
     n, size = 2400, 150e3
     spans = ((500.3, 800.0), (1300.0, 1500.7))

@@ -19,7 +19,7 @@ def pieces(monkeypatch):
     monkeypatch.setattr(module, "MIN_PIECE", 8)
 
 
-def problem(seed):
+def problem(seed, is_dense=True):
     """Precision Q of the unknowns, two kinds of observations in order of time, and columns zero at most times."""
     rng = np.random.default_rng(seed)
     root = np.tril(np.triu(rng.normal(size=(SIZE, SIZE)), -REACH)) + 3 * np.eye(SIZE)
@@ -36,7 +36,19 @@ def problem(seed):
         data[: 8 * column, column] = data[8 * column + 6 : 70, column] = data[70:, column] = 0.0
     data[80:83, 4] = 1.0
     data[:, 8] = 0.0
+    data[:, :2] *= is_dense
     return root @ root.T, np.vstack(A), kinds, rng.uniform(0.5, 2.0, at), data
+
+
+def precision_band(Q, A, variance):
+    """The band of the precision given the data."""
+    precision = Q + A.T @ (A / variance[:, None])
+    return np.array([np.append(np.diag(precision, -d), np.zeros(d)) for d in range(REACH + 1)])
+
+
+def products(Q, A, variance, data):
+    K = np.diag(variance) + A @ np.linalg.solve(Q, A.T)
+    return data.T @ np.linalg.solve(K, data)
 
 
 @pytest.mark.usefixtures("pieces")
@@ -44,8 +56,15 @@ def problem(seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_products_in_pieces_are_those_of_the_dense_covariance(is_sparse, seed):
     Q, A, kinds, variance, data = problem(seed)
-    precision = Q + A.T @ (A / variance[:, None])
-    band = np.array([np.append(np.diag(precision, -d), np.zeros(d)) for d in range(REACH + 1)])
-    K = np.diag(variance) + A @ np.linalg.solve(Q, A.T)
-    found = gram(Factor.of(band), kinds, variance, sp.csr_array(data) if is_sparse else data)
-    assert_allclose(found, data.T @ np.linalg.solve(K, data), rtol=1e-9, atol=1e-9)
+    factor = Factor.of(precision_band(Q, A, variance))
+    found = gram(factor, kinds, variance, sp.csr_array(data) if is_sparse else data)
+    assert_allclose(found, products(Q, A, variance, data), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.usefixtures("pieces")
+def test_pieces_in_which_no_column_has_data_are_passed_over():
+    Q, A, kinds, variance, data = problem(4, is_dense=False)
+    data[:60] = data[70:100] = 0.0
+    data[65:68, 3] = data[104:, 5] = 1.0
+    found = gram(Factor.of(precision_band(Q, A, variance)), kinds, variance, sp.csr_array(data))
+    assert_allclose(found, products(Q, A, variance, data), rtol=1e-9, atol=1e-9)

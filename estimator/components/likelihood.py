@@ -6,6 +6,7 @@ the measured force adds to the products is taken off first (a corrected score, s
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -122,12 +123,12 @@ def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[
     Strengths of one process share its columns, and stretches of the road those of the same times.
     """
     at: dict[object, int] = {}
-    kept = [sp.csc_array((len(frame.strides), 0))]
+    kept: list[sp.csc_array[Any]] = [sp.csc_array((len(frame.strides), 0))]
     places: dict[int, NDArray[np.int64]] = {}
     for key, one in {id(one.columns): one for one in components}.items():
-        columns = np.asarray(one.columns(frame), dtype=np.float64)
+        columns = one.columns(frame)
         names = [column.tobytes() if one.is_slope else (key, k) for k, column in enumerate(columns.T)]
         new = [k for k, name in enumerate(names) if len(at) == at.setdefault(name, len(at))]
         places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
-        kept.append(sp.csc_array(columns[:, new]))
+        kept.append(sp.csc_array(columns)[:, new])
     return sp.hstack(kept, format="csc"), [places[id(one.columns)] for one in components]

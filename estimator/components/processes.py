@@ -13,6 +13,7 @@ from estimator.components.component import Columns, Component, Frame
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.switching import CHANGE_COST, MAX_ON_SHARE
 from estimator.model.design_matrix import Spans, covered
+from estimator.samples import STEP
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS
 
@@ -59,7 +60,7 @@ def processes(frame: Frame) -> Iterator[Component]:
             yield Component(name="gain over torque", columns=_gain_over_torque, sd=strength * GAIN_ERROR, is_noisy=True)
     for name, profile, usual, axis, lengths in over:
         for length in lengths:
-            columns = _along(profile, hats(axis, length))
+            columns = _over(profile, axis, length)
             for strength in STRENGTHS:
                 yield Component(name=name, columns=columns, sd=strength * usual, is_noisy=profile is _measured)
     if gear is not None and np.isfinite(gear).all():
@@ -79,22 +80,34 @@ def swings(joint: JointLikelihood, chosen: list[int]) -> Iterator[Component]:
     ``joint`` and ``chosen``: the likelihood, and the components beside which it is looked for.
     """
     frame, s = joint.frame, joint.frame.strides
-    t, span = s.t - s.t[0], float(np.ptp(s.t))
-    frequencies = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, FREQUENCY_STEP / span)
+    t = s.t - s.t[0]
     profiles = [_power]
     turns = s.context.get(Quantity.ENGINE_SPEED)
     if turns is not None and np.isfinite(turns).all():
         profiles.append(_torque)
     rest = joint.weighed_residual(chosen)
-    cost = float(np.log(len(frequencies) * len(profiles)))
     for profile in profiles:
-        score = np.abs(np.exp(2j * np.pi * np.outer(frequencies, t)) @ (frame.as_acceleration(profile(frame)) * rest))
+        frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
+        cost = float(np.log(len(frequencies) * len(profiles)))
         for frequency in frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist():
             angle = 2 * np.pi * frequency * t
             columns = _along(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
             for strength in STRENGTHS:
                 usual = strength * USUAL_POWER * float(frame.road_load[2])
                 yield Component(name=SWING, columns=columns, sd=usual, cost=cost + float(np.log(len(STRENGTHS))))
+
+
+def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Frequencies [Hz] (f,) that a swing may have, and the size (f,) of sum_k values_k exp(2 pi i f t_k).
+
+    ``t`` [s] (n,) are times of the grid from 0 on, so a fast Fourier transform gives all frequencies.
+    """
+    place = np.rint(t / STEP).astype(np.int64)
+    number = round(place[-1] / FREQUENCY_STEP)
+    frequencies = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, 1 / (number * STEP))
+    lowest = np.zeros(number, dtype=np.complex128)  # turned so that the lowest frequency comes first
+    lowest[place] = values * np.exp(2j * np.pi * frequencies[0] * t)
+    return frequencies, number * np.abs(np.fft.ifft(lowest)[: len(frequencies)])
 
 
 def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
@@ -139,7 +152,12 @@ def _gain_over_torque(frame: Frame) -> Floats:
 
 
 def _along(profile: Callable[[Frame], Floats], shapes: Floats) -> Columns:
-    return lambda frame: frame.as_acceleration(shapes * profile(frame)[:, None])
+    return lambda frame: shapes * frame.as_acceleration(profile(frame))[:, None]
+
+
+def _over(profile: Callable[[Frame], Floats], axis: Floats, spacing: float) -> Columns:
+    """Made when they are asked for: over 8 h there are 240 hats."""
+    return lambda frame: hats(axis, spacing) * frame.as_acceleration(profile(frame))[:, None]
 
 
 def _bent(frame: Frame) -> Floats:
@@ -184,6 +202,8 @@ def ringing(frame: Frame, period: float, ratio: float) -> Floats:
 def hats(axis: Floats, spacing: float) -> Floats:
     """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,): they sum to one everywhere."""
     place = (axis - axis.min()) / spacing
-    peaks = np.arange(int(np.ceil(place.max())) + 1)
-    found: Floats = np.maximum(1 - np.abs(place[:, None] - peaks), 0.0)
+    below, every = np.floor(place).astype(np.int64), np.arange(len(axis))
+    found = np.zeros((len(axis), int(below.max()) + 2))
+    found[every, below] = 1 - (place - below)
+    found[every, below + 1] = place - below
     return found[:, found.any(axis=0)]

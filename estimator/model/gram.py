@@ -22,8 +22,8 @@ from estimator.signals import Floats, Mask
 
 Rows = Floats | sp.csr_array
 
-ELEMENTS = 2**20  # of a piece with all columns, 8 MB: a few columns go in one piece
-MIN_PIECE = 2048  # unknowns: in shorter pieces the products of columns that are zero take the most time
+ELEMENTS = 2**18  # of a piece with all columns, 2 MB, as much as a cache holds: a few columns go in one piece
+MIN_PIECE = 1024  # unknowns: in shorter pieces the products of columns that are zero take the most time
 
 
 def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: Floats, data: Rows) -> Floats:
@@ -118,5 +118,7 @@ class _Whitened:
 
     def _solved(self, begin: int, columns: Floats) -> Floats:
         """The rows and columns of F from ``begin`` on, solved for ``columns`` (m, c), which are overwritten."""
+        if not columns.size:  # without columns, scipy's call of LAPACK spoils memory
+            return columns
         solved: Floats = dtbtrs(self._lower[:, begin : begin + len(columns)], columns, uplo="L", overwrite_b=1)[0]
         return solved

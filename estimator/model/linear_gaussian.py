@@ -28,6 +28,7 @@ from estimator.signals import Floats
 Places = NDArray[np.int64]
 
 MIN_BLOCK = 16  # unknowns of a block: narrower bands go as fast
+SEGMENT = 64  # blocks whose part of the covariance is made at once: bounds the memory beside the band itself
 CHUNK = 16  # columns that are whitened at once, from the first element of any on
 
 
@@ -52,19 +53,16 @@ def band(rows: Places, columns: Places, values: Floats, shape: tuple[int, int]) 
 
 
 def both_triangles(stored: Floats) -> Floats:
-    """A band whose elements off the diagonal count twice, so that sums over it are sums over the whole matrix."""
-    whole = 2 * stored
-    whole[0] = stored[0]
-    return whole
+    """A band whose elements off the diagonal count twice, in place: sums over it are sums over the whole matrix."""
+    stored[1:] *= 2
+    return stored
 
 
-def with_squares(stored: Floats, columns: Floats) -> Floats:
-    """A band (bandwidth + 1, size) plus that of the sum of x x' over ``columns`` x (size, c)."""
-    total = stored.copy()
-    total[0] += np.einsum("ij,ij->i", columns, columns)
-    for down in range(1, min(len(total), len(columns))):
-        total[down, :-down] += np.einsum("ij,ij->i", columns[down:], columns[:-down])
-    return total
+def add_squares(target: Floats, columns: Floats) -> None:
+    """Add the sum of x x' over ``columns`` x (size, c) to a band (bandwidth + 1, size) as `both_triangles` makes it."""
+    target[0] += np.einsum("ij,ij->i", columns, columns)
+    for down in range(1, min(len(target), len(columns))):
+        target[down, :-down] += 2 * np.einsum("ij,ij->i", columns[down:], columns[:-down])
 
 
 def _by_observation(rows: Places, values: Floats, size: int) -> sp.csc_matrix:
@@ -196,23 +194,26 @@ class Factor:
         """
         reach, size = len(self.lower) - 1, self.lower.shape[1]
         width = max(reach, MIN_BLOCK)
-        number = -(-size // width)
-        padded = np.zeros((reach + 1, number * width))
-        padded[0, size:] = 1.0
-        padded[:, :size] = self.lower
-        blocks, stored = _blocks(number, width, reach)
-        stored[:] = padded.reshape(stored.shape)
-        inverse = np.array([dtrtri(block.T, lower=0)[0].T for block in blocks[:, :width]])
-        own = inverse.transpose(0, 2, 1) @ inverse
-        turned = blocks[:-1, width:] @ inverse[:-1]
-        across, product = np.empty_like(turned), np.empty((width, width))
-        for after, turn, S_kk_G, S_ii in zip(own[:0:-1], turned[::-1], across[::-1], own[-2::-1], strict=True):
-            np.matmul(after, turn, out=S_kk_G)
-            S_ii += np.matmul(turn.T, S_kk_G, out=product)
-        blocks, stored = _blocks(number, width, reach)
-        blocks[:, :width] = own
-        np.negative(across, out=blocks[:-1, width:])
-        return stored.reshape(reach + 1, -1)[:, :size]
+        found, after = np.empty_like(self.lower, order="C"), np.zeros((width, width))
+        for begin in reversed(range(0, size, SEGMENT * width)):
+            part = self.lower[:, begin : begin + SEGMENT * width]
+            number = -(-part.shape[1] // width)
+            padded = np.zeros((reach + 1, number * width))
+            padded[0] = 1.0
+            padded[:, : part.shape[1]] = part
+            blocks, stored = _blocks(number, width, reach)
+            stored[:] = padded.reshape(stored.shape)
+            inverse = np.array([dtrtri(block.T, lower=0)[0].T for block in blocks[:, :width]])
+            own, turned = inverse.transpose(0, 2, 1) @ inverse, blocks[:, width:] @ inverse
+            across, product = np.empty_like(turned), np.empty((width, width))
+            for turn, S_kk_G, S_ii in zip(turned[::-1], across[::-1], own[::-1], strict=True):
+                np.matmul(after, turn, out=S_kk_G)
+                S_ii += np.matmul(turn.T, S_kk_G, out=product)
+                after = S_ii
+            blocks[:, :width] = own
+            np.negative(across, out=blocks[:, width:])
+            found[:, begin : begin + part.shape[1]] = stored.reshape(reach + 1, -1)[:, : part.shape[1]]
+        return found
 
 
 def _blocks(number: int, width: int, reach: int) -> tuple[Floats, Floats]:

@@ -62,6 +62,7 @@ ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
 MAX_PASSAGE = 60.0
 HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numerically exact
 START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
+TOGETHER = 16  # draws that are made at once: bounds the memory beside the draws themselves
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up
 _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the stride's mean
 
@@ -205,12 +206,6 @@ class RoadModel:
         shape = (max([*(bandwidth(p) for p, _ in maps), *slopes, *chains, *noise]) + 1, self.size)
         self._maps = [Observations(p, w, shape) for p, w in maps]
         self._shape = shape
-        # Height's links and starts have known variances: their part of the precision is always the same.
-        self._is_fixed = [False, *([True, True] if self.has_altitude else []), *([False] * len(self.readings))]
-        self._fixed = np.zeros(shape)
-        if self.has_altitude:
-            self._maps[1].add_information(self._fixed, np.full(len(maps[1][0]), HEIGHT_SD**2))
-            self._maps[2].add_information(self._fixed, np.full(len(maps[2][0]), START_HEIGHT_SD**2))
         nodes = self.nodes
         self._field = None if self.is_level else MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
@@ -309,10 +304,9 @@ class RoadModel:
             The scales lie too far apart for floating point.
         """
         variances = self.variances(scales)
-        precision = self._fixed.copy()
-        for observed, variance, fixed in zip(self._maps, variances, self._is_fixed, strict=True):
-            if not fixed:
-                observed.add_information(precision, variance)
+        precision = np.zeros(self._shape)
+        for observed, variance in zip(self._maps, variances, strict=True):
+            observed.add_information(precision, variance)
         log_prior = sum(each.process.add_precision(precision, each.sd, each.memory) for each in self.acting(scales))
         factor = Factor.of(precision)
         log_noise = float(sum(np.log(variance).sum() for variance in variances))
@@ -426,5 +420,9 @@ class Conditioned:
 
     def draws(self, residuals: Floats, rng: np.random.Generator) -> Floats:
         """Draws (size, d) of all unknowns from their posterior, one for each column of residuals (sum of counts, d)."""
-        mean = self.factor.solve(self.model.gathered(residuals / self.variance[:, None]))
-        return mean + self.factor.unwhiten(rng.standard_normal(mean.shape))
+        drawn = rng.standard_normal((self.model.size, residuals.shape[1]))
+        for first in range(0, residuals.shape[1], TOGETHER):
+            some = slice(first, first + TOGETHER)
+            mean = self.factor.solve(self.model.gathered(residuals[:, some] / self.variance[:, None]))
+            drawn[:, some] = mean + self.factor.unwhiten(drawn[:, some])
+        return drawn

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.model.linear_gaussian import both_triangles, with_squares
+from estimator.model.linear_gaussian import add_squares, both_triangles
 from estimator.model.road import Conditioned
 from estimator.signals import Floats
 
@@ -47,9 +47,9 @@ def score(conditioned: Conditioned, scales: Floats, data: Floats, beta: Floats, 
     columns = np.column_stack([data[:, 0] - data[:, 1:] @ beta, data[:, 1:] @ spread])
     unknowns = conditioned.factor.solve(model.gathered(columns / variance[:, None]))
     rest = columns - model.observed(unknowns)
-    covariance = conditioned.factor.covariance()
-    moments = both_triangles(with_squares(covariance, unknowns))
-    misfit = np.einsum("ij,ij->i", rest, rest) + model.variance(both_triangles(covariance))
+    moments = both_triangles(conditioned.factor.covariance())
+    misfit = np.einsum("ij,ij->i", rest, rest) + model.variance(moments)
+    add_squares(moments, unknowns)
 
     by = model.variances_by(scales)
     gradient = 0.5 * (misfit / variance - 1) / variance @ by
