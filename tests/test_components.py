@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from made_strides import made_strides, past_speeds
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
+from scipy.signal import find_peaks
 from test_diagnosis_evidence import driven as on_level_road
 
 from estimator.components import switching
@@ -244,6 +245,14 @@ def test_changes_after_an_exchange_are_those_counted_anew():
                     then = on.copy()
                     then[a:e] = state
                     assert found[k] == switching._changes(then)
+
+
+def test_steps_are_the_highest_peaks_that_are_apart():
+    values = np.random.default_rng(2).normal(size=900)
+    peaks, _ = find_peaks(values, distance=switching.MIN_STEP_DISTANCE)
+    highest = peaks[np.argsort(-values[peaks])][: switching.MAX_STEPS]
+    assert len(peaks) < switching.MAX_STEPS
+    assert switching.highest_peaks(values).tolist() == highest.tolist()
 
 
 def test_hats_are_a_partition_of_one():

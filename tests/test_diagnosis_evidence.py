@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from made_strides import made_strides
+from scipy.stats import false_discovery_control
 
 from estimator.components.drive_state import DriveState
 from estimator.diagnosis import localisation
@@ -140,3 +141,8 @@ def test_other_phases_keep_the_spectrum() -> None:
         assert np.abs(np.fft.rfft(y)) == pytest.approx(np.abs(np.fft.rfft(x)))
         assert y.mean() == pytest.approx(x.mean())
         assert abs(np.corrcoef(np.diff(x), np.diff(y))[0, 1]) < 0.3
+
+
+def test_rates_of_false_discoveries_are_those_of_scipy() -> None:
+    p = np.random.default_rng(1).uniform(size=40) ** 3
+    np.testing.assert_allclose(localisation.false_discovery_rates(p), false_discovery_control(p))

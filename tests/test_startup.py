@@ -22,7 +22,7 @@ OTHER_COMMANDS = {
         "estimator.diagnosis",
         "estimator.daemon",
     },
-    "diagnose": {"matplotlib", "filterpy", "estimator.simulation", "estimator.daemon"},
+    "diagnose": {"matplotlib", "filterpy", "scipy.signal", "scipy.stats", "estimator.simulation", "estimator.daemon"},
     "simulate": {"matplotlib", "filterpy", "estimator.estimation", "estimator.diagnosis", "estimator.daemon"},
     "run": {"matplotlib", "filterpy", "scipy.signal", "scipy.stats", "estimator.simulation", "estimator.diagnosis"},
 }

@@ -13,7 +13,7 @@ mean(r part) / mean(r^2), over means of 2 s, and shares sum to one. Effects that
 (a wind too weak to be sure of) are drawn too, each with its prior: the interval of the road is wide by them.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,10 +126,13 @@ def budget(
 
 
 def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
-    """By cause the powers of all drives, one after another; ``blank`` on a drive without the cause."""
+    """By cause the powers of all drives, one after another; ``blank`` on a drive without the cause.
+
+    They are taken out of ``drives``, so that none is in memory twice.
+    """
     causes = dict.fromkeys(cause for each in drives for cause in each)
     return {
-        cause: np.concatenate([each.get(cause, b) for each, b in zip(drives, blank, strict=True)]) for cause in causes
+        cause: np.concatenate([each.pop(cause, b) for each, b in zip(drives, blank, strict=True)]) for cause in causes
     }
 
 
@@ -177,32 +180,42 @@ def _powers(
     joint, components = drive.joint(added), [*drive.chosen, *added]
     off = Projection(drive)
     amplitudes = _amplitudes(joint, components, rng)
-    residuals = joint.residual(amplitudes)
-    unknowns = joint.conditioned.draws(residuals, rng)
-    n = len(joint.frame.strides)
-    parts: dict[str, Floats] = {
-        _name(component): joint.acceleration(joint.places[i], amplitudes[joint.places[i]])
+    masses = joint.unit[0] / amplitudes[0]
+    draws = {
+        _name(component): off(off.as_power(joint.acceleration(joint.places[i], amplitudes[joint.places[i]]), masses))
         for i, component in enumerate(components)
     }
+    for cause, part in _rest(drive, joint, amplitudes, rng):
+        draws[cause] = off(off.as_power(part, masses))
+    held_out = _held_out(drive, [_name(component) for component in drive.chosen])
+    return _Powers(
+        off(off.power),
+        draws,
+        {cause: off(off.as_power(part, 1 / drive.fit.beta[:1])[:, 0]) for cause, part in held_out.items()},
+    )
+
+
+def _rest(
+    drive: DriveState, joint: JointLikelihood, amplitudes: Floats, rng: np.random.Generator
+) -> Iterator[tuple[str, Floats]]:
+    """Draws of the acceleration (n, d) by the road, by forces without memory and by the sensors, with their causes."""
+    residuals = joint.residual(amplitudes)
+    unknowns = joint.conditioned.draws(residuals, rng)
     errors = joint.model.sensor_errors(unknowns)
-    white = residuals[:n] - errors
+    white = residuals[: len(errors)] - errors
     if not drive.is_level:
         slopes = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
-        white = white - slopes
-        parts[ROAD] = slopes + joint.acceleration(joint.stretches, amplitudes[joint.stretches])
+        white -= slopes
+        slopes += joint.acceleration(joint.stretches, amplitudes[joint.stretches])
+        yield ROAD, slopes
+    del residuals, unknowns
     scales = drive.fit.scales.values
     own, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + own))[:, None]
     doubt = np.sqrt(share * (1 - share) * (own + disturbance**2)[:, None])
     gusts = share * white + doubt * rng.standard_normal(white.shape)
-    parts[WHITE], parts[NOISE] = gusts, errors + white - gusts
-    held_out = _held_out(drive, [_name(component) for component in drive.chosen])
-    masses = joint.unit[0] / amplitudes[0]
-    return _Powers(
-        off(off.power),
-        {cause: off(off.as_power(part, masses)) for cause, part in parts.items()},
-        {cause: off(off.as_power(part, 1 / drive.fit.beta[:1])[:, 0]) for cause, part in held_out.items()},
-    )
+    yield WHITE, gusts
+    yield NOISE, errors + white - gusts
 
 
 def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np.random.Generator) -> Floats:

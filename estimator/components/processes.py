@@ -7,12 +7,12 @@ drive; a mass on a spring and a damper rings on after accelerations; a power or 
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.signal import lfilter
 
 from estimator.components.component import Columns, Component, Frame
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.switching import CHANGE_COST, MAX_ON_SHARE
 from estimator.model.design_matrix import Spans, covered
+from estimator.preparation.recursion import recursive
 from estimator.samples import STEP
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS
@@ -193,7 +193,7 @@ def ringing(frame: Frame, period: float, ratio: float) -> Floats:
     at = np.cumsum(steps).astype(np.int64)  # with strides of no acceleration in the gaps
     a = np.zeros(at[-1] + 1)
     a[at] = frame.view.a
-    before = np.concatenate([[0.0], lfilter([reached], [1.0, -decay], a)[:-1]])
+    before = np.concatenate([[0.0], recursive(reached * a, np.array([1.0, -decay]))[:-1]])
     q = before * (decay - 1) / (mode * DURATION) + a * mean
     ring: Floats = (-a - (mode**2 * q).imag / mode.imag)[at]
     return ring

@@ -15,7 +15,6 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
 
 from estimator.components.component import Frame
 from estimator.components.likelihood import JointLikelihood
@@ -211,9 +210,18 @@ def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> N
     probed = np.unique(np.linspace(1, n - 1, PROBED_STEPS).astype(np.int64))
     products, _ = joint.projected(chosen, np.where(np.arange(n)[:, None] >= probed, column[:, None], 0.0))
     strength = np.interp(np.arange(n), probed, np.maximum(np.diag(products), 1e-12))
-    clarity = np.abs(scores) / np.sqrt(strength)
-    peaks, found = find_peaks(clarity, distance=MIN_STEP_DISTANCE, height=0.0)
-    return peaks[np.argsort(-found["peak_heights"], kind="stable")[:MAX_STEPS]]
+    return highest_peaks(np.abs(scores) / np.sqrt(strength))
+
+
+def highest_peaks(values: Floats) -> NDArray[np.intp]:
+    """Places of up to MAX_STEPS peaks of ``values`` (n,), the highest first, at least MIN_STEP_DISTANCE apart."""
+    peaks = 1 + np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] > values[2:]))
+    is_free, found = np.ones(len(values), dtype=bool), list[int]()
+    for place in peaks[np.argsort(-values[peaks], kind="stable")].tolist():
+        if is_free[place] and len(found) < MAX_STEPS:
+            found.append(place)
+            is_free[max(place - MIN_STEP_DISTANCE + 1, 0) : place + MIN_STEP_DISTANCE] = False
+    return np.array(found, dtype=np.intp)
 
 
 def exchanged(G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats) -> Mask:

@@ -7,7 +7,6 @@ that were chosen, and on stretches that its fit has not seen.
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from estimator.components.budget import Projection
 from estimator.components.component import Component
@@ -60,7 +59,9 @@ def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
     """Quantities (n,) at the driven strides that hold no noise of the residual."""
     s = drive.fit.strides
     A, C, m = drive.fit.theta[:ROAD_LOAD].tolist()
-    a = uniform_filter1d(s.a, SMOOTHED)  # of the measured force, the noise would be in column and residual
+    around = np.pad(s.a, SMOOTHED // 2, mode="symmetric")
+    # Of the measured force, the noise would be in column and residual.
+    a = np.convolve(around, np.full(SMOOTHED, 1 / SMOOTHED), "valid")
     yield "v", Variable(s.speed, "m/s")
     yield "a", Variable(a, "m/s^2")
     yield "F", Variable(A + C * s.relative_density * s.speed_squared + m * a, "N")

@@ -8,8 +8,7 @@ seconds count once. The rate of false discoveries over all parts of all axes is 
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import false_discovery_control
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from estimator.diagnosis.base import block_sums
 from estimator.diagnosis.model import Model
@@ -42,17 +41,24 @@ def places(model: Model) -> list[Place]:
             bias = float(sums.sum()) / count
             each = block_sums(part.astype(float)[:, None], block)[:, 0]
             spread = float(np.sqrt(((sums - bias * each) ** 2).sum()))
-            p = 2 * float(student.sf(abs(sums.sum()) / spread, len(used) - 1))
+            p = 2 * float(stdtr(len(used) - 1, -abs(sums.sum()) / spread))  # Student
             found.append((name, unit, float(start), float(end), bias, count * bias**2 / total, p))
     if not found:
         return []
-    q = false_discovery_control([row[-1] for row in found])
+    q = false_discovery_rates(np.array([row[-1] for row in found]))
     chosen = [
         Place(axis=name, start=start, end=end, unit=unit, bias=bias, share=share, q_value=float(value))
         for (name, unit, start, end, bias, share, _), value in zip(found, q, strict=True)
         if value < MAX_FALSE_DISCOVERY_RATE
     ]
     return sorted(chosen, key=lambda place: -place.share)
+
+
+def false_discovery_rates(p: Floats) -> Floats:
+    """The smallest rates at which each of the p-values (n,) is a discovery (Benjamini & Hochberg 1995)."""
+    order, rates = np.argsort(-p), np.empty_like(p)
+    rates[order] = np.minimum.accumulate(p[order] * len(p) / np.arange(len(p), 0, -1))
+    return rates
 
 
 def _axes(model: Model) -> list[tuple[str, str, Floats, Floats]]:

@@ -1,13 +1,19 @@
 """Recursive filters as banded triangular systems; `scipy.signal.lfilter` takes 59 MB and 0.6 s to import."""
 
+from typing import TypeVar
+
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtbtrs, ztbtrs
 
 from estimator.signals import Floats
 
+Values = TypeVar("Values", Floats, NDArray[np.complex128])
 
-def recursive(signal: Floats, recursion: Floats) -> Floats:
+
+def recursive(signal: Values, recursion: Values) -> Values:
     """Solve sum_k recursion[k] y[t - k] = signal[t] for y (n,), zero before the start; recursion[0] is 1."""
     band = np.repeat(recursion[:, None], len(signal), axis=1)
-    solution: Floats = dtbtrs(band, signal[:, None], uplo="L", diag="U")[0][:, 0]
+    solve = ztbtrs if np.iscomplexobj(band) else dtbtrs
+    solution: Values = solve(band, signal[:, None], uplo="L", diag="U")[0][:, 0]
     return solution
