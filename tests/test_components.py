@@ -247,6 +247,17 @@ def test_changes_after_an_exchange_are_those_counted_anew():
                     assert found[k] == switching._changes(then)
 
 
+def test_products_of_steps_are_sums_over_the_parts_between_them(strides, quiet):
+    joint = joint_of(strides, quiet)
+    column = joint.components[0].columns(joint.frame)[:, 0]
+    n, probed = len(column), np.arange(1, len(column), 50)
+    steps = np.where(np.arange(n)[:, None] >= probed, column[:, None], 0.0)
+    products, _ = joint.projected([1], steps)
+    parts, _ = joint.projected([1], switching._parts(column, np.searchsorted(probed, np.arange(n), side="right")))
+    sums = parts[::-1, ::-1].cumsum(axis=0).cumsum(axis=1)[::-1, ::-1]
+    assert_allclose(sums[1:, 1:], products, rtol=1e-6, atol=1e-6 * np.diag(products).max())
+
+
 def test_steps_are_the_highest_peaks_that_are_apart():
     values = np.random.default_rng(2).normal(size=900)
     peaks, _ = find_peaks(values, distance=switching.MIN_STEP_DISTANCE)

@@ -84,8 +84,7 @@ class Switching:
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         there, place = np.unique(np.cumsum(steps | regular), return_inverse=True)
-        columns = sp.csr_array((column, place, np.arange(len(t) + 1)), (len(t), len(there)))
-        products, score = self._joint.projected(chosen, columns)
+        products, score = self._joint.projected(chosen, _parts(column, place))
         first = np.searchsorted(place, np.arange(len(there)))
         return _Cut(place, np.append(t[first[1:]], t[-1]) - t[first], products, score)
 
@@ -203,14 +202,22 @@ def cost(duration: float, dwells: tuple[float, ...]) -> float:
 def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> NDArray[np.intp]:
     """Strides at which a state with this ``column`` (n,) most likely changes.
 
-    A step at stride k has the column of all strides from k on. Its score is a sum over the weighed residual.
+    A step at stride k has the column of all strides from k on. Its score is a sum over the weighed residual, and its
+    products are sums over those of the parts between steps.
     """
     n = len(column)
     scores = np.cumsum((column * joint.weighed_residual(chosen))[::-1])[::-1]
     probed = np.unique(np.linspace(1, n - 1, PROBED_STEPS).astype(np.int64))
-    products, _ = joint.projected(chosen, np.where(np.arange(n)[:, None] >= probed, column[:, None], 0.0))
-    strength = np.interp(np.arange(n), probed, np.maximum(np.diag(products), 1e-12))
+    parts = _parts(column, np.searchsorted(probed, np.arange(n), side="right"))
+    products = joint.projected(chosen, parts)[0][:0:-1, :0:-1]  # from the last part to that behind the first step
+    squares = np.diag(products.cumsum(axis=0).cumsum(axis=1))[::-1]
+    strength = np.interp(np.arange(n), probed, np.maximum(squares, 1e-12))
     return highest_peaks(np.abs(scores) / np.sqrt(strength))
+
+
+def _parts(column: Floats, place: NDArray[np.intp]) -> sp.csr_array:
+    """A ``column`` (n,) cut into one column for each part, by the number of the part at each stride (n,)."""
+    return sp.csr_array((column, place, np.arange(len(column) + 1)), (len(column), int(place.max()) + 1))
 
 
 def highest_peaks(values: Floats) -> NDArray[np.intp]:
