@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.special import gamma, kv
 
-from estimator.model.matern import MaternField
+from estimator.model.matern import MaternField, _inverse_diagonal
 
 
 def matern(distance, nu, sd, length):
@@ -157,3 +157,12 @@ def test_score_and_response_are_derivatives_of_the_dense_gaussian(steps, alpha, 
         doubt = 1e-4 + np.finfo(float).eps * np.linalg.cond(Q) / step  # differences of the dense matrix are as exact
         assert found[i] == pytest.approx(expected, rel=1e-3, abs=doubt * (1 + np.abs(np.trace(Q @ products))))
         assert_allclose(response[:, i], -each @ x, rtol=1e-3, atol=doubt * np.abs(x).max())
+
+
+@pytest.mark.parametrize("size", [2, 3, 40])
+def test_the_diagonal_of_an_inverse_follows_from_the_pivots_of_both_sides(size):
+    rng = np.random.default_rng(size)
+    off = -rng.uniform(0.5, 1.0, size)
+    diagonal = 0.01 - off - np.roll(off, 1)
+    dense = np.diag(diagonal) + np.diag(off[:-1], 1) + np.diag(off[:-1], -1)
+    assert_allclose(_inverse_diagonal(diagonal, off), np.diag(np.linalg.inv(dense)))

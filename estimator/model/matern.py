@@ -15,9 +15,10 @@ from math import comb, pi, sqrt
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
+from scipy.linalg.lapack import dpttrf
 from scipy.special import gamma
 
-from estimator.model.linear_gaussian import Factor, Places
+from estimator.model.linear_gaussian import Places
 from estimator.signals import Floats
 
 
@@ -93,7 +94,7 @@ class MaternField:
         kappa, tau = self._kappa_tau(sd, length)
         each = self._factors(kappa, tau) * (self._powers @ products.ravel()[self._touched])
         orders = 2 * (self.alpha - np.arange(self.alpha + 1)) - 2 * self._nu  # of kappa in the factors
-        inverse = Factor.of(self._operator(kappa)).covariance()[0]
+        inverse = _inverse_diagonal(*self._operator(kappa))
         by_kappa = (
             self.alpha * kappa**2 * float(self._mass @ inverse) - self._nu * self.size - 0.5 * float(orders @ each)
         )
@@ -104,6 +105,19 @@ class MaternField:
         kappa, _ = self._kappa_tau(sd, length)
         smoothed = solveh_banded(self._operator(kappa), self._mass * x, lower=True)
         return np.column_stack([2 * x, 2 * self.alpha * kappa**2 * smoothed - 2 * self._nu * x])
+
+
+def _inverse_diagonal(diagonal: Floats, off: Floats) -> Floats:
+    """Diagonal (N,) of the inverse of a tridiagonal positive definite matrix of two rows or more.
+
+    ``off`` (N,): elements beside its diagonal, the last one not used.
+
+    An element less what the elements before it explain, and less what those behind explain, is 1 over that of the
+    inverse; what each side explains follows from the pivots of the factor from that side.
+    """
+    before, behind = dpttrf(diagonal, off[:-1])[0], dpttrf(diagonal[::-1], off[-2::-1])[0][::-1]
+    inverse: Floats = 1 / (before + behind - diagonal)
+    return inverse
 
 
 def _product(stiffness: Floats, scale: Floats, power: Floats) -> Floats:
