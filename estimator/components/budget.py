@@ -30,6 +30,7 @@ from estimator.units import STANDARD_GRAVITY
 UNKNOWN = "unknown: "  # before the name of a nameless process
 ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", f"{UNKNOWN}white force", "other effects"
 DRAWS = 200
+TOGETHER = 20  # draws whose unknowns are looked up at once: bounds the memory beside the draws themselves
 MAX_TRIES = 50  # draws of the amplitudes for each that is kept: draws with wrong signs are rejected
 MIN_SYSTEMATIC = 1e-6  # share that is not noise
 FORM_DOUBT = 0.5  # sd of a share s from wrong forms of the model, over s (1 - s): measured on simulated drives
@@ -201,14 +202,16 @@ def _rest(
     """Draws of the acceleration (n, d) by the road, by forces without memory and by the sensors, with their causes."""
     residuals = joint.residual(amplitudes)
     unknowns = joint.conditioned.draws(residuals, rng)
-    errors = joint.model.sensor_errors(unknowns)
+    some = [unknowns[:, at : at + TOGETHER] for at in range(0, DRAWS, TOGETHER)]
+    errors = np.hstack([joint.model.sensor_errors(part) for part in some])
     white = residuals[: len(errors)] - errors
     if not drive.is_level:
-        slopes = -STANDARD_GRAVITY * joint.model.slope_under(joint.frame.strides, unknowns)
+        slopes = np.hstack([joint.model.slope_under(joint.frame.strides, part) for part in some])
+        slopes *= -STANDARD_GRAVITY
         white -= slopes
         slopes += joint.acceleration(joint.stretches, amplitudes[joint.stretches])
         yield ROAD, slopes
-    del residuals, unknowns
+    del residuals, unknowns, some
     scales = drive.fit.scales.values
     own, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
     share = (disturbance**2 / (disturbance**2 + own))[:, None]

@@ -108,8 +108,8 @@ class JointLikelihood(SetLikelihood):
 
     def residual(self, amplitudes: Floats) -> Floats:
         """Data (n, ...) less what all columns with ``amplitudes`` (p, ...) add."""
-        rest: Floats = (self.response - (self.columns @ amplitudes).T).T
-        return rest
+        added: Floats = self.columns @ amplitudes
+        return np.subtract(self.response, added.T, out=added.T).T
 
     def acceleration(self, places: NDArray[np.int64], amplitudes: Floats) -> Floats:
         """Acceleration (n, ...) of the strides by the columns at ``places`` (k,) of ``amplitudes`` (k, ...)."""
