@@ -78,17 +78,19 @@ class JointLikelihood(SetLikelihood):
 
     def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
-        noisy = list({id(one.columns): i for i, one in enumerate(self.components) if one.is_noisy}.values())
-        places = np.concatenate([np.array([0, LAG, DRAG]), *(self.places[i] for i in noisy)]).astype(np.int64)
-        force = self.frame.force
-        clean = self.columns[: len(force)]
-        total = np.zeros((self.columns.shape[1], self.columns.shape[1]))
+        noisy = [component for component in self.components if component.is_noisy]
+        clean, own = _shared(noisy, self.frame, 0)
+        of_noisy = [self.places[i] for i, component in enumerate(self.components) if component.is_noisy]
+        places = np.zeros(3 + clean.shape[1], dtype=np.int64)
+        places[:3] = 0, LAG, DRAG
+        for here, there in zip(own, of_noisy, strict=True):
+            places[3 + here] = there
+        force, total = self.frame.force, np.zeros((len(self.unit), len(self.unit)))
         for error, rate in force_errors(base.model, fit.scales.values, 1 / float(fit.beta[0]), PROBES, rng):
             drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
-            frame = self.frame.disturbed(error)
             plain = np.column_stack([error / self.unit[0], rate / self.unit[LAG], drag / self.unit[DRAG]])
-            changes = [sp.csc_array(self.components[i].columns(frame)) - clean[:, self.places[i]] for i in noisy]
-            data = sp.hstack([self._tall(change) for change in (plain, *changes)], format="csr")
+            changed = _shared(noisy, self.frame.disturbed(error), 0)[0] - clean
+            data = sp.hstack([self._tall(plain), self._tall(changed)], format="csr")
             total[np.ix_(places, places)] += self.conditioned.gram(data) / PROBES
         return total
 
@@ -130,5 +132,6 @@ def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[
         names = [column.tobytes() if one.is_slope else (key, k) for k, column in enumerate(columns.T)]
         new = [k for k, name in enumerate(names) if len(at) == at.setdefault(name, len(at))]
         places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
-        kept.append(sp.csc_array(columns)[:, new])
+        found = sp.csc_array(columns)
+        kept.append(found if len(new) == len(names) else found[:, new])
     return sp.hstack(kept, format="csc"), [places[id(one.columns)] for one in components]
