@@ -57,12 +57,12 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
                 own[there] = True
                 found.append((observed, part, there, scaled * weight[here]))
         place = np.cumsum(own) - 1
-        gathered = np.zeros((end - begin + len(behind), np.count_nonzero(own)))
-        gathered[: len(behind)] = behind[:, own]
+        gathered = np.zeros((min(end + len(behind), size) - begin, np.count_nonzero(own)))
+        gathered[: len(behind)] = behind[: len(gathered), own]
         for observed, part, there, weighed in found:
             gathered[:, place[there]] += observed.gathered_within(part, weighed, begin, len(gathered))
         behind = np.zeros_like(behind)
-        behind[:, own] = gathered[end - begin :]
+        behind[: len(gathered) - (end - begin), own] = gathered[end - begin :]
         whitened.add(begin, own, gathered[: end - begin])
     return product - whitened.product
 

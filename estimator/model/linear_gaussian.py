@@ -128,6 +128,8 @@ class Observations:
         They depend on no other unknowns.
         """
         whole = self._gather
+        if whole.shape == (length, len(scaled)):
+            return self.gathered(scaled)
         own = slice(whole.indptr[part.start], whole.indptr[part.stop])
         kept = whole.data[own], whole.indices[own] - begin, whole.indptr[: len(scaled) + 1]
         total: Floats = sp.csc_array(kept, (length, len(scaled))) @ scaled
