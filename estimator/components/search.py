@@ -22,6 +22,7 @@ from estimator.model.effects.effect import Effect, Timing
 
 MAX_ROUNDS = 20  # of table and scales, each found beside the other
 MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
+ROUNDING = 1e-6  # of log evidence: by less, a round that finds the same set and scales again differs by rounding alone
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,7 @@ class Search:
             if log_evidence(fitted) + MAX_CAUSES * max(log_evidence(fitted) - log_evidence(states), 0.0) < least:
                 raise _OutOfReachError
             gain = log_evidence(fitted) + joint.log_prior(table.best, causes) - value
-            if found is not None and gain < 0:
+            if found is not None and gain < -ROUNDING:
                 break
             last, states = _Converged(joint, table, table.best, fitted), fitted
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
