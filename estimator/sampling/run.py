@@ -12,9 +12,7 @@ from estimator.signals import Floats
 SPREAD = 3.0  # sd of the chains' starting points around the centre
 MIN_ACCEPTANCE = 0.2  # of independence proposals that resemble the target
 MAX_R_HAT = 1.05  # of every parameter (Vehtari et al. 2021)
-LONGER = (
-    8  # times the draws, where chance in the means of short chains keeps R-hat above that (a density cut by its box)
-)
+LONGER = 8  # times the draws, where R-hat is above that by the chance of short chains: a box that cuts the density
 MIN_ESS_PER_DRAW = 0.05  # effective draws over draws, of the worst parameter
 MAX_IMPORTANCE_WEIGHT = 20.0  # of an independence proposal, over the mean weight
 WALK_BURN_IN = 1000  # iterations of the random walk that replaces them
