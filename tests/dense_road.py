@@ -161,7 +161,8 @@ class Dense:
             noises.append(R)
             values.append(mean)
         B = np.vstack(maps)
-        total = B @ theta @ B.T
+        self.of_slopes = B @ theta @ B.T
+        total = self.of_slopes.copy()
         at_row = 0
         for noise in noises:
             part = slice(at_row, at_row + len(noise))

@@ -40,7 +40,6 @@ from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
 from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
-from estimator.model.road import RoadModel
 from estimator.samples import STEP
 from estimator.signals import Quantity
 
@@ -87,7 +86,7 @@ def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), 
 
 def covariance(strides, fit):
     """Of the accelerations (n, n), from the model's products with unit vectors."""
-    model = RoadModel(strides, fit.scales.alpha, fit.scales.wander)
+    model = fit.scales.model_of(strides)
     return np.linalg.inv(model.condition(fit.scales.values).gram(np.eye(len(strides))))
 
 
@@ -506,7 +505,7 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
 
 
 def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
-    model = RoadModel(strides, quiet.scales.alpha)
+    model = quiet.scales.model_of(strides)
     conditioned = model.condition(quiet.scales.values)
     residual = np.random.default_rng(4).normal(0, 0.05, len(strides))
     draws = conditioned.draws(np.repeat(residual[:, None], 4000, axis=1), np.random.default_rng(5))

@@ -321,10 +321,10 @@ def test_a_filter_of_the_speed_is_all_there_is(diagnose):
 
 def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):
     """A torque offset takes power with the engine speed, a load does not: another gear at the same speed tells."""
-    answer = diagnose(drive("highway", 20, 18, Effect(name="torque_bias", magnitude=36.0)))
+    answer = diagnose(drive("highway", 16, 18, Effect(name="torque_bias", magnitude=36.0)))
     assert (answer["verdict"], answer["configuration"]) == ("cannot tell", "")
     experiment = answer["experiments"][0]
-    assert {experiment["a"], experiment["b"]} == {"torque_bias", "auxiliary_load"}
+    assert {experiment["a"], experiment["b"]} == {"torque_bias", "auxiliary_cycling"}
     assert "in the next lower gear" in experiment["what"]
     assert experiment["expected"] > 5 > experiment["now"]
     assert any("in the next lower gear (log Bayes factor +" in line for line in answer["advice"])

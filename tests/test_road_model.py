@@ -25,6 +25,7 @@ from estimator.estimation import form_doubt, road_fit
 from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, earlier_loads
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_nodes import MAX_BRIDGE, SPACING, Nodes
+from estimator.model.road_scales import TORQUE
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
@@ -40,6 +41,21 @@ def test_gram_and_determinant_are_those_of_the_dense_covariance(shown, alpha, wa
     keep, dense = observed(model), Dense(model, scales)
     Y = np.zeros((len(keep), 4))
     Y[keep] = np.random.default_rng(1).normal(size=(keep.sum(), 4))
+    conditioned = model.condition(scales)
+    expected = Y[keep].T @ np.linalg.solve(dense.K, Y[keep])
+    assert_allclose(conditioned.gram(Y), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+    assert conditioned.log_determinant == pytest.approx(np.linalg.slogdet(dense.K)[1], abs=1e-3)
+
+
+@pytest.mark.parametrize("alpha", [2, LEVEL])
+def test_a_model_without_noise_of_the_power_is_that_with_none(alpha):
+    model = RoadModel(strides_of(shown=("altitude",)), alpha, power=False)
+    scales = scales_of(model, 3)
+    none = scales.copy()
+    none[road_fit.POWER] = 0.0
+    keep, dense = observed(model), Dense(model, none)
+    Y = np.zeros((len(keep), 3))
+    Y[keep] = np.random.default_rng(1).normal(size=(keep.sum(), 3))
     conditioned = model.condition(scales)
     expected = Y[keep].T @ np.linalg.solve(dense.K, Y[keep])
     assert_allclose(conditioned.gram(Y), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
@@ -169,11 +185,11 @@ def test_the_noise_in_the_regressors_is_the_expectation_over_the_error_of_the_fo
     force = sign * np.random.default_rng(4).uniform(20_000, 60_000, n)
     likelihood = likelihood_of(strides_of(n, force=force))
     model, scales = likelihood.model, scales_of(likelihood.model, 10)
-    dense, conditioned = Dense(model, scales), model.condition(scales)
+    dense, conditioned, still = Dense(model, scales), model.condition(scales), np.empty((len(model.driven), 0))
     beta = np.zeros(likelihood.data.shape[1] - 1)
     beta[0] = likelihood.unit[0] / M
     rng = np.random.default_rng(11)
-    found = np.array([likelihood.noise_information(scales, conditioned, beta, rng) for _ in range(150)])
+    found = np.array([likelihood.noise_information(scales, conditioned, beta, still, rng) for _ in range(150)])
     inverse = np.linalg.inv(dense.K) * M**2
     expected = np.zeros_like(found[0])
     expected[0, 0] = np.sum(inverse * dense.force)
@@ -276,6 +292,18 @@ def test_power_that_no_signal_shows_is_told_from_noise_of_the_torque():
     assert np.all(np.abs(found.theta[:3] - [A, C, M]) < 3 * sd[:3])
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_of_the_torque_is_not_taken_for_that_of_the_power(seed):
+    strides = strides_of(250, seed=3, unknown=(), silence=250)
+    model = likelihood_of(strides).model
+    truth = scales_of(model, torque_noise=0.03, torque_noise_time=0.5, slope=1e-4, power_noise=1e-4)
+    strides.a[:] = strides.force[:, MIDDLE] / M - A / M - C / M * strides.speed_squared
+    strides.a[:] += drawn(model, truth, np.random.default_rng(seed), 1)[:, 0]
+    found = road_fit.fit(strides, np.random.default_rng(5), level=True)
+    assert not found.scales.has_power
+    assert found.scales.values[TORQUE] == pytest.approx(0.03, rel=0.3)
+
+
 def test_too_few_strides_give_no_fit():
     assert road_fit.fit(strides_of(30), np.random.default_rng(0)) is None
 
@@ -283,49 +311,6 @@ def test_too_few_strides_give_no_fit():
 def test_a_speed_that_is_stuck_gives_no_fit():
     stuck = made_strides(np.full(57, 16.08), np.full(56, 262.7), {})
     assert road_fit.fit(stuck, np.random.default_rng(0)) is None
-
-
-def test_a_level_road_hides_no_slopes_and_a_hilly_one_more_than_a_flatter_one():
-    """R is the variance that the slopes add to 1/m, in units of that of one stride."""
-    strides = strides_of(120, seed=4)
-    likelihood = likelihood_of(strides)
-    model = likelihood.model
-    found = {}
-    for slope in (model.scales[road_fit.SLOPE].low, 5e-3, 1.5e-2):
-        values = scales_of(model)
-        values[road_fit.SLOPE] = slope
-        information = likelihood.solve(model.condition(values).gram(likelihood.data))[1]
-        found[slope] = form_doubt.hidden_changes(likelihood, values, information, 1.0)
-        dense = np.linalg.inv(information)[0, 0]
-        assert found[slope] <= len(model.driven) * dense
-    level, some, more = found.values()
-    assert level == 0.0
-    assert 0 < some < more
-
-
-def test_hidden_slopes_count_by_the_strides_of_the_present_load():
-    """The variance is that of the mass since the last departure; so is the number of strides that it is spread over."""
-    strides = strides_of(240, seed=4)
-    changed = float(strides.t[-40])
-    model = RoadModel(strides, 2)
-    likelihood = Likelihood(model, (), np.array([A, C, M]), MIDDLE, (changed,))
-    level = scales_of(model)
-    level[road_fit.SLOPE] = model.scales[road_fit.SLOPE].low
-    informations = [
-        likelihood.solve(model.condition(values).gram(likelihood.data))[1] for values in (scales_of(model), level)
-    ]
-    sloping, flat = (np.linalg.inv(information)[0, 0] for information in informations)
-    present = np.count_nonzero(strides[strides.t >= changed].known)
-    found = form_doubt.hidden_changes(likelihood, scales_of(model), informations[0], 1.0)
-    assert found == pytest.approx(present * (sloping - flat))
-
-
-def test_hidden_slopes_that_hide_the_mass_count_up_to_a_limit():
-    strides = strides_of(120, seed=4)
-    likelihood = likelihood_of(strides)
-    values = scales_of(likelihood.model)
-    information = likelihood.solve(likelihood.model.condition(values).gram(likelihood.data))[1]
-    assert form_doubt.hidden_changes(likelihood, values, information, 1e-9) == form_doubt.MAX_HIDDEN_CHANGES
 
 
 def test_an_effect_of_doubtful_form_moves_the_others_as_their_fit_with_another_size_would():

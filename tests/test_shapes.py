@@ -20,7 +20,6 @@ from estimator.estimation.shapes import (
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import View
-from estimator.model.road import RoadModel
 from estimator.signals import Quantity
 
 M, A, C = 25e3, 1600.0, 3.5
@@ -67,7 +66,7 @@ def fitted(strides):
 
 
 def evidence(strides, found, terms):
-    model = RoadModel(strides, found.scales.alpha, found.scales.wander)
+    model = found.scales.model_of(strides)
     road_load = np.maximum(found.theta[:3], 1e-9)
     likelihood = Likelihood(model, terms, road_load, found.scales.lag, found.departures, found.taken)
     solved, _, _ = likelihood.solve(model.condition(found.scales.values).gram(likelihood.data))

@@ -16,7 +16,7 @@ from estimator.components.component import Component, Frame
 from estimator.components.set_likelihood import SetLikelihood
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
-from estimator.model.road import Conditioned, RoadModel
+from estimator.model.road import Conditioned
 from estimator.signals import Floats
 from estimator.strides import Strides
 
@@ -47,7 +47,7 @@ class JointLikelihood(SetLikelihood):
         stretches: Component | None = None,
     ) -> None:
         self.frame, self.components = Frame.of(fit), list(components)
-        self.model = model = RoadModel(strides, fit.scales.alpha, fit.scales.wander)
+        self.model = model = fit.scales.model_of(strides)
         base = Likelihood(model, (), fit.theta[:3], fit.scales.lag)
         self.conditioned: Conditioned = model.condition(fit.scales.values)
         steep = np.empty((len(model.driven), 0)) if stretches is None else stretches.columns(self.frame)

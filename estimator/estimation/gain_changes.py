@@ -17,15 +17,15 @@ No drive tells at which end of a change the force was right, so 1/m has the rela
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.estimation.road_fit import RoadFit
-from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
-from estimator.model.road import RoadModel
-from estimator.signals import Floats, Mask
-from estimator.strides import DURATION, Strides
+from estimator.estimation.road_fit import PARTS, RoadFit
+from estimator.estimation.road_likelihood import ROAD_LOAD
+from estimator.signals import Floats
+from estimator.strides import DURATION
 
-PARTS = 4  # of the driving with a load, between which a step may be
+# Of the prior precision of a change of 1/m that its coefficient is found with; the rest is added after the correction
+# of the normal equations, for a prior is no noise.
+FAINT = 1e-3
 CHANGES = 0.6 / 3600  # 1/s of driving: prior rate of changes, by any of the shapes
 CHANGE_SDS = np.array([0.1, 0.3, 0.3])  # prior sd of a change, as a share of 1/m, A/m and C/m (warm-up, wind)
 MAX_EXPECTED = 0.5  # prior probability of a change, however long the drive
@@ -66,27 +66,26 @@ class GainChanges:
         return f"two parts of the drive contradict each other: mass {before:.4g} and {after:.4g} kg"
 
 
-def gain_changes(strides: Strides, found: RoadFit) -> GainChanges:
-    """The changes of force under the present load that the ``strides`` of a fit show, at its scales."""
-    model = RoadModel(strides, found.scales.alpha, found.scales.wander)
-    likelihood = Likelihood(model, found.terms, found.road_load, found.scales.lag, found.departures, found.taken)
-    present = model.driven.t >= max(found.departures, default=-np.inf)
-    gram = model.condition(found.scales.values).gram(with_changes(likelihood, shapes_of(present)))
-    p, unit, known = len(likelihood.prior), likelihood.unit, np.diag(likelihood.prior)
-    road_load = np.append(found.beta[0], found.road_load[:2] / found.road_load[2])
-    expected = CHANGE_SDS * road_load * unit[:ROAD_LOAD]
-    plain = np.arange(1, 1 + p)
-    without, spread = _solved(gram, plain, known)
-    prior = min(CHANGES * DURATION * max(int(present.sum()), 1), MAX_EXPECTED)
+def gain_changes(found: RoadFit) -> GainChanges:
+    """The changes of force under the present load that a fit shows, at its scales."""
+    equations, m = found.equations, found.road_load[2]
+    p, unit = len(equations.prior), equations.unit
+    expected = CHANGE_SDS * unit[:ROAD_LOAD] * [found.beta[0], *(found.road_load[:2] / m)]
+    believed = expected**-2.0
+    without, spread, _ = equations.solve()
+    prior = min(CHANGES * DURATION * max(equations.present, 1), MAX_EXPECTED)
     log_odds, shifts, spreads, sizes = [np.log(1 - prior)], [], [], []
     for k in range(PARTS):
-        changing = 1 + p + ROAD_LOAD * k + np.arange(ROAD_LOAD)
-        beta, covariance = _solved(gram, np.append(plain, changing), np.append(known, expected**-2.0))
-        size, variance = beta[p], covariance[p, p]
-        gain = 0.5 * (size**2 / variance + np.log(variance / expected[0] ** 2))
+        beta, covariance, _ = equations.solve(k, [FAINT * believed[0], *believed[1:]])
+        own, with_own = covariance[p, p], covariance[:p, p]
+        variance = 1 / (1 / own + (1 - FAINT) * believed[0])
+        size = beta[p] * variance / own
+        gain = 0.5 * (size**2 / variance + np.log(variance * believed[0]))
         log_odds.append(np.log(prior / PARTS) + gain)
-        shifts.append((beta[:p] - without) / unit)
-        spreads.append((covariance[:p, :p] - spread) / np.outer(unit, unit))
+        shift = beta[:p] + with_own * (size - beta[p]) / own - without
+        wider = covariance[:p, :p] - np.outer(with_own, with_own) * (1 - variance / own) / own - spread
+        shifts.append(shift / unit)
+        spreads.append(wider / np.outer(unit, unit))
         sizes.append(np.array([size, np.sqrt(variance)]) / (unit[0] * found.beta[0]))
     relative_size, sd = np.array(sizes).T
     return GainChanges(
@@ -96,25 +95,3 @@ def gain_changes(strides: Strides, found: RoadFit) -> GainChanges:
         size=relative_size,
         sd=sd,
     )
-
-
-def shapes_of(present: Mask) -> Floats:
-    """Shapes (n, PARTS) of a change in the ``present`` strides (n,): a ramp, and a step between any two parts."""
-    position = np.cumsum(present) / max(int(present.sum()), 1)
-    steps = [np.where(position > k / PARTS, 0.5, -0.5) for k in range(1, PARTS)]
-    shapes: Floats = np.column_stack([position - 0.5, *steps]) * present[:, None]
-    return shapes
-
-
-def with_changes(likelihood: Likelihood, shapes: Floats) -> Floats:
-    """Data of a likelihood, with the columns of 1/m, A/m and C/m once more for each of the ``shapes`` (n, k)."""
-    plain, n = likelihood.data, len(shapes)
-    changing = np.zeros((len(plain), ROAD_LOAD * shapes.shape[1]))
-    changing[:n] = (shapes[:, :, None] * plain[:n, None, 1 : 1 + ROAD_LOAD]).reshape(n, -1)
-    return np.column_stack([plain, changing])
-
-
-def _solved(gram: Floats, places: NDArray[np.int64], precision: Floats) -> tuple[Floats, Floats]:
-    """Coefficients at ``places`` (p,) of a gram matrix and their covariance (p, p), with a prior ``precision`` (p,)."""
-    covariance = np.linalg.inv(gram[np.ix_(places, places)] + np.diag(precision))
-    return covariance @ gram[places, 0], covariance

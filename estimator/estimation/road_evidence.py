@@ -7,8 +7,7 @@ import numpy as np
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
 from estimator.estimation.scale_search import most_probable
-from estimator.model.road import ALPHAS, LEVEL, RoadModel
-from estimator.model.road_scales import LENGTH, SLOPE
+from estimator.model.road import ALPHAS, LEVEL
 from estimator.strides import Strides
 
 
@@ -30,10 +29,11 @@ def log_bayes_factor_of_signals(strides: Strides, found: RoadFit) -> float:
 def _log_evidence(strides: Strides, found: RoadFit, is_level: bool) -> float:
     """Of strides with the orders, effects and lag that were found; the scales are found again."""
     sloping = ALPHAS[0] if found.scales.alpha == LEVEL else found.scales.alpha
-    model = RoadModel(strides, LEVEL if is_level else sloping, found.scales.wander)
+    scales = replace(found.scales, alpha=LEVEL if is_level else sloping)
+    model = scales.model_of(strides)
     terms = [term for term in found.terms if not (is_level and term.effect.is_gravity)]  # stretches of the road
-    likelihood = Likelihood(model, terms, found.theta[:ROAD_LOAD], found.scales.lag)
-    start = found.scales.values[: len(model.scales)]  # those of signals come last
-    free = [i for i in range(len(model.scales)) if not (is_level and i in (SLOPE, LENGTH))]
+    likelihood = Likelihood(model, terms, found.theta[:ROAD_LOAD], scales.lag)
+    start = scales.values[: len(model.scales)]  # those of signals come last
+    free = [i for i in scales.free if i < len(start)]
     values, _ = most_probable(likelihood, start, free)
     return likelihood.log_evidence(values)

@@ -132,6 +132,7 @@ class RoadInference:
                 "wander": scales.wander,
                 "readings": list(scales.readings),
                 "lag": scales.lag,
+                "power_chance": scales.power_chance,
             }
         return {
             "generator": generator_state(self._rng),
@@ -234,7 +235,7 @@ class RoadInference:
         drive = RoadTarget.of(found, empty, *bounds)
         if reason := contradiction(self._config.prior, _Judged(drive.free_mode, drive.free_sd)):
             return withheld(reason, status=Status.INVALID)
-        changes = gain_changes(self._window.samples, found)
+        changes = gain_changes(found)
         contradicted, found = changes.contradiction(found), changes.averaged(found)
         belief = self._given + self._loads.carried_over(t, self._config.load)
         target = RoadTarget.of(found, belief, *bounds)
@@ -341,10 +342,11 @@ def _restored_scales(state: State) -> RoadScales:
     values = array(state, "values", (-1,))
     readings = tuple(read(state, "readings", list[str]))
     alpha, wander, lag = read(state, "alpha", int), read(state, "wander", int), read(state, "lag", Count)
+    chance = read(state, "power_chance", float)
     whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0)
-    if alpha not in ALPHAS or wander not in (ROUGH, SMOOTH) or lag >= len(LAGS) or not whole:
+    if alpha not in ALPHAS or wander not in (ROUGH, SMOOTH) or lag >= len(LAGS) or not whole or not 0 <= chance <= 1:
         raise StateError("scales: are not those of a road model")
-    return RoadScales(values=values, alpha=alpha, wander=wander, readings=readings, lag=lag)
+    return RoadScales(values=values, alpha=alpha, wander=wander, readings=readings, lag=lag, power_chance=chance)
 
 
 def _misfit(found: RoadFit, maximum_lag: float) -> str:

@@ -187,23 +187,45 @@ class Likelihood:
         beta, information, _ = self.solve(gram)
         return score(conditioned, scales, self.data, beta, information)
 
+    def with_changes(self, shapes: Floats) -> Floats:
+        """The data, with the columns of 1/m, A/m and C/m once more for each of the ``shapes`` (n, k) of a change."""
+        n = len(shapes)
+        changing = np.zeros((len(self.data), ROAD_LOAD * shapes.shape[1]))
+        changing[:n] = _changing(self.data[:n, 1:], shapes)
+        return np.column_stack([self.data, changing])
+
+    def disturbed(self, error: Floats, rate: Floats, shapes: Floats) -> Floats:
+        """What an ``error`` [N] (n,) of the force, with its ``rate`` [N/s] (n,), adds to the regressors (n, p + 3 k).
+
+        In own units; of `with_changes` by ``shapes`` (n, k).
+        """
+        driven, p = self.model.driven, len(self.unit)
+        places = np.array([*range(self._plain), *range(p - len(self.terms), p)])
+        change = self._columns(replace(driven, force=driven.force + error[:, None])) - self._columns(driven)
+        change[:, LAG] = rate
+        added = np.zeros((len(driven), p))
+        added[:, places] = change / self.unit[places]
+        return np.column_stack([added, _changing(added, shapes)])
+
     def noise_information(
-        self, scales: Floats, conditioned: Conditioned, beta: Floats, rng: np.random.Generator
+        self, scales: Floats, conditioned: Conditioned, beta: Floats, shapes: Floats, rng: np.random.Generator
     ) -> Floats:
-        """Mean of dX' K^-1 dX (p, p) over simulated errors of the measured force; in own units."""
-        driven, total = self.model.driven, np.zeros((len(beta), len(beta)))
-        clean = self._columns(driven)
-        places = np.array([*range(self._plain), *range(len(beta) - len(self.terms), len(beta))])
+        """Mean of dX' K^-1 dX (p + 3 k, p + 3 k) over simulated errors of the measured force; in own units."""
+        size = len(beta) + ROAD_LOAD * shapes.shape[1]
+        total = np.zeros((size, size))
         for error, rate in force_errors(self.model, scales, float(self.unit[0] / beta[0]), PROBES, rng):
-            disturbed = replace(driven, force=driven.force + error[:, None])
-            change = self._columns(disturbed) - clean
-            change[:, LAG] = rate
-            disturbed_columns = np.flatnonzero(change.any(axis=0))  # A and C have no force in theirs
-            at = places[disturbed_columns]
+            change = self.disturbed(error, rate, shapes)
+            at = np.flatnonzero(change.any(axis=0))  # A and C have no force in theirs
             data = np.zeros((len(self.data), len(at)))
-            data[: len(driven)] = change[:, disturbed_columns] / self.unit[at]
+            data[: len(change)] = change[:, at]
             total[np.ix_(at, at)] += conditioned.gram(data) / PROBES
         return total
+
+
+def _changing(columns: Floats, shapes: Floats) -> Floats:
+    """The first three of ``columns`` (n, p) times each of the ``shapes`` (n, k): (n, 3 k)."""
+    product: Floats = shapes[:, :, None] * columns[:, None, :ROAD_LOAD]
+    return product.reshape(len(shapes), -1)
 
 
 def limited(noise: Floats, information: Floats) -> Floats:

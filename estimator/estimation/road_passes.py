@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.model.linear_gaussian import Factor
-from estimator.model.road import RoadModel
 from estimator.signals import Floats
 from estimator.strides import Strides
 
@@ -49,7 +48,7 @@ def mean_slopes(strides: Strides, found: RoadFit, parts: NDArray[np.int64]) -> M
     """
     scales = found.scales
     number = int(parts.max(initial=-1)) + 1
-    model = RoadModel(strides, scales.alpha, scales.wander)
+    model = scales.model_of(strides)
     if model.is_level or not number:
         return MeanSlopes(*np.full((3, number), np.nan))
     likelihood = Likelihood(model, found.terms, found.road_load, scales.lag, found.departures, found.taken)

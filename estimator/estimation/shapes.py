@@ -20,7 +20,6 @@ import numpy as np
 from estimator.estimation.road_fit import RoadFit, RoadScales
 from estimator.estimation.road_likelihood import LAG, Likelihood
 from estimator.model.design_matrix import Term
-from estimator.model.road import RoadModel
 from estimator.signals import Floats, Quantity
 from estimator.strides import Strides
 
@@ -107,7 +106,7 @@ class ShapeLikelihood:
 
     def __init__(self, strides: Strides, found: RoadFit) -> None:
         self._found = found
-        self._model = RoadModel(strides, found.scales.alpha, found.scales.wander)
+        self._model = found.scales.model_of(strides)
         self._conditioned = self._model.condition(found.scales.values)
 
     def judged(self, beside: tuple[Term, ...], shapes: Sequence[Term]) -> tuple[Floats, Floats]:

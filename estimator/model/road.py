@@ -36,7 +36,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from estimator.model.gram import Rows, gram
-from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
+from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth, both_triangles
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
 from estimator.model.road_nodes import SIGNALS, Nodes, Reading
@@ -92,11 +92,18 @@ class RoadModel:
         Order of the road's Matern process, of ALPHAS, or LEVEL.
     wander
         Order of the wander of all signals of the road: ROUGH or SMOOTH.
+    power
+        Whether noise of the power is among the unknowns.
     """
 
-    def __init__(self, strides: Strides, alpha: int, wander: int = ROUGH) -> None:
+    def __init__(self, strides: Strides, alpha: int, wander: int = ROUGH, power: bool = True) -> None:
         self.strides, self.alpha, self.wander = strides, alpha, wander
-        self.driven = strides[strides.known]
+        self.driven = driven = strides[strides.known]
+        gearing = driven.filled_gearing
+        self.weight = gearing / np.median(gearing)  # of the torque's error in each stride's force
+        of_power = np.median(driven.speed) / driven.speed  # the same of the power's
+        # Place of the scales of each noise of the force, and its share in each stride.
+        self._shares = ((TORQUE, self.weight), (POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
         self.nodes = Nodes.under(strides)
         readings = [Reading.of(name, strides, self.nodes) for name in SIGNALS]
@@ -135,7 +142,7 @@ class RoadModel:
         linked = np.zeros(len(order) - 1, dtype=bool)
         linked[self._before] = True
         self._linked = linked
-        groups = [self._ends_t, self._ends_t + 1e-7, self._ends_t + 2e-7]
+        groups = [self._ends_t + 1e-7 * i for i in range(1 + len(self._shares))]
         node_t = nodes.t + (np.ptp(self._ends_t) + np.ptp(nodes.t) if self.is_level else 0.0)
         groups += [np.empty(0) if self.is_level else node_t]
         groups += [node_t + 1e-7] if self.has_altitude else []
@@ -146,7 +153,7 @@ class RoadModel:
         rank[order] = np.arange(len(order))
         cut = np.cumsum([len(group) for group in groups])[:-1]
         parts = iter(np.split(rank, cut))
-        self._speed_error, self._force_error, self._power_error = next(parts), next(parts), next(parts)
+        self._speed_error, self._force_errors = next(parts), [next(parts) for _ in self._shares]
         self._slope = next(parts)
         self._height = next(parts) if self.has_altitude else np.empty(0, np.int64)
         self._wander = [next(parts) for _ in self.readings]
@@ -154,19 +161,23 @@ class RoadModel:
 
     def _motion(self) -> tuple[Places, Floats]:
         """Unknowns that each driven stride's acceleration depends on, and their weights."""
-        driven = self.driven
-        gearing = driven.filled_gearing
-        self.weight = gearing / np.median(gearing)  # of the torque's error in each stride's force
-        self.slowness = np.median(driven.speed) / driven.speed  # the same of the power's
-        ends = np.column_stack([self._before, self._after])
-        places = [error[ends] for error in (self._speed_error, self._force_error, self._power_error)]
-        weights = [np.tile([-1 / DURATION, 1 / DURATION], (len(driven), 1))]
-        weights += [-0.5 * np.repeat(share[:, None], 2, axis=1) for share in (self.weight, self.slowness)]
-        if not self.is_level:
-            touched, hats = self._slope_weights()
-            places.append(self._slope[touched])
-            weights.append(-STANDARD_GRAVITY * hats)
+        places, weights = zip(self._errors(), self._slopes(), strict=True)
         return np.hstack(places), np.hstack(weights)
+
+    def _errors(self) -> tuple[Places, Floats]:
+        """Errors of speed, torque and power among them."""
+        ends = np.column_stack([self._before, self._after])
+        places = [error[ends] for error in (self._speed_error, *self._force_errors)]
+        weights = [np.tile([-1 / DURATION, 1 / DURATION], (len(self.driven), 1))]
+        weights += [-0.5 * np.repeat(share[:, None], 2, axis=1) for _, share in self._shares]
+        return np.hstack(places), np.hstack(weights)
+
+    def _slopes(self) -> tuple[Places, Floats]:
+        """Slopes among them."""
+        if self.is_level:
+            return np.empty((len(self.driven), 0), np.int64), np.empty((len(self.driven), 0))
+        touched, hats = self._slope_weights()
+        return self._slope[touched], -STANDARD_GRAVITY * hats
 
     def _slope_weights(self) -> tuple[Places, Floats]:
         """Nodes near each driven stride, and their weights in its mean slope."""
@@ -202,15 +213,14 @@ class RoadModel:
         maps += [self._measured(reading, wander) for reading, wander in zip(self.readings, self._wander, strict=True)]
         slopes = [_reach(self._slope, k) for k in range(1, self.alpha + 1)]
         chains = [_reach(places, k) for places in self._wander for k in range(1, self.wander + 1)]
-        noise = [int(np.diff(e).max(where=self._linked, initial=0)) for e in (self._force_error, self._power_error)]
+        noise = [int(np.diff(error).max(where=self._linked, initial=0)) for error in self._force_errors]
         shape = (max([*(bandwidth(p) for p, _ in maps), *slopes, *chains, *noise]) + 1, self.size)
         self._maps = [Observations(p, w, shape) for p, w in maps]
         self._shape = shape
         nodes = self.nodes
         self._field = None if self.is_level else MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
-        self._force_noise = Chain(self._ends_t, self._force_error, self._linked)
-        self._power_noise = Chain(self._ends_t, self._power_error, self._linked)
+        self._force_noises = [Chain(self._ends_t, error, self._linked) for error in self._force_errors]
         self._wanders = [self._wandering(places) for places in self._wander]
 
     def _wandering(self, places: Places) -> Chain | MaternField:
@@ -252,8 +262,7 @@ class RoadModel:
         unit = np.eye(len(scales))
         processes = [
             Acting(process=self._speed_noise, sd=speed, memory=1.0, by=np.array([unit[SPEED], 0 * unit[SPEED]])),
-            _of_ends(self._force_noise, scales, TORQUE),
-            _of_ends(self._power_noise, scales, POWER),
+            *(_of_ends(noise, scales, at) for noise, (at, _) in zip(self._force_noises, self._shares, strict=True)),
         ]
         if self._field is not None:
             processes.append(Acting(process=self._field, sd=slope, memory=length, by=unit[[SLOPE, LENGTH]]))
@@ -265,7 +274,7 @@ class RoadModel:
     def noise_variance(self, scales: Floats) -> Floats:
         """Variance [m^2/s^4] (n,) of the strides' mean f and p that does not follow from both ends."""
         found = np.zeros(self.counts[0])
-        for at, share in ((TORQUE, self.weight), (POWER, self.slowness)):
+        for at, share in self._shares:
             _, own = mean_given_ends(DURATION, scales[at + 1])
             found += scales[at] ** 2 * own * share**2
         return found
@@ -285,7 +294,7 @@ class RoadModel:
         variances, ends = self.variances(scales), np.cumsum(self.counts)
         change = np.zeros((ends[-1], len(scales)))
         n = self.counts[0]
-        for at, share in ((TORQUE, self.weight), (POWER, self.slowness)):
+        for at, share in self._shares:
             (_, own), (_, turned) = (f(DURATION, scales[at + 1]) for f in (mean_given_ends, mean_given_ends_by_time))
             change[:n, at] = 2 * scales[at] ** 2 * own * share**2
             change[:n, at + 1] = scales[at] ** 2 * turned * share**2
@@ -371,12 +380,23 @@ class RoadModel:
         self._field.add_precision(precision, scales[SLOPE], scales[LENGTH])
         return Factor.of(precision)
 
+    def shared_with_slopes(self, products: Floats) -> Floats:
+        """Covariance [m^2/s^4] (n,) of the driven strides' acceleration with the part of it that slopes make.
+
+        ``products`` are those of the unknowns' covariance, as `both_triangles`.
+        """
+        errors, slopes = (Observations(*part, self._shape) for part in (self._errors(), self._slopes()))
+        both, own, others = (part.variance(products) for part in (self._maps[0], slopes, errors))
+        shared: Floats = 0.5 * (both + own - others)
+        return shared
+
     def sensor_errors(self, unknowns: Floats) -> Floats:
         """Acceleration [m/s^2] (n, ...) of the driven strides by e, f and p, but for the white part."""
-        speed, force, power = (unknowns[at] for at in (self._speed_error, self._force_error, self._power_error))
-        turned = (self.weight * (force[self._before] + force[self._after]).T).T
-        turned += (self.slowness * (power[self._before] + power[self._after]).T).T
-        errors: Floats = (speed[self._after] - speed[self._before]) / DURATION - 0.5 * turned
+        speed, turned = unknowns[self._speed_error], np.zeros((*unknowns.shape[1:], len(self.driven)))
+        for at, (_, share) in zip(self._force_errors, self._shares, strict=True):
+            error = unknowns[at]
+            turned += share * (error[self._before] + error[self._after]).T
+        errors: Floats = (speed[self._after] - speed[self._before]) / DURATION - 0.5 * turned.T
         return errors
 
 
@@ -403,6 +423,17 @@ class Conditioned:
     variance: Floats
     factor: Factor = field(repr=False)
     log_determinant: float  # log|K|
+
+    def freedom(self) -> Floats:
+        """Share (n,) of each driven stride's acceleration that the slopes may explain.
+
+        It is the diagonal of K^-1 times the covariance that the slopes alone would give the accelerations; the sum is
+        their effective number of parameters.
+        """
+        if self.model.is_level:
+            return np.zeros(self.model.counts[0])
+        products = both_triangles(self.factor.covariance())
+        return self.model.shared_with_slopes(products) / self.variance[: self.model.counts[0]]
 
     def gram(self, data: Rows) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""

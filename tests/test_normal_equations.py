@@ -1,0 +1,142 @@
+"""Corrections of the normal equations, against dense matrices and against many simulated drives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dense_road import (
+    MIDDLE,
+    ORDERS,
+    SHOWN,
+    A,
+    C,
+    Dense,
+    M,
+    likelihood_of,
+    scales_of,
+    strides_of,
+)
+from numpy.testing import assert_allclose
+
+from estimator.estimation.normal_equations import ANSWERED, ANSWERED_SD, MAX_ANSWERED, NormalEquations
+from estimator.estimation.road_fit import PARTS, shapes_of
+from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
+from estimator.model.ornstein_uhlenbeck import mean_given_ends
+from estimator.model.road import LEVEL, RoadModel
+from estimator.model.road_scales import TORQUE
+from estimator.strides import DURATION
+
+EVERY = range(8)  # scale
+
+
+def equations_of(likelihood, scales, shapes=None, seed=1, chance=0.0):
+    n = len(likelihood.model.driven)
+    shapes = np.empty((n, 0)) if shapes is None else shapes
+    return NormalEquations.of(likelihood, scales, EVERY, chance, shapes, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids="+".join)
+@pytest.mark.parametrize(("alpha", "wander"), ORDERS)
+def test_the_freedom_of_the_slopes_is_that_of_the_dense_covariance(shown, alpha, wander):
+    model = RoadModel(strides_of(shown=shown), alpha, wander)
+    scales = scales_of(model, 3)
+    dense, n = Dense(model, scales), len(model.driven)
+    moved = np.zeros_like(dense.of_slopes)
+    moved[:, :n] = dense.of_slopes[:, :n]  # what is in the accelerations; readings show the same slopes
+    expected = np.diag(np.linalg.solve(dense.K, moved))[:n]
+    found = model.condition(scales).freedom()
+    assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+    assert (found.sum() > 1) == (alpha != LEVEL)
+
+
+def test_without_noise_and_answers_they_are_solved_as_they_stand():
+    likelihood = likelihood_of(strides_of(80))
+    scales = scales_of(likelihood.model)
+    equations = replace(equations_of(likelihood, scales), noise=np.zeros((5, 5)), answered=np.zeros(5))
+    beta, information, _ = likelihood.solve(likelihood.at(scales)[1])
+    found, covariance, share = equations.solve()
+    assert_allclose(found, beta)
+    assert_allclose(covariance, np.linalg.inv(information), rtol=1e-6)
+    assert share == 0.0
+
+
+def test_each_change_has_the_columns_of_the_road_load_once_more():
+    strides = strides_of(80)
+    likelihood = likelihood_of(strides)
+    model = likelihood.model
+    scales, shapes = scales_of(model), shapes_of(model.driven.t > 30)
+    data = likelihood.with_changes(shapes)
+    conditioned = model.condition(scales)
+    equations = equations_of(likelihood, scales, shapes)
+    assert_allclose(equations.gram, conditioned.gram(data))
+    assert equations.present == np.count_nonzero(model.driven.t > 30)
+    rng, n, p = np.random.default_rng(3), len(model.driven), likelihood.data.shape[1] - 1
+    error, rate = rng.normal(size=(2, n))
+    added = likelihood.disturbed(error, rate, shapes)
+    for k in range(PARTS):
+        here = slice(p + ROAD_LOAD * k, p + ROAD_LOAD * (k + 1))
+        assert_allclose(data[:n, 1:][:, here], shapes[:, [k]] * data[:n, 1 : 1 + ROAD_LOAD])
+        assert_allclose(added[:, here], shapes[:, [k]] * added[:, :ROAD_LOAD])
+    assert_allclose(added[:, 0] * likelihood.unit[0], error)
+    assert_allclose(added[:, LAG] * likelihood.unit[LAG], rate)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_a_driver_who_answers_slopes_makes_the_mass_too_large_by_what_is_corrected(share):
+    """Many drives over roads of the model, with the same driving but for the answers."""
+    strides = strides_of(150, unknown=(), silence=150, seed=4)
+    likelihood = likelihood_of(strides)
+    model = likelihood.model
+    scales = scales_of(model, slope=0.01, slope_length=150.0, torque_noise=1e-4, power_noise=1e-4, speed_noise=2e-3)
+    dense, rng = Dense(model, scales), np.random.default_rng(6)
+    n, drives = len(strides), 200
+    gravity = np.linalg.cholesky(dense.of_slopes + 1e-12 * np.eye(n)) @ rng.normal(size=(n, drives))
+    noise = np.linalg.cholesky(dense.K - dense.of_slopes) @ rng.normal(size=(n, drives))
+    drag = A / M + C / M * strides.relative_density * strides.speed_squared
+    plain, corrected = [], []
+    for pull, error in zip(gravity.T, noise.T, strict=True):  # pull = -g theta
+        force = 0.3 * strides.force - share * M * pull[:, None]
+        a = force[:, MIDDLE] / M - drag + pull + error
+        each = Likelihood(RoadModel(replace(strides, force=force, a=a), 2), (), np.array([A, C, M]), MIDDLE)
+        equations = equations_of(each, scales)
+        unit = each.unit[0]
+        plain.append(replace(equations, answered=np.zeros(5)).solve()[0][0] / unit * M - 1)
+        corrected.append(equations.solve()[0][0] / unit * M - 1)
+    bias, left = np.mean(plain), np.mean(corrected)
+    error = np.std(corrected) / np.sqrt(drives)
+    assert bias < -8 * error
+    assert left == pytest.approx((share - ANSWERED) * bias / share, abs=4 * error + 0.1 * abs(bias))
+
+
+def test_answers_are_in_doubt_and_limited():
+    likelihood = likelihood_of(strides_of(120))
+    scales = scales_of(likelihood.model, slope=0.02)
+    equations = equations_of(likelihood, scales)
+    without, plain, _ = replace(equations, answered=0 * equations.answered).solve()
+    beta, covariance, _ = equations.solve()
+    shift = beta - without
+    assert_allclose(covariance - plain, (ANSWERED_SD / ANSWERED) ** 2 * np.outer(shift, shift), atol=1e-9 * plain.max())
+    far, _, _ = replace(equations, answered=1e9 * equations.answered).solve()
+    assert far[0] / without[0] - 1 == pytest.approx(ANSWERED * MAX_ANSWERED)
+
+
+def test_the_noise_is_in_doubt_as_its_variance_is():
+    """To first order in the scales, with the average information for their precision."""
+    likelihood = likelihood_of(strides_of(80))
+    model = likelihood.model
+    scales = scales_of(model)
+
+    def variance(logs):
+        sd, time = np.exp(logs[TORQUE : TORQUE + 2])
+        weight, own = mean_given_ends(DURATION, time)
+        return sd**2 * (weight**2 * 2 * (1 + np.exp(-DURATION / time)) + own)
+
+    logs, step = np.log(scales), 1e-5
+    slope = np.array(
+        [(variance(logs + d) - variance(logs - d)) / (2 * step) for d in step * np.eye(len(scales))]
+    ) / variance(logs)
+    information = likelihood.score(scales).information + np.diag([s.spread**-2.0 for s in model.scales])
+    expected = np.sqrt(slope @ np.linalg.solve(information, slope))
+    assert equations_of(likelihood, scales).noise_doubt == pytest.approx(expected, rel=1e-4)
+    with_other = equations_of(likelihood, scales, chance=0.1).noise_doubt
+    assert with_other == pytest.approx(np.hypot(0.3, expected), rel=1e-4)  # of two values, 0 with probability 0.1
