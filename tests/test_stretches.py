@@ -109,7 +109,7 @@ def test_steep_stretches_are_the_roads(steep):
         inside = (drive.fit.strides.t > start + 5) & (drive.fit.strides.t < end - 5)
         assert found[inside].mean() == pytest.approx(size, abs=0.012)
     assert drive.slope_sd == pytest.approx(0.0117, rel=0.15)  # of hills of 0.004 and the stretches
-    assert 1 / drive.fit.beta[0] == pytest.approx(M, rel=0.01)
+    assert 1 / drive.fit.beta[0] == pytest.approx(M, rel=0.015)
 
 
 def test_in_the_budget_they_are_part_of_the_road(steep):

@@ -80,13 +80,14 @@ class Distributed:
 
         try:
             error = future.exception()
-        except FutureCancelledError:
+            if self._client.status != "running":
+                raise RoadloadError(GONE)
+            if isinstance(error, KilledWorker):
+                reason = f"{DEATHS + 1} workers died of it, as one does that has too little memory"
+                return Failure(reason, worker_died=True)
+            return future.result() if error is None else _failure(error)
+        except FutureCancelledError:  # the connection may be lost between the two calls, too
             raise RoadloadError(GONE) from None
-        if self._client.status != "running":
-            raise RoadloadError(GONE)
-        if isinstance(error, KilledWorker):
-            return Failure(f"{DEATHS + 1} workers died of it, as one does that has too little memory", worker_died=True)
-        return future.result() if error is None else _failure(error)
 
 
 def _failure(error: BaseException) -> Failure:
