@@ -38,7 +38,11 @@ def test_gram_and_determinant_are_those_of_the_dense_covariance(shown, alpha, wa
     model = RoadModel(strides_of(shown=shown), alpha, wander)
     scales = scales_of(model, 3)
     assert model.reading_names == shown
-    keep, dense = observed(model), Dense(model, scales)
+    assert_has_the_covariance(model, scales, Dense(model, scales))
+
+
+def assert_has_the_covariance(model, scales, dense):
+    keep = observed(model)
     Y = np.zeros((len(keep), 4))
     Y[keep] = np.random.default_rng(1).normal(size=(keep.sum(), 4))
     conditioned = model.condition(scales)
@@ -53,13 +57,7 @@ def test_a_model_without_noise_of_the_power_is_that_with_none(alpha):
     scales = scales_of(model, 3)
     none = scales.copy()
     none[road_fit.POWER] = 0.0
-    keep, dense = observed(model), Dense(model, none)
-    Y = np.zeros((len(keep), 3))
-    Y[keep] = np.random.default_rng(1).normal(size=(keep.sum(), 3))
-    conditioned = model.condition(scales)
-    expected = Y[keep].T @ np.linalg.solve(dense.K, Y[keep])
-    assert_allclose(conditioned.gram(Y), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
-    assert conditioned.log_determinant == pytest.approx(np.linalg.slogdet(dense.K)[1], abs=1e-3)
+    assert_has_the_covariance(model, scales, Dense(model, none))
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
