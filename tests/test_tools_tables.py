@@ -272,7 +272,6 @@ def test_a_real_truck_is_weighed_on_a_road_that_no_signal_shows(tools, recording
     settings = ("--config", hidden, "--dbc", tools.vt.DBC, "--effect", "torque_bias")
     mass = tools.recordings.roadload(RunAnswer, "estimate", log, *settings).parameters.mass_kg
     assert mass.status == "estimated"
-    assert mass.q05 < 33.5e3
     assert 29e3 < mass.mean < 35e3
 
 
