@@ -34,9 +34,10 @@ from estimator.components.processes import (
 )
 from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
+from estimator.estimation.normal_equations import NormalEquations
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.estimation.road_fit import fit
-from estimator.estimation.road_likelihood import LAG, ROAD_LOAD
+from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, USUAL_SDS, Likelihood
 from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
@@ -117,15 +118,11 @@ def test_what_a_set_imitates_is_the_change_of_its_fit(strides, quiet):
     chosen, left_out, size = [1], 0, 5e3
     before = joint.posterior(chosen).mean
     columns = joint.columns.toarray()
-    response = joint.response + size * columns[:, joint.places[left_out][0]]
-    other = SetLikelihood(
-        joint.conditioned.gram(np.column_stack([response, columns])),
-        joint._prior,
-        joint.priors,
-        joint.places,
-        joint.unit,
-    )
-    other._information = joint._information  # corrected for the noise of the torque
+    added = size * columns[:, joint.places[left_out][0]]
+    products = joint.conditioned.gram(np.column_stack([added, columns]))
+    other = SetLikelihood(products, joint._prior, joint.priors, joint.places, joint.unit)
+    # Corrected for the noise of the torque, and for answers to slopes.
+    other._information, other._moment = joint._information, joint._moment + products[1:, 0]
     change = other.posterior(chosen).mean - before
     assert_allclose(size * joint.imitated(chosen, left_out), change, rtol=1e-5, atol=1e-9 * np.abs(before).max())
 
@@ -142,6 +139,30 @@ def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, qui
         one_by_one = [joint.log_evidence([*chosen, i]) for i in others]
         assert_allclose(joint.with_each(chosen, others), one_by_one, rtol=1e-9, atol=1e-6)
     assert np.isinf(joint.log_evidence([len(own) - 2]))
+
+
+@pytest.mark.parametrize("name", ["rotating_inertia", "auxiliary_load"])
+def test_a_set_has_the_corrections_of_a_fit_with_the_same_effect(strides, name):
+    """For noise of the torque and for answers to slopes; the column of the one effect holds the force itself."""
+    found = fit(strides, np.random.default_rng(1))
+    assert found is not None
+    effect = BY_NAME[name]
+    forms = of_effect(Frame.of(found), effect, frozenset(strides.context))
+    free = replace(forms[0], positive=False, sd=USUAL_SDS * forms[0].sd)
+    posterior = JointLikelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
+    assert free.term is not None
+    model = found.scales.model_of(strides)
+    likelihood = Likelihood(model, (free.term,), found.road_load, found.scales.lag, (), found.taken)
+    none = np.empty((len(model.driven), 0))
+    scales = found.scales
+    with_noise = NormalEquations.of(likelihood, scales.values, scales.free, 0.0, none, np.random.default_rng(2))
+    mean, _, _ = with_noise.solve()
+    mean = mean / likelihood.unit
+    before = replace(with_noise, answered=0 * with_noise.answered).solve()[0] / likelihood.unit
+    sd = np.sqrt(np.diag(posterior.covariance))
+    assert abs(mean[0] - before[0]) > 0.1 * sd[0]
+    assert_allclose(posterior.mean[:ROAD_LOAD] / sd[:ROAD_LOAD], mean[:ROAD_LOAD] / sd[:ROAD_LOAD], atol=0.1)
+    assert posterior.mean[-1] / sd[-1] == pytest.approx(-mean[-1] / mean[0] / sd[-1], abs=0.1)
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):

@@ -19,20 +19,17 @@ from dense_road import (
 from numpy.testing import assert_allclose
 
 from estimator.estimation.normal_equations import ANSWERED, ANSWERED_SD, MAX_ANSWERED, NormalEquations
-from estimator.estimation.road_fit import PARTS, shapes_of
-from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
+from estimator.estimation.road_likelihood import LAG, PARTS, ROAD_LOAD, Likelihood, shapes_of
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_scales import TORQUE
 from estimator.strides import DURATION
 
-EVERY = range(8)  # scale
-
 
 def equations_of(likelihood, scales, shapes=None, seed=1, chance=0.0):
     n = len(likelihood.model.driven)
     shapes = np.empty((n, 0)) if shapes is None else shapes
-    return NormalEquations.of(likelihood, scales, EVERY, chance, shapes, np.random.default_rng(seed))
+    return NormalEquations.of(likelihood, scales, range(len(scales)), chance, shapes, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
@@ -52,7 +49,8 @@ def test_the_freedom_of_the_slopes_is_that_of_the_dense_covariance(shown, alpha,
 def test_without_noise_and_answers_they_are_solved_as_they_stand():
     likelihood = likelihood_of(strides_of(80))
     scales = scales_of(likelihood.model)
-    equations = replace(equations_of(likelihood, scales), noise=np.zeros((5, 5)), answered=np.zeros(5))
+    plain = equations_of(likelihood, scales)
+    equations = replace(plain, noise=np.zeros((5, 5)), answered=np.zeros(5), moved=0 * plain.moved)
     beta, information, _ = likelihood.solve(likelihood.at(scales)[1])
     found, covariance, share = equations.solve()
     assert_allclose(found, beta)
@@ -120,23 +118,50 @@ def test_answers_are_in_doubt_and_limited():
     assert far[0] / without[0] - 1 == pytest.approx(ANSWERED * MAX_ANSWERED)
 
 
+def derivative(of, scales):
+    """By the logarithms of the scales: (..., k)."""
+    step = 1e-5
+    ends = [[of(scales * np.exp(sign * step * unit)) for sign in (1, -1)] for unit in np.eye(len(scales))]
+    return np.stack([(high - low) / (2 * step) for high, low in ends], axis=-1)
+
+
+def precision_of_scales(likelihood, scales):
+    return likelihood.score(scales).information + np.diag([s.spread**-2.0 for s in likelihood.model.scales])
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids="+".join)
+def test_the_scales_are_in_doubt_as_their_evidence_leaves_them(shown):
+    """To first order: the moments follow the scales, whose precision is the average information and the priors'."""
+    likelihood = likelihood_of(strides_of(80, shown=shown))
+    scales = scales_of(likelihood.model)
+    equations, p = equations_of(likelihood, scales), len(likelihood.unit)
+    beta = equations.solve()[0]
+
+    def left(s):
+        gram = likelihood.at(s)[1]
+        return gram[1:, 0] - gram[1:, 1:] @ beta
+
+    turned = derivative(left, scales)
+    expected = turned @ np.linalg.solve(precision_of_scales(likelihood, scales), turned.T)
+    assert_allclose(equations.moved @ equations.moved.T, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
+    nothing = replace(equations, noise=np.zeros((p, p)), answered=np.zeros(p))
+    inverse = np.linalg.inv(equations.gram[1:, 1:] + likelihood.prior)
+    _, covariance, _ = nothing.solve()
+    assert_allclose(covariance, inverse + 2 * inverse @ expected @ inverse, rtol=1e-3, atol=1e-4 * covariance.max())
+
+
 def test_the_noise_is_in_doubt_as_its_variance_is():
     """To first order in the scales, with the average information for their precision."""
     likelihood = likelihood_of(strides_of(80))
-    model = likelihood.model
-    scales = scales_of(model)
+    scales = scales_of(likelihood.model)
 
     def variance(logs):
         sd, time = np.exp(logs[TORQUE : TORQUE + 2])
         weight, own = mean_given_ends(DURATION, time)
         return sd**2 * (weight**2 * 2 * (1 + np.exp(-DURATION / time)) + own)
 
-    logs, step = np.log(scales), 1e-5
-    slope = np.array(
-        [(variance(logs + d) - variance(logs - d)) / (2 * step) for d in step * np.eye(len(scales))]
-    ) / variance(logs)
-    information = likelihood.score(scales).information + np.diag([s.spread**-2.0 for s in model.scales])
-    expected = np.sqrt(slope @ np.linalg.solve(information, slope))
-    assert equations_of(likelihood, scales).noise_doubt == pytest.approx(expected, rel=1e-4)
-    with_other = equations_of(likelihood, scales, chance=0.1).noise_doubt
+    slope = derivative(lambda s: variance(np.log(s)), scales) / variance(np.log(scales))
+    expected = np.sqrt(slope @ np.linalg.solve(precision_of_scales(likelihood, scales), slope))
+    assert np.linalg.norm(equations_of(likelihood, scales).noise_moved) == pytest.approx(expected, rel=1e-4)
+    with_other = np.linalg.norm(equations_of(likelihood, scales, chance=0.1).noise_moved)
     assert with_other == pytest.approx(np.hypot(0.3, expected), rel=1e-4)  # of two values, 0 with probability 0.1

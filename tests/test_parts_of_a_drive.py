@@ -13,8 +13,8 @@ from estimator.estimation.gain_changes import (
     GainChanges,
     gain_changes,
 )
-from estimator.estimation.road_fit import PARTS, fit, fit_given, shapes_of
-from estimator.estimation.road_likelihood import Likelihood, earlier_loads
+from estimator.estimation.road_fit import fit, fit_given
+from estimator.estimation.road_likelihood import PARTS, Likelihood, earlier_loads, shapes_of
 
 M, A, C = 25e3, 1600.0, 3.5
 NOISE = 4e-3  # m/s^2
@@ -55,8 +55,8 @@ def test_probabilities_and_coefficients_are_those_of_one_gaussian_a_shape():
     strides = driven(160, gain=ramp(160, 0.02))
     found = fitted(strides)
     equations = found.equations
-    size = len(equations.noise)
-    found = replace(found, equations=replace(equations, noise=np.zeros((size, size)), answered=np.zeros(size)))
+    nothing = {name: 0 * getattr(equations, name) for name in ("noise", "answered", "moved")}
+    found = replace(found, equations=replace(equations, **nothing))
     model = found.scales.model_of(strides)
     likelihood = Likelihood(model, (), found.road_load, found.scales.lag)
     n, p, unit = len(strides), len(likelihood.prior), likelihood.unit

@@ -2,7 +2,8 @@
 
 K is the covariance of everything that is not a component: road, noise of torque and speed (see `model.road`). All sets
 share it, so the products of all columns are computed once, and each set is a small system of equations. What noise of
-the measured force adds to the products is taken off first (a corrected score, see `estimation.road_fit`).
+the measured force adds to the products, and what drivers' answers to slopes take from the moments, is corrected first
+(see `estimation.normal_equations`).
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from estimator.components.component import Component, Frame
 from estimator.components.set_likelihood import SetLikelihood
+from estimator.estimation.normal_equations import ANSWERED, of_first_order
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
 from estimator.model.road import Conditioned
@@ -66,6 +68,7 @@ class JointLikelihood(SetLikelihood):
             widest[place] = np.minimum(widest[place], component.sd**-2.0)
         believed = self._information + np.diag(widest)
         self._information -= limited(self._noise(base, fit, rng), believed)
+        self._moment = self._moment + ANSWERED * self._answered(base, fit)
 
     def _tall(self, columns: Floats | sp.sparray) -> sp.csc_array:
         """Columns (m, c) as columns of all data: rows behind the m are zero."""
@@ -78,21 +81,38 @@ class JointLikelihood(SetLikelihood):
 
     def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
-        noisy = [component for component in self.components if component.is_noisy]
-        clean, own = _shared(noisy, self.frame, 0)
-        of_noisy = [self.places[i] for i, component in enumerate(self.components) if component.is_noisy]
+        total = np.zeros((len(self.unit), len(self.unit)))
+        _, information, _ = self._set(())
+        plain = float(np.linalg.solve(information, self._moment[: self.base_size])[0] / self.unit[0])
+        for error, rate in force_errors(base.model, fit.scales.values, 1 / plain, PROBES, rng):
+            places, data = self._by_force(error, rate)
+            total[np.ix_(places, places)] += self.conditioned.gram(data.tocsr()) / PROBES
+        return total
+
+    def _answered(self, base: Likelihood, fit: RoadFit) -> Floats:
+        """What slopes take from the moments (p,) of all columns where drivers answer them in full."""
+        n = len(self.frame.strides)
+        places, data = self._by_force(np.ones(n), np.zeros(n))
+        taken = np.zeros(len(self.unit))
+        taken[places] = self.conditioned.freedom() @ data[:n] / float(fit.beta[0])
+        ours, information, _ = self._set(())
+        shift = float(np.linalg.solve(information, taken[ours])[0])
+        return taken * of_first_order(shift, float(fit.beta[0] * base.unit[0]))
+
+    def _by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
+        """What an error (n,) [N] of the force, with its rate [N/s], adds to columns of the data, and their places."""
+        noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
+        components = [self.components[i] for i in noisy]
+        clean, own = _shared(components, self.frame, 0)
         places = np.zeros(3 + clean.shape[1], dtype=np.int64)
         places[:3] = 0, LAG, DRAG
-        for here, there in zip(own, of_noisy, strict=True):
-            places[3 + here] = there
-        force, total = self.frame.force, np.zeros((len(self.unit), len(self.unit)))
-        for error, rate in force_errors(base.model, fit.scales.values, 1 / float(fit.beta[0]), PROBES, rng):
-            drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
-            plain = np.column_stack([error / self.unit[0], rate / self.unit[LAG], drag / self.unit[DRAG]])
-            changed = _shared(noisy, self.frame.disturbed(error), 0)[0] - clean
-            data = sp.hstack([self._tall(plain), self._tall(changed)], format="csr")
-            total[np.ix_(places, places)] += self.conditioned.gram(data) / PROBES
-        return total
+        for here, i in zip(own, noisy, strict=True):
+            places[3 + here] = self.places[i]
+        force = self.frame.force
+        drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
+        plain = np.column_stack([error, rate, drag]) / self.unit[places[:3]]
+        changed = _shared(components, self.frame.disturbed(error), 0)[0] - clean
+        return places, sp.hstack([self._tall(plain), self._tall(changed)], format="csc")
 
     def projected(self, chosen: Sequence[int], columns: Floats | sp.sparray) -> tuple[Floats, Floats]:
         """Products (c, c) and scores (c,) of further ``columns``, off a set of components.

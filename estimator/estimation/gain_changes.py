@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.estimation.road_fit import PARTS, RoadFit
-from estimator.estimation.road_likelihood import ROAD_LOAD
+from estimator.estimation.road_fit import RoadFit
+from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
 from estimator.signals import Floats
 from estimator.strides import DURATION
 

@@ -5,6 +5,9 @@ same fit the normal matrix is corrected (a corrected score: Nakamura 1990, Stefa
 
     X'K^-1 X  less  the mean over simulated noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
 
+The scale of the noise is that of an acceleration, found beside the coefficients before they are corrected: the noise of
+the force is that times the mass before the correction.
+
 **Drivers answer slopes** that the model takes as unknown when the force is given: a foot or a governor that keeps the
 speed gives k m g theta more force, so the speed changes by less, and the mass comes out too large. With the covariance
 K of the data and S that of the accelerations with what the slopes make of them, the moments lack
@@ -18,17 +21,24 @@ In the simplest case, one regressor, the mass is too large by k R with
 its relative sd s, and the effective number of parameters that the slopes take up. The share k is a matter of the
 driver, ANSWERED on average.
 
-The corrections' doubts widen the covariance.
+The corrections' doubts widen the covariance, and so do the scales, which are found from the same drive. With V_i the
+derivative of K by the logarithm of scale i, the moments of a residual r change by
+
+    -X' K^-1 V_i K^-1 r
+
+What that makes of the coefficients counts twice: as a variance of their own (Kackar & Harville 1984), and because the
+covariance at the scales found is too small by as much on average (Kenward & Roger 1997).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood, limited
 from estimator.model.linear_gaussian import Places
 from estimator.model.road_scales import TORQUE
+from estimator.model.road_score import changed_by_scales
 from estimator.signals import Floats
 from estimator.strides import DURATION
 
@@ -49,7 +59,8 @@ class NormalEquations:
     gram: Floats  # (1 + q, 1 + q) products of the data, the response first
     noise: Floats  # (q, q) part of them that is noise
     answered: Floats  # (q,) part of the moments that slopes take away where they are answered in full, times 1/m
-    noise_doubt: float  # relative sd of the correction for noise
+    moved: Floats  # (q, d) change of the moments by one sd of each of d independent directions of the scales
+    noise_moved: Floats  # (d,) relative change of the noise by the same
     prior: Floats  # (p,) precisions
     unit: Floats  # (p,) a coefficient in own units, over that in SI
     present: int  # strides of the present load
@@ -70,19 +81,24 @@ class NormalEquations:
         corrected; ``shapes`` (n, k) of changes at the driven strides; ``rng`` is the source of the simulated noise.
         """
         conditioned, plain = likelihood.at(scales)
-        which = np.sqrt(power_chance * (1 - power_chance))  # of the noise that is there in full, or not at all
-        gram = conditioned.gram(likelihood.with_changes(shapes)) if shapes.size else plain
+        data = likelihood.with_changes(shapes)
         beta, _, _ = likelihood.solve(plain)
         by_force = likelihood.disturbed(np.ones(len(shapes)), np.zeros(len(shapes)), shapes)
-        return cls(
-            gram=gram,
+        q = data.shape[1] - 1
+        found = cls(
+            gram=conditioned.gram(data) if shapes.size else plain,
             noise=likelihood.noise_information(scales, conditioned, beta, shapes, rng),
             answered=float(likelihood.unit[0]) * conditioned.freedom() @ by_force,
-            noise_doubt=float(np.hypot(which, _torque_doubt(likelihood, scales, free))),
+            moved=np.zeros((q, 0)),
+            noise_moved=np.zeros(0),
             prior=np.diag(likelihood.prior),
             unit=likelihood.unit,
             present=int(np.count_nonzero(shapes.any(axis=1))),
         )
+        root, noise_moved = _scale_doubt(likelihood, scales, free, power_chance)
+        residual = data[:, 0] - data[:, 1 : 1 + len(beta)] @ found.solve()[0]
+        changed = changed_by_scales(conditioned, scales, residual)[:, free] @ root
+        return replace(found, moved=-data[:, 1:].T @ conditioned.weighed(changed), noise_moved=noise_moved)
 
     def solve(self, change: int | None = None, precision: Sequence[float] = ()) -> tuple[Floats, Floats, float]:
         """Coefficients, their covariance, and the share of noise in the information on 1/m.
@@ -101,9 +117,11 @@ class NormalEquations:
         share = float(direction @ noise @ direction / (direction @ information @ direction))
         corrected = np.linalg.inv(information - limited(noise, information))
         beta: Floats = corrected @ moment
-        by_noise = (beta - plain) * (min(self.noise_doubt, 1.0) if share <= MAX_NOISE_SHARE else 1.0)
-        by_answers = self._answers(corrected, beta, places)
-        covariance: Floats = corrected @ information @ corrected + np.outer(by_noise, by_noise)
+        by_noise, by_answers = beta - plain, self._answers(corrected, beta, places)
+        by_scales = corrected @ self.moved[places]
+        all_moved = by_scales + np.outer(by_noise, self.noise_moved)
+        covariance: Floats = corrected @ information @ corrected + by_scales @ by_scales.T + all_moved @ all_moved.T
+        covariance += (share > MAX_NOISE_SHARE) * np.outer(by_noise, by_noise)
         return (
             beta + ANSWERED * by_answers,
             covariance + ANSWERED_SD**2 * np.outer(by_answers, by_answers),
@@ -115,17 +133,28 @@ class NormalEquations:
         if not beta[0] > 0:
             return np.zeros_like(beta)
         taken: Floats = corrected @ self.answered[places] / beta[0]
-        return taken * min(1.0, MAX_ANSWERED * float(beta[0]) / max(float(taken[0]), 1e-300))
+        return taken * of_first_order(float(taken[0]), float(beta[0]))
 
 
-def _torque_doubt(likelihood: Likelihood, scales: Floats, free: Sequence[int]) -> float:
-    """Relative sd of the variance of a stride's mean noise of the torque, 2 sd^2 (u - 1 + exp(-u)) / u^2, u = T / time.
+def of_first_order(taken: float, coefficient: float) -> float:
+    """Share of a correction that ``taken`` away from the ``coefficient`` 1/m is small enough for; both in one unit."""
+    return min(1.0, MAX_ANSWERED * coefficient / max(taken, 1e-300))
 
-    To first order in the logarithms of both.
+
+def _scale_doubt(
+    likelihood: Likelihood, scales: Floats, free: Sequence[int], power_chance: float
+) -> tuple[Floats, Floats]:
+    """What one sd of each of d independent directions changes: logarithms of ``free`` scales (k, d), the noise (d,).
+
+    The noise is the variance of a stride's mean noise of the torque, 2 sd^2 (u - 1 + exp(-u)) / u^2 with u = T / time.
+    In the last direction it is there in full, or not at all: the scales stay.
     """
     spread = np.array([likelihood.model.scales[i].spread for i in free])
     information = likelihood.score(scales).information[np.ix_(free, free)] + np.diag(spread**-2.0)
+    root = np.linalg.inv(np.linalg.cholesky(information)).T
     u = DURATION / scales[TORQUE + 1]
     by_time = 2 - u * (1 - np.exp(-u)) / (u - 1 + np.exp(-u))
     direction = np.array([2.0 if i == TORQUE else by_time if i == TORQUE + 1 else 0.0 for i in free])
-    return float(np.sqrt(direction @ np.linalg.solve(information, direction)))
+    which = np.sqrt(power_chance * (1 - power_chance))
+    moved = np.append(direction @ root, which)
+    return np.column_stack([root, np.zeros(len(free))]), moved / max(float(np.linalg.norm(moved)), 1.0)

@@ -17,22 +17,25 @@ from estimator.estimation.road_likelihood import (
     ROAD_LOAD,
     Likelihood,
     columns,
+    shapes_of,
     taken_by,
 )
 from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import MIN_DRAG, MIN_ROLLING, Term
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
-from estimator.signals import Floats, Mask
+from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
 # Log evidence that noise of the power needs to be in the model: it explains nearly what noise of the torque does, and
 # the coefficients are corrected for the latter alone. It has 24 to 318 where it is real (a truck at 1 Hz, a BMW i3).
 POWER_PRICE = 3.0
+# The same for a road that is smoother than crests and dips make it: drives of minutes hardly tell, and beside a smooth
+# road their masses were too sure (errors of 1.4 to 1.9 standard deviations in the first six minutes, else 1.0 to 1.3).
+SMOOTH_PRICE = 3.0
 MAX_EXPONENT = 500.0  # of the exponential function in floating point
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
-PARTS = 4  # of the driving with a load, between which the force may change by a step
 PASSES = 2  # of the coefficients, given the scales, that effects scale with
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
@@ -302,7 +305,8 @@ class _Search:
         """The most probable scales from those given."""
         likelihood = self.likelihood(scales)
         values, evidence = most_probable(likelihood, scales.values, scales.free)
-        return replace(scales, values=values), evidence - POWER_PRICE * scales.has_power
+        price = POWER_PRICE * scales.has_power + SMOOTH_PRICE * (scales.alpha == ALPHAS[-1])
+        return replace(scales, values=values), evidence - price
 
     def _lagged(self, scales: RoadScales) -> tuple[RoadScales, float]:
         """Scales and the nearest lag of LAGS, each given the other; of lags that call for each other the better one."""
@@ -338,14 +342,6 @@ def _other_noise(scales: RoadScales) -> RoadScales:
     else:
         values[power], values[torque] = values[torque], centres[torque]
     return replace(scales, values=values)
-
-
-def shapes_of(present: Mask) -> Floats:
-    """Shapes (n, PARTS) of a change in the ``present`` strides (n,): a ramp, and a step between any two parts."""
-    position = np.cumsum(present) / max(int(present.sum()), 1)
-    steps = [np.where(position > k / PARTS, 0.5, -0.5) for k in range(1, PARTS)]
-    shapes: Floats = np.column_stack([position - 0.5, *steps]) * present[:, None]
-    return shapes
 
 
 def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng: np.random.Generator) -> RoadFit:

@@ -34,6 +34,7 @@ DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from
 USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
 MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
+PARTS = 4  # of the driving with a load, between which the force may change by a step
 # Shifts are the largest of the mass, in its sd, on three simulated drives of 40 min (hills, highway, city).
 PROBES = 8  # simulated noises that the correction is averaged over; with 4 and 16 the mass shifts by 0.03 sd
 
@@ -43,6 +44,14 @@ def earlier_loads(t: Floats, departures: Sequence[float]) -> Mask:
     number = np.searchsorted(np.array(departures), t, side="right")
     mask: Mask = number[:, None] == np.unique(number[number < len(departures)])
     return mask
+
+
+def shapes_of(present: Mask) -> Floats:
+    """Shapes (n, PARTS) of a change in the ``present`` strides (n,): a ramp, and a step between any two parts."""
+    position = np.cumsum(present) / max(int(present.sum()), 1)
+    steps = [np.where(position > k / PARTS, 0.5, -0.5) for k in range(1, PARTS)]
+    shapes: Floats = np.column_stack([position - 0.5, *steps]) * present[:, None]
+    return shapes
 
 
 def view_of(strides: Strides, force: Floats, road_load: Floats, taken: Floats | float) -> View:

@@ -53,11 +53,25 @@ def score(conditioned: Conditioned, scales: Floats, data: Floats, beta: Floats, 
 
     by = model.variances_by(scales)
     gradient = 0.5 * (misfit / variance - 1) / variance @ by
+    for acting in model.acting(scales):
+        gradient += acting.process.score(moments, acting.sd, acting.memory) @ acting.by
+    answers = _changed(conditioned, scales, unknowns[:, 0], rest[:, 0])
+    shared = (rest[:, 1:] / variance[:, None]).T @ answers
+    return Score(gradient, 0.5 * (conditioned.gram(answers) - shared.T @ shared))
+
+
+def changed_by_scales(conditioned: Conditioned, scales: Floats, residual: Floats) -> Floats:
+    """V_i V^-1 times a residual (sum of counts,), for each scale i: (sum of counts, k)."""
+    unknowns = conditioned.unknowns(residual)
+    return _changed(conditioned, scales, unknowns, residual - conditioned.model.observed(unknowns))
+
+
+def _changed(conditioned: Conditioned, scales: Floats, unknowns: Floats, rest: Floats) -> Floats:
+    """The same, for a residual's posterior mean of the unknowns (size,) and the ``rest`` that it leaves."""
+    model = conditioned.model
     answer = np.zeros((model.size, len(scales)))  # of the unknowns, to the covariance's change
     for acting in model.acting(scales):
         places = acting.process.places
-        gradient += acting.process.score(moments, acting.sd, acting.memory) @ acting.by
-        answer[places] += acting.process.response(unknowns[places, 0], acting.sd, acting.memory) @ acting.by
-    answers = model.observed(answer) + by * (rest[:, 0] / variance)[:, None]
-    shared = (rest[:, 1:] / variance[:, None]).T @ answers
-    return Score(gradient, 0.5 * (conditioned.gram(answers) - shared.T @ shared))
+        answer[places] += acting.process.response(unknowns[places], acting.sd, acting.memory) @ acting.by
+    changed: Floats = model.observed(answer) + model.variances_by(scales) * (rest / conditioned.variance)[:, None]
+    return changed
