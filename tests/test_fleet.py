@@ -425,6 +425,16 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPat
         pass
 
 
+def test_a_cluster_without_workers_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("estimator.fleet.engine.SECONDS_TO_START", 1)
+    with distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty:
+        address = empty.scheduler_address
+        reason = f"no worker took a task within 1 s; start one: dask worker {address}"
+        with pytest.raises(RoadloadError, match=reason), dask_engine(address, 1):
+            pass
+
+
 def test_a_worker_that_dies_costs_its_task_only() -> None:
     pytest.importorskip("distributed")
     with dask_engine(None, 1) as engine:

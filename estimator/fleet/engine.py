@@ -13,6 +13,7 @@ from estimator.errors import RoadloadError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 SECONDS_TO_CONNECT = 30
+SECONDS_TO_START = 120  # until a first task is done: a cluster may start its workers when there is a task
 GONE = "the scheduler has gone away; run again: the drives that are done are kept"
 DEATHS = 1  # of workers that a task may survive: a log that takes all memory does so again
 
@@ -101,7 +102,7 @@ def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
     Raises
     ------
     RoadloadError
-        Dask is not installed, or no scheduler answers at the address.
+        Dask is not installed, no scheduler answers at the address, or it has no workers.
     """
     try:
         import dask
@@ -115,6 +116,7 @@ def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
         except (OSError, ValueError) as error:
             raise RoadloadError(f"{scheduler}: no Dask scheduler answers there; check --scheduler") from error
         with silence_logging_cmgr(logging.CRITICAL), client:  # else a scheduler that goes away is a traceback
+            _await_worker(client, scheduler)
             yield Distributed(client)
         return
     options: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "silence_logs": logging.CRITICAL}
@@ -127,6 +129,14 @@ def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
         with _no_interrupts():
             cluster = stack.enter_context(LocalCluster(n_workers=workers, **options))
         yield Distributed(stack.enter_context(Client(cluster, set_as_default=False)))
+
+
+def _await_worker(client: Any, scheduler: str) -> None:
+    try:
+        client.submit(int, pure=False).result(timeout=SECONDS_TO_START)
+    except TimeoutError as error:
+        reason = f"{scheduler}: no worker took a task within {SECONDS_TO_START} s; start one: dask worker {scheduler}"
+        raise RoadloadError(reason) from error
 
 
 @contextmanager
