@@ -142,27 +142,30 @@ def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, qui
 
 
 @pytest.mark.parametrize("name", ["rotating_inertia", "auxiliary_load"])
-def test_a_set_has_the_corrections_of_a_fit_with_the_same_effect(strides, name):
-    """For noise of the torque and for answers to slopes; the column of the one effect holds the force itself."""
+def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, name, monkeypatch):
+    """The column of the one effect holds the force itself."""
     found = fit(strides, np.random.default_rng(1))
     assert found is not None
-    effect = BY_NAME[name]
-    forms = of_effect(Frame.of(found), effect, frozenset(strides.context))
+    forms = of_effect(Frame.of(found), BY_NAME[name], frozenset(strides.context))
     free = replace(forms[0], positive=False, sd=USUAL_SDS * forms[0].sd)
-    posterior = JointLikelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
+
+    def posterior():
+        return JointLikelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
+
+    corrected = posterior()
+    monkeypatch.setattr("estimator.components.likelihood.ANSWERED", 0.0)
+    shift, sd = corrected.mean - posterior().mean, np.sqrt(np.diag(corrected.covariance))
     assert free.term is not None
-    model = found.scales.model_of(strides)
-    likelihood = Likelihood(model, (free.term,), found.road_load, found.scales.lag, (), found.taken)
+    model, scales = found.scales.model_of(strides), found.scales
+    likelihood = Likelihood(model, (free.term,), found.road_load, scales.lag, (), found.taken)
     none = np.empty((len(model.driven), 0))
-    scales = found.scales
-    with_noise = NormalEquations.of(likelihood, scales.values, scales.free, 0.0, none, np.random.default_rng(2))
-    mean, _, _ = with_noise.solve()
-    mean = mean / likelihood.unit
-    before = replace(with_noise, answered=0 * with_noise.answered).solve()[0] / likelihood.unit
-    sd = np.sqrt(np.diag(posterior.covariance))
-    assert abs(mean[0] - before[0]) > 0.1 * sd[0]
-    assert_allclose(posterior.mean[:ROAD_LOAD] / sd[:ROAD_LOAD], mean[:ROAD_LOAD] / sd[:ROAD_LOAD], atol=0.1)
-    assert posterior.mean[-1] / sd[-1] == pytest.approx(-mean[-1] / mean[0] / sd[-1], abs=0.1)
+    equations = NormalEquations.of(likelihood, scales.values, scales.free, 0.0, none, np.random.default_rng(2))
+    with_answers, without = equations.solve()[0], replace(equations, answered=0 * equations.answered).solve()[0]
+    expected = (with_answers - without) / likelihood.unit
+    assert expected[0] > 0.5 * sd[0]
+    assert_allclose(shift[:ROAD_LOAD] / sd[:ROAD_LOAD], expected[:ROAD_LOAD] / sd[:ROAD_LOAD], atol=0.1)
+    size = -(with_answers[-1] / with_answers[0] - without[-1] / without[0]) * likelihood.unit[0] / likelihood.unit[-1]
+    assert shift[-1] / sd[-1] == pytest.approx(size / sd[-1], abs=0.1)
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):

@@ -82,9 +82,7 @@ class JointLikelihood(SetLikelihood):
     def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
         total = np.zeros((len(self.unit), len(self.unit)))
-        _, information, _ = self._set(())
-        plain = float(np.linalg.solve(information, self._moment[: self.base_size])[0] / self.unit[0])
-        for error, rate in force_errors(base.model, fit.scales.values, 1 / plain, PROBES, rng):
+        for error, rate in force_errors(base.model, fit.scales.values, 1 / float(fit.beta[0]), PROBES, rng):
             places, data = self._by_force(error, rate)
             total[np.ix_(places, places)] += self.conditioned.gram(data.tocsr()) / PROBES
         return total
