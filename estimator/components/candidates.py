@@ -97,7 +97,7 @@ class Candidates:
             changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
             for spans in sorted({*times, *changed}):
                 if is_usual(spans, effect):
-                    component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect))
+                    component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect, frame.strides.t))
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
 
     def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:

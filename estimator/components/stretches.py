@@ -53,12 +53,12 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
         columns=columns,
         sd=SLOPE_SD,
         largest=STEEPEST,
-        cost=_cost(spans),
+        cost=_cost(spans, frame.strides.t),
         is_slope=True,
         spans=spans,
     )
 
 
-def _cost(spans: Spans) -> float:
+def _cost(spans: Spans, t: Floats) -> float:
     """Minus the log prior probability of the times; where one stretch follows another, that is one change."""
-    return prior_cost(spans, STRETCHES) - CHANGE_COST * sum(a[1] == b[0] for a, b in pairwise(spans))
+    return prior_cost(spans, STRETCHES, t) - CHANGE_COST * sum(a[1] == b[0] for a, b in pairwise(spans))

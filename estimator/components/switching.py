@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from estimator.components.component import Frame
 from estimator.components.likelihood import JointLikelihood
-from estimator.model.design_matrix import Spans, Term, covered
+from estimator.model.design_matrix import Span, Spans, Term, covered
 from estimator.model.effects.effect import Effect, Timing
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
@@ -71,7 +71,7 @@ class Switching:
         if not on.any() or on.mean() > MAX_ON_SHARE:
             return None
         spans = _spans(self._joint.frame, on)
-        return spans, CHANGE_COST * _changes(on) if single else prior_cost(spans, effect)
+        return spans, prior_cost(spans, effect, self._joint.frame.strides.t)
 
     def _cut(self, chosen: list[int], column: Floats, own: list[int]) -> _Cut:
         """A ``column`` (n,) cut where its state most likely changes beside a set, and at regular times."""
@@ -115,11 +115,16 @@ def is_usual(spans: Spans, effect: Effect) -> bool:
     return mean > min(effect.dwells) / MAX_DWELL_FACTOR and max(lasting, default=0.0) < longest
 
 
-def prior_cost(spans: Spans, effect: Effect) -> float:
-    """Minus the log prior probability of times of an effect."""
+def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
+    """Minus the log prior probability of times of an effect on a drive with strides at ``t`` (n,) [s]."""
     if effect.timing is Timing.WINDOW:
-        return 2 * CHANGE_COST
-    return sum(cost(end - start, effect.dwells) for start, end in spans)
+        return CHANGE_COST * changes(spans, t)
+    return sum(cost(span, effect.dwells, t) for span in spans)
+
+
+def changes(spans: Spans, t: Floats) -> int:
+    """Beginnings and ends of ``spans`` within a drive with strides at ``t`` (n,) [s]."""
+    return sum(bool(t[0] < edge < t[-1]) for span in spans for edge in span)
 
 
 def _between(spans: Spans, t: Floats) -> Spans:
@@ -191,12 +196,14 @@ def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
     return between if (move > 0) == (side == 1) else -between
 
 
-def cost(duration: float, dwells: tuple[float, ...]) -> float:
-    """Of one span of ``duration`` [s]: of its beginning, and of its end by the nearest of the usual ``dwells`` [s].
+def cost(span: Span, dwells: tuple[float, ...], t: Floats) -> float:
+    """Of one ``span`` on a drive with strides at ``t``: of its beginning, and of its end by the nearest of the dwells.
 
-    Dwells are exponential, as in a Markov chain of two states.
+    Dwells [s] are exponential, as in a Markov chain of two states. What is on when the drive begins or ends has no
+    beginning or no end in it.
     """
-    return CHANGE_COST + min(float(np.log(dwell)) + duration / dwell for dwell in dwells)
+    begins, ends = bool(t[0] < span[0]), bool(span[1] < t[-1])
+    return CHANGE_COST * begins + min(ends * float(np.log(dwell)) + (span[1] - span[0]) / dwell for dwell in dwells)
 
 
 def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> NDArray[np.intp]:

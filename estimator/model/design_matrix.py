@@ -21,7 +21,8 @@ MASS = 2  # of the mass
 LAG = 3  # of the lag of power
 MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
 MAX_MASS_DIFFERENCE = 0.1  # share of the mass, between the mass by inertia and by gravity
-Spans = tuple[tuple[float, float], ...]
+Span = tuple[float, float]
+Spans = tuple[Span, ...]
 
 
 @dataclass(frozen=True)

@@ -74,5 +74,6 @@ DRAFTING = Effect(
     usual=always(0.25),
     largest=0.5,
     timing=Timing.SWITCHING,
+    dwells=(200.0, 1000.0),  # behind a vehicle for minutes, or for a stage of a motorway
     breaks="a change of speed behind the vehicle ahead, or the distance to it on the bus",
 )
