@@ -80,10 +80,14 @@ def quiet(strides):
     return replace(found, scales=replace(found.scales, values=values))
 
 
+def joint_likelihood(strides, fit, components, rng):
+    return JointLikelihood(fit.scales.model_of(strides).condition(fit.scales.values), fit, components, rng)
+
+
 def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), further=()):
     frame = Frame.of(fit)
     given = [c for name in names for c in of_effect(frame, BY_NAME[name], frozenset(strides.context))[:2]]
-    return JointLikelihood(strides, fit, [*given, *further], np.random.default_rng(2))
+    return joint_likelihood(strides, fit, [*given, *further], np.random.default_rng(2))
 
 
 def covariance(strides, fit):
@@ -97,7 +101,7 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
     free = [
         replace(c, positive=False) for c in of_effect(Frame.of(quiet), BY_NAME["warm_up"], frozenset(strides.context))
     ]
-    joint = JointLikelihood(strides, quiet, [free[0], free[3], wander], np.random.default_rng(2))
+    joint = joint_likelihood(strides, quiet, [free[0], free[3], wander], np.random.default_rng(2))
     K, base = covariance(strides, quiet), joint.columns[:, : joint.base_size].toarray()
     K = K + base @ np.diag(1 / joint._prior) @ base.T
 
@@ -134,7 +138,7 @@ def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, qui
     wandering = next(c for c in processes(joint.frame) if c.name == "force over speed")
     own = [replace(component, cost=0.1 * i) for i, component in enumerate([*joint.components, wandering])]
     own += [replace(own[0], largest=1e-3), replace(own[1], positive=not own[1].positive)]
-    joint = JointLikelihood(strides, quiet, own, np.random.default_rng(2))
+    joint = joint_likelihood(strides, quiet, own, np.random.default_rng(2))
     for chosen in ([], [0], [1, 3], [len(joint.components) - 3, 2]):
         others = [i for i in range(len(own)) if i not in chosen]
         one_by_one = [joint.log_evidence([*chosen, i]) for i in others]
@@ -151,7 +155,7 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
     free = replace(forms[0], positive=False, sd=USUAL_SDS * forms[0].sd)
 
     def posterior():
-        return JointLikelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
+        return joint_likelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
 
     corrected = posterior()
     monkeypatch.setattr("estimator.components.likelihood.ANSWERED", 0.0)
@@ -172,7 +176,7 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
     joint = joint_of(strides, quiet, names=("auxiliary_load",))
     free = replace(joint.components[0], positive=False)
-    both = JointLikelihood(strides, quiet, [free], np.random.default_rng(2))
+    both = joint_likelihood(strides, quiet, [free], np.random.default_rng(2))
     posterior = both.posterior([0])
     mean, sd = posterior.mean[-1], np.sqrt(posterior.covariance[-1, -1])
     above = quad(lambda x: np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi)), 0, mean + 12 * sd)[0]
@@ -305,7 +309,7 @@ def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
         assert [choice.name for choice in found.choices] == named
         assert [component.name for component in found.drives[0].chosen] == named
     (state,) = found.drives
-    assert state.joint().posterior([0]).mean[-1] == pytest.approx(15e3, rel=0.1)
+    assert state.joint.posterior([0]).mean[-1] == pytest.approx(15e3, rel=0.1)
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=20), st.lists(st.booleans(), min_size=1, max_size=20))
@@ -342,7 +346,7 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     (component,) = state.chosen
     starts = np.array([span[0] for span in component.spans])
     assert_allclose(starts, [501, 1301, 2101], atol=2.0)
-    assert state.joint().posterior([0]).mean[-1] == pytest.approx(60e3, rel=0.1)
+    assert state.joint.posterior([0]).mean[-1] == pytest.approx(60e3, rel=0.1)
 
 
 def test_ends_of_a_span_are_found_to_a_tenth_of_a_second():
@@ -352,7 +356,7 @@ def test_ends_of_a_span_are_found_to_a_tenth_of_a_second():
     strides = driven(n, power=60e3 * covered(t, 1.0, spans))
     state = DriveState.of(strides)
     rough = tuple((round(a) + 2.0, round(b) - 2.0) for a, b in spans)
-    found = switching.with_refined_edges(state.joint(), [], Term(BY_NAME["auxiliary_cycling"], None, rough))
+    found = switching.with_refined_edges(state.joint, [], Term(BY_NAME["auxiliary_cycling"], None, rough))
     assert_allclose(found, spans, atol=0.35)  # the noise of a stride is 15 % of what the load takes
 
 
@@ -366,9 +370,9 @@ def test_the_period_of_a_load_that_swings_is_among_those_tried():
     n = 1800
     t = np.arange(n) + 0.5
     state = on_level_road(20e3 * np.sin(2 * np.pi * t / 47.0), n / 60)
-    joint = state.joint()
+    joint = state.joint
     tried = list(swings(joint, []))
-    both = state.joint(tried)
+    both = state.joint_with(tried)
     gains = [both.log_evidence([i]) - both.log_evidence([]) for i in range(len(tried))]
     wave = tried[int(np.argmax(gains))].columns(joint.frame)[:, 0] * state.fit.strides.speed
     power = np.abs(np.fft.rfft(wave - wave.mean()))
@@ -411,7 +415,7 @@ def test_a_power_that_switches_and_is_larger_than_any_effect_has_no_name_of_the_
     assert SWITCHES[process.name] == "W"
     assert_allclose(process.spans, spans, atol=0.5)
     (state,) = found.drives
-    assert state.joint((process,)).posterior([0]).mean[-1] == pytest.approx(size, rel=0.1)
+    assert state.joint_with((process,)).posterior([0]).mean[-1] == pytest.approx(size, rel=0.1)
 
 
 @pytest.mark.slow
@@ -422,7 +426,7 @@ def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
     plain = DriveState.of(driven(n, power=power), (AtRest(power=15e3, sd=800.0, engine_speed=60.0),))
     fan = of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans))
     state = plain.having((fan,))
-    assert state.joint().posterior([0]).mean[-1] > 2 * fan.largest
+    assert state.joint.posterior([0]).mean[-1] > 2 * fan.largest
     assert [choice.name for choice in Search((state,), [BY_NAME["auxiliary_load"]]).explained().choices] == [
         "auxiliary_load"
     ]
@@ -519,7 +523,7 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
 
     components = [joint.component(i) for i in range(len(joint.keys))]
     likelihood, rng, draws = (
-        JointLikelihood(strides, quiet, components, np.random.default_rng(20_042)),
+        joint_likelihood(strides, quiet, components, np.random.default_rng(20_042)),
         np.random.default_rng(5),
         [],
     )

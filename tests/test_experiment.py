@@ -39,7 +39,7 @@ def form_of(state: DriveState, name: str, value: float) -> Form:
 def test_evidence_to_expect_is_that_of_the_drive_on_which_the_effect_acts(state: DriveState) -> None:
     """Residual power is what the effect takes; the difference of the two fits is the log Bayes factor to expect."""
     acting, other = form_of(state, "auxiliary_load", 2e4), form_of(state, "viscous_drag", 0.5)
-    joint = state.joint([other.component])
+    joint = state.joint_with([other.component])
     column = acting.component.columns(joint.frame)
     rival = joint.columns[:, joint.places[0]].toarray()[: len(column)]
     products, _ = joint.projected([], np.column_stack([acting.value * column, rival]))
@@ -51,7 +51,7 @@ def test_evidence_to_expect_is_that_of_the_drive_on_which_the_effect_acts(state:
 def test_against_nothing_the_width_of_the_prior_counts(state: DriveState) -> None:
     """The mean of the log Bayes factor of a Gaussian magnitude over data of that magnitude, less its noise."""
     acting = form_of(state, "auxiliary_load", 2e4)
-    joint = state.joint([])
+    joint = state.joint
     strength = joint.projected([], acting.component.columns(joint.frame))[0][0, 0]
     wanted = 0.5 * (acting.value**2 * strength - np.log1p(strength * acting.component.sd**2))
     assert expected(state, acting, None, None) == pytest.approx(wanted)

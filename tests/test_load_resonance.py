@@ -58,7 +58,7 @@ def test_a_load_that_swings_is_seen_with_its_period(period):
     state = type(plain).of(replace(moved, force=force + held[:, None]), is_level=True)
     assert state is not None
     rings = [c for c in processes(Frame.of(state.fit)) if c.name == RING]
-    joint = state.joint(rings)
+    joint = state.joint_with(rings)
     gains = [joint.log_evidence([i]) - joint.log_evidence([]) for i in range(len(rings))]
     best = int(np.argmax(gains))
     assert gains[best] > 30

@@ -41,7 +41,7 @@ def test_the_freedom_of_the_slopes_is_that_of_the_dense_covariance(shown, alpha,
     moved = np.zeros_like(dense.of_slopes)
     moved[:, :n] = dense.of_slopes[:, :n]  # what is in the accelerations; readings show the same slopes
     expected = np.diag(np.linalg.solve(dense.K, moved))[:n]
-    found = model.condition(scales).freedom()
+    found = model.condition(scales).freedom
     assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
     assert (found.sum() > 1) == (alpha != LEVEL)
 

@@ -125,6 +125,20 @@ def test_what_explains_most_alone_is_exchanged_for_what_explains_more_beside_oth
     assert weigh(likelihood, causes, max_causes=2).best == (0, 1)
 
 
+def test_two_that_explain_most_together_and_little_alone_are_kept_from_the_set_before():
+    rng = np.random.default_rng(7)
+    first, second, third, *errors = rng.normal(size=(5, 400))
+    X = np.column_stack([5 * third, first + second - 5 * third, first + 0.3 * errors[0], second + 0.3 * errors[1]])
+    y = 8 * (first + second) + rng.normal(size=400)
+    forms = [Form(cause=str(i), columns=X[:, [i]], sd=10.0) for i in range(4)]
+    data = np.column_stack([y, X])
+    likelihood = SetLikelihood(data.T @ data, np.zeros(0), forms, places_of(0, [1] * 4), np.ones(4))
+    causes = [Cause(name=str(i), is_named=True, forms=(i,), log_odds=-1.0, log_forms=0.0) for i in range(4)]
+    assert likelihood.log_evidence([0, 1]) > likelihood.log_evidence([2, 3]) + WINDOW
+    assert weigh(likelihood, causes, max_causes=2).best == (2, 3)
+    assert weigh(likelihood, causes, max_causes=2, before=(0, 1)).best == (0, 1)
+
+
 def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
     """Against log N(y; 0, K + X P X'); half a prior by a sum over magnitudes; gains against differences of sets."""
     rng = np.random.default_rng(8)

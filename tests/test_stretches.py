@@ -102,7 +102,7 @@ def test_steep_stretches_are_the_roads(steep):
     assert steep.choices == ()
     assert steep.unknown < 0.5
     assert drive.stretches is not None
-    joint = drive.joint()
+    joint = drive.joint
     assert len(joint.stretches) == len(drive.stretches.spans or ())
     found = drive.stretches.columns(joint.frame) @ joint.posterior([]).mean[joint.stretches] / -STANDARD_GRAVITY
     for start, end, size in STEEP:

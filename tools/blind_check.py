@@ -46,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     generated.add_argument(
         "--hilly", type=float, default=0.0, help="share of drives in hills, with the grade in the configuration"
     )
+    generated.add_argument("--only", choices=list(draw.MIX), help="drives of one kind")
     generated.set_defaults(run=_generate)
 
     diagnosed = steps.add_parser("diagnose", help="diagnose every log with `roadload diagnose`")
@@ -67,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    plans = draw.draw(options.drives, options.seed, options.minutes, options.hilly)
+    plans = draw.draw(options.drives, options.seed, options.minutes, options.hilly, options.only)
     made = world.make_all(plans, options.seed, options.folder, options.workers)
     for _ in track(made, "driving", total=len(plans), console=Console(stderr=True), transient=True):
         pass

@@ -178,7 +178,7 @@ def _powers(
     drive: DriveState, others: Sequence[Component], unnamed: Component | None, rng: np.random.Generator
 ) -> _Powers:
     added = (*others, *(() if unnamed is None else (unnamed,)))
-    joint, components = drive.joint(added), [*drive.chosen, *added]
+    joint, components = drive.joint_with(added), [*drive.chosen, *added]
     off = Projection(drive)
     amplitudes = _amplitudes(joint, components, rng)
     masses = joint.unit[0] / amplitudes[0]
@@ -276,7 +276,7 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
         known[places[out]] = False
         rest = replace(strides, known=known)
         state = replace(drive, strides=rest, fit=replace(drive.fit, strides=rest[known]))
-        joint = state.joint()
+        joint = state.joint
         posterior = joint.posterior(range(len(drive.chosen)))
         left = strides[places[out]]
         frame = Frame.of(replace(drive.fit, strides=left))

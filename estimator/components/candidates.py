@@ -57,7 +57,7 @@ class Candidates:
         steep = None if drive.stretches is None else drive.stretches.spans
         beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
         if number not in self._latest or self._latest[number][0] != beside:
-            switching, timed = Switching(drive.joint()), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
+            switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
             found = {spans for effect in timed for spans in switching.proposed(effect)}
             self._latest[number] = beside, found
             if not any(component.is_timed for component in drive.chosen):
@@ -121,5 +121,5 @@ def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterat
             yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
     for i, process in enumerate(processes(frame)):
         yield Candidate(cause=process.name, is_event=False, form=i, component=process)
-    for i, process in enumerate(swings(drive.joint(), list(range(len(drive.chosen))))):
+    for i, process in enumerate(swings(drive.joint, list(range(len(drive.chosen))))):
         yield Candidate(cause=process.name, is_event=True, form=i, component=process)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
@@ -14,7 +15,7 @@ from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given, r
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest, Effect, Timing
-from estimator.model.road import LEVEL
+from estimator.model.road import LEVEL, Conditioned
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.signals import Floats
 from estimator.strides import Strides
@@ -63,7 +64,7 @@ class DriveState:
         """Standard deviation of the road's slope [1], its stretches included."""
         if self.stretches is None:
             return self.fit.slope_sd
-        joint = self.joint()
+        joint = self.joint
         slopes = joint.posterior(range(len(self.chosen))).mean[joint.stretches]
         steep = self.stretches.columns(joint.frame) @ slopes / STANDARD_GRAVITY
         return float(np.hypot(self.fit.slope_sd, steep.std()))
@@ -119,10 +120,23 @@ class DriveState:
         limits = [np.inf if c.term is None else c.term.effect.limit(Frame.of(self.fit).road_load) for c in self.chosen]
         return bool(np.all(np.abs(self.sizes[given:]) <= np.array(limits[given:])))
 
-    def joint(self, candidates: Sequence[Component] = ()) -> JointLikelihood:
-        """The likelihood of those chosen, which come first, and of ``candidates``; stretches are in every set."""
-        components, rng = [*self.chosen, *candidates], np.random.default_rng(PROBE_SEED)
-        joint = JointLikelihood(self.strides, self.fit, components, rng, self.stretches)
+    @cached_property
+    def _conditioned(self) -> Conditioned:
+        return self.fit.scales.model_of(self.strides).condition(self.fit.scales.values)
+
+    @cached_property
+    def joint(self) -> JointLikelihood:
+        """The likelihood of those chosen; stretches are in every set."""
+        return self.joint_with(())
+
+    def joint_with(self, candidates: Sequence[Component]) -> JointLikelihood:
+        """The same, with ``candidates`` after those chosen."""
+        return self.likelihood_of([*self.chosen, *candidates], self.stretches)
+
+    def likelihood_of(self, components: Sequence[Component], stretches: Component | None = None) -> JointLikelihood:
+        """The likelihood of any ``components``; ``stretches`` are in every set."""
+        rng = np.random.default_rng(PROBE_SEED)
+        joint = JointLikelihood(self._conditioned, self.fit, components, rng, stretches)
         for rest in self.rests:
             per_unit = {i: at_rest(component, rest) for i, component in enumerate(components)}
             weights = {i: power / rest.sd for i, power in per_unit.items() if power}
@@ -135,7 +149,7 @@ class DriveState:
         present = {component.name for component in self.chosen}
         absent = [effect for effect in effects if effect.name not in present]
         given = [component for effect in absent for component in of_effect(frame, effect, known)]
-        joint, ours = self.joint(given), list(range(len(self.chosen)))
+        joint, ours = self.joint_with(given), list(range(len(self.chosen)))
         places = range(len(ours), len(ours) + len(given))
         judged = joint.gains(ours, places)
         switching, found = Switching(joint), dict[str, Form]()

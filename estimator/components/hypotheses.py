@@ -69,15 +69,20 @@ class Hypotheses:
         self.keys, self.each = list(found), list(found.values())
         own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
         known = [tuple(replace(component, largest=np.inf) for component in each) for each in given]  # of any size
-        self._joints = [
-            replace(d, chosen=g, stretches=None).joint(c) for d, g, c in zip(drives, known, own, strict=True)
-        ]
+        self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, known, own, strict=True)]
         count = [len(start) for start in given]
         self._places: list[dict[int, int]] = []
         for each in self.each:
             self._places.append({number: count[number] for number in each})
             for number in each:
                 count[number] += 1
+
+    def before(self) -> Chosen:
+        """The set of effects and stretches that the scales of the drives were found beside."""
+        acting = [(*drive.chosen, *([] if drive.stretches is None else [drive.stretches])) for drive in self.drives]
+        marks = [{(component.name, component.term, component.spans) for component in own} for own in acting]
+        found = (all((c.name, c.term, c.spans) in marks[n] for n, c in each.items()) for each in self.each)
+        return tuple(i for i, is_there in enumerate(found) if is_there)
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
         """Of a set of forms; minus infinity for a set with an effect of impossible size. Those given may be any."""

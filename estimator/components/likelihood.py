@@ -7,6 +7,7 @@ the measured force adds to the products, and what drivers' answers to slopes tak
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
 from estimator.model.road import Conditioned
 from estimator.signals import Floats
-from estimator.strides import Strides
 
 
 class JointLikelihood(SetLikelihood):
@@ -28,10 +28,10 @@ class JointLikelihood(SetLikelihood):
 
     Parameters
     ----------
-    strides
-        With and without known force, in order of time.
+    conditioned
+        The road model of the drive at the scales of a fit.
     fit
-        Of the road model to them, which gives the scales of road and noise.
+        That fit.
     components
         All that may be asked about.
     rng
@@ -42,17 +42,16 @@ class JointLikelihood(SetLikelihood):
 
     def __init__(
         self,
-        strides: Strides,
+        conditioned: Conditioned,
         fit: RoadFit,
         components: Sequence[Component],
         rng: np.random.Generator,
         stretches: Component | None = None,
     ) -> None:
         self.frame, self.components = Frame.of(fit), list(components)
-        self.model = model = fit.scales.model_of(strides)
-        base = Likelihood(model, (), fit.theta[:3], fit.scales.lag)
-        self.conditioned: Conditioned = model.condition(fit.scales.values)
-        steep = np.empty((len(model.driven), 0)) if stretches is None else stretches.columns(self.frame)
+        self.conditioned, self.model = conditioned, conditioned.model
+        base = Likelihood(self.model, (), fit.theta[:3], fit.scales.lag)
+        steep = np.empty((len(self.model.driven), 0)) if stretches is None else stretches.columns(self.frame)
         plain, base_size = base.data.shape[1] - 1, base.data.shape[1] - 1 + steep.shape[1]
         self.stretches = np.arange(plain, base_size)  # their places among the amplitudes
         columns, places = _shared(components, self.frame, base_size)
@@ -92,25 +91,31 @@ class JointLikelihood(SetLikelihood):
         n = len(self.frame.strides)
         places, data = self._by_force(np.ones(n), np.zeros(n))
         taken = np.zeros(len(self.unit))
-        taken[places] = self.conditioned.freedom() @ data[:n] / float(fit.beta[0])
+        taken[places] = self.conditioned.freedom @ data[:n] / float(fit.beta[0])
         ours, information, _ = self._set(())
         shift = float(np.linalg.solve(information, taken[ours])[0])
         return taken * of_first_order(shift, float(fit.beta[0] * base.unit[0]))
 
     def _by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
         """What an error (n,) [N] of the force, with its rate [N/s], adds to columns of the data, and their places."""
-        noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
-        components = [self.components[i] for i in noisy]
-        clean, own = _shared(components, self.frame, 0)
-        places = np.zeros(3 + clean.shape[1], dtype=np.int64)
-        places[:3] = 0, LAG, DRAG
-        for here, i in zip(own, noisy, strict=True):
-            places[3 + here] = self.places[i]
+        components, clean, places = self._noisy
         force = self.frame.force
         drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
         plain = np.column_stack([error, rate, drag]) / self.unit[places[:3]]
         changed = _shared(components, self.frame.disturbed(error), 0)[0] - clean
         return places, sp.hstack([self._tall(plain), self._tall(changed)], format="csc")
+
+    @cached_property
+    def _noisy(self) -> tuple[list[Component], sp.csc_array, NDArray[np.int64]]:
+        """Components that hold the measured force, their columns, and the places of those of the force and of these."""
+        noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
+        components = [self.components[i] for i in noisy]
+        columns, own = _shared(components, self.frame, 0)
+        places = np.zeros(3 + columns.shape[1], dtype=np.int64)
+        places[:3] = 0, LAG, DRAG
+        for here, i in zip(own, noisy, strict=True):
+            places[3 + here] = self.places[i]
+        return components, columns, places
 
     def projected(self, chosen: Sequence[int], columns: Floats | sp.sparray) -> tuple[Floats, Floats]:
         """Products (c, c) and scores (c,) of further ``columns``, off a set of components.

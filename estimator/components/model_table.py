@@ -2,7 +2,8 @@
 
 Sets gain and lose one form at a time from those within Occam's window of the best (Madigan & Raftery 1994): a nameless
 process that stands for two candidates at first is left behind once both are there. The best one exchanges forms too:
-what explains most alone need not do so beside others. Probabilities are sums over the table.
+what explains most alone need not do so beside others. Steps begin at the empty set, and at one that was found before:
+two effects that explain most together may each explain little alone. Probabilities are sums over the table.
 """
 
 from collections.abc import Mapping, Sequence
@@ -74,11 +75,28 @@ class ModelTable:
         return float(sum(p for p, own in zip(self.probability, self.sets, strict=True) if wanted & set(own)))
 
 
-def weigh(likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES) -> ModelTable:
-    """Grow the table from the empty set, up to sets of ``max_causes``."""
+def weigh(
+    likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES, before: Chosen = ()
+) -> ModelTable:
+    """Grow the table from the empty set and from that found ``before``, up to sets of ``max_causes``."""
     of = {form: cause for cause in causes for form in cause.forms}
-    log: dict[Chosen, float] = {(): likelihood.log_evidence([])}
-    frontier: list[Chosen] = [()]
+    log = dict[Chosen, float]()
+    for start in ((), before):
+        if start not in log:
+            log[start] = likelihood.log_evidence(start) + sum(of[form].log_prior for form in start)
+            _grow(start, log, likelihood, of, max_causes)
+    order = sorted(log, key=lambda own: -log[own])
+    values = np.array([log[own] for own in order])
+    others = [log[own] for own in order if own]
+    odds = float(logsumexp(others)) - log[()] if others else -np.inf
+    return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)
+
+
+def _grow(
+    start: Chosen, log: dict[Chosen, float], likelihood: Evidence, of: Mapping[int, Cause], max_causes: int
+) -> None:
+    """Add sets that steps from ``start`` lead to, with their log probabilities, to ``log``."""
+    frontier = [start]
     for _ in range(2 * max_causes):  # up to the largest sets, and down again
         found: dict[Chosen, float] = {}
         for own in frontier:
@@ -94,11 +112,6 @@ def weigh(likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_C
         frontier = [own for own in sorted(found, key=lambda own: -found[own]) if found[own] > least][:BEAM]
         if not frontier:
             break
-    order = sorted(log, key=lambda own: -log[own])
-    values = np.array([log[own] for own in order])
-    others = [log[own] for own in order if own]
-    odds = float(logsumexp(others)) - log[()] if others else -np.inf
-    return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)
 
 
 def _addable(own: Chosen, of: Mapping[int, Cause], max_causes: int) -> list[int]:

@@ -163,7 +163,7 @@ class Search:
         return _explained(found, ranked(self._drives, self._effects), self._effects)
 
     def _alone(self, least: float = -np.inf) -> _Converged:
-        """Beside effects alone, from the noise of the drives, and from the usual one where theirs is larger.
+        """Beside effects alone, from the noise of the drives, and from the usual one where it stays larger than that.
 
         Over a road that no signal shows, its stretches come before the effects or after them: either may hold the place
         of the other.
@@ -173,18 +173,22 @@ class Search:
         _OutOfReachError
             Neither would reach ``least``.
         """
-        starts = [self._drives]
-        if any(drive.has_unusual_noise for drive in self._drives):
-            starts.append(tuple(drive.with_usual_noise() for drive in self._drives))
-        found = list[_Converged]()
-        for start in starts:
-            with suppress(_OutOfReachError):
-                found.append(self._converged(start, least=least))
-                if any(drive.is_hidden for drive in start):
-                    found += [self._converged(first, with_stretches=True) for first in (found[-1].states, start)]
+        found = self._from(self._drives, least)
+        best = max(found, key=lambda one: one.log_posterior).states if found else self._drives
+        if any(drive.has_unusual_noise for drive in best):
+            found += self._from(tuple(drive.with_usual_noise() for drive in self._drives), least)
         if not found:
             raise _OutOfReachError
         return max(found, key=lambda one: one.log_posterior)
+
+    def _from(self, start: tuple[DriveState, ...], least: float) -> list[_Converged]:
+        """What the search among effects alone comes to from one start; nothing where that will not reach ``least``."""
+        found = list[_Converged]()
+        with suppress(_OutOfReachError):
+            found.append(self._converged(start, least=least))
+            if any(drive.is_hidden for drive in start):
+                found += [self._converged(first, with_stretches=True) for first in (found[-1].states, start)]
+        return found
 
     def _converged(
         self,
@@ -211,7 +215,7 @@ class Search:
             ]
             joint = Hypotheses(states, self._given, candidates)
             causes = joint.causes()
-            table = weigh(joint, causes, min(size, MAX_CAUSES))
+            table = weigh(joint, causes, min(size, MAX_CAUSES), joint.before())
             fitted = joint.fitted(table.best)
             if log_evidence(fitted) + MAX_CAUSES * max(log_evidence(fitted) - log_evidence(states), 0.0) < least:
                 raise _OutOfReachError

@@ -162,34 +162,49 @@ class SetLikelihood:
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
         """Log evidence (c,) of the set with each of ``others`` added, as `log_evidence` of the larger set gives it."""
-        narrow = [k for k, i in enumerate(others) if len(self.places[i]) == 1]
-        found = np.array([self.log_evidence([*chosen, i]) if len(self.places[i]) > 1 else 0.0 for i in others])
-        if narrow:
-            found[narrow] = self._with_each_column(chosen, [others[k] for k in narrow])
+        widths, found = np.array([len(self.places[i]) for i in others]), np.empty(len(others))
+        posterior = self.posterior(chosen)
+        for width in np.unique(widths):
+            alike = np.flatnonzero(widths == width)
+            found[alike] = self._with_each_alike(chosen, posterior, [others[k] for k in alike.tolist()])
         return found
 
-    def _with_each_column(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """`with_each` for components of one column.
+    def _with_each_alike(self, chosen: Sequence[int], posterior: Posterior, others: Sequence[int]) -> Floats:
+        """`with_each` for components of k columns each.
 
-        A column more, of value x and variance s^2 beside the set, changes the set's amplitudes b and covariance S to
+        Columns more, of values x (k,) and covariance V beside the set, change the set's amplitudes b and covariance S
+        to
 
-            b - W x,   S + W W' s^2,   W = S (its products with the set)
+            b - W x,   S + W V W',   W = S (their products with the set)
         """
-        posterior, places = self.posterior(chosen), self._set(chosen)[0]
-        covariance = posterior.covariance * np.outer(self.unit[places], self.unit[places])
-        judged, new = self.gains(chosen, others), np.concatenate([self.places[i] for i in others])
-        turned = covariance @ self._information[np.ix_(places, new)]
-        own = slice(self.base_size, None)
-        mean = (posterior.mean * self.unit[places])[own, None] - turned[own] * judged.value
-        sd = np.sqrt(np.diag(covariance)[own, None] + (turned[own] * judged.sd) ** 2)
-        positive = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
-        before = posterior.mean[own] / np.sqrt(np.diag(posterior.covariance)[own])
-        signs = (log_ndtr(mean / sd) - log_ndtr(before)[:, None])[positive].sum(axis=0)
+        places, information, _ = self._set(chosen)
+        new = np.array([self.places[i] for i in others])
+        crossed = self._information[np.ix_(places, new.ravel())]
+        weights = np.linalg.solve(information, np.column_stack([crossed, self._moment[places]]))
+        across, turned = (x.T.reshape(*new.shape, len(places)) for x in (crossed, weights[:, :-1]))
+        score = self._moment[new] - across @ weights[:, -1]
+        sd = np.array([self.priors[i].sd for i in others])
+        precision = self._information[new[:, :, None], new[:, None, :]] - across @ turned.transpose(0, 2, 1)
+        diagonal = np.einsum("gkk->gk", precision)
+        diagonal[:] = np.maximum(diagonal, 0.0) + sd[:, None] ** -2.0
+        value, covariance = np.linalg.solve(precision, score[:, :, None])[:, :, 0], np.linalg.inv(precision)
+        volume = np.linalg.slogdet(precision * sd[:, None, None] ** 2)[1]
+        gain = 0.5 * np.sum(score * value, axis=1) - 0.5 * volume
+        positive = np.array([self.priors[i].positive for i in others])
+        gain += np.where(positive, log_ndtr(value[:, 0] / np.sqrt(covariance[:, 0, 0])) + np.log(2), 0.0)
+
+        turned, units = turned[:, :, self.base_size :], self.unit[places][self.base_size :]
+        before = posterior.mean[self.base_size :] * units
+        variance = np.diag(posterior.covariance)[self.base_size :] * units**2
+        mean = before - np.einsum("gks,gk->gs", turned, value)
+        spread = variance + np.einsum("gks,gkl,gls->gs", turned, covariance, turned, optimize=True)
+        signed = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
+        signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(before / np.sqrt(variance)))[:, signed].sum(axis=1)
         costs = sum(self.priors[i].cost for i in chosen) + np.array([self.priors[i].cost for i in others])
-        units = self.unit[places][own, None]
-        possible = np.all(np.abs(mean / units) <= self._limits(chosen)[:, None], axis=0)
-        possible &= np.abs(judged.value / self.unit[new]) <= self._limits(others)
-        found: Floats = np.where(possible, posterior.log_evidence + judged.gain + signs - costs, -np.inf)
+        largest = np.array([self.priors[i].largest for i in others])
+        possible = np.all(np.abs(mean / units) <= self._limits(chosen), axis=1)
+        possible &= np.all(np.abs(value / self.unit[new]) <= largest[:, None], axis=1)
+        found: Floats = np.where(possible, posterior.log_evidence + gain + signs - costs, -np.inf)
         return found
 
     def _limits(self, chosen: Sequence[int]) -> Floats:

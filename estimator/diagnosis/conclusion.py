@@ -221,7 +221,7 @@ class Conclusion:
             return name
         number, process = found[0]
         drive = self.explained.drives[number]
-        size = drive.joint((process,)).posterior(range(len(drive.chosen) + 1)).mean[-1]
+        size = drive.joint_with((process,)).posterior(range(len(drive.chosen) + 1)).mean[-1]
         return f"{name} ({size:.0f} {SWITCHES[name]})"
 
     def _alike(self, one: Ranked, ranking: Sequence[Ranked]) -> set[str]:
@@ -255,7 +255,7 @@ class Conclusion:
         lasting = [effect for effect in effects if is_lasting(effect) and effect.name not in present]
         frame, ours = Frame.of(drive.fit), range(len(drive.chosen))
         forms = [(effect, form) for effect in lasting for form in of_effect(frame, effect, known)]
-        joint = drive.joint([form for _, form in forms])
+        joint = drive.joint_with([form for _, form in forms])
         places = range(len(ours), len(ours) + len(forms))
         sds = joint.gains(ours, places).sd
         jacobian = theta_jacobian(joint.posterior(ours).mean[: joint.base_size], 0)
@@ -299,7 +299,7 @@ class Conclusion:
     def _finding(self, choice: Choice) -> Finding:
         drive = self.explained.drives[choice.drive]
         place = next(i for i, component in enumerate(drive.chosen) if component.name == choice.name)
-        joint = drive.joint()
+        joint = drive.joint
         posterior, at = joint.posterior(range(len(drive.chosen))), joint.places[place][0]
         term = drive.chosen[place].term
         assert term is not None

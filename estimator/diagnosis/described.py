@@ -24,7 +24,7 @@ FOLDS, STRETCHES = 5, 20  # of the drive
 
 def described(drive: DriveState) -> Described | None:
     """The formula with most evidence; None where it has too little, or explains nothing of stretches left out."""
-    joint = drive.joint()
+    joint = drive.joint
     ours = range(len(drive.chosen))
     power = drive.fit.residual_power
     rms = float(np.sqrt(np.mean(power**2)))
@@ -49,7 +49,7 @@ def _refitted(drive: DriveState, column: Floats, rms: float) -> tuple[float, flo
         columns=lambda frame: frame.as_acceleration(column)[:, None],
         sd=rms / float(np.sqrt(np.mean(column**2))),
     )
-    joint = drive.joint([own])
+    joint = drive.joint_with([own])
     posterior = joint.posterior(range(len(joint.components)))
     scale = 1 / (float(posterior.mean[0]) * float(joint.frame.road_load[2]))
     return float(posterior.mean[-1]) * scale, float(np.sqrt(posterior.covariance[-1, -1])) * scale
@@ -75,7 +75,7 @@ def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
 def _held_out_share(drive: DriveState, column: Floats) -> float:
     """Share of the squared residual, over means of 2 s, that ``column`` (n,) takes away on stretches left out."""
     off = Projection(drive)
-    taken = [component.columns(drive.joint().frame)[:, 0] for component in drive.chosen]
+    taken = [component.columns(drive.joint.frame)[:, 0] for component in drive.chosen]
     effects = [off(off.as_power(each, 1 / drive.fit.beta[:1])[:, 0]) for each in taken]
     y, extra = off(off.power), off(column)
     n = len(y)

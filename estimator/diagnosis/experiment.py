@@ -93,7 +93,7 @@ def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Man
     """
     strides = state.strides if manoeuvre is None else Strides.concatenate([state.strides, driven(state, manoeuvre)])
     longer = replace(state, strides=strides, fit=replace(state.fit, strides=strides[strides.known]))
-    joint = longer.joint([] if other is None else [other.component])
+    joint = longer.joint_with([] if other is None else [other.component])
     chosen = range(len(joint.components))
     strength = max(float(joint.projected(chosen, acting.component.columns(joint.frame))[0][0, 0]), 0.0)
     width = np.log1p(strength * acting.component.sd**2) if other is None else 0.0

@@ -88,7 +88,7 @@ class NormalEquations:
         found = cls(
             gram=conditioned.gram(data) if shapes.size else plain,
             noise=likelihood.noise_information(scales, conditioned, beta, shapes, rng),
-            answered=float(likelihood.unit[0]) * conditioned.freedom() @ by_force,
+            answered=float(likelihood.unit[0]) * conditioned.freedom @ by_force,
             moved=np.zeros((q, 0)),
             noise_moved=np.zeros(0),
             prior=np.diag(likelihood.prior),

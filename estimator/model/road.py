@@ -424,6 +424,7 @@ class Conditioned:
     factor: Factor = field(repr=False)
     log_determinant: float  # log|K|
 
+    @cached_property
     def freedom(self) -> Floats:
         """Share (n,) of each driven stride's acceleration that the slopes may explain.
 

@@ -81,13 +81,15 @@ class Plan:
     given: bool
 
 
-def draw(drives: int, seed: int, minutes: float, hilly: float = 0.0) -> list[Plan]:
+def draw(drives: int, seed: int, minutes: float, hilly: float = 0.0, only: Kind | None = None) -> list[Plan]:
     """Plans of ``drives`` drives of about ``minutes``; a share ``hilly`` has hills that are in the configuration.
+
+    All are of the kind ``only``; None: of all kinds, as MIX says.
 
     Kinds, effects, noise levels and roads are taken in turn from shuffled lists, so that all are equally frequent.
     """
     rng = np.random.default_rng(seed)
-    kinds = _kinds(drives, rng)
+    kinds = _kinds(drives, rng) if only is None else [only] * drives
     noise = _deck([(v, T) for v in SPEED_NOISE for T in TORQUE_RESOLUTION], rng)
     clean_noise = _deck([(v, T) for v in SPEED_NOISE for T in TORQUE_RESOLUTION], rng)
     singles, outsiders = _deck(CATALOGUE, rng), _deck(OUTSIDE, rng)
