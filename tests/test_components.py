@@ -391,16 +391,16 @@ def test_the_spectrum_is_the_sum_over_all_times_at_each_frequency():
 
 
 def test_times_cost_what_a_chain_of_two_states_makes_them_cost():
-    # Beginnings come once in exp(5.5) s, and the probability that a state ends within a second is 1/dwell; what the
-    # drive cuts off has no beginning or no end in it.
+    # Beginnings come once in exp(5.5) s, and the probability that a state ends within a second is 1/dwell, so the
+    # odds of being on are dwell / exp(5.5) at any time; what the drive cuts off has no end in it.
     t, fan, wet = np.arange(1000.0), BY_NAME["auxiliary_cycling"], BY_NAME["resistance_segment"]
     inside, first, last, whole = (100.0, 120.0), (-0.5, 20.0), (980.0, 999.5), (-0.5, 999.5)
     begins, ends = CHANGE_COST, np.log(25.0)
     assert prior_cost((inside,), fan, t) == pytest.approx(begins + ends + 20 / 25)
-    assert prior_cost((first,), fan, t) == pytest.approx(ends + 20.5 / 25)
+    assert prior_cost((first,), fan, t) == pytest.approx(begins + 20.5 / 200)
     assert prior_cost((last,), fan, t) == pytest.approx(begins + 19.5 / 200)
-    assert prior_cost((whole,), fan, t) == pytest.approx(1000 / 200)
-    assert prior_cost((first, inside), fan, t) == pytest.approx(2 * ends + begins + 40.5 / 25)
+    assert prior_cost((whole,), fan, t) == pytest.approx(begins - np.log(200.0) + 1000 / 200)
+    assert prior_cost((first, inside), fan, t) == pytest.approx(2 * begins + ends + 20.5 / 200 + 20 / 25)
     assert [prior_cost((span,), wet, t) / begins for span in (inside, first, last, whole)] == [2, 1, 1, 0]
 
 

@@ -96,7 +96,7 @@ class Candidates:
             own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
             for spans in sorted({*times, *changed}):
-                if is_usual(spans, effect):
+                if is_usual(spans, effect, frame.strides.t):
                     component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect, frame.strides.t))
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
 

@@ -78,8 +78,11 @@ class Hypotheses:
                 count[number] += 1
 
     def before(self) -> Chosen:
-        """The set of effects and stretches that the scales of the drives were found beside."""
-        acting = [(*drive.chosen, *([] if drive.stretches is None else [drive.stretches])) for drive in self.drives]
+        """The effects, without those given, and the stretches that the scales of the drives were found beside."""
+        acting = [
+            (*drive.chosen[len(given) :], *([] if drive.stretches is None else [drive.stretches]))
+            for drive, given in zip(self.drives, self.given, strict=True)
+        ]
         marks = [{(component.name, component.term, component.spans) for component in own} for own in acting]
         found = (all((c.name, c.term, c.spans) in marks[n] for n, c in each.items()) for each in self.each)
         return tuple(i for i, is_there in enumerate(found) if is_there)
@@ -144,7 +147,7 @@ class Hypotheses:
                 is_named=kinds[own] is Kind.EFFECT,
                 forms=tuple(forms),
                 log_odds=float(log_odds[kinds[own]]),
-                log_forms=float(np.log(max(sum(not self.component(i).cost for i in forms), 1))),
+                log_forms=float(np.log(max(sum(not self.component(i).is_timed for i in forms), 1))),
             )
             for own, forms in grouped.items()
         ]

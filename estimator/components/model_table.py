@@ -81,10 +81,9 @@ def weigh(
     """Grow the table from the empty set and from that found ``before``, up to sets of ``max_causes``."""
     of = {form: cause for cause in causes for form in cause.forms}
     log = dict[Chosen, float]()
-    for start in ((), before):
-        if start not in log:
-            log[start] = likelihood.log_evidence(start) + sum(of[form].log_prior for form in start)
-            _grow(start, log, likelihood, of, max_causes)
+    for start in dict.fromkeys(((), before)):
+        log[start] = likelihood.log_evidence(start) + sum(of[form].log_prior for form in start)
+        _grow(start, log, likelihood, of, max_causes)
     order = sorted(log, key=lambda own: -log[own])
     values = np.array([log[own] for own in order])
     others = [log[own] for own in order if own]
@@ -105,7 +104,7 @@ def _grow(
             for base in (own, *smaller) if own == frontier[0] else (own,):
                 added = _addable(base, of, max_causes)
                 larger = [tuple(sorted((*base, form))) for form in added]
-                found |= dict(zip(larger, likelihood.with_each(base, added).tolist(), strict=True))
+                found |= dict(zip(larger, likelihood.with_each(base, added).tolist(), strict=True)) if added else {}
         found = {own: found[own] + sum(of[form].log_prior for form in own) for own in sorted(found.keys() - log.keys())}
         log |= found
         least = max(log.values()) - WINDOW

@@ -215,7 +215,9 @@ class Search:
             ]
             joint = Hypotheses(states, self._given, candidates)
             causes = joint.causes()
-            table = weigh(joint, causes, min(size, MAX_CAUSES), joint.before())
+            before = joint.before()
+            room = max(size, len(before) + 1)
+            table = weigh(joint, causes, min(room, MAX_CAUSES), before)
             fitted = joint.fitted(table.best)
             if log_evidence(fitted) + MAX_CAUSES * max(log_evidence(fitted) - log_evidence(states), 0.0) < least:
                 raise _OutOfReachError
@@ -225,7 +227,7 @@ class Search:
             last, states = _Converged(joint, table, table.best, fitted), fitted
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
                 found, value = last, value + gain
-                if len(table.best) < size and gain < MIN_ROUND_GAIN:
+                if len(table.best) < room and gain < MIN_ROUND_GAIN:
                     break
         found = found or last
         assert found is not None

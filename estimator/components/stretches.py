@@ -61,4 +61,4 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
 
 def _cost(spans: Spans, t: Floats) -> float:
     """Minus the log prior probability of the times; where one stretch follows another, that is one change."""
-    return prior_cost(spans, STRETCHES, t) - CHANGE_COST * sum(a[1] == b[0] for a, b in pairwise(spans))
+    return prior_cost(spans, STRETCHES, t) - CHANGE_COST * sum(bool(a[1] == b[0] > t[0]) for a, b in pairwise(spans))

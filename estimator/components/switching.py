@@ -105,8 +105,13 @@ class Switching:
         return found | {_between(spans, self._joint.frame.strides.t) for spans in found}
 
 
-def is_usual(spans: Spans, effect: Effect) -> bool:
-    """Whether the mean stretch is not much shorter than a usual dwell, and none much longer; windows may be any."""
+def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
+    """Whether the mean stretch is not much shorter than a usual dwell, and none much longer; windows may be any.
+
+    None act nearly always on a drive with strides at ``t`` (n,) [s].
+    """
+    if covered(t, DURATION, spans).mean() > MAX_ON_SHARE:
+        return False
     if effect.timing is Timing.WINDOW:
         return len(spans) == 1
     lasting = [end - start for start, end in spans]
@@ -118,11 +123,11 @@ def is_usual(spans: Spans, effect: Effect) -> bool:
 def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
     """Minus the log prior probability of times of an effect on a drive with strides at ``t`` (n,) [s]."""
     if effect.timing is Timing.WINDOW:
-        return CHANGE_COST * changes(spans, t)
+        return CHANGE_COST * edges_within(spans, t)
     return sum(cost(span, effect.dwells, t) for span in spans)
 
 
-def changes(spans: Spans, t: Floats) -> int:
+def edges_within(spans: Spans, t: Floats) -> int:
     """Beginnings and ends of ``spans`` within a drive with strides at ``t`` (n,) [s]."""
     return sum(bool(t[0] < edge < t[-1]) for span in spans for edge in span)
 
@@ -199,11 +204,17 @@ def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
 def cost(span: Span, dwells: tuple[float, ...], t: Floats) -> float:
     """Of one ``span`` on a drive with strides at ``t``: of its beginning, and of its end by the nearest of the dwells.
 
-    Dwells [s] are exponential, as in a Markov chain of two states. What is on when the drive begins or ends has no
-    beginning or no end in it.
+    Dwells [s] are exponential, as in a Markov chain of two states. What is on when the drive ends has no end in it; on
+    when it begins is as much less likely than off as such a chain is on for less time, but not more likely.
     """
-    begins, ends = bool(t[0] < span[0]), bool(span[1] < t[-1])
-    return CHANGE_COST * begins + min(ends * float(np.log(dwell)) + (span[1] - span[0]) / dwell for dwell in dwells)
+    begins, ends = edges_within(((span[0], np.inf),), t), edges_within(((-np.inf, span[1]),), t)
+
+    def by(dwell: float) -> float:
+        end = float(np.log(dwell))
+        beginning = CHANGE_COST if begins else max(CHANGE_COST - end, 0.0)
+        return beginning + ends * end + (span[1] - span[0]) / dwell
+
+    return min(by(dwell) for dwell in dwells)
 
 
 def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> NDArray[np.intp]:

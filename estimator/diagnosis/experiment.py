@@ -17,7 +17,7 @@ from estimator.components.drive_state import DriveState, Form, at_rest
 from estimator.diagnosis.result import Experiment
 from estimator.diagnosis.standing import IDLE_SD, IDLE_SHARE
 from estimator.model.effects import Effect
-from estimator.model.effects.effect import AtRest, Timing
+from estimator.model.effects.effect import AtRest
 from estimator.preparation.past_speed import low_passed
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
@@ -80,8 +80,7 @@ def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mappi
     found = [(m.name, m.minutes, trust * (expected(state, acting, other, m) - alone)) for m in manoeuvres(state)]
     if not state.rests:
         found.append(("two minutes of idling at rest", 2.0, _at_rest(acting, other)))
-    term = acting.component.term
-    if acting.component.cost and term is not None and term.effect.timing is not Timing.STEP:
+    if acting.component.is_timed:
         found.append(("its state on the bus", 0.0, acting.component.cost))
     return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=now + e) for what, minutes, e in found]
 
