@@ -39,13 +39,8 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
     )
 
 
-def rounds(
-    monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], stays_unusual: bool = False, **start: Any
-) -> float:
-    """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive.
-
-    ``stays_unusual``: the noise beside what is found.
-    """
+def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: Any) -> float:
+    """Log evidence of the drives that a search ends with, whose tables go by ``script``; ``start``: of its drive."""
     waiting = iter(script)
 
     class Scripted:
@@ -56,10 +51,7 @@ def rounds(
             return []
 
         def fitted(self, chosen: object) -> tuple[Any, ...]:
-            return (state(self.value, self.chosen, has_unusual_noise=stays_unusual),)
-
-        def before(self) -> tuple[int, ...]:
-            return ()
+            return (state(self.value, self.chosen),)
 
         def log_prior(self, chosen: object, causes: object) -> float:
             return 0.0
@@ -99,13 +91,10 @@ def test_a_set_that_is_possible_is_kept_where_only_impossible_ones_have_more_evi
     assert rounds(monkeypatch, [((1, 2), 10.0), ((1, 2, IMPOSSIBLE), 30.0), ((1, 3), 5.0)]) == 10.0
 
 
-@pytest.mark.parametrize(("stays", "from_usual_noise", "best"), [(True, 40, 40), (True, 20, 30), (False, 40, 30)])
-def test_where_noise_stays_large_effects_are_looked_for_from_the_usual_noise_too(
-    monkeypatch, stays, from_usual_noise, best
-):
+@pytest.mark.parametrize(("from_usual_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
+def test_where_noise_is_large_effects_are_looked_for_from_the_usual_noise_too(monkeypatch, from_usual_noise, best):
     script = [((1,), 29.5), ((1,), 30.0), ((2,), from_usual_noise - 0.5), ((2,), from_usual_noise)]
-    start = {"has_unusual_noise": True, "with_usual_noise": lambda: state(-50.0)}
-    assert rounds(monkeypatch, script, stays, **start) == best
+    assert rounds(monkeypatch, script, has_unusual_noise=True, with_usual_noise=lambda: state(-50.0)) == best
 
 
 # Times

@@ -163,7 +163,7 @@ class Search:
         return _explained(found, ranked(self._drives, self._effects), self._effects)
 
     def _alone(self, least: float = -np.inf) -> _Converged:
-        """Beside effects alone, from the noise of the drives, and from the usual one where it stays larger than that.
+        """Beside effects alone, from the noise of the drives, and from the usual one where theirs is larger.
 
         Over a road that no signal shows, its stretches come before the effects or after them: either may hold the place
         of the other.
@@ -174,8 +174,7 @@ class Search:
             Neither would reach ``least``.
         """
         found = self._from(self._drives, least)
-        best = max(found, key=lambda one: one.log_posterior).states if found else self._drives
-        if any(drive.has_unusual_noise for drive in best):
+        if any(drive.has_unusual_noise for drive in self._drives):
             found += self._from(tuple(drive.with_usual_noise() for drive in self._drives), least)
         if not found:
             raise _OutOfReachError
@@ -215,7 +214,7 @@ class Search:
             ]
             joint = Hypotheses(states, self._given, candidates)
             causes = joint.causes()
-            before = joint.before()
+            before = joint.before() if with_processes else ()  # processes come to the effects found without them
             room = max(size, len(before) + 1)
             table = weigh(joint, causes, min(room, MAX_CAUSES), before)
             fitted = joint.fitted(table.best)
