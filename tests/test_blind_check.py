@@ -329,6 +329,18 @@ def test_scores_of_nothing_are_refused_in_one_line(tmp_path, capsys):
     assert capsys.readouterr().err.startswith(f"error: {tmp_path}")
 
 
+def test_prior_odds_are_best_where_probabilities_are_frequencies():
+    import fit_priors
+
+    # Nothing acts on 30 of 40 drives whose answers say 0.5, and on 9 of 10 that say 0.75: a third of the odds is right.
+    none = np.repeat([0.5, 0.75], [40, 10])
+    is_none = np.concatenate([np.arange(40) < 30, np.arange(10) < 9])
+    assert fit_priors.best_factor(none, is_none) == pytest.approx(1 / 3, rel=1e-3)
+    assert fit_priors.with_factor(none, 1 / 3)[[0, -1]] == pytest.approx([0.75, 0.9])
+    expected = 30 * np.log(0.75) + 10 * np.log(0.25) + 9 * np.log(0.9) + np.log(0.1)
+    assert fit_priors.log_score(none, is_none, 1 / 3) == pytest.approx(expected)
+
+
 def test_pages_and_json_show_every_measure():
     import json
 

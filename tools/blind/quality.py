@@ -47,11 +47,16 @@ def probabilities(cases: Sequence[Case]) -> list[Measure]:
     ]
 
 
+def nothing_acts(case: Case) -> bool:
+    """Whether the drive has no effect, or one that the oracle does not see or that is modelled by default."""
+    return case.truth.log_bayes_factor < HIDDEN or case.truth.kind == "clean" or not case.has_gap
+
+
 def _right(case: Case, finding: Finding) -> bool:
     """Whether a ranked candidate is the truth; "none" counts as true where the effect is invisible to the oracle."""
     truth = case.truth
     if finding.name == answer.NONE:
-        return truth.log_bayes_factor < HIDDEN or truth.kind == "clean" or not case.has_gap
+        return nothing_acts(case)
     if finding.name.startswith(answer.UNKNOWN):
         return truth.kind == "outside"
     return any(answer.means(finding, effect.name) for effect in truth.effects)
