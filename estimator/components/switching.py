@@ -207,7 +207,7 @@ def cost(span: Span, dwells: tuple[float, ...], t: Floats) -> float:
     Dwells [s] are exponential, as in a Markov chain of two states. What is on when the drive ends has no end in it; on
     when it begins is as much less likely than off as such a chain is on for less time, but not more likely.
     """
-    begins, ends = edges_within(((span[0], np.inf),), t), edges_within(((-np.inf, span[1]),), t)
+    begins, ends = (bool(t[0] < edge < t[-1]) for edge in span)
 
     def by(dwell: float) -> float:
         end = float(np.log(dwell))
