@@ -270,6 +270,7 @@ def test_an_interrupt_from_the_terminal_is_no_traceback() -> None:
         "import os, signal\n"
         "from estimator.fleet.engine import dask_engine\n"
         "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it\n"
         "    try:\n"
         "        with dask_engine(None, 2) as engine:\n"
         "            list(engine.map(lambda group: os.killpg(group, signal.SIGINT), [os.getpgid(0)]))\n"
