@@ -19,7 +19,6 @@ import numpy as np
 from blind import answer, diagnose, score, seal
 from blind.case import Case
 from blind.quality import nothing_acts
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize_scalar
@@ -51,7 +50,7 @@ def best_factor(none: Floats, is_none: Mask) -> float:
     return float(np.exp(found.x))
 
 
-def answers(cases: Sequence[Case]) -> tuple[Floats, NDArray[np.bool_]]:
+def answers(cases: Sequence[Case]) -> tuple[Floats, Mask]:
     """The probability (n,) that nothing acts by each answer, and whether nothing does (n,)."""
     found = [
         (1 - sum(finding.probability or 0.0 for finding in case.run.answer.candidates), nothing_acts(case))

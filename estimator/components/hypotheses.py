@@ -96,7 +96,7 @@ class Hypotheses:
         total = np.zeros(len(others))
         for n, joint in enumerate(self._joints):
             here, acting = self._here(chosen, n), [k for k, i in enumerate(others) if n in self.each[i]]
-            added = np.full(len(others), joint.log_evidence(here))
+            added = np.full(len(others), joint.log_evidence(here) if len(acting) < len(others) else 0.0)
             added[acting] = joint.with_each(here, [self._places[others[k]][n] for k in acting])
             total += added
         return total

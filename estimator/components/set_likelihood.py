@@ -63,6 +63,16 @@ class Judged:
     sd: Floats
 
 
+@dataclass(frozen=True)
+class _Added:
+    """Components (g,) of k columns added to a set, each alone; in the likelihood's own units."""
+
+    gain: Floats  # (g,) in log evidence
+    value: Floats  # (g, k) of the amplitudes, x
+    covariance: Floats  # (g, k, k) of them, V
+    turned: Floats  # (g, k, s) covariance of the set's amplitudes times the products of both, W
+
+
 def places_of(base_size: int, sizes: Sequence[int]) -> list[NDArray[np.int64]]:
     """Places of the columns of each component, of ``sizes``, behind those of the base."""
     ends = base_size + np.cumsum([0, *sizes])
@@ -170,42 +180,43 @@ class SetLikelihood:
         return found
 
     def _with_each_alike(self, chosen: Sequence[int], posterior: Posterior, others: Sequence[int]) -> Floats:
-        """`with_each` for components of k columns each.
+        """`with_each` for components of equally many columns.
 
-        Columns more, of values x (k,) and covariance V beside the set, change the set's amplitudes b and covariance S
-        to
-
-            b - W x,   S + W V W',   W = S (their products with the set)
+        They change the amplitudes b of the set and their covariance S to b - W x and S + W V W', see `_Added`.
         """
+        added, places = self._added(chosen, others), self._set(chosen)[0]
+        turned, units = added.turned[:, :, self.base_size :], self.unit[places][self.base_size :]
+        before = posterior.mean[self.base_size :] * units
+        variance = np.diag(posterior.covariance)[self.base_size :] * units**2
+        mean = before - np.einsum("gks,gk->gs", turned, added.value)
+        spread = variance + np.einsum("gks,gkl,gls->gs", turned, added.covariance, turned, optimize=True)
+        signed = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
+        signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(before / np.sqrt(variance)))[:, signed].sum(axis=1)
+        costs = sum(self.priors[i].cost for i in chosen) + np.array([self.priors[i].cost for i in others])
+        largest = np.array([self.priors[i].largest * self.unit[self.places[i]] for i in others])
+        possible = np.all(np.abs(mean / units) <= self._limits(chosen), axis=1)
+        possible &= np.all(np.abs(added.value) <= largest, axis=1)
+        found: Floats = np.where(possible, posterior.log_evidence + added.gain + signs - costs, -np.inf)
+        return found
+
+    def _added(self, chosen: Sequence[int], others: Sequence[int]) -> "_Added":
+        """``others`` (g,) of k columns each, each alone beside a set; costs not counted."""
         places, information, _ = self._set(chosen)
-        new = np.array([self.places[i] for i in others])
+        width = len(self.places[others[0]]) if others else 1
+        new = np.array([self.places[i] for i in others], dtype=np.int64).reshape(len(others), width)
         crossed = self._information[np.ix_(places, new.ravel())]
         weights = np.linalg.solve(information, np.column_stack([crossed, self._moment[places]]))
         across, turned = (x.T.reshape(*new.shape, len(places)) for x in (crossed, weights[:, :-1]))
         score = self._moment[new] - across @ weights[:, -1]
-        sd = np.array([self.priors[i].sd for i in others])
+        usual = np.array([self.priors[i].sd for i in others])
         precision = self._information[new[:, :, None], new[:, None, :]] - across @ turned.transpose(0, 2, 1)
         diagonal = np.einsum("gkk->gk", precision)
-        diagonal[:] = np.maximum(diagonal, 0.0) + sd[:, None] ** -2.0
+        diagonal[:] = np.maximum(diagonal, 0.0) + usual[:, None] ** -2.0
         value, covariance = np.linalg.solve(precision, score[:, :, None])[:, :, 0], np.linalg.inv(precision)
-        volume = np.linalg.slogdet(precision * sd[:, None, None] ** 2)[1]
-        gain = 0.5 * np.sum(score * value, axis=1) - 0.5 * volume
-        positive = np.array([self.priors[i].positive for i in others])
-        gain += np.where(positive, log_ndtr(value[:, 0] / np.sqrt(covariance[:, 0, 0])) + np.log(2), 0.0)
-
-        turned, units = turned[:, :, self.base_size :], self.unit[places][self.base_size :]
-        before = posterior.mean[self.base_size :] * units
-        variance = np.diag(posterior.covariance)[self.base_size :] * units**2
-        mean = before - np.einsum("gks,gk->gs", turned, value)
-        spread = variance + np.einsum("gks,gkl,gls->gs", turned, covariance, turned, optimize=True)
-        signed = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
-        signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(before / np.sqrt(variance)))[:, signed].sum(axis=1)
-        costs = sum(self.priors[i].cost for i in chosen) + np.array([self.priors[i].cost for i in others])
-        largest = np.array([self.priors[i].largest for i in others])
-        possible = np.all(np.abs(mean / units) <= self._limits(chosen), axis=1)
-        possible &= np.all(np.abs(value / self.unit[new]) <= largest[:, None], axis=1)
-        found: Floats = np.where(possible, posterior.log_evidence + gain + signs - costs, -np.inf)
-        return found
+        volume = np.linalg.slogdet(precision * usual[:, None, None] ** 2)[1]
+        positive = np.array([self.priors[i].positive for i in others], dtype=np.bool_)
+        signs = np.where(positive, log_ndtr(value[:, 0] / np.sqrt(covariance[:, 0, 0])) + np.log(2), 0.0)
+        return _Added(0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs, value, covariance, turned)
 
     def _limits(self, chosen: Sequence[int]) -> Floats:
         """Of the amplitudes of a set."""
@@ -213,18 +224,8 @@ class SetLikelihood:
 
     def gains(self, chosen: Sequence[int], candidates: Sequence[int]) -> Judged:
         """What each of ``candidates`` with one column adds to a set, costs not counted."""
-        places, information, _ = self._set(chosen)
-        new = np.array([self.places[i][0] for i in candidates], dtype=np.int64)
-        cross = self._information[np.ix_(places, new)]
-        weights = np.linalg.solve(information, np.column_stack([cross, self._moment[places]]))
-        strength = np.diag(self._information)[new] - np.sum(cross * weights[:, :-1], axis=0)
-        score = self._moment[new] - cross.T @ weights[:, -1]
-        usual = np.array([self.priors[i].sd for i in candidates])
-        positive = np.array([self.priors[i].positive for i in candidates])
-        precision = np.maximum(strength, 0.0) + usual**-2.0
-        value, sd = score / precision, precision**-0.5
-        gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * usual**2)
-        return Judged(gain + np.where(positive, log_ndtr(value / sd) + np.log(2), 0.0), value, sd)
+        added = self._added(chosen, candidates)
+        return Judged(added.gain, added.value[:, 0], np.sqrt(added.covariance[:, 0, 0]))
 
     def imitated(self, chosen: Sequence[int], index: int) -> Floats:
         """Change (p,) of the amplitudes of base and set, in own units, by a unit of a component that is left out."""
