@@ -8,8 +8,9 @@ from made_strides import made_strides
 from numpy.testing import assert_allclose
 
 from estimator.estimation.gain_changes import (
-    CHANGE_SDS,
+    BESIDE_SDS,
     CHANGES,
+    MAX_EXPECTED,
     GainChanges,
     gain_changes,
 )
@@ -63,7 +64,8 @@ def test_probabilities_and_coefficients_are_those_of_one_gaussian_a_shape():
     precision = model.condition(found.scales.values).gram(np.eye(n))
     y, X = likelihood.data[:, 0], likelihood.data[:, 1:]
     m = found.road_load[2]
-    sds = CHANGE_SDS * [found.beta[0], found.road_load[0] / m, found.road_load[1] / m] * unit[:3]
+    whole = [found.beta[0], found.road_load[0] / m, found.road_load[1] / m] * unit[:3]
+    beside = (BESIDE_SDS * whole[1:]) ** -2
 
     def solved(design, prior):
         """Coefficients, and log likelihood without what all designs share."""
@@ -72,17 +74,18 @@ def test_probabilities_and_coefficients_are_those_of_one_gaussian_a_shape():
         volume = np.linalg.slogdet(information)[1] - np.log(prior).sum()
         return beta, 0.5 * (y @ precision @ design @ beta - volume)
 
-    known, logs, shifts = np.diag(likelihood.prior), [0.0], []
+    known, logs, shifts = np.diag(likelihood.prior), [], []
     for g in shapes_of(np.ones(n, dtype=bool)).T:
         others = np.column_stack([X, X[:, 1:3] * g[:, None]])
-        _, without = solved(others, np.append(known, sds[1:] ** -2))
-        beta, log = solved(
-            np.column_stack([others, X[:, 0] * g]), np.concatenate([known, sds[1:] ** -2, [sds[0] ** -2]])
-        )
-        logs.append(log - without)
-        shifts.append((beta[:p] - solved(X, known)[0]) / unit)
-    chance = CHANGES * n
-    odds = np.exp(logs) * np.array([1 - chance, *([chance / PARTS] * PARTS)])
+        _, without = solved(others, np.append(known, beside))
+        for sd, _ in CHANGES:
+            prior = np.concatenate([known, beside, [(sd * whole[0]) ** -2]])
+            beta, log = solved(np.column_stack([others, X[:, 0] * g]), prior)
+            logs.append(log - without)
+            shifts.append((beta[:p] - solved(X, known)[0]) / unit)
+    chances = np.array([rate for _, rate in CHANGES]) * n
+    assert chances.sum() < MAX_EXPECTED
+    odds = np.exp([0.0, *logs]) * np.array([1 - chances.sum(), *(list(chances / PARTS) * PARTS)])
     changes = gain_changes(found)
     assert_allclose(changes.probability, odds[1:] / odds.sum(), rtol=1e-5)
     assert_allclose(changes.shift, shifts, rtol=1e-3, atol=1e-9)

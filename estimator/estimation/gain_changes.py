@@ -6,8 +6,8 @@ The model says that 1/m is one number. Each of some shapes g(t) of a change, fro
     a = F / m (1 + r g(t)) - (A / m) (1 + r_A g(t)) - (C / m) (1 + r_C g(t)) rho v^2 ...
 
 A and C may change too, as tyres, oil and wind do: so r follows from acceleration, as the mass does, and not from the
-level of the force. With w_k the posterior probability of shape k, and beta_k the coefficients beside it (law of total
-variance, over the shapes and no change),
+level of the force. With w_k the posterior probability of change k, which has one of the shapes and one of the priors of
+its size, and beta_k the coefficients beside it (law of total variance, over the changes and none),
 
     mean = sum w_k beta_k,   covariance = sum w_k (covariance_k + (beta_k - mean) (beta_k - mean)')
 
@@ -23,19 +23,22 @@ from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
 from estimator.signals import Floats
 from estimator.strides import DURATION
 
-# Of the prior precision of a change of 1/m that its coefficient is found with; the rest is added after the correction
-# of the normal equations, for a prior is no noise.
-FAINT = 1e-3
-CHANGES = 0.6 / 3600  # 1/s of driving: prior rate of changes, by any of the shapes
-CHANGE_SDS = np.array([0.1, 0.3, 0.3])  # prior sd of a change, as a share of 1/m, A/m and C/m (warm-up, wind)
-MAX_EXPECTED = 0.5  # prior probability of a change, however long the drive
+# Prior sd of a change, as a share of 1/m, and rate per second of driving. The first are loads and sensors that change;
+# the second are efficiencies that warm up: on 28 trips of a BMW i3 it gains 11 in log evidence with the road hidden and
+# 9 with it shown, nearly the most of sds from 0.01 to 0.04.
+CHANGES = ((0.1, 0.6 / 3600), (0.02, 6 / 3600))
+MAX_EXPECTED = 0.6  # prior probability of a change, however long the drive
+BESIDE_SDS = (0.3, 0.3)  # prior sd of the changes beside it, as a share of A/m and C/m (warm-up, wind)
+# Prior sd that the coefficient of a change of 1/m is found with; its own is added after the correction of the normal
+# equations, for a prior is no noise.
+VAGUE_SD = 3.0
 MIN_PROBABILITY = 0.99  # of a change, from which on parts of a drive contradict each other
 MIN_SHARE = 0.04  # and its size, as a share of 1/m: a smaller one widens the estimate and does not withhold it
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainChanges:
-    """Shapes of a change with their posterior probability, and what each of them does to a fit.
+    """Changes with their posterior probability, and what each of them does to a fit.
 
     ``probability`` (k,); ``shift`` (k, p) of the coefficients; ``covariance`` (k, p, p) beyond that without a change;
     ``size`` (k,) of the change as a share of 1/m, and its ``sd`` (k,).
@@ -59,7 +62,8 @@ class GainChanges:
     def contradiction(self, found: RoadFit) -> str:
         """Reason why parts of the drive contradict each other; empty where noise explains it."""
         k = int(np.argmax(self.probability))
-        if self.probability.sum() < MIN_PROBABILITY or abs(self.size[k]) < MIN_SHARE:
+        probability = self.probability.sum()
+        if probability < MIN_PROBABILITY or self.probability @ np.abs(self.size) < MIN_SHARE * probability:
             return ""
         middle, change = found.beta[0] + self.shift[k, 0], found.beta[0] * self.size[k]
         before, after = 1 / (middle - change / 2), 1 / (middle + change / 2)
@@ -70,28 +74,28 @@ def gain_changes(found: RoadFit) -> GainChanges:
     """The changes of force under the present load that a fit shows, at its scales."""
     equations, m = found.equations, found.road_load[2]
     p, unit = len(equations.prior), equations.unit
-    expected = CHANGE_SDS * unit[:ROAD_LOAD] * [found.beta[0], *(found.road_load[:2] / m)]
-    believed = expected**-2.0
+    whole = unit[:ROAD_LOAD] * [found.beta[0], *(found.road_load[:2] / m)]
     without, spread, _ = equations.solve()
-    prior = min(CHANGES * DURATION * max(equations.present, 1), MAX_EXPECTED)
-    log_odds, shifts, spreads, sizes = [np.log(1 - prior)], [], [], []
+    expected = np.array([rate for _, rate in CHANGES]) * DURATION * max(equations.present, 1)
+    prior = expected * min(1.0, MAX_EXPECTED / expected.sum())
+    log_odds, shifts, spreads, sizes = [np.log(1 - prior.sum())], [], [], []
     for k in range(PARTS):
-        beta, covariance, _ = equations.solve(k, [FAINT * believed[0], *believed[1:]])
-        own, with_own = covariance[p, p], covariance[:p, p]
-        variance = 1 / (1 / own + (1 - FAINT) * believed[0])
-        size = beta[p] * variance / own
-        gain = 0.5 * (size**2 / variance + np.log(variance * believed[0]))
-        log_odds.append(np.log(prior / PARTS) + gain)
-        shift = beta[:p] + with_own * (size - beta[p]) / own - without
-        wider = covariance[:p, :p] - np.outer(with_own, with_own) * (1 - variance / own) / own - spread
-        shifts.append(shift / unit)
-        spreads.append(wider / np.outer(unit, unit))
-        sizes.append(np.array([size, np.sqrt(variance)]) / (unit[0] * found.beta[0]))
-    relative_size, sd = np.array(sizes).T
+        beta, covariance, _ = equations.solve(k, (whole * [VAGUE_SD, *BESIDE_SDS]) ** -2.0)
+        vague, with_it = covariance[p, p], covariance[:p, p]
+        for (sd, _), chance in zip(CHANGES, prior, strict=True):
+            believed = (whole[0] * sd) ** -2.0
+            variance = 1 / (1 / vague + believed - (whole[0] * VAGUE_SD) ** -2.0)
+            size = beta[p] * variance / vague
+            log_odds.append(np.log(chance / PARTS) + 0.5 * (size**2 / variance + np.log(variance * believed)))
+            shifts.append((beta[:p] + with_it * (size - beta[p]) / vague - without) / unit)
+            wider = covariance[:p, :p] - np.outer(with_it, with_it) * (1 - variance / vague) / vague - spread
+            spreads.append(wider / np.outer(unit, unit))
+            sizes.append(np.array([size, np.sqrt(variance)]) / whole[0])
+    relative_size, relative_sd = np.array(sizes).T
     return GainChanges(
         probability=np.exp(np.array(log_odds[1:]) - np.logaddexp.reduce(log_odds)),
         shift=np.array(shifts),
         covariance=np.array(spreads),
         size=relative_size,
-        sd=sd,
+        sd=relative_sd,
     )

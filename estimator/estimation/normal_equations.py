@@ -100,7 +100,9 @@ class NormalEquations:
         changed = changed_by_scales(conditioned, scales, residual)[:, free] @ root
         return replace(found, moved=-data[:, 1:].T @ conditioned.weighed(changed), noise_moved=noise_moved)
 
-    def solve(self, change: int | None = None, precision: Sequence[float] = ()) -> tuple[Floats, Floats, float]:
+    def solve(
+        self, change: int | None = None, precision: Sequence[float] | Floats = ()
+    ) -> tuple[Floats, Floats, float]:
         """Coefficients, their covariance, and the share of noise in the information on 1/m.
 
         With the number of a ``change`` and the prior precisions of its three coefficients these come last.
