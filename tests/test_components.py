@@ -39,6 +39,7 @@ from estimator.estimation.normal_equations import NormalEquations
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.estimation.road_fit import fit
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, USUAL_SDS, Likelihood
+from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
@@ -81,7 +82,7 @@ def quiet(strides):
 
 
 def joint_likelihood(strides, fit, components, rng):
-    return JointLikelihood(fit.scales.model_of(strides).condition(fit.scales.values), fit, components, rng)
+    return JointLikelihood(Conditioned.of(fit.scales.model_of(strides), fit.scales.values), fit, components, rng)
 
 
 def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), further=()):
@@ -93,7 +94,7 @@ def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), 
 def covariance(strides, fit):
     """Of the accelerations (n, n), from the model's products with unit vectors."""
     model = fit.scales.model_of(strides)
-    return np.linalg.inv(model.condition(fit.scales.values).gram(np.eye(len(strides))))
+    return np.linalg.inv(Conditioned.of(model, fit.scales.values).gram(np.eye(len(strides))))
 
 
 def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
@@ -549,7 +550,7 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
 
 def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
     model = quiet.scales.model_of(strides)
-    conditioned = model.condition(quiet.scales.values)
+    conditioned = Conditioned.of(model, quiet.scales.values)
     residual = np.random.default_rng(4).normal(0, 0.05, len(strides))
     draws = conditioned.draws(np.repeat(residual[:, None], 4000, axis=1), np.random.default_rng(5))
     slope = model.slope_under(strides, draws)

@@ -20,6 +20,7 @@ from numpy.testing import assert_allclose
 
 from estimator.estimation.normal_equations import ANSWERED, ANSWERED_SD, MAX_ANSWERED, NormalEquations
 from estimator.estimation.road_likelihood import LAG, PARTS, ROAD_LOAD, Likelihood, shapes_of
+from estimator.model.conditioned import Conditioned
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_scales import TORQUE
@@ -41,7 +42,7 @@ def test_the_freedom_of_the_slopes_is_that_of_the_dense_covariance(shown, alpha,
     moved = np.zeros_like(dense.of_slopes)
     moved[:, :n] = dense.of_slopes[:, :n]  # what is in the accelerations; readings show the same slopes
     expected = np.diag(np.linalg.solve(dense.K, moved))[:n]
-    found = model.condition(scales).freedom
+    found = Conditioned.of(model, scales).freedom
     assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
     assert (found.sum() > 1) == (alpha != LEVEL)
 
@@ -64,7 +65,7 @@ def test_each_change_has_the_columns_of_the_road_load_once_more():
     model = likelihood.model
     scales, shapes = scales_of(model), shapes_of(model.driven.t > 30)
     data = likelihood.with_changes(shapes)
-    conditioned = model.condition(scales)
+    conditioned = Conditioned.of(model, scales)
     equations = equations_of(likelihood, scales, shapes)
     assert_allclose(equations.gram, conditioned.gram(data))
     assert equations.present == np.count_nonzero(model.driven.t > 30)

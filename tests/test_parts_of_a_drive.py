@@ -16,6 +16,7 @@ from estimator.estimation.gain_changes import (
 )
 from estimator.estimation.road_fit import fit, fit_given
 from estimator.estimation.road_likelihood import PARTS, Likelihood, earlier_loads, shapes_of
+from estimator.model.conditioned import Conditioned
 
 M, A, C = 25e3, 1600.0, 3.5
 NOISE = 4e-3  # m/s^2
@@ -61,7 +62,7 @@ def test_probabilities_and_coefficients_are_those_of_one_gaussian_a_shape():
     model = found.scales.model_of(strides)
     likelihood = Likelihood(model, (), found.road_load, found.scales.lag)
     n, p, unit = len(strides), len(likelihood.prior), likelihood.unit
-    precision = model.condition(found.scales.values).gram(np.eye(n))
+    precision = Conditioned.of(model, found.scales.values).gram(np.eye(n))
     y, X = likelihood.data[:, 0], likelihood.data[:, 1:]
     m = found.road_load[2]
     whole = [found.beta[0], found.road_load[0] / m, found.road_load[1] / m] * unit[:3]

@@ -23,6 +23,7 @@ from numpy.testing import assert_allclose
 
 from estimator.estimation import form_doubt, road_fit
 from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, earlier_loads
+from estimator.model.conditioned import Conditioned
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_nodes import MAX_BRIDGE, SPACING, Nodes
 from estimator.model.road_scales import TORQUE
@@ -45,7 +46,7 @@ def assert_has_the_covariance(model, scales, dense):
     keep = observed(model)
     Y = np.zeros((len(keep), 4))
     Y[keep] = np.random.default_rng(1).normal(size=(keep.sum(), 4))
-    conditioned = model.condition(scales)
+    conditioned = Conditioned.of(model, scales)
     expected = Y[keep].T @ np.linalg.solve(dense.K, Y[keep])
     assert_allclose(conditioned.gram(Y), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
     assert conditioned.log_determinant == pytest.approx(np.linalg.slogdet(dense.K)[1], abs=1e-3)
@@ -83,7 +84,7 @@ def test_the_road_that_is_found_is_the_conditional_mean(alpha):
     theta = dense_field(model.nodes, alpha, scales[4], scales[5])
     B = np.vstack([-STANDARD_GRAVITY * dense.hats, np.eye(len(theta))[model.readings[0].nodes]])
     expected = theta @ B.T @ np.linalg.solve(dense.K, residual)
-    slope, at_strides = model.road(model.condition(scales).unknowns(residual))
+    slope, at_strides = model.road(Conditioned.of(model, scales).unknowns(residual))
     assert_allclose(slope, expected, atol=1e-6 * np.abs(expected).max())
     middle = 0.5 * (model.driven.s0 + model.driven.s1)
     assert_allclose(at_strides, np.interp(middle, model.nodes.s, expected), atol=1e-6 * np.abs(expected).max())
@@ -97,7 +98,7 @@ def test_the_errors_of_the_sensors_are_their_conditional_mean(alpha):
     residual = np.random.default_rng(2).normal(0, 0.1, sum(model.counts))
     dense = Dense(model, scales)
     expected = dense.sensors @ np.linalg.solve(dense.K, residual)
-    found = model.sensor_errors(model.condition(scales).unknowns(residual))
+    found = model.sensor_errors(Conditioned.of(model, scales).unknowns(residual))
     assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
@@ -127,7 +128,7 @@ def test_a_signal_that_comes_and_goes_is_one_chain_over_the_gap():
     keep, dense = observed(model), Dense(model, scales)
     Y = np.zeros((len(keep), 1))
     Y[keep] = np.random.default_rng(1).normal(size=(keep.sum(), 1))
-    conditioned = model.condition(scales)
+    conditioned = Conditioned.of(model, scales)
     expected = Y[keep].T @ np.linalg.solve(dense.K, Y[keep])
     assert_allclose(conditioned.gram(Y), expected, rtol=1e-5)
     assert conditioned.log_determinant == pytest.approx(np.linalg.slogdet(dense.K)[1], abs=1e-3)
@@ -135,9 +136,9 @@ def test_a_signal_that_comes_and_goes_is_one_chain_over_the_gap():
 
 def test_the_cost_does_not_grow_with_the_gaps_of_a_signal():
     whole = strides_of(1200, shown=("altitude",), silence=1200)
-    width = RoadModel(whole, 2).condition(scales_of(RoadModel(whole, 2))).factor.lower.shape[0]
+    width = Conditioned.of(RoadModel(whole, 2), scales_of(RoadModel(whole, 2))).factor.lower.shape[0]
     gappy = RoadModel(with_gap(whole), 2)
-    assert gappy.condition(scales_of(gappy)).factor.lower.shape[0] <= width
+    assert Conditioned.of(gappy, scales_of(gappy)).factor.lower.shape[0] <= width
 
 
 def test_one_value_of_a_signal_is_none():
@@ -172,7 +173,7 @@ def test_the_coefficients_are_the_posterior_mean_of_the_dense_gaussian():
     data, K = likelihood.data[keep], Dense(likelihood.model, scales).K
     information = data[:, 1:].T @ np.linalg.solve(K, data[:, 1:]) + likelihood.prior
     expected = np.linalg.solve(information, data[:, 1:].T @ np.linalg.solve(K, data[:, 0]))
-    beta, found, _ = likelihood.solve(likelihood.model.condition(scales).gram(likelihood.data))
+    beta, found, _ = likelihood.solve(Conditioned.of(likelihood.model, scales).gram(likelihood.data))
     assert_allclose(found, information, rtol=1e-4, atol=1e-4 * np.abs(information).max())
     assert_allclose(beta, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
 
@@ -183,7 +184,7 @@ def test_the_noise_in_the_regressors_is_the_expectation_over_the_error_of_the_fo
     force = sign * np.random.default_rng(4).uniform(20_000, 60_000, n)
     likelihood = likelihood_of(strides_of(n, force=force))
     model, scales = likelihood.model, scales_of(likelihood.model, 10)
-    dense, conditioned, still = Dense(model, scales), model.condition(scales), np.empty((len(model.driven), 0))
+    dense, conditioned, still = Dense(model, scales), Conditioned.of(model, scales), np.empty((len(model.driven), 0))
     beta = np.zeros(likelihood.data.shape[1] - 1)
     beta[0] = likelihood.unit[0] / M
     rng = np.random.default_rng(11)
@@ -210,7 +211,7 @@ def test_loads_before_the_present_one_have_masses_of_their_own():
     strides = replace(strides, a=(strides.force[:, MIDDLE] - drag) / m - A / now)
     model = RoadModel(strides, 2)
     likelihood = Likelihood(model, (), np.array([A, C, now]), MIDDLE, (departure,))
-    beta, _, _ = likelihood.solve(model.condition(scales_of(model, slope=1e-3)).gram(likelihood.data))
+    beta, _, _ = likelihood.solve(Conditioned.of(model, scales_of(model, slope=1e-3)).gram(likelihood.data))
     beta = beta / likelihood.unit
     assert 1 / beta[0] == pytest.approx(now, rel=0.01)
     assert 1 / (beta[0] + beta[PLAIN]) == pytest.approx(before, rel=0.01)
@@ -243,7 +244,7 @@ def test_the_mass_is_as_far_from_the_truth_as_its_standard_deviation_says():
     sd = 1 / np.sqrt(np.diag(likelihood.prior))
     beta[LAG : DRAG + 1] = sd[LAG : DRAG + 1, None] * rng.normal(size=(2, draws))
     a = likelihood.data[:, 1:] @ beta + drawn(model, scales, rng, draws)
-    gram = model.condition(scales).gram(np.column_stack([a, likelihood.data[:, 1:]]))
+    gram = Conditioned.of(model, scales).gram(np.column_stack([a, likelihood.data[:, 1:]]))
     information = gram[draws:, draws:] + likelihood.prior
     found = np.linalg.solve(information, gram[draws:, :draws])
     z = (found - beta)[:3] / np.sqrt(np.diag(np.linalg.inv(information)))[:3, None]

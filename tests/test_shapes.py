@@ -17,6 +17,7 @@ from estimator.estimation.shapes import (
     is_free,
     nearer_shapes,
 )
+from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import View
@@ -69,7 +70,7 @@ def evidence(strides, found, terms):
     model = found.scales.model_of(strides)
     road_load = np.maximum(found.theta[:3], 1e-9)
     likelihood = Likelihood(model, terms, road_load, found.scales.lag, found.departures, found.taken)
-    solved, _, _ = likelihood.solve(model.condition(found.scales.values).gram(likelihood.data))
+    solved, _, _ = likelihood.solve(Conditioned.of(model, found.scales.values).gram(likelihood.data))
     return likelihood.log_evidence(found.scales.values), solved / likelihood.unit
 
 

@@ -13,9 +13,10 @@ from estimator.components.set_likelihood import Judged
 from estimator.components.switching import Switching
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
+from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest, Effect, Timing
-from estimator.model.road import LEVEL, Conditioned
+from estimator.model.road import LEVEL
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.signals import Floats
 from estimator.strides import Strides
@@ -122,7 +123,7 @@ class DriveState:
 
     @cached_property
     def _conditioned(self) -> Conditioned:
-        return self.fit.scales.model_of(self.strides).condition(self.fit.scales.values)
+        return Conditioned.of(self.fit.scales.model_of(self.strides), self.fit.scales.values)
 
     @cached_property
     def joint(self) -> JointLikelihood:

@@ -19,7 +19,7 @@ from estimator.components.set_likelihood import SetLikelihood
 from estimator.estimation.normal_equations import ANSWERED, of_first_order
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
-from estimator.model.road import Conditioned
+from estimator.model.conditioned import Conditioned
 from estimator.signals import Floats
 
 

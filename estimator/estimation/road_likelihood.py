@@ -15,11 +15,12 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
+from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import View
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
-from estimator.model.road import Conditioned, RoadModel
+from estimator.model.road import RoadModel
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.model.road_scales import TORQUE
 from estimator.model.road_score import Score, score
@@ -173,7 +174,7 @@ class Likelihood:
         """
         key = scales.tobytes()
         if self._last is None or self._last[0] != key:
-            conditioned = self.model.condition(scales)
+            conditioned = Conditioned.of(self.model, scales)
             self._last = key, conditioned, conditioned.gram(self.data)
         return self._last[1:]
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import Likelihood
+from estimator.model.conditioned import Conditioned
 from estimator.model.linear_gaussian import Factor
 from estimator.signals import Floats
 from estimator.strides import Strides
@@ -52,7 +53,7 @@ def mean_slopes(strides: Strides, found: RoadFit, parts: NDArray[np.int64]) -> M
     if model.is_level or not number:
         return MeanSlopes(*np.full((3, number), np.nan))
     likelihood = Likelihood(model, found.terms, found.road_load, scales.lag, found.departures, found.taken)
-    conditioned = model.condition(scales.values)
+    conditioned = Conditioned.of(model, scales.values)
     data = likelihood.data.copy()
     data[:, 0] -= data[:, 1:] @ (found.beta * likelihood.unit)
     solved = conditioned.factor.solve(model.gathered(data / conditioned.variance[:, None]))

@@ -19,6 +19,7 @@ import numpy as np
 
 from estimator.estimation.road_fit import RoadFit, RoadScales
 from estimator.estimation.road_likelihood import LAG, Likelihood
+from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
 from estimator.signals import Floats, Quantity
 from estimator.strides import Strides
@@ -107,7 +108,7 @@ class ShapeLikelihood:
     def __init__(self, strides: Strides, found: RoadFit) -> None:
         self._found = found
         self._model = found.scales.model_of(strides)
-        self._conditioned = self._model.condition(found.scales.values)
+        self._conditioned = Conditioned.of(self._model, found.scales.values)
 
     def judged(self, beside: tuple[Term, ...], shapes: Sequence[Term]) -> tuple[Floats, Floats]:
         """What each of the ``shapes`` (k,) alone adds to the log evidence ``beside`` other terms.

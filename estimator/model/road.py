@@ -27,7 +27,8 @@ evaluation of the likelihood costs O(n). On a road that is known to be level the
 the motion, so their unknowns come behind, and the band is a quarter as wide.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -35,8 +36,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from estimator.model.gram import Rows, gram
-from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth, both_triangles
+from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
 from estimator.model.road_nodes import SIGNALS, Nodes, Reading
@@ -62,7 +62,6 @@ ROUGH, SMOOTH = 1, 2  # orders of a signal's wander: smoothness 1/2 and 3/2
 MAX_PASSAGE = 60.0
 HEIGHT_SD = 0.01  # m, of the height about the integral of the slope: numerically exact
 START_HEIGHT_SD = 1000.0  # m, of the height at the beginning: unknown
-TOGETHER = 16  # draws that are made at once: bounds the memory beside the draws themselves
 _POINTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # of a stride, where the road is looked up
 _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the stride's mean
 
@@ -304,22 +303,16 @@ class RoadModel:
             change[ends[first + i - 1] : ends[first + i], len(SCALES) + 3 * i] = 2 * variances[first + i]
         return change
 
-    def condition(self, scales: Floats) -> "Conditioned":
-        """The model with its ``scales`` (k,), in the order of `scales`.
+    def precision(self, scales: Floats, variances: Sequence[Floats]) -> tuple[Floats, float]:
+        """Precision of all unknowns given the data, as a lower band, and the log determinant of their prior's.
 
-        Raises
-        ------
-        NotPositiveDefiniteError
-            The scales lie too far apart for floating point.
+        For ``scales`` (k,), with the ``variances`` of the observations.
         """
-        variances = self.variances(scales)
         precision = np.zeros(self._shape)
         for observed, variance in zip(self._maps, variances, strict=True):
             observed.add_information(precision, variance)
         log_prior = sum(each.process.add_precision(precision, each.sd, each.memory) for each in self.acting(scales))
-        factor = Factor.of(precision)
-        log_noise = float(sum(np.log(variance).sum() for variance in variances))
-        return Conditioned(self, np.concatenate(variances), factor, log_noise + factor.log_determinant - log_prior)
+        return precision, float(log_prior)
 
     def gathered(self, scaled: Floats) -> Floats:
         """A' times columns (sum of counts, c)."""
@@ -413,50 +406,3 @@ def _of_ends(process: Chain, scales: Floats, at: int) -> Acting:
 def _reach(places: Places, step: int) -> int:
     """How far apart places ``step`` apart in (n,) are at most."""
     return int((places[step:] - places[:-step]).max()) if len(places) > step else 0
-
-
-@dataclass(frozen=True)
-class Conditioned:
-    """A road model with given scales: K is the covariance of the data."""
-
-    model: RoadModel
-    variance: Floats
-    factor: Factor = field(repr=False)
-    log_determinant: float  # log|K|
-
-    @cached_property
-    def freedom(self) -> Floats:
-        """Share (n,) of each driven stride's acceleration that the slopes may explain.
-
-        It is the diagonal of K^-1 times the covariance that the slopes alone would give the accelerations; the sum is
-        their effective number of parameters.
-        """
-        if self.model.is_level:
-            return np.zeros(self.model.counts[0])
-        products = both_triangles(self.factor.covariance())
-        return self.model.shared_with_slopes(products) / self.variance[: self.model.counts[0]]
-
-    def gram(self, data: Rows) -> Floats:
-        """Y' K^-1 Y (c, c) of data columns."""
-        return gram(self.factor, self.model.kinds, self.variance, data)
-
-    def unknowns(self, residual: Floats) -> Floats:
-        """Posterior mean (size,) of all unknowns, given the data less the parameters' part (sum of counts,)."""
-        solved: Floats = self.factor.solve(self.model.gathered((residual / self.variance)[:, None]))[:, 0]
-        return solved
-
-    def weighed(self, residual: Floats) -> Floats:
-        """K^-1 times a residual (sum of counts,), or several (sum of counts, d)."""
-        columns = residual.reshape(len(residual), -1)
-        unknowns = self.factor.solve(self.model.gathered(columns / self.variance[:, None]))
-        rest: Floats = (columns - self.model.observed(unknowns)) / self.variance[:, None]
-        return rest.reshape(residual.shape)
-
-    def draws(self, residuals: Floats, rng: np.random.Generator) -> Floats:
-        """Draws (size, d) of all unknowns from their posterior, one for each column of residuals (sum of counts, d)."""
-        drawn = rng.standard_normal((self.model.size, residuals.shape[1]))
-        for first in range(0, residuals.shape[1], TOGETHER):
-            some = slice(first, first + TOGETHER)
-            mean = self.factor.solve(self.model.gathered(residuals[:, some] / self.variance[:, None]))
-            drawn[:, some] = mean + self.factor.unwhiten(drawn[:, some])
-        return drawn

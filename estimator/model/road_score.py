@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.model.conditioned import Conditioned
 from estimator.model.linear_gaussian import add_squares, both_triangles
-from estimator.model.road import Conditioned
 from estimator.signals import Floats
 
 

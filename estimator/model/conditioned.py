@@ -1,0 +1,82 @@
+"""A road model with given scales: what its unknowns are, given the data, and what the data say of the parameters.
+
+The data are Y = X beta + A u + errors, with unknowns u of precision Q and errors of the variances D, so that
+
+    K^-1 = D^-1 - D^-1 A (Q + A' D^-1 A)^-1 A' D^-1,   log|K| = log|D| + log|Q + A' D^-1 A| - log|Q|
+
+(Woodbury), with K the covariance of the data. The matrix in the middle is banded.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from estimator.model.gram import Rows, gram
+from estimator.model.linear_gaussian import Factor, both_triangles
+from estimator.model.road import RoadModel
+from estimator.signals import Floats
+
+TOGETHER = 16  # draws that are made at once: bounds the memory beside the draws themselves
+
+
+@dataclass(frozen=True)
+class Conditioned:
+    """A road model with given scales: K is the covariance of the data."""
+
+    model: RoadModel
+    variance: Floats
+    factor: Factor = field(repr=False)
+    log_determinant: float  # log|K|
+
+    @classmethod
+    def of(cls, model: RoadModel, scales: Floats) -> "Conditioned":
+        """With ``scales`` (k,), in the order of `RoadModel.scales`.
+
+        Raises
+        ------
+        NotPositiveDefiniteError
+            The scales lie too far apart for floating point.
+        """
+        variances = model.variances(scales)
+        precision, log_prior = model.precision(scales, variances)
+        factor = Factor.of(precision)
+        log_noise = float(sum(np.log(variance).sum() for variance in variances))
+        return cls(model, np.concatenate(variances), factor, log_noise + factor.log_determinant - log_prior)
+
+    @cached_property
+    def freedom(self) -> Floats:
+        """Share (n,) of each driven stride's acceleration that the slopes may explain.
+
+        It is the diagonal of K^-1 times the covariance that the slopes alone would give the accelerations; the sum is
+        their effective number of parameters.
+        """
+        if self.model.is_level:
+            return np.zeros(self.model.counts[0])
+        products = both_triangles(self.factor.covariance())
+        return self.model.shared_with_slopes(products) / self.variance[: self.model.counts[0]]
+
+    def gram(self, data: Rows) -> Floats:
+        """Y' K^-1 Y (c, c) of data columns."""
+        return gram(self.factor, self.model.kinds, self.variance, data)
+
+    def unknowns(self, residual: Floats) -> Floats:
+        """Posterior mean (size,) of all unknowns, given the data less the parameters' part (sum of counts,)."""
+        solved: Floats = self.factor.solve(self.model.gathered((residual / self.variance)[:, None]))[:, 0]
+        return solved
+
+    def weighed(self, residual: Floats) -> Floats:
+        """K^-1 times a residual (sum of counts,), or several (sum of counts, d)."""
+        columns = residual.reshape(len(residual), -1)
+        unknowns = self.factor.solve(self.model.gathered(columns / self.variance[:, None]))
+        rest: Floats = (columns - self.model.observed(unknowns)) / self.variance[:, None]
+        return rest.reshape(residual.shape)
+
+    def draws(self, residuals: Floats, rng: np.random.Generator) -> Floats:
+        """Draws (size, d) of all unknowns from their posterior, one for each column of residuals (sum of counts, d)."""
+        drawn = rng.standard_normal((self.model.size, residuals.shape[1]))
+        for first in range(0, residuals.shape[1], TOGETHER):
+            some = slice(first, first + TOGETHER)
+            mean = self.factor.solve(self.model.gathered(residuals[:, some] / self.variance[:, None]))
+            drawn[:, some] = mean + self.factor.unwhiten(drawn[:, some])
+        return drawn
