@@ -62,8 +62,9 @@ class LoadChange:
 class Road:
     """Slopes of the road by the model.
 
-    ``slope_sd`` standard deviation of the slope [1], ``length`` over which it changes [m], ``shown_by`` the signals
-    that show it, none for a hidden road; ``climbed`` height gained on the way up [m], None where no signal shows it.
+    ``slope_sd`` standard deviation of the slope along it [1], ``length`` over which it changes [m], ``shown_by`` the
+    signals that show it, none for a hidden road; ``climbed`` height gained on the way up [m], None where no signal
+    shows it.
     """
 
     slope_sd: float

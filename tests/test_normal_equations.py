@@ -47,6 +47,17 @@ def test_the_freedom_of_the_slopes_is_that_of_the_dense_covariance(shown, alpha,
     assert (found.sum() > 1) == (alpha != LEVEL)
 
 
+@pytest.mark.parametrize("shown", SHOWN, ids="+".join)
+@pytest.mark.parametrize("alpha", [2, 4])
+def test_the_variance_of_the_slopes_is_that_of_many_draws(shown, alpha):
+    model = RoadModel(strides_of(shown=shown), alpha)
+    conditioned = Conditioned.of(model, scales_of(model, 3))
+    nothing = np.zeros((sum(model.counts), 4000))
+    unknowns = conditioned.draws(nothing, np.random.default_rng(1))
+    drawn = np.array([model.road(each)[0] for each in unknowns.T])
+    assert_allclose(conditioned.slope_variance, drawn.var(axis=0), rtol=0.15)
+
+
 def test_without_noise_and_answers_they_are_solved_as_they_stand():
     likelihood = likelihood_of(strides_of(80))
     scales = scales_of(likelihood.model)

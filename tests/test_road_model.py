@@ -26,7 +26,7 @@ from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, e
 from estimator.model.conditioned import Conditioned
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_nodes import MAX_BRIDGE, SPACING, Nodes
-from estimator.model.road_scales import TORQUE
+from estimator.model.road_scales import LENGTH, SLOPE, TORQUE
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
@@ -274,6 +274,21 @@ def test_a_fit_finds_the_vehicle_and_the_hills_that_the_strides_were_drawn_with(
     assert found.slope_sd == pytest.approx(0.012, rel=0.35)
     assert abs(found.lag) < 0.1
     assert found.torque_share < 0.1
+
+
+def test_the_sd_of_the_slopes_is_that_along_the_road_where_that_of_the_process_is_larger():
+    n, amplitude = 900, 0.02
+    strides = strides_of(n, seed=21, force=np.full(n, 4000.0), unknown=(), silence=n)
+    rng = np.random.default_rng(22)
+    force = np.repeat(rng.normal(3000, 9000, n // 15), 15)
+    strides.force[:] = force[:, None]
+    strides.gearing[:], strides.density[:] = 10.0, 1.2
+    strides.a[:] = force / M - A / M - C / M * strides.speed_squared + rng.normal(0, 2e-3, n)
+    strides.a[:] -= STANDARD_GRAVITY * amplitude * np.sin(2 * np.pi * (strides.s0 + strides.s1) / 2 / 2000)
+    found = road_fit.fit(strides, np.random.default_rng(23))
+    assert found.slope_sd == pytest.approx(amplitude / np.sqrt(2), rel=0.1)
+    assert found.scales.values[SLOPE] > 1.25 * found.slope_sd
+    assert found.slope_length < found.scales.values[LENGTH]
 
 
 def test_power_that_no_signal_shows_is_told_from_noise_of_the_torque():

@@ -159,8 +159,8 @@ class Conclusion:
 
     def hills(self) -> Finding:
         """The finding of a road that no signal shows, with the share of the gap that a signal could close."""
-        driven = float(np.ptp(self.longest.strides.s0))
-        spread = float(np.sqrt(0.5 * SLOPE_LENGTH / max(driven, SLOPE_LENGTH)))  # of a standard deviation
+        slopes = max(float(np.ptp(self.longest.strides.s0)) / SLOPE_LENGTH, 1.0)  # that are independent of each other
+        sd = float(np.hypot(self.longest.fit.slope_doubt / np.sqrt(slopes), EFFECT_DOUBT * self.slope_sd))
         part = self.budget.part(ROAD)
         left = self.budget.base if part is None else part.expected
         return Finding(
@@ -168,7 +168,7 @@ class Conclusion:
             probability=1.0,
             log_bayes_factor=self.explanation.slopes or 0.0,
             equivalent=(),
-            magnitude=Magnitude(HIDDEN_GRADE, self.slope_sd, self.slope_sd * spread, "1"),
+            magnitude=Magnitude(HIDDEN_GRADE, self.slope_sd, sd, "1"),
             gap_closed=_closed(part),
             rms_before=self.budget.base,
             rms_after=left,

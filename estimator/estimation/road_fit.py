@@ -83,7 +83,8 @@ class RoadFit:
     strides: Strides  # those with a known force
     fitted: Floats  # (n,) acceleration by the vehicle's part and the road [m/s^2]
     slope: Floats  # (n,) of the road at the strides
-    slope_sd: float
+    slope_sd: float  # expected, of the slope along this road; that of the process is among the scales
+    slope_doubt: float  # posterior sd of the slope at a place, rms
     climbed: float  # [m], all rises of the road together
     torque_share: float  # of the information on 1/m that is noise of the torque
     equations: NormalEquations = field(repr=False)
@@ -122,6 +123,17 @@ class RoadFit:
         beta[:b] += shift
         wider[:b, :b] += covariance
         return replace(self, beta=beta, covariance=wider)
+
+    @property
+    def slope_length(self) -> float:
+        """Length [m] over which the slope changes.
+
+        A drive determines sd^2 / length^(2 nu) of a process of smoothness nu (Zhang 2004), and each of both badly: a
+        road of single hills has the slopes of a process with a larger sd and a greater length.
+        """
+        nu = max(self.scales.alpha, 1) - 0.5
+        ratio = self.slope_sd / float(self.scales.values[SLOPE])
+        return float(self.scales.values[LENGTH] * ratio ** (1 / nu))
 
     @property
     def residual_power(self) -> Floats:
@@ -352,14 +364,15 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
     equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes, rng)
     beta, covariance, share = equations.solve()
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
-    slope_sd = float(scales.values[SLOPE])
     covariance = with_doubt_of_effects(beta, covariance, len(likelihood.terms))
-    covariance = with_doubt_of_form(beta, covariance, slope_sd, hidden=not scales.readings)
     residual = likelihood.data[:, 0] - likelihood.data[:, 1:] @ (beta * unit)
     n = len(model.driven)
     at_nodes, slope = model.road(conditioned.unknowns(residual))
     rises = 0.5 * (at_nodes[1:] + at_nodes[:-1]) * np.diff(model.nodes.s)
     fitted = likelihood.data[:n, 1:] @ (beta * unit) - STANDARD_GRAVITY * slope
+    slope_doubt = float(np.sqrt(np.mean(conditioned.slope_variance)))
+    slope_sd = float(np.hypot(np.std(at_nodes), slope_doubt))
+    covariance = with_doubt_of_form(beta, covariance, slope_sd, hidden=not scales.readings)
     return RoadFit(
         beta=beta,
         covariance=covariance,
@@ -370,6 +383,7 @@ def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng:
         fitted=fitted,
         slope=slope,
         slope_sd=slope_sd,
+        slope_doubt=slope_doubt,
         climbed=float(rises[model.nodes.joined[1:] & (rises > 0)].sum()),
         torque_share=share,
         equations=equations,

@@ -38,7 +38,7 @@ from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term
 from estimator.model.effects import named
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
-from estimator.model.road_scales import LENGTH, POWER, SCALES, TORQUE
+from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -387,4 +387,4 @@ def _advice(name: str, found: RoadFit) -> str:
 def _road(found: RoadFit) -> Road:
     """The road of an estimate."""
     climbed = found.climbed if found.scales.readings else None
-    return Road(found.slope_sd, float(found.scales.values[LENGTH]), found.scales.readings, climbed)
+    return Road(found.slope_sd, found.slope_length, found.scales.readings, climbed)

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_passes import mean_slopes
-from estimator.model.road_scales import LENGTH
+from estimator.model.road_scales import LENGTH, SLOPE
 from estimator.road_map import Cells, cells_at, key_of, octant_of, place_of
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
@@ -115,7 +115,8 @@ def passes_of(strides: Strides, found: RoadFit, places: Places, start: float) ->
     parts[there] = np.where(long[number], (np.cumsum(long) - 1)[number], -1)
     shown = mean_slopes(strides, found, parts)
     known = np.isfinite(shown.slope) & np.isfinite(shown.common)
-    gradient = sqrt(3) * found.slope_sd / float(found.scales.values[LENGTH])  # 1/m, sd of that of the Matern process
+    sd, distance = found.scales.values[[SLOPE, LENGTH]].tolist()
+    gradient = sqrt(3) * sd / distance  # 1/m, sd of that of the Matern process
     own = np.hypot(shown.own[known], PLACE_DOUBT * gradient)
     run = np.sqrt(1 - np.clip(shown.slope[known], -0.5, 0.5) ** 2)  # sine to rise over run
     return Passes.of(key[there][begins][long][known], shown.slope[known] / run, own, shown.common[known])

@@ -45,16 +45,27 @@ class Conditioned:
         return cls(model, np.concatenate(variances), factor, log_noise + factor.log_determinant - log_prior)
 
     @cached_property
+    def _of_slopes(self) -> tuple[Floats, Floats]:
+        """What the covariance of the unknowns says of the slopes: `freedom` and `slope_variance`."""
+        n, model = self.model.counts[0], self.model
+        if model.is_level:
+            return np.zeros(n), np.zeros(len(model.nodes.s))
+        products = both_triangles(self.factor.covariance())
+        return model.shared_with_slopes(products) / self.variance[:n], model.slope_variance(products)
+
+    @property
     def freedom(self) -> Floats:
         """Share (n,) of each driven stride's acceleration that the slopes may explain.
 
         It is the diagonal of K^-1 times the covariance that the slopes alone would give the accelerations; the sum is
         their effective number of parameters.
         """
-        if self.model.is_level:
-            return np.zeros(self.model.counts[0])
-        products = both_triangles(self.factor.covariance())
-        return self.model.shared_with_slopes(products) / self.variance[: self.model.counts[0]]
+        return self._of_slopes[0]
+
+    @property
+    def slope_variance(self) -> Floats:
+        """Posterior variance [1] of the slope at each node of the road, the parameters given."""
+        return self._of_slopes[1]
 
     def gram(self, data: Rows) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""

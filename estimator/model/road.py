@@ -383,6 +383,11 @@ class RoadModel:
         shared: Floats = 0.5 * (both + own - others)
         return shared
 
+    def slope_variance(self, products: Floats) -> Floats:
+        """Variance [1] of the slopes at the nodes, of the same ``products``."""
+        variance: Floats = products[0, self._slope]
+        return variance
+
     def sensor_errors(self, unknowns: Floats) -> Floats:
         """Acceleration [m/s^2] (n, ...) of the driven strides by e, f and p, but for the white part."""
         speed, turned = unknowns[self._speed_error], np.zeros((*unknowns.shape[1:], len(self.driven)))
