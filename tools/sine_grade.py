@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from accuracy import METRES_PER_MINUTE
 from natural_world import true_shares
 from rich.console import Console
 from rich.progress import track
@@ -27,7 +28,7 @@ from estimator.can_io.log_writer import write_log
 from estimator.components.budget import ROAD
 from estimator.config import Config
 from estimator.signals import Role
-from estimator.simulation.recording import record
+from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import GRADE_SPACING, generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
@@ -38,7 +39,6 @@ LOADS = (18e3, 36e3)  # kg, of the whole truck
 AMPLITUDES = (0.01, 0.02, 0.03)  # rise over run
 LENGTHS = (500.0, 2000.0)  # m, of a period
 ALTIMETERS = {"hidden": None, "shown": 0.3}  # m
-METRES_PER_MINUTE = 2000.0  # of road, more than any truck drives
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +50,8 @@ class World:
     length: float
     shown: str
 
-    def drive(self, minutes: float, seed: int, log: Path) -> dict[str, Any]:
-        """Drive for ``minutes`` [min], write the log, and compare what the program says with the truth."""
-        rng = np.random.default_rng(seed)
+    def drive(self, minutes: float, rng: np.random.Generator) -> Recording:
+        """A drive of ``minutes`` [min] by a truck drawn at random, but for its mass."""
         drawn = draw_truck(rng)
         truck = replace(drawn, mass=self.mass, A=drawn.A * self.mass / drawn.mass)
         level = generate_route("mixed", minutes * METRES_PER_MINUTE, rng)
@@ -61,27 +60,32 @@ class World:
         noise = ALTIMETERS[self.shown]
         without = {Role.GRADE, Role.LONGITUDINAL_ACCELERATION} | (set() if noise else {Role.ALTITUDE})
         sensors = Sensors(altitude_noise=noise or 0.0, without=frozenset(without))
-        recording = record(truck, route, 60 * minutes, rng, sensors=sensors)
-        frames = frames_of(recording.signals)
-        write_log(frames, log)
-        pipeline = Pipeline(Config())
-        last = [*pipeline.feed(frames), *pipeline.finish()][-1]
-        diagnosis = diagnose_logs([log], Config())
-        part = None if diagnosis.budget is None else diagnosis.budget.part(ROAD)
-        found = last.mass
-        return {
-            **asdict(self),
-            "error": None if found is None else found.mean / self.mass - 1,
-            "sd": None if found is None else found.sd / self.mass,
-            "holds": found is not None and found.q05 <= self.mass <= found.q95,
-            "reason": last.reason,
-            "slopes": None if last.road is None else last.road.slope_sd,
-            "named": [effect.name for effect in diagnosis.effects],
-            "share": true_shares(recording, drives(log, Config())[0])["road"],
-            "found": None if part is None else [part.share, part.q05, part.q95],
-            "before_kW": None if diagnosis.budget is None else diagnosis.budget.base / 1e3,
-            "known_kW": None if part is None else part.expected / 1e3,
-        }
+        return record(truck, route, 60 * minutes, rng, sensors=sensors)
+
+
+def score(world: World, recording: Recording, folder: Path) -> dict[str, Any]:
+    """Estimate and diagnose a drive from its log in ``folder``, and compare with the truth."""
+    log, config = folder / "drive.blf", Config()
+    frames = frames_of(recording.signals)
+    write_log(frames, log)
+    pipeline = Pipeline(config)
+    last = [*pipeline.feed(frames), *pipeline.finish()][-1]
+    diagnosis = diagnose_logs([log], config)
+    part = None if diagnosis.budget is None else diagnosis.budget.part(ROAD)
+    found = last.mass
+    return {
+        **asdict(world),
+        "error": None if found is None else found.mean / world.mass - 1,
+        "sd": None if found is None else found.sd / world.mass,
+        "holds": found is not None and found.q05 <= world.mass <= found.q95,
+        "reason": last.reason,
+        "amplitude_found": None if last.road is None else float(np.sqrt(2)) * last.road.slope_sd,
+        "named": [effect.name for effect in diagnosis.effects],
+        "share": true_shares(recording, drives(log, config)[0])[ROAD],
+        "found": None if part is None else [part.share, part.q05, part.q95],
+        "before_kW": None if diagnosis.budget is None else diagnosis.budget.base / 1e3,
+        "known_kW": None if part is None else part.expected / 1e3,
+    }
 
 
 def row(found: dict[str, Any]) -> list[str]:
@@ -93,7 +97,7 @@ def row(found: dict[str, Any]) -> list[str]:
         found["shown"],
         found["reason"] if found["error"] is None else f"{100 * found['error']:+.2f} +- {100 * found['sd']:.2f} %",
         "yes" if found["holds"] else "no",
-        "" if found["slopes"] is None else f"{np.sqrt(2) * 100 * found['slopes']:.2f} %",
+        "" if found["amplitude_found"] is None else f"{100 * found['amplitude_found']:.2f} %",
         " + ".join(found["named"]),
         f"{found['share']:.3f}",
         "" if share is None else "{:.3f} ({:.3f} .. {:.3f})".format(*share),
@@ -115,7 +119,8 @@ def main() -> int:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for k, world in enumerate(track(worlds, "driving", console=Console(stderr=True), transient=True)):
-            rows.append(world.drive(options.minutes, options.seed + k, Path(folder) / "drive.blf"))
+            rng = np.random.default_rng(options.seed + k)
+            rows.append(score(world, world.drive(options.minutes, rng), Path(folder)))
     if options.json:
         print(json.dumps(rows, indent=2))
         return 0

@@ -48,7 +48,7 @@ PROBE_SEED = 20_041  # of the simulated noise in the correction: the same in eve
 MIN_GROWTH = 1.5
 # Limits of a fit that describes the drive; in brackets the worst of five simulated drives and of seven of a BMW i3.
 MIN_EXPLAINED = 0.5  # of the variance of acceleration, by the vehicle and the road (0.99, 0.85)
-MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.009, 0.013)
+MAX_SLOPE_SD = 0.06  # sine of the slope: larger than on any road (0.014, 0.024)
 MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.09)
 USUAL_LAG = 0.5  # s, between power and speed, may be more only where `kinematics.maximum_lag_s` is above its default
 LONGEST_LAG = float(LAGS.max()) + LAG_SD  # s, that the model can describe
