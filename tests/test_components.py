@@ -34,7 +34,7 @@ from estimator.components.processes import (
 )
 from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
-from estimator.components.switching import CHANGE_COST, prior_cost
+from estimator.components.time_prior import CHANGE_COST, Costs
 from estimator.estimation.normal_equations import NormalEquations
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.estimation.road_fit import fit
@@ -250,30 +250,36 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
     on[2:5] = True
     s = G @ (1.5 * on) + rng.normal(0, 5, b)
 
+    costs = [Costs(*each) for each in rng.uniform(0.0, CHANGE_COST, (b - 1, 3))]
+
     def evidence(z):
-        return switching.value(G, s, np.array(z, bool), sd, True)
+        return switching.value(G, s, np.array(z, bool), sd, True, costs)
 
     best = max(product([False, True], repeat=b), key=evidence)
-    found = switching.exchanged(G, s, sd, True, False, np.ones(b))
+    found = switching.exchanged(G, s, sd, True, False, np.ones(b), costs)
     assert evidence(found) == pytest.approx(evidence(best))
-    once = [z for z in product([False, True], repeat=b) if switching._changes(np.array(z)) <= 2]
-    one = switching.exchanged(G, s, sd, True, True, np.ones(b))
-    assert switching._changes(one) <= 2
+    once = [z for z in product([False, True], repeat=b) if np.count_nonzero(np.diff(z)) <= 2]
+    one = switching.exchanged(G, s, sd, True, True, np.ones(b), costs)
+    assert np.count_nonzero(np.diff(one)) <= 2
     assert evidence(one) <= max(map(evidence, once)) + 1e-9
 
 
-def test_changes_after_an_exchange_are_those_counted_anew():
+def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():
     rng = np.random.default_rng(1)
     first, last = np.triu_indices(12)
+    changes = switching._Changes([Costs(*each) for each in rng.uniform(0.0, CHANGE_COST, (11, 3))])
     for _ in range(20):
         on = rng.random(12) < 0.5
-        for state in (True, False):
-            found = switching._changes_after(on, first, last + 1, state)
-            for k, (a, e) in enumerate(zip(first, last + 1, strict=True)):
-                if np.all(on[a:e] != state):
-                    then = on.copy()
-                    then[a:e] = state
-                    assert found[k] == switching._changes(then)
+        more, edges = changes.by_run(on, first, last + 1)
+        for k, (a, e) in enumerate(zip(first, last + 1, strict=True)):
+            if on[a:e].all() or not on[a:e].any():
+                without, with_run = on.copy(), on.copy()
+                without[a:e], with_run[a:e] = False, True
+                sign = -1 if on[a] else 1
+                assert more[k] == pytest.approx(changes.cost(with_run) - changes.cost(without))
+                assert sign * edges[k] == np.count_nonzero(
+                    np.diff(with_run if sign > 0 else without)
+                ) - np.count_nonzero(np.diff(on))
 
 
 def test_products_of_steps_are_sums_over_the_parts_between_them(strides, quiet):
@@ -350,6 +356,33 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     assert state.joint.posterior([0]).mean[-1] == pytest.approx(60e3, rel=0.1)
 
 
+def test_times_that_two_effects_share_are_proposed_for_one_of_them():
+    n, brake, fan = 1500, BY_NAME["brake_use"], BY_NAME["auxiliary_cycling"]
+    spans = ((200.0, 225.0), (520.0, 538.0), (860.0, 885.0), (1210.0, 1231.0))
+    strides = driven(n)
+    strides = driven(n, power=5e3 * covered(strides.t, 1.0, spans) * 0.5 * (strides.v0 + strides.v1))
+    state = DriveState.of(strides)
+    frame = Frame.of(state.fit)
+    state = state.having((of_term(frame, Term(brake, None, spans[::2])), of_term(frame, Term(fan, None, spans[1::2]))))
+    proposed = switching.Switching(state.joint).proposed_instead(brake)
+    whole = [times for times in proposed if len(times) == len(spans)]
+    assert any(np.allclose(times, spans, atol=1.0) for times in whole)
+
+
+def test_times_of_an_effect_do_not_depend_on_what_was_asked_before():
+    """A wet road has the profile of a brake, and is looked for beside it."""
+    n, spans, brake = 900, ((200.0, 225.0), (520.0, 538.0)), BY_NAME["brake_use"]
+    strides = driven(n)
+    strides = driven(n, power=5e3 * covered(strides.t, 1.0, spans) * 0.5 * (strides.v0 + strides.v1))
+    state = DriveState.of(strides)
+    state = state.having((of_term(Frame.of(state.fit), Term(brake, None, spans[:1])),))
+    alone, asked = switching.Switching(state.joint), switching.Switching(state.joint)
+    asked.best([0], BY_NAME["resistance_segment"])
+    times, _ = alone.best([], brake, [0])
+    assert_allclose(times, spans, atol=2.0)
+    assert asked.best([], brake, [0])[0] == times
+
+
 def test_ends_of_a_span_are_found_to_a_tenth_of_a_second():
     n = 1200
     t = np.arange(n) + 0.5
@@ -389,20 +422,6 @@ def test_the_spectrum_is_the_sum_over_all_times_at_each_frequency():
     frequencies, sizes = spectrum(t, values)
     assert_allclose(frequencies, np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, FREQUENCY_STEP / t[-1]))
     assert_allclose(sizes, np.abs(np.exp(2j * np.pi * np.outer(frequencies, t)) @ values))
-
-
-def test_times_cost_what_a_chain_of_two_states_makes_them_cost():
-    # Beginnings come once in exp(5.5) s, and the probability that a state ends within a second is 1/dwell, so the
-    # odds of being on are dwell / exp(5.5) at any time; what the drive cuts off has no end in it.
-    t, fan, wet = np.arange(1000.0), BY_NAME["auxiliary_cycling"], BY_NAME["resistance_segment"]
-    inside, first, last, whole = (100.0, 120.0), (-0.5, 20.0), (980.0, 999.5), (-0.5, 999.5)
-    begins, ends = CHANGE_COST, np.log(25.0)
-    assert prior_cost((inside,), fan, t) == pytest.approx(begins + ends + 20 / 25)
-    assert prior_cost((first,), fan, t) == pytest.approx(begins + 20.5 / 200)
-    assert prior_cost((last,), fan, t) == pytest.approx(begins + 19.5 / 200)
-    assert prior_cost((whole,), fan, t) == pytest.approx(begins - np.log(200.0) + 1000 / 200)
-    assert prior_cost((first, inside), fan, t) == pytest.approx(2 * begins + ends + 20.5 / 200 + 20 / 25)
-    assert [prior_cost((span,), wet, t) / begins for span in (inside, first, last, whole)] == [2, 1, 1, 0]
 
 
 def test_a_power_that_switches_and_is_larger_than_any_effect_has_no_name_of_the_catalogue():

@@ -358,6 +358,6 @@ def test_a_torque_that_is_not_linear_is_unknown(diagnose):
 
 
 def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):
-    """A force that comes and goes, but not as that of anything with a name."""
-    answer = diagnose(drive("highway", 30, 1, Effect(name="snow_plough", magnitude=5000.0)))
+    """A force that comes and goes, but not as that of anything with a name; a brake where there are a few launches."""
+    answer = diagnose(drive("mixed", 30, 2, Effect(name="snow_plough", magnitude=5000.0)))
     assert (answer["verdict"], named(answer), answer["configuration"]) == ("unknown effect", [], "")

@@ -16,7 +16,7 @@ from estimator.components.component import Frame, Kind
 from estimator.components.drive_state import DriveState
 from estimator.components.search import Search
 from estimator.components.stretches import STRETCHES, stretches
-from estimator.components.switching import CHANGE_COST
+from estimator.components.time_prior import CHANGE_COST
 from estimator.estimation.road_evidence import log_bayes_factor_of_road
 from estimator.model.design_matrix import covered, cut, union
 from estimator.model.effects import BY_NAME

@@ -9,7 +9,8 @@ from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState, has_free_times
 from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
-from estimator.components.switching import Switching, is_usual, prior_cost
+from estimator.components.switching import Switching
+from estimator.components.time_prior import is_usual, prior_cost
 from estimator.estimation.shapes import is_free, near
 from estimator.model.design_matrix import Spans, Term, cut, union, without
 from estimator.model.effects.effect import Effect, Timing
@@ -28,14 +29,16 @@ class Candidate:
 class Candidates:
     """All that may act on the drives of a vehicle, for ``effects`` of the catalogue.
 
-    An effect's times are those proposed beside the effects chosen last, and beside none with times. They are proposed
-    anew once the noise was fitted beside other effects or processes.
+    An effect's times are those proposed beside the effects chosen last, anew once other ones are chosen or their times
+    have changed, and beside none with times. Two effects may share the times that one of them has, so those in the
+    place of all effects with times are proposed too, whenever effects of other names are chosen.
     """
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
         self._latest: dict[int, tuple[object, set[Spans]]] = {}
         self._untimed: dict[int, set[Spans]] = {}
+        self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
 
     def on(self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool) -> Iterator[Candidate]:
@@ -55,17 +58,20 @@ class Candidates:
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """At which effects may act; what two of those chosen do, one may do."""
         steep = None if drive.stretches is None else drive.stretches.spans
+        names = frozenset(component.name for component in drive.chosen), steep is None
         beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
+        switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
         if number not in self._latest or self._latest[number][0] != beside:
-            switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
-            found = {spans for effect in timed for spans in switching.proposed(effect)}
-            self._latest[number] = beside, found
+            self._latest[number] = beside, set().union(*map(switching.proposed, timed))
             if not any(component.is_timed for component in drive.chosen):
-                self._untimed[number] = found
+                self._untimed[number] = self._latest[number][1]
+        if number not in self._instead or self._instead[number][0] != names:
+            self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
         own = [component.spans for component in drive.chosen if component.is_timed and component.spans]
         own += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(own, 2)}
-        return sorted({*own, *both, *self._latest[number][1], *self._untimed.get(number, ())})
+        proposed = self._latest[number][1] | self._instead[number][1] | self._untimed.get(number, set())
+        return sorted({*own, *both, *proposed})
 
     def _as_the_bus_tells(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Effects that act always, or when signals show it."""
@@ -121,5 +127,7 @@ def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterat
             yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
     for i, process in enumerate(processes(frame)):
         yield Candidate(cause=process.name, is_event=False, form=i, component=process)
-    for i, process in enumerate(swings(drive.joint, list(range(len(drive.chosen))))):
+    chosen = list(range(len(drive.chosen)))
+    beside = [process for own in ([chosen, []] if chosen else [[]]) for process in swings(drive.joint, own)]
+    for i, process in enumerate(beside):
         yield Candidate(cause=process.name, is_event=True, form=i, component=process)

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.components.component import Columns, Component, Frame
 from estimator.components.likelihood import JointLikelihood
-from estimator.components.switching import CHANGE_COST, MAX_ON_SHARE, edges_within
+from estimator.components.time_prior import MAX_ON_SHARE, cost_without_dwell
 from estimator.model.design_matrix import Spans, covered
 from estimator.preparation.recursion import recursive
 from estimator.samples import STEP
@@ -118,7 +118,7 @@ def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
     on = covered(frame.strides.t, DURATION, spans)[:, None]
     if on.mean() > MAX_ON_SHARE:
         return
-    m, cost = float(frame.road_load[2]), CHANGE_COST * edges_within(spans, frame.strides.t) + DWELL_COST * len(spans)
+    m, cost = float(frame.road_load[2]), cost_without_dwell(spans, frame.strides.t) + DWELL_COST * len(spans)
     for name, profile, usual in zip(SWITCHES, (_power, _force), (SWITCHED_POWER, SWITCHED_FORCE), strict=True):
         yield Component(name=name, columns=_along(profile, on), sd=usual * m, cost=cost, spans=spans)
 

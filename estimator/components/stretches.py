@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from estimator.components.component import Component, Frame
-from estimator.components.switching import CHANGE_COST, MAX_ON_SHARE, prior_cost
+from estimator.components.time_prior import CHANGE_COST, MAX_ON_SHARE, MIN_GAP, gaps_at, prior_cost
 from estimator.model.design_matrix import Spans, covered
 from estimator.model.effects.effect import Effect, Timing, always
 from estimator.signals import Floats
@@ -61,4 +61,5 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
 
 def _cost(spans: Spans, t: Floats) -> float:
     """Minus the log prior probability of the times; where one stretch follows another, that is one change."""
-    return prior_cost(spans, STRETCHES, t) - CHANGE_COST * sum(bool(a[1] == b[0] > t[0]) for a, b in pairwise(spans))
+    shared = gaps_at([a[1] for a, b in pairwise(spans) if a[1] == b[0]], t)
+    return prior_cost(spans, STRETCHES, t) - CHANGE_COST * sum(gap < MIN_GAP for gap in shared)

@@ -2,10 +2,11 @@
 
 Amplitude b and times z (one of two states a block) have the log evidence
 
-    1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - cost x changes of state
+    1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - costs of changes of state
 
 with s and G the scores and products of a profile cut into blocks, off everything else in the model. Blocks end where a
-step of the state would score most. A run of blocks is switched on or off as long as that gains; every run is tried.
+step of the state would score most, and at gaps without strides (costs: `time_prior.py`). A run of blocks is switched on
+or off as long as that gains; every run is tried.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 
 from estimator.components.component import Frame
 from estimator.components.likelihood import JointLikelihood
-from estimator.model.design_matrix import Span, Spans, Term, covered
+from estimator.components.time_prior import MAX_ON_SHARE, Costs, least_costs, prior_cost
+from estimator.model.design_matrix import Spans, Term, covered
 from estimator.model.effects.effect import Effect, Timing
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
@@ -28,21 +30,23 @@ PROFILE_DIGITS = 9  # of a profile, over its largest value: effects whose profil
 PROBED_STEPS = 60  # steps whose strength is computed; that of the others is interpolated
 MIN_STEP_DISTANCE = 5  # strides between two steps of the state
 MAX_STEPS = 200  # of the state that are considered: bounds the cost of the exchanges
-CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a change
-MAX_DWELL_FACTOR = 6.0  # by which the mean stretch may be shorter than a usual one, and any stretch longer
+MIN_BLOCK_GAP = 5.0  # s without strides, where blocks end: in less the state hardly changes unseen
 MAX_RUN = 2000.0  # s, of the blocks exchanged at once
 MAX_EXCHANGES = 60  # bounds the cost
 STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, by which an edge is moved
 MOVES = np.concatenate([-STEPS, STEPS])
-MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
 
 
 @dataclass(frozen=True)
 class _Cut:
-    """A profile cut into blocks: their numbers (n,) by stride, lengths [s], products and scores off a set."""
+    """A profile cut into b blocks: their numbers (n,) by stride, products and scores off a set.
+
+    ``lengths`` (b,) of the blocks and ``gaps`` (b - 1,) between them [s].
+    """
 
     labels: NDArray[np.int64]
     lengths: Floats
+    gaps: Floats
     products: Floats
     score: Floats
 
@@ -52,7 +56,7 @@ class Switching:
 
     def __init__(self, joint: JointLikelihood) -> None:
         self._joint = joint
-        self._cuts: dict[tuple[tuple[int, ...], bytes], _Cut] = {}
+        self._cuts: dict[tuple[tuple[int, ...], tuple[int, ...], bytes], _Cut] = {}
 
     def best(self, chosen: Sequence[int], effect: Effect, own: Sequence[int] = ()) -> tuple[Spans, float] | None:
         """Spans in which ``effect`` acts beside a set, and the cost of their changes; None where no times gain.
@@ -62,11 +66,12 @@ class Switching:
         column, single = self._joint.frame.column(Term(effect)), effect.timing is Timing.WINDOW
         size = float(column[np.argmax(np.abs(column))])
         profile = np.round(column / size, PROFILE_DIGITS)
-        key = (*chosen, *own), profile.tobytes()
+        key = tuple(chosen), tuple(own), profile.tobytes()
         if key not in self._cuts:
             self._cuts[key] = self._cut(list(chosen), profile, list(own))
         cut, sd = self._cuts[key], effect.usual(self._joint.frame.road_load)
-        blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths)
+        costs = [least_costs(gap, effect) for gap in cut.gaps.tolist()]
+        blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
         on = blocks[cut.labels]
         if not on.any() or on.mean() > MAX_ON_SHARE:
             return None
@@ -74,7 +79,7 @@ class Switching:
         return spans, prior_cost(spans, effect, self._joint.frame.strides.t)
 
     def _cut(self, chosen: list[int], column: Floats, own: list[int]) -> _Cut:
-        """A ``column`` (n,) cut where its state most likely changes beside a set, and at regular times."""
+        """A ``column`` (n,) cut where its state most likely changes beside a set, at gaps, and at regular times."""
         t, steps = self._joint.frame.strides.t, np.zeros(len(self._joint.frame.strides), dtype=bool)
         steps[likely_steps(self._joint, chosen, column)] = True
         if own:
@@ -83,53 +88,39 @@ class Switching:
             steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
-        there, place = np.unique(np.cumsum(steps | regular), return_inverse=True)
+        gap = np.diff(t, prepend=t[0]) >= DURATION + MIN_BLOCK_GAP
+        there, place = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
         products, score = self._joint.projected(chosen, _parts(column, place))
         first = np.searchsorted(place, np.arange(len(there)))
-        return _Cut(place, np.append(t[first[1:]], t[-1]) - t[first], products, score)
+        gaps = t[first[1:]] - t[first[1:] - 1] - DURATION
+        return _Cut(place, np.append(t[first[1:]], t[-1]) - t[first], gaps, products, score)
 
     def proposed(self, effect: Effect) -> set[Spans]:
-        """Times that ``effect`` may have beside the other components of the likelihood.
+        """Times that ``effect`` may have beside the other components."""
+        components = self._joint.components
+        others = [i for i, component in enumerate(components) if component.name != effect.name]
+        own = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
+        return self._found(effect, others, own)
+
+    def proposed_instead(self, effect: Effect) -> set[Spans]:
+        """Times that ``effect`` may have in the place of all components with times; none where it alone has any."""
+        components = self._joint.components
+        timed = [i for i, component in enumerate(components) if component.is_timed]
+        others = [i for i, component in enumerate(components) if component.name != effect.name and i not in timed]
+        return self._found(effect, others, timed) if any(components[i].name != effect.name for i in timed) else set()
+
+    def _found(self, effect: Effect, beside: list[int], before: list[int]) -> set[Spans]:
+        """The best times beside a set, and those of components that it may replace, with the best edges.
 
         At a steady speed one effect on and another off give the same residual (drafting and a fan), so the times
         between are proposed as well.
         """
-        components = self._joint.components
-        beside = [i for i, component in enumerate(components) if component.name != effect.name]
-        own = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
-        best = self.best(beside, effect, own)
-        times = [*(components[i].spans for i in own), *(() if best is None else best[:1])]
+        is_window = effect.timing is Timing.WINDOW
+        best = self.best(beside, effect, before)
+        known = {spans for i in before if (spans := self._joint.components[i].spans) and not (is_window and spans[1:])}
+        times = known | (set() if best is None else {best[0]})
         found = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
-        if effect.timing is Timing.WINDOW:
-            return found
-        return found | {_between(spans, self._joint.frame.strides.t) for spans in found}
-
-
-def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
-    """Whether the mean stretch is not much shorter than a usual dwell, and none much longer; windows may be any.
-
-    None act nearly always on a drive with strides at ``t`` (n,) [s].
-    """
-    if covered(t, DURATION, spans).mean() > MAX_ON_SHARE:
-        return False
-    if effect.timing is Timing.WINDOW:
-        return len(spans) == 1
-    lasting = [end - start for start, end in spans]
-    mean = sum(lasting) / max(len(lasting), 1)
-    longest = MAX_DWELL_FACTOR * max(effect.dwells)
-    return mean > min(effect.dwells) / MAX_DWELL_FACTOR and max(lasting, default=0.0) < longest
-
-
-def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
-    """Minus the log prior probability of times of an effect on a drive with strides at ``t`` (n,) [s]."""
-    if effect.timing is Timing.WINDOW:
-        return CHANGE_COST * edges_within(spans, t)
-    return sum(cost(span, effect.dwells, t) for span in spans)
-
-
-def edges_within(spans: Spans, t: Floats) -> int:
-    """Beginnings and ends of ``spans`` within a drive with strides at ``t`` (n,) [s]."""
-    return sum(bool(t[0] < edge < t[-1]) for span in spans for edge in span)
+        return found if is_window else found | {_between(spans, self._joint.frame.strides.t) for spans in found}
 
 
 def _between(spans: Spans, t: Floats) -> Spans:
@@ -201,22 +192,6 @@ def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
     return between if (move > 0) == (side == 1) else -between
 
 
-def cost(span: Span, dwells: tuple[float, ...], t: Floats) -> float:
-    """Of one ``span`` on a drive with strides at ``t``: of its beginning, and of its end by the nearest of the dwells.
-
-    Dwells [s] are exponential, as in a Markov chain of two states. What is on when the drive ends has no end in it; on
-    when it begins is as much less likely than off as such a chain is on for less time, but not more likely.
-    """
-    begins, ends = (bool(t[0] < edge < t[-1]) for edge in span)
-
-    def by(dwell: float) -> float:
-        end = float(np.log(dwell))
-        beginning = CHANGE_COST if begins else max(CHANGE_COST - end, 0.0)
-        return beginning + ends * end + (span[1] - span[0]) / dwell
-
-    return min(by(dwell) for dwell in dwells)
-
-
 def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> NDArray[np.intp]:
     """Strides at which a state with this ``column`` (n,) most likely changes.
 
@@ -249,10 +224,12 @@ def highest_peaks(values: Floats) -> NDArray[np.intp]:
     return np.array(found, dtype=np.intp)
 
 
-def exchanged(G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats) -> Mask:
-    """Blocks (b,) that are on; ``lengths`` [s] of them. ``single``: at most one run."""
+def exchanged(
+    G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats, costs: Sequence[Costs]
+) -> Mask:
+    """Blocks (b,) that are on; ``lengths`` [s] of them, ``costs`` (b - 1,) between. ``single``: at most one run."""
     b = len(s)
-    on = np.zeros(b, dtype=bool)
+    on, changes = np.zeros(b, dtype=bool), _Changes(costs)
     first, last = np.triu_indices(b)
     ends = np.insert(np.cumsum(lengths), 0, 0.0)
     short = (ends[last + 1] - ends[first] <= MAX_RUN) | single
@@ -266,12 +243,12 @@ def exchanged(G: Floats, s: Floats, sd: float, positive: bool, single: bool, len
         score, strength = float(s @ active), float(active @ G @ active)
         sums = np.vstack([np.zeros(4), np.cumsum(np.column_stack([s, G @ active, active, 1 - active]), axis=0)])
         run = sums[last] - sums[first]
+        more, edges = changes.by_run(on, first, last)
         gains = []
         for switch, pure in ((1.0, run[:, 2] == 0), (-1.0, run[:, 3] == 0)):
-            changes = _changes_after(on, first, last, switch > 0)
             gain = _evidence(score + switch * run[:, 0], strength + 2 * switch * run[:, 1] + own, sd, positive)
-            allowed = pure & ~(single & (changes > 2))
-            gains.append(np.where(allowed, gain - CHANGE_COST * changes, -np.inf))
+            allowed = pure & ~(single & (_count(on) + switch * edges > 2))
+            gains.append(np.where(allowed, gain - changes.cost(on) - switch * more, -np.inf))
         which, k = divmod(int(np.argmax(gains)), len(first))
         if gains[which][k] <= best + 1e-9:
             break
@@ -280,13 +257,40 @@ def exchanged(G: Floats, s: Floats, sd: float, positive: bool, single: bool, len
     return on
 
 
-def value(G: Floats, s: Floats, on: Mask, sd: float, positive: bool) -> float:
+class _Changes:
+    """Costs of the states of b blocks, from the ``costs`` (b - 1,) between them."""
+
+    def __init__(self, costs: Sequence[Costs]) -> None:
+        self._begins, self._ends, self._stays = (
+            np.array([getattr(one, name) for one in costs]) for name in ("begins", "ends", "stays")
+        )
+
+    def cost(self, on: Mask) -> float:
+        """Of states (b,)."""
+        before, after = on[:-1], on[1:]
+        return float(self._begins @ (~before & after) + self._ends @ (before & ~after) + self._stays @ (before & after))
+
+    def by_run(self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Cost (r,) and changes (r,) that the blocks from ``first`` to before ``last`` (r,) make by being on, not off.
+
+        They are in one state before.
+        """
+        b = len(on)
+        left = np.append(np.where(on[:-1], self._stays - self._ends, self._begins), 0.0)
+        right = np.append(np.where(on[1:], self._stays - self._begins, self._ends), 0.0)
+        within = np.insert(np.cumsum(self._stays), 0, 0.0)
+        cost = left[first - 1] + within[last - 1] - within[first] + right[last - 1]
+        edges = np.where(first > 0, 1 - 2 * on[first - 1], 0) + np.where(last < b, 1 - 2 * on[last % b], 0)
+        return cost, edges.astype(float)
+
+
+def value(G: Floats, s: Floats, on: Mask, sd: float, positive: bool, costs: Sequence[Costs]) -> float:
     """Log evidence of states (b,), less the cost of their changes; 0 of none."""
     if not on.any():
         return 0.0
     active = on.astype(float)
     gain = _evidence(np.array(s @ active), np.array(active @ G @ active), sd, positive)
-    return float(gain) - CHANGE_COST * _changes(on)
+    return float(gain) - _Changes(costs).cost(on)
 
 
 def _evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
@@ -296,19 +300,9 @@ def _evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Flo
     return allowed
 
 
-def _changes(on: Mask) -> int:
+def _count(on: Mask) -> int:
     """Changes of state within the drive."""
     return int(np.count_nonzero(np.diff(on)))
-
-
-def _changes_after(on: Mask, first: np.ndarray, last: np.ndarray, state: bool) -> Floats:
-    """Changes once the blocks from ``first`` to before ``last`` are in ``state``, all of them in the other before."""
-    b = len(on)
-    before = np.where(first > 0, on[np.maximum(first - 1, 0)] == state, True)
-    after = np.where(last < b, on[np.minimum(last, b - 1)] == state, True)
-    ends = np.where(first > 0, np.where(before, -1, 1), 0) + np.where(last < b, np.where(after, -1, 1), 0)
-    changes: Floats = _changes(on) + ends
-    return changes
 
 
 def _spans(frame: Frame, on: Mask) -> Spans:
