@@ -405,7 +405,7 @@ def test_the_period_of_a_load_that_swings_is_among_those_tried():
     t = np.arange(n) + 0.5
     state = on_level_road(20e3 * np.sin(2 * np.pi * t / 47.0), n / 60)
     joint = state.joint
-    tried = list(swings(joint, []))
+    tried = list(swings(joint, [[]]))
     both = state.joint_with(tried)
     gains = [both.log_evidence([i]) - both.log_evidence([]) for i in range(len(tried))]
     wave = tried[int(np.argmax(gains))].columns(joint.frame)[:, 0] * state.fit.strides.speed
@@ -532,7 +532,9 @@ def test_a_cause_of_one_drive_only_counts_among_several():
 def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
     state = DriveState(strides=strides, fit=quiet)
     effects = [BY_NAME[name] for name in ("auxiliary_load", "viscous_drag", "warm_up")]
-    joint = Hypotheses((state,), [()], [Candidates(effects).on(0, state, with_processes=False, with_stretches=False)])
+    joint = Hypotheses(
+        (state,), [()], [Candidates(effects, [()]).on(0, state, with_processes=False, with_stretches=False)]
+    )
     names = [joint.component(i).name for i in range(len(joint.keys))]
     load, drag, tyres = (names.index(effect.name) for effect in effects)
     others = [i for i, name in enumerate(names) if name == "warm_up" and i != tyres]

@@ -116,7 +116,7 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     chosen = plain.having((of_term(Frame.of(plain.fit), Term(brake, None, own), 1.0),))
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: {other})
     monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
-    candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]])
+    candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]], [()])
 
     def times(of: DriveState, cause: str) -> set[Spans | None]:
         return {

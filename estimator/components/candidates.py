@@ -10,7 +10,7 @@ from estimator.components.drive_state import DriveState, has_free_times
 from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
-from estimator.components.time_prior import is_usual, prior_cost
+from estimator.components.time_prior import is_usual, prior_cost, seen
 from estimator.estimation.shapes import is_free, near
 from estimator.model.design_matrix import Spans, Term, cut, union, without
 from estimator.model.effects.effect import Effect, Timing
@@ -27,15 +27,17 @@ class Candidate:
 
 
 class Candidates:
-    """All that may act on the drives of a vehicle, for ``effects`` of the catalogue.
+    """All that may act on the drives of a vehicle, for ``effects`` of the catalogue, beside those ``given`` for each.
 
     An effect's times are those proposed beside the effects chosen last, anew once other ones are chosen or their times
-    have changed, and beside none with times. Two effects may share the times that one of them has, so those in the
-    place of all effects with times are proposed too, whenever effects of other names are chosen.
+    have changed, and those beside none with times nor stretches of the road. Two effects may share the times that one
+    of them has, so those in the place of all effects with times are proposed too, whenever effects of other names are
+    chosen, or the first stretches of the road.
     """
 
-    def __init__(self, effects: Sequence[Effect]) -> None:
+    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]]) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
+        self._given = given
         self._latest: dict[int, tuple[object, set[Spans]]] = {}
         self._untimed: dict[int, set[Spans]] = {}
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
@@ -53,7 +55,7 @@ class Candidates:
         if drive.is_hidden and with_stretches:
             yield from self._stretches(number, frame, drive, times)
         if with_processes:
-            yield from _nameless(frame, drive, times)
+            yield from _nameless(frame, drive, times, len(self._given[number]))
 
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """At which effects may act; what two of those chosen do, one may do."""
@@ -63,7 +65,7 @@ class Candidates:
         switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
         if number not in self._latest or self._latest[number][0] != beside:
             self._latest[number] = beside, set().union(*map(switching.proposed, timed))
-            if not any(component.is_timed for component in drive.chosen):
+            if steep is None and not any(component.is_timed for component in drive.chosen):
                 self._untimed[number] = self._latest[number][1]
         if number not in self._instead or self._instead[number][0] != names:
             self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
@@ -71,7 +73,9 @@ class Candidates:
         own += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(own, 2)}
         proposed = self._latest[number][1] | self._instead[number][1] | self._untimed.get(number, set())
-        return sorted({*own, *both, *proposed})
+        # Times that differ in gaps alone look the same, and would count as many times.
+        alike = {seen(spans, drive.fit.strides.t): spans for spans in sorted({*own, *both, *proposed})}
+        return sorted(alike.values())
 
     def _as_the_bus_tells(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Effects that act always, or when signals show it."""
@@ -120,14 +124,13 @@ class Candidates:
                 yield Candidate(cause=component.name, is_event=True, form=spans, component=component)
 
 
-def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
+def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: int) -> Iterator[Candidate]:
     """Processes without a name."""
     for spans in times:
         for process in switched(frame, spans):
             yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
     for i, process in enumerate(processes(frame)):
         yield Candidate(cause=process.name, is_event=False, form=i, component=process)
-    chosen = list(range(len(drive.chosen)))
-    beside = [process for own in ([chosen, []] if chosen else [[]]) for process in swings(drive.joint, own)]
-    for i, process in enumerate(beside):
+    beside = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
+    for i, process in enumerate(swings(drive.joint, beside)):
         yield Candidate(cause=process.name, is_event=True, form=i, component=process)

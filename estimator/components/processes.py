@@ -4,7 +4,7 @@ Most are hat functions along an axis, times what they are proportional to. A swi
 drive; a mass on a spring and a damper rings on after accelerations; a power or a force may be switched.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -37,7 +37,6 @@ USUAL_LAG = (-0.06, 0.12)  # s, of power behind speed: control units send torque
 LOW_PASS_SD = 0.05  # s^2, of half the square of the time constant of a low-pass of the speed: 0.3 s
 LOW_PASS = "a low-pass of the speed"
 SWITCHED_POWER, SWITCHED_FORCE = 1.2, 0.13  # W/kg and N/kg, usual: 32 kW and twice A for a truck of 27 t
-DWELL_COST = 2.0  # log of the e-foldings from seconds to the drive's length: how long it is on is not known
 SWITCHES = {"a power that switches": "W", "a force that switches": "N"}  # with the units of their size
 SWING, RING = "swings", "a mass that rings on after accelerations"
 
@@ -74,10 +73,10 @@ def processes(frame: Frame) -> Iterator[Component]:
             yield Component(name=RING, columns=_ring(period, ratio), sd=RINGING_SHARE * m, positive=True, is_noisy=True)
 
 
-def swings(joint: JointLikelihood, chosen: list[int]) -> Iterator[Component]:
+def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Component]:
     """A power or torque that swings with one period during the whole drive: the periods of most evidence.
 
-    ``joint`` and ``chosen``: the likelihood, and the components beside which it is looked for.
+    ``joint``: the likelihood; ``beside``: sets of its components, each of which periods are looked for beside.
     """
     frame, s = joint.frame, joint.frame.strides
     t = s.t - s.t[0]
@@ -85,11 +84,14 @@ def swings(joint: JointLikelihood, chosen: list[int]) -> Iterator[Component]:
     turns = s.context.get(Quantity.ENGINE_SPEED)
     if turns is not None and np.isfinite(turns).all():
         profiles.append(_torque)
-    rest = joint.weighed_residual(chosen)
+    rests = [joint.weighed_residual(chosen) for chosen in beside]
     for profile in profiles:
-        frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
+        found = set[float]()
+        for rest in rests:
+            frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
+            found |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
         cost = float(np.log(len(frequencies) * len(profiles)))
-        for frequency in frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist():
+        for frequency in sorted(found):
             angle = 2 * np.pi * frequency * t
             columns = _along(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
             for strength in STRENGTHS:
@@ -113,12 +115,12 @@ def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
 def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
     """A power and a force that are on in ``spans`` alone, and not for as long as those of any effect usually are.
 
-    None where that is nearly always: A holds a constant force.
+    None where that is nearly always, for A holds a constant force, or never.
     """
     on = covered(frame.strides.t, DURATION, spans)[:, None]
-    if on.mean() > MAX_ON_SHARE:
+    if not 0.0 < on.mean() <= MAX_ON_SHARE:
         return
-    m, cost = float(frame.road_load[2]), cost_without_dwell(spans, frame.strides.t) + DWELL_COST * len(spans)
+    m, cost = float(frame.road_load[2]), cost_without_dwell(spans, frame.strides.t)
     for name, profile, usual in zip(SWITCHES, (_power, _force), (SWITCHED_POWER, SWITCHED_FORCE), strict=True):
         yield Component(name=name, columns=_along(profile, on), sd=usual * m, cost=cost, spans=spans)
 

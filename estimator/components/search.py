@@ -140,7 +140,7 @@ class Search:
     def __init__(self, drives: tuple[DriveState, ...], effects: Sequence[Effect]) -> None:
         self._drives, self._effects = drives, effects
         self._given = [drive.chosen for drive in drives]
-        self._candidates = Candidates(effects)
+        self._candidates = Candidates(effects, self._given)
 
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:

@@ -8,12 +8,11 @@ its own: a load that switches is told from them only if its power is the same in
 """
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 import numpy as np
 
 from estimator.components.component import Component, Frame
-from estimator.components.time_prior import CHANGE_COST, MAX_ON_SHARE, MIN_GAP, gaps_at, prior_cost
+from estimator.components.time_prior import MAX_ON_SHARE, cost_apart
 from estimator.model.design_matrix import Spans, covered
 from estimator.model.effects.effect import Effect, Timing, always
 from estimator.signals import Floats
@@ -40,8 +39,12 @@ STRETCHES = Effect(
 
 
 def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
-    """The road steeper or less steep in each of ``spans``; none if that is nearly everywhere, for A holds a slope."""
-    if not spans or covered(frame.strides.t, DURATION, spans).mean() > MAX_ON_SHARE:
+    """The road steeper or less steep in each of ``spans``; none if that is nearly everywhere, for A holds a slope.
+
+    Nor if one of them is nowhere.
+    """
+    on = [covered(frame.strides.t, DURATION, (span,)).mean() for span in spans]
+    if not on or min(on) == 0.0 or sum(on) > MAX_ON_SHARE:
         return
 
     def columns(frame: Frame) -> Floats:
@@ -53,13 +56,7 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
         columns=columns,
         sd=SLOPE_SD,
         largest=STEEPEST,
-        cost=_cost(spans, frame.strides.t),
+        cost=cost_apart(spans, STRETCHES.dwells, frame.strides.t),
         is_slope=True,
         spans=spans,
     )
-
-
-def _cost(spans: Spans, t: Floats) -> float:
-    """Minus the log prior probability of the times; where one stretch follows another, that is one change."""
-    shared = gaps_at([a[1] for a, b in pairwise(spans) if a[1] == b[0]], t)
-    return prior_cost(spans, STRETCHES, t) - CHANGE_COST * sum(gap < MIN_GAP for gap in shared)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from estimator.components.component import Frame
 from estimator.components.likelihood import JointLikelihood
-from estimator.components.time_prior import MAX_ON_SHARE, Costs, least_costs, prior_cost
+from estimator.components.time_prior import MAX_ON_SHARE, Costs, cost_of_leaving, least_costs, prior_cost
 from estimator.model.design_matrix import Spans, Term, covered
 from estimator.model.effects.effect import Effect, Timing
 from estimator.signals import Floats, Mask
@@ -132,6 +132,8 @@ def _between(spans: Spans, t: Floats) -> Spans:
 def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
     """Spans of ``term`` whose beginnings and ends are moved by up to the last of STEPS where that adds evidence.
 
+    More than it costs to leave the gap that one lies in.
+
     Moving an edge changes the column of a few strides, so the evidence of any moves follows from the products of these
     strides.
     """
@@ -150,9 +152,10 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
     made[0, 0], made[1:, 1:] = 1.0, changes.T
     G, s = made.T @ G @ made, made.T @ s
     sd = term.effect.usual(joint.frame.road_load)
+    leaving = [cost_of_leaving(spans[i][side], side == 1, term.effect, t) for i, side in edges]
     taken = np.zeros(len(edges), dtype=np.int64) - 1
     score, strength, cross = float(s[0]), float(G[0, 0]), G[0].copy()
-    best = float(_evidence(np.array(score), np.array(strength), sd, positive=False))
+    best, paid = float(_evidence(np.array(score), np.array(strength), sd, positive=False)), 0.0
     for _ in range(MAX_EXCHANGES):
         before = best
         for k in range(len(edges)):
@@ -161,14 +164,17 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
                 old = own[taken[k]]
                 score, strength = score - s[old], strength - 2 * cross[old] + G[old, old]
                 cross -= G[old]
-            stay = float(_evidence(np.array(score), np.array(strength), sd, positive=False))
+                paid -= leaving[k]
+            stay = float(_evidence(np.array(score), np.array(strength), sd, positive=False)) - paid
             gains = _evidence(score + s[own], strength + 2 * cross[own] + np.diag(G)[own], sd, positive=False)
+            gains -= paid + leaving[k]
             taken[k] = int(np.argmax(gains)) if gains.max(initial=-np.inf) > stay else -1
             best = max(float(gains.max(initial=-np.inf)), stay)
             if taken[k] >= 0:
                 new = own[taken[k]]
                 score, strength = score + s[new], strength + 2 * cross[new] + G[new, new]
                 cross += G[new]
+                paid += leaving[k]
         if best <= before + 1e-3:
             break
     found = [list(span) for span in spans]

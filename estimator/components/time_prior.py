@@ -5,8 +5,8 @@ known, at a standstill or on the brake, the chain goes on unseen: the longer suc
 it depend on the one before it.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import exp, inf, lgamma, log
 
@@ -21,11 +21,12 @@ CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a ch
 MAX_DWELL_FACTOR = 6.0  # by which the mean stretch may be shorter than a usual one, and any stretch longer
 MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
 MIN_GAP = DURATION  # s without strides: in less there is one time for a change, as between two strides
+DWELL_COST = 2.0  # log of the e-foldings from seconds to the drive's length, where no dwell is usual
 
 
 @dataclass(frozen=True)
 class Costs:
-    """Of what a state does between two strides, against staying off: being switched on or off, or staying on."""
+    """Of what a state does between two strides, against staying off: being switched on or off, or being on after it."""
 
     begins: float
     ends: float
@@ -34,15 +35,25 @@ class Costs:
 
 def in_gap(gap: float, dwell: float) -> Costs:
     """Of a chain with a mean ``dwell`` [s] in a ``gap`` [s]; nothing is more likely than staying off."""
-    on, off = exp(-CHANGE_COST), 1.0 / dwell  # 1/s
-    share = on / (on + off)
-    forgotten = 1.0 - exp(-(on + off) * gap)
+    share, forgotten = _share_and_forgotten(gap, dwell)
     stays_off = 1.0 - share * forgotten
     return Costs(
         begins=max(log(stays_off / (share * forgotten)), 0.0),
         ends=max(log(stays_off / ((1.0 - share) * forgotten)), 0.0),
         stays=max(log(stays_off / (1.0 - (1.0 - share) * forgotten)), 0.0),
     )
+
+
+def begun_again(gap: float, dwell: float) -> float:
+    """Probability that what is on before and after a ``gap`` [s] was off in it."""
+    share, forgotten = _share_and_forgotten(gap, dwell)
+    return 1.0 - exp(-gap / dwell) / (1.0 - (1.0 - share) * forgotten)
+
+
+def _share_and_forgotten(gap: float, dwell: float) -> tuple[float, float]:
+    """Of a chain: the share of time that it is on, and what a gap takes from what is known of its state."""
+    on, off = exp(-CHANGE_COST), 1.0 / dwell  # 1/s
+    return on / (on + off), 1.0 - exp(-(on + off) * gap)
 
 
 def least_costs(gap: float, effect: Effect) -> Costs:
@@ -58,77 +69,128 @@ def least_costs(gap: float, effect: Effect) -> Costs:
 
 @dataclass(frozen=True)
 class _Piece:
-    """Times of a span in one run of strides: for how long [s], whether it begins and ends there, the gaps [s] beside.
+    """Times of a span in one run of strides, from and to [s]; the gaps [s] before and after them, 0 in the run."""
 
-    The gaps at the ends of the drive are endless.
-    """
-
+    span: int
     run: int
-    duration: float
-    begins: bool
-    ends: bool
-    before: float
-    after: float
+    start: float
+    stop: float
+    before: float  # endless at the beginning of the drive
+    after: float  # and at its end
 
-    def cost(self, dwell: float, is_on_before: bool, is_on_after: bool) -> float:
-        """Minus the log prior probability by a ``dwell`` [s], with the state at the other side of the gaps."""
-        total = self.duration / dwell
-        if self.begins:
-            total += CHANGE_COST
-        else:
-            gap = in_gap(self.before, dwell)
-            total += gap.stays if is_on_before else gap.begins
-        if self.ends:
-            return total + log(dwell)
-        return total if is_on_after else total + in_gap(self.after, dwell).ends
+    @property
+    def duration(self) -> float:
+        """For how long it is seen [s]."""
+        return self.stop - self.start
+
+    def meets(self, other: "_Piece") -> bool:
+        """Whether there is but a gap between this one and the ``other``, which follows."""
+        return self.run + 1 == other.run and min(self.after, other.before) > 0.0
 
 
-def _pieces(spans: Spans, t: Floats) -> Iterator[_Piece]:
+def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
     """Of ``spans`` in order, in runs of strides at ``t`` (n,) [s]."""
     first = np.flatnonzero(np.diff(t, prepend=-inf) >= DURATION + MIN_GAP)
     begin, end = t[first].tolist(), t[np.append(first[1:], len(t)) - 1].tolist()
     gaps = [inf, *(b - a - DURATION for a, b in zip(end[:-1], begin[1:], strict=True)), inf]
-    for start, stop in spans:
+    found = list[_Piece]()
+    for number, (start, stop) in enumerate(spans):
         for run in range(int(np.searchsorted(end, start - DURATION / 2)), len(begin)):
-            low, high = begin[run] - DURATION / 2, end[run] + DURATION / 2
+            low, high = max(start, begin[run] - DURATION / 2), min(stop, end[run] + DURATION / 2)
             if low >= stop:
                 break
-            seen = min(stop, high) - max(start, low)
-            if seen > 0.0:
-                yield _Piece(run, seen, start > begin[run], stop < end[run], gaps[run], gaps[run + 1])
+            if low >= high:
+                continue
+            before = 0.0 if start > begin[run] else gaps[run]
+            after = 0.0 if stop < end[run] else gaps[run + 1]
+            if found and found[-1].run == run:  # two of one run: neither reaches the gap between runs there
+                found[-1], before = replace(found[-1], after=0.0), 0.0
+            found.append(_Piece(number, run, low, high, before, after))
+    return found
+
+
+def _gaps(t: Floats) -> Floats:
+    """Gaps (g,) [s] between runs of strides at ``t`` (n,) [s]."""
+    between = np.diff(t) - DURATION
+    return between[between >= MIN_GAP]
+
+
+def _stretches(pieces: Sequence[_Piece], apart: bool) -> list[list[_Piece]]:
+    """Pieces in a row with but gaps between; ``apart``: and of one span."""
+    found = list[list[_Piece]]()
+    for piece in pieces:
+        last = found[-1][-1] if found else None
+        if last is not None and last.meets(piece) and not (apart and last.span != piece.span):
+            found[-1].append(piece)
+        else:
+            found.append([piece])
+    return found
+
+
+def seen(spans: Spans, t: Floats) -> Spans:
+    """What of ``spans`` is seen on a drive with strides at ``t`` (n,) [s]: other times with the same look the same."""
+    return tuple((piece.start, piece.stop) for piece in _pieces(spans, t))
 
 
 def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
-    """Whether the mean stretch is not much shorter than a usual dwell, and none is seen for much longer.
+    """Whether the mean of ``spans`` is not much shorter than a usual dwell, and none is seen for much longer.
 
-    Windows may be any. None act nearly always on a drive with strides at ``t`` (n,) [s].
+    Windows may be any. None act nearly always, or never, on a drive with strides at ``t`` (n,) [s].
     """
-    if covered(t, DURATION, spans).mean() > MAX_ON_SHARE:
+    if not 0.0 < covered(t, DURATION, spans).mean() <= MAX_ON_SHARE:
         return False
     if effect.timing is Timing.WINDOW:
         return len(spans) == 1
-    mean = sum(end - start for start, end in spans) / max(len(spans), 1)
-    longest = max((piece.duration for piece in _pieces(spans, t)), default=0.0)
+    mean = sum(end - start for start, end in spans) / len(spans)
+    longest = max(piece.duration for piece in _pieces(spans, t))
     return mean > min(effect.dwells) / MAX_DWELL_FACTOR and longest < MAX_DWELL_FACTOR * max(effect.dwells)
 
 
 def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
     """Minus the log prior probability of times of an effect on a drive with strides at ``t`` (n,) [s].
 
-    Each piece has the nearest of the effect's dwells.
+    Each time has the nearest of the effect's dwells. A window begins and ends at any stride.
     """
     if effect.timing is Timing.WINDOW:
-        return sum(log(t[-1] - t[0]) for span in spans for edge in span if t[0] < edge < t[-1])
-    pieces = list(_pieces(spans, t))
-    lasts = [one.run + 1 == other.run and not (one.ends or other.begins) for one, other in pairwise(pieces)]
-    neighbours = zip(pieces, [False, *lasts], [*lasts, False], strict=False)
-    total = sum(min(piece.cost(dwell, *on) for dwell in effect.dwells) for piece, *on in neighbours)
-    begins = sum(piece.begins or piece.before < inf for piece in pieces) - sum(lasts)
-    return total + rate_cost(begins, float(t[-1] - t[0]))
+        return sum(log(len(t) * DURATION) for span in spans for edge in span if t[0] < edge < t[-1])
+    pieces = _pieces(spans, t)
+    off = len(t) * DURATION - sum(piece.duration for piece in pieces)
+    return _cost(_stretches(pieces, apart=False), effect.dwells, off, t)
 
 
-def rate_cost(begins: int, duration: float) -> float:
-    """Cost of a number of beginnings in a drive of ``duration`` [s], beyond CHANGE_COST for each.
+def cost_apart(spans: Spans, dwells: Sequence[float], t: Floats) -> float:
+    """The same for spans that are states of their own, each of which may begin while another one lasts.
+
+    Where one follows another in a run, that is one change.
+    """
+    pieces = _pieces(spans, t)
+    shared = sum(a.run == b.run and a.stop == b.start for a, b in pairwise(pieces))
+    return _cost(_stretches(pieces, apart=True), dwells, len(t) * DURATION, t) - CHANGE_COST * shared
+
+
+def _cost(stretches: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration: float, t: Floats) -> float:
+    """Of times of which each may begin within a ``duration`` [s] of what is seen."""
+    total, begins = 0.0, 0.0
+    for stretch in stretches:
+        cost, dwell = min((_cost_by(dwell, stretch), dwell) for dwell in dwells)
+        total += cost
+        begins += 1.0 + sum(begun_again(piece.after, dwell) for piece in stretch[:-1])
+    dwell, gaps = max(dwells), _gaps(t)
+    unseen = float((dwell * -np.expm1(-gaps / dwell)).sum())  # s of gaps, after whose beginnings it would be on
+    return total + rate_cost(begins, max(duration, 0.0) + unseen)
+
+
+def _cost_by(dwell: float, stretch: Sequence[_Piece]) -> float:
+    """Of one time, with a ``dwell`` [s]."""
+    before, after = stretch[0].before, stretch[-1].after
+    total = sum(piece.duration for piece in stretch) / dwell
+    total += sum(in_gap(piece.after, dwell).stays for piece in stretch[:-1])
+    total += in_gap(before, dwell).begins if before else CHANGE_COST
+    return total + (in_gap(after, dwell).ends if after else log(dwell))
+
+
+def rate_cost(begins: float, duration: float) -> float:
+    """Cost of a number of beginnings that are possible for a ``duration`` [s], beyond CHANGE_COST for each.
 
     How often it is switched on is not known before: the rate has an exponential prior of mean 1/r, r = exp(CHANGE_COST)
     s, so k beginnings have the density r k! / (duration + r)^(k + 1), the integral over all rates.
@@ -137,15 +199,20 @@ def rate_cost(begins: int, duration: float) -> float:
 
 
 def cost_without_dwell(spans: Spans, t: Floats) -> float:
-    """The same, if the state has no usual dwell: it ends as rarely as it begins."""
-    gaps = gaps_at([edge for span in spans for edge in span], t)
-    begins = sum(bool(t[0] < start) for start, _ in spans)
-    total = sum(max(CHANGE_COST - log(max(gap, DURATION)), 0.0) for gap in gaps)
-    return total + rate_cost(begins, float(t[-1] - t[0]))
+    """Minus the log prior probability of times of a state without a usual dwell: ends are as rare as beginnings are."""
+    pieces = _pieces(spans, t)
+    times = _stretches(pieces, apart=False)
+    ends = [gap for time in times for gap in (time[0].before, time[-1].after) if gap < inf]
+    total = sum(max(CHANGE_COST - log(max(gap, DURATION)), 0.0) for gap in ends) + DWELL_COST * len(times)
+    off = len(t) * DURATION - sum(piece.duration for piece in pieces)
+    return total + rate_cost(len(times), max(off, 0.0))
 
 
-def gaps_at(edges: Sequence[float], t: Floats) -> list[float]:
-    """Gaps [s] between strides, at ``t`` (n,) [s], where those of the ``edges`` [s] lie that are within the drive."""
-    after = np.searchsorted(t, [edge for edge in edges if t[0] < edge < t[-1]])
-    gaps: list[float] = (t[after] - t[after - 1] - DURATION).tolist()
-    return gaps
+def cost_of_leaving(edge: float, is_end: bool, effect: Effect, t: Floats) -> float:
+    """What it costs to move an ``edge`` [s] out of the gap that it lies in; 0 where it lies in none."""
+    after = int(np.clip(np.searchsorted(t, edge), 1, len(t) - 1))
+    gap = float(t[after] - t[after - 1]) - DURATION
+    if gap < MIN_GAP or effect.timing is Timing.WINDOW:
+        return 0.0
+    least = least_costs(gap, effect)
+    return log(min(effect.dwells)) - least.ends if is_end else CHANGE_COST - least.begins
