@@ -37,7 +37,7 @@ STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, 
 MOVES = np.concatenate([-STEPS, STEPS])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Cut:
     """A profile cut into b blocks: their numbers (n,) by stride, products and scores off a set.
 
@@ -93,7 +93,8 @@ class Switching:
         products, score = self._joint.projected(chosen, _parts(column, place))
         first = np.searchsorted(place, np.arange(len(there)))
         gaps = t[first[1:]] - t[first[1:] - 1] - DURATION
-        return _Cut(place, np.append(t[first[1:]], t[-1]) - t[first], gaps, products, score)
+        lengths = np.append(t[first[1:]], t[-1]) - t[first]
+        return _Cut(labels=place, lengths=lengths, gaps=gaps, products=products, score=score)
 
     def proposed(self, effect: Effect) -> set[Spans]:
         """Times that ``effect`` may have beside the other components."""

@@ -67,7 +67,7 @@ def least_costs(gap: float, effect: Effect) -> Costs:
     return Costs(min(c.begins for c in each), min(c.ends for c in each), min(c.stays for c in each))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Piece:
     """Times of a span in one run of strides, from and to [s]; the gaps [s] before and after them, 0 in the run."""
 
@@ -105,7 +105,8 @@ def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
             after = 0.0 if stop < end[run] else gaps[run + 1]
             if found and found[-1].run == run:  # two of one run: neither reaches the gap between runs there
                 found[-1], before = replace(found[-1], after=0.0), 0.0
-            found.append(_Piece(number, run, low, high, before, after))
+            piece = _Piece(span=number, run=run, start=low, stop=high, before=before, after=after)
+            found.append(piece)
     return found
 
 
