@@ -51,7 +51,7 @@ def patterns(t, spans):
 
 
 def exact_cost(t, spans, dwell):
-    """Minus the log of the chain's density of what is seen, averaged over the rate, against the one that is off."""
+    """Minus the log of the chain's density of what is seen, averaged over the rate."""
     on = patterns(t, spans)
     rates = np.linspace(0.0, 40.0, 20_001)[1:] * np.exp(-CHANGE_COST)
     share = rates / (rates + 1 / dwell)
@@ -70,16 +70,14 @@ def exact_cost(t, spans, dwell):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_times_cost_what_the_chain_gives_averaged_over_its_rate(seed):
-    """To 2 of some 20 to 60: the cost has one rate in gaps, the exact one all."""
+    """In traffic, to 1.5 of some 45 to 70: the cost has one rate in gaps, the exact one all."""
     rng = np.random.default_rng(seed)
-    edges = np.unique(rng.integers(10, 1490, 14))
-    t = np.concatenate([np.arange(a, b) for a, b in pairwise([0, *edges.tolist(), 1500])][::2]) + 0.5
-    starts = np.sort(rng.choice(np.arange(20, 1460, 30), 5, replace=False)).astype(float).tolist()
-    spans = tuple(
-        (start, start + float(rng.integers(4, 25))) for start in starts if covered(t, 1.0, ((start, start + 4),)).sum()
-    )
-    none = exact_cost(t, (), 12.0)
-    assert prior_cost(spans, BRAKE, t) == pytest.approx(exact_cost(t, spans, 12.0) - none + rate_cost(0, 0.0), abs=4.0)
+    edges = np.unique(rng.integers(10, 1490, 40)).tolist()
+    t = np.concatenate([np.arange(a, b) for a, b in pairwise([0, *edges, 1500])][::2]) + 0.5
+    starts = np.sort(rng.choice(np.arange(20, 1460, 30), 10, replace=False)).astype(float).tolist()
+    spans = tuple((start, start + float(rng.integers(4, 25))) for start in starts)
+    assert len(seen(spans, t)) > 2
+    assert prior_cost(spans, BRAKE, t) == pytest.approx(exact_cost(t, spans, 12.0), abs=1.5)
 
 
 @pytest.mark.parametrize("begins", [0, 1, 4, 30])

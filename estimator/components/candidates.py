@@ -60,15 +60,15 @@ class Candidates:
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """At which effects may act; what two of those chosen do, one may do."""
         steep = None if drive.stretches is None else drive.stretches.spans
-        names = frozenset(component.name for component in drive.chosen), steep is None
         beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
-        switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
         if number not in self._latest or self._latest[number][0] != beside:
+            switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
             self._latest[number] = beside, set().union(*map(switching.proposed, timed))
             if steep is None and not any(component.is_timed for component in drive.chosen):
                 self._untimed[number] = self._latest[number][1]
-        if number not in self._instead or self._instead[number][0] != names:
-            self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
+            names = frozenset(component.name for component in drive.chosen), steep is None
+            if number not in self._instead or self._instead[number][0] != names:
+                self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
         own = [component.spans for component in drive.chosen if component.is_timed and component.spans]
         own += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(own, 2)}

@@ -18,7 +18,7 @@ from estimator.signals import Floats
 from estimator.strides import DURATION
 
 CHANGE_COST = 5.5  # log of 245: about as many times are equally likely for a change
-MAX_DWELL_FACTOR = 6.0  # by which the mean stretch may be shorter than a usual one, and any stretch longer
+MAX_DWELL_FACTOR = 6.0  # by which the mean time may be shorter than a usual dwell, and any time longer
 MAX_ON_SHARE = 0.9  # of the drive: an effect that is on longer is hardly separated from a constant one
 MIN_GAP = DURATION  # s without strides: in less there is one time for a change, as between two strides
 DWELL_COST = 2.0  # log of the e-foldings from seconds to the drive's length, where no dwell is usual
@@ -116,7 +116,7 @@ def _gaps(t: Floats) -> Floats:
     return between[between >= MIN_GAP]
 
 
-def _stretches(pieces: Sequence[_Piece], apart: bool) -> list[list[_Piece]]:
+def _periods(pieces: Sequence[_Piece], apart: bool) -> list[list[_Piece]]:
     """Pieces in a row with but gaps between; ``apart``: and of one span."""
     found = list[list[_Piece]]()
     for piece in pieces:
@@ -155,8 +155,7 @@ def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
     if effect.timing is Timing.WINDOW:
         return sum(log(len(t) * DURATION) for span in spans for edge in span if t[0] < edge < t[-1])
     pieces = _pieces(spans, t)
-    off = len(t) * DURATION - sum(piece.duration for piece in pieces)
-    return _cost(_stretches(pieces, apart=False), effect.dwells, off, t)
+    return _cost(_periods(pieces, apart=False), effect.dwells, _off(pieces, t), t)
 
 
 def cost_apart(spans: Spans, dwells: Sequence[float], t: Floats) -> float:
@@ -166,28 +165,33 @@ def cost_apart(spans: Spans, dwells: Sequence[float], t: Floats) -> float:
     """
     pieces = _pieces(spans, t)
     shared = sum(a.run == b.run and a.stop == b.start for a, b in pairwise(pieces))
-    return _cost(_stretches(pieces, apart=True), dwells, len(t) * DURATION, t) - CHANGE_COST * shared
+    return _cost(_periods(pieces, apart=True), dwells, len(t) * DURATION, t) - CHANGE_COST * shared
 
 
-def _cost(stretches: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration: float, t: Floats) -> float:
+def _cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration: float, t: Floats) -> float:
     """Of times of which each may begin within a ``duration`` [s] of what is seen."""
     total, begins = 0.0, 0.0
-    for stretch in stretches:
-        cost, dwell = min((_cost_by(dwell, stretch), dwell) for dwell in dwells)
+    for period in periods:
+        cost, dwell = min((_cost_by(dwell, period), dwell) for dwell in dwells)
         total += cost
-        begins += 1.0 + sum(begun_again(piece.after, dwell) for piece in stretch[:-1])
+        begins += 1.0 + sum(begun_again(piece.after, dwell) for piece in period[:-1])
     dwell, gaps = max(dwells), _gaps(t)
     unseen = float((dwell * -np.expm1(-gaps / dwell)).sum())  # s of gaps, after whose beginnings it would be on
-    return total + rate_cost(begins, max(duration, 0.0) + unseen)
+    return total + rate_cost(begins, duration + unseen)
 
 
-def _cost_by(dwell: float, stretch: Sequence[_Piece]) -> float:
+def _cost_by(dwell: float, period: Sequence[_Piece]) -> float:
     """Of one time, with a ``dwell`` [s]."""
-    before, after = stretch[0].before, stretch[-1].after
-    total = sum(piece.duration for piece in stretch) / dwell
-    total += sum(in_gap(piece.after, dwell).stays for piece in stretch[:-1])
+    before, after = period[0].before, period[-1].after
+    total = sum(piece.duration for piece in period) / dwell
+    total += sum(in_gap(piece.after, dwell).stays for piece in period[:-1])
     total += in_gap(before, dwell).begins if before else CHANGE_COST
     return total + (in_gap(after, dwell).ends if after else log(dwell))
+
+
+def _off(pieces: Sequence[_Piece], t: Floats) -> float:
+    """For how long [s] it is seen off."""
+    return max(len(t) * DURATION - sum(piece.duration for piece in pieces), 0.0)
 
 
 def rate_cost(begins: float, duration: float) -> float:
@@ -202,11 +206,10 @@ def rate_cost(begins: float, duration: float) -> float:
 def cost_without_dwell(spans: Spans, t: Floats) -> float:
     """Minus the log prior probability of times of a state without a usual dwell: ends are as rare as beginnings are."""
     pieces = _pieces(spans, t)
-    times = _stretches(pieces, apart=False)
-    ends = [gap for time in times for gap in (time[0].before, time[-1].after) if gap < inf]
-    total = sum(max(CHANGE_COST - log(max(gap, DURATION)), 0.0) for gap in ends) + DWELL_COST * len(times)
-    off = len(t) * DURATION - sum(piece.duration for piece in pieces)
-    return total + rate_cost(len(times), max(off, 0.0))
+    periods = _periods(pieces, apart=False)
+    ends = [gap for period in periods for gap in (period[0].before, period[-1].after) if gap < inf]
+    total = sum(max(CHANGE_COST - log(max(gap, DURATION)), 0.0) for gap in ends) + DWELL_COST * len(periods)
+    return total + rate_cost(len(periods), _off(pieces, t))
 
 
 def cost_of_leaving(edge: float, is_end: bool, effect: Effect, t: Floats) -> float:
