@@ -55,6 +55,7 @@ class Quantity(StrEnum):
     CLIMB_BY_ALTITUDE = "climb by altitude"  # [m/s]
     CLIMB_BY_ACCELEROMETER = "climb by accelerometer"  # [m/s]
     TEMPERATURE = "temperature"  # [K], of the air
+    AIR_DENSITY = "air density"  # [kg/m^3]
     ELAPSED = "elapsed"  # [s] since the drive began
     DISTANCE = "distance"  # [m] since the drive began
     STOPS = "stops"  # standstills so far

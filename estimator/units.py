@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from math import pi
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, ISO 80000-3
+HOUR = 3600.0  # s
 EARTH_RADIUS = 6.371e6  # m, of a sphere: cells and short ways need no ellipsoid
 
 

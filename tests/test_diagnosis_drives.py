@@ -159,6 +159,27 @@ def test_a_stretch_of_wet_road(diagnose):
     assert overlap(effect["span_s"], [(500.0, 1100.0)]) > 0.9
 
 
+THERMOMETER = (Role.AMBIENT_TEMPERATURE, Role.AIR_PRESSURE)
+
+
+def test_air_that_grows_denser_where_no_signal_shows_it(diagnose):
+    """By 20 K in an hour of 288 K."""
+    air = Effect(name="air_density", magnitude=-20.0)
+    hidden = diagnose(drive("highway", 60, 3, air, without=THERMOMETER))
+    near(only(hidden, "air_density"), 20 / 288, 0.15)
+    assert hidden["configuration"] == 'effects = ["air_density"]'
+    shown = diagnose(drive("highway", 60, 3, air))
+    assert shown["verdict"] == "no gap"
+    told = [entry["name"] for which in ("candidates", "invisible", "not_testable") for entry in shown[which]]
+    assert "air_density" not in told
+
+
+def test_cold_oil_is_told_from_cold_tyres(diagnose):
+    """The oil drags the more the faster it is churned, and the simulated one is warmed by the power that flows."""
+    only(diagnose(drive("highway", 60, 5, Effect(name="oil_drag", magnitude=0.5))), "oil_warm_up")
+    only(diagnose(drive("highway", 60, 6, Effect(name="warm_up", magnitude=0.3))), "warm_up")
+
+
 def test_a_lag_is_taken_out_and_reported(diagnose):
     answer = diagnose(drive("mixed", 25, 1, Effect(name="time_lag", magnitude=0.4)))
     effect = only(answer, "time_lag")
@@ -315,8 +336,19 @@ def test_a_filter_of_the_speed_is_all_there_is(diagnose):
     answer = diagnose(drive("highway", 40, 3, Effect(name="speed_filter", magnitude=0.5)))
     effect = only(answer, "speed_filter")
     assert effect["equivalent"] == ["time_lag"]
+    assert answer["remaining"]["verdict"] == "no gap"
+    causes = {part["cause"] for part in answer["budget"] if part["share"] > 0.02}
+    assert causes == {"sensor noise", "speed_filter"}
     mass, sd = (answer["parameters"][which]["mass_kg"] for which in ("final", "sd"))
     assert mass == pytest.approx(TRUCK.mass, abs=3 * sd)
+
+
+def test_a_filter_whose_lag_is_hardly_unusual_is_known_by_what_it_does_besides(diagnose):
+    answer = diagnose(drive("mixed", 40, 3, Effect(name="speed_filter", magnitude=0.14)))
+    effect = only(answer, "speed_filter")
+    assert abs(effect["magnitude"]["value"]) < 0.12
+    unknown = next(c for c in answer["candidates"] if c["name"] == "unknown effect")
+    assert unknown["probability"] < 0.1
 
 
 def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):
@@ -355,6 +387,12 @@ def test_a_torque_that_is_not_linear_is_unknown(diagnose):
     answer = diagnose(drive("mixed", 25, 1, Effect(name="torque_saturation", magnitude=0.08)))
     assert (answer["verdict"], named(answer)) == ("unknown effect", [])
     assert answer["candidates"][0]["detail"] == "gain over torque"
+
+
+def test_a_tyre_that_loses_air_is_no_air_that_grows_denser(diagnose):
+    answer = diagnose(drive("mixed", 40, 3, Effect(name="slow_puncture", magnitude=0.35), without=THERMOMETER))
+    assert (answer["verdict"], named(answer)) == ("unknown effect", [])
+    assert answer["candidates"][0]["detail"] == "force over time"
 
 
 def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):

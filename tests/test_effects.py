@@ -132,7 +132,7 @@ LEVEL = {
     "air_density": STANDSTILL,
     "warm_up": with_past_speed(80 / 3.6),
     "viscous_drag": STANDSTILL,
-    "oil_warm_up": with_context(Quantity.ELAPSED, 1e6),
+    "oil_warm_up": with_past_speed(80 / 3.6),
     "cold_loss": with_context(Quantity.ELAPSED, 1e6),
     "torque_gain": view(P=np.zeros(3000)),
     "load_loss": view(P=np.zeros(3000)),
@@ -196,11 +196,18 @@ def test_powers_are_those_of_the_equations():
     for name, power in {"cold_loss": np.abs(seen.P), "cabin_heater": 1.0}.items():
         np.testing.assert_allclose(BY_NAME[name].power(cold, 600.0), power / np.e)
     lukewarm = with_past_speed(80 / 3.6 * (1 - 1 / np.e))
-    for name, cool, power in (("warm_up", lukewarm, ROAD_LOAD[0] * v), ("oil_warm_up", cold, v**2)):
-        np.testing.assert_allclose(BY_NAME[name].power(cool, (600.0, 0.0)), power / np.e)
+    half_churned = 0.5 * v * (80 / 3.6 + v)
+    for name, of, power in (
+        ("warm_up", (), ROAD_LOAD[0] * v),
+        ("oil_warm_up", (1.0,), v**2),
+        ("oil_warm_up", (0.5,), half_churned),
+    ):
+        np.testing.assert_allclose(BY_NAME[name].power(lukewarm, (600.0, 0.0, *of)), power / np.e)
         softened = power * (np.exp(2 / np.e) - 1) / (np.exp(2) - 1)
-        np.testing.assert_allclose(BY_NAME[name].power(cool, (600.0, 2.0)), softened)
-        np.testing.assert_allclose(BY_NAME[name].power(cool, (600.0, 1e-6)), power / np.e, rtol=1e-5)
+        np.testing.assert_allclose(BY_NAME[name].power(lukewarm, (600.0, 2.0, *of)), softened)
+        np.testing.assert_allclose(BY_NAME[name].power(lukewarm, (600.0, 1e-6, *of)), power / np.e, rtol=1e-5)
+    half_an_hour = with_context(Quantity.ELAPSED, 1800.0)
+    np.testing.assert_allclose(BY_NAME["air_density"].power(half_an_hour, None), 0.5 * C * v**3)
     np.testing.assert_allclose(
         BY_NAME["regeneration_loss"].power(view(P=np.linspace(-2, 1, 3000)), None)[[0, -1]], [2, 0]
     )

@@ -20,11 +20,19 @@ from estimator.estimation.shapes import (
 from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME
+from estimator.model.effects.cold import cold_by_time, excess, excesses, finer_excesses
 from estimator.model.effects.effect import View
 from estimator.signals import Quantity
 
 M, A, C = 25e3, 1600.0, 3.5
-OIL, WIND = BY_NAME["oil_warm_up"], BY_NAME["headwind"]
+WIND = BY_NAME["headwind"]
+OIL = replace(  # that warms with the time, which is simpler to compute a drive of
+    BY_NAME["oil_warm_up"],
+    power=lambda view, shape: view.v**2 * excess(cold_by_time(view, shape[0]), shape[1]),
+    needs=(Quantity.ELAPSED,),
+    shapes=excesses((360.0, 600.0, 960.0, 1500.0, 2400.0)),
+    finer=finer_excesses,
+)
 COLD = [Term(OIL, shape) for shape in OIL.shapes]
 WINDS = [Term(WIND, shape) for shape in WIND.shapes]
 STEADY_WIND = replace(WIND, finer=None)

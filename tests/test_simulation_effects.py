@@ -192,6 +192,14 @@ def test_cold_tyres_roll_harder_until_rolling_has_warmed_them():
     assert np.max(np.diff(share)) > 0.0
 
 
+def test_a_tyre_that_loses_air_rolls_harder_from_then_on():
+    truth = drive_with(Effect(name="slow_puncture", magnitude=0.3, start=200.0))
+    t, rolling = STEP * np.arange(len(truth.v)), truth.v > 2.0
+    force = truth.effect_power["slow_puncture"][rolling] / truth.v[rolling]
+    np.testing.assert_allclose(force, 0.3 * TRUCK.A * np.clip((t[rolling] - 200.0) / 400.0, 0.0, 1.0), atol=1.0)
+    assert truth.active["slow_puncture"] == [(200.0, 600.0)]
+
+
 @pytest.mark.parametrize("speed", [8.0, CRUISE])
 def test_tyres_settle_at_the_temperature_of_a_steady_speed(speed):
     scene = Scene(truck=TRUCK, route=straight_road(), duration=0.0, rng=np.random.default_rng(1))

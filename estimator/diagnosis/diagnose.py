@@ -58,6 +58,7 @@ def diagnose(
         Records of noise alone that effects are looked for in as well, for a p-value.
     """
     limits = Thresholds() if thresholds is None else thresholds
+    effects = [effect for effect in effects if not any(effect.is_applied(record.known) for record in records)]
     plain: list[Drive] = []
     reason = "there is no driving in it"
     for record in records:

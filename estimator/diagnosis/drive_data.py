@@ -52,7 +52,8 @@ class Record:
     @property
     def known(self) -> frozenset[Quantity]:
         """Quantities that the samples carry."""
-        return frozenset(self.samples.context)
+        air = {Quantity.AIR_DENSITY} if np.isfinite(self.samples.density).any() else set()
+        return frozenset(self.samples.context) | air
 
 
 def record(pieces: list[Rows], config: Config) -> Record:

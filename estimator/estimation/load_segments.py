@@ -21,8 +21,8 @@ from estimator.estimation.moments import PARAMETERS, ROAD_LOAD, Belief
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.settings import Load
 from estimator.signals import Floats
+from estimator.units import HOUR
 
-HOUR = 3600.0  # s
 SHORT_STOP = 300.0  # s of `load.stop_s`: between shorter stops is too little driving to find road and noise from
 KEPT_LOADS = 15  # loads before the present one whose driving stays in use after short stops
 MAX_LOG_ODDS = 700.0  # exp overflows beyond; the probability is 0 or 1 in floating point

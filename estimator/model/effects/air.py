@@ -6,6 +6,7 @@ import numpy as np
 
 from estimator.model.effects.effect import Effect, Shape, Timing, View, always
 from estimator.signals import Floats, Quantity
+from estimator.units import HOUR
 
 USUAL_WIND = 5.0  # m/s
 DIRECTIONS = tuple(2 * pi * k / 24 for k in range(24))  # rad
@@ -53,14 +54,15 @@ HEADWIND = Effect(
 
 AIR_DENSITY = Effect(
     name="air_density",
-    equation="C (rho / rho0 - 1) v^3",
-    source="ideal gas; applied, not fitted, where temperature and pressure are known",
-    symbol="relative density",
-    unit="1",
-    power=lambda view, shape: view.C * view.v**3,
-    usual=always(0.05),
+    equation="C d t v^3",
+    source="ideal gas, 10 K are 3.5 %; C is that at the start; applied, not fitted, with temperature and pressure",
+    symbol="drift of density per hour",
+    unit="1/h",
+    power=lambda view, shape: view.C * view.v**3 * view.context[Quantity.ELAPSED] / HOUR,
+    usual=always(0.04),
     positive=False,
-    absorbed=True,
+    needs=(Quantity.ELAPSED,),
+    applied_with=(Quantity.AIR_DENSITY,),
     breaks="ambient temperature and air pressure on the bus",
 )
 

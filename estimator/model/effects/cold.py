@@ -1,13 +1,13 @@
 """What is large while the vehicle is cold, and falls as it warms.
 
-x is the share of the way to a warm vehicle that is left. Oil, cabin and battery approach the temperature of a warm
-vehicle about exponentially with the time t since the drive began, x = exp(-t / tau). Tyres approach the temperature
-that belongs to their speed (Nielsen and Sandberg, SAE 2002-01-1200), and cool where the vehicle stands: with v_tau,
-the speed low-passed over tau, and the speed v_w at which tyres are tested warm,
+x is the share of the way to a warm vehicle that is left. Gears, cabin and battery approach the temperature of a warm
+vehicle about exponentially with the time t since the drive began, x = exp(-t / tau). Tyres and oil are warmed by the
+driving: they approach the temperature that belongs to their speed (Nielsen and Sandberg, SAE 2002-01-1200), and cool
+where the vehicle stands. With v_tau, the speed low-passed over tau, and the speed v_w at which tyres are tested warm,
 
     x = 1 - v_tau / v_w,
 
-below zero for tyres that are warmer than in the test. What is proportional to the temperature falls as x. The loss in
+below zero for what is warmer than at that speed. What is proportional to the temperature falls as x. The loss in
 rubber and the viscosity of oil fall about exponentially with the temperature: of ln(cold / warm) = k, the excess over
 the warm value
 
@@ -29,14 +29,14 @@ TIMES_NEAR = (0.8, 0.87, 0.93, 1.0, 1.08, 1.16, 1.25)  # of a time constant
 STEEPNESS_NEAR = (-0.5, 0.0, 0.5)
 
 
-def cold(view: View, time: Shape) -> Floats:
+def cold_by_time(view: View, time: Shape) -> Floats:
     """Share (n,) of the way to a warm vehicle that is left, with a time constant ``time`` [s]."""
     left: Floats = np.exp(-view.context[Quantity.ELAPSED] / time)
     return left
 
 
-def cold_tyres(view: View, time: Shape) -> Floats:
-    """Share (n,) of the way to warm tyres that is left, with a time constant [s] in the range of PAST_SPEEDS.
+def cold_by_speed(view: View, time: Shape) -> Floats:
+    """Share (n,) of the way to warm tyres or oil that is left, with a time constant [s] in the range of PAST_SPEEDS.
 
     Between two time constants the low-passed speed is interpolated over their logarithm.
     """

@@ -137,6 +137,8 @@ class Effect:
         instruments.
     is_gravity
         Its magnitude is the mass: in the model it joins m instead of adding a parameter.
+    applied_with
+        Quantities with which it is applied, not fitted, so that none is looked for.
     absorbed
         A, C and m fit it completely, so no drive gives evidence of it, whatever its size.
     sized
@@ -164,6 +166,7 @@ class Effect:
     dwells: tuple[float, ...] = (200.0,)
     is_noisy: bool = False
     is_gravity: bool = False
+    applied_with: tuple[Quantity, ...] = ()
     absorbed: bool = False
     equivalent: tuple[str, ...] = ()
     sized: Callable[[float], float] | None = None
@@ -179,6 +182,10 @@ class Effect:
         """The shapes with which it can be in the streaming model: a signal must show when it acts."""
         usable = self.usable_shapes(known)
         return usable if self.timing is Timing.ALWAYS else tuple(s for s in usable if isinstance(s, Quantity))
+
+    def is_applied(self, known: Set[Quantity]) -> bool:
+        """Whether the model has it already, computed from what is ``known``."""
+        return bool(self.applied_with) and known >= set(self.applied_with)
 
     def limit(self, road_load: Floats) -> float:
         """Magnitude beyond which it must be something else."""

@@ -6,7 +6,7 @@ lose different shares. That shows only where the bus says that the service brake
 
 import numpy as np
 
-from estimator.model.effects.cold import cold, finer_times, told_time
+from estimator.model.effects.cold import cold_by_time, finer_times, told_time
 from estimator.model.effects.effect import Effect, always, by_mass
 from estimator.signals import Quantity
 
@@ -33,7 +33,7 @@ CABIN_HEATER = Effect(
     source="cabin and battery are heated from cold (battery power at rest, Argonne D3)",
     symbol="Ph",
     unit="W",
-    power=cold,
+    power=cold_by_time,
     usual=by_mass(40e3),
     largest=40e3,
     needs=(Quantity.BATTERY_CURRENT, Quantity.ELAPSED),

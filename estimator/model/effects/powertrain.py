@@ -2,11 +2,25 @@
 
 import numpy as np
 
-from estimator.model.effects.cold import cold, excess, excesses, finer_excesses, finer_times, told_excess, told_time
+from estimator.model.effects.cold import (
+    WARM_SPEED,
+    cold_by_speed,
+    cold_by_time,
+    excess,
+    excesses,
+    finer_excesses,
+    finer_times,
+    told_excess,
+    told_time,
+)
 from estimator.model.effects.effect import TYPICAL_MASS, Effect, Shape, Timing, View, always, by_mass
+from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 
-OIL_TIMES = tuple(60.0 * minutes for minutes in (6, 10, 16, 25, 40))  # s
+GEAR_TIMES = tuple(60.0 * minutes for minutes in (6, 10, 16, 25, 40))  # s
+OIL_TIMES = tuple(60.0 * minutes for minutes in (10, 16, 25, 40, 60))  # s
+CHURNED = (0.5, 1.0)  # share of the drag of oil at WARM_SPEED that rises with the speed; tyres have none
+COLD_OILS = tuple((*cooled, churned) for cooled in excesses(OIL_TIMES) for churned in CHURNED)
 FAN_EXPONENT = 3  # power of a fan over its speed
 
 
@@ -17,6 +31,18 @@ def _fan(view: View, source: Shape) -> Floats:
     fastest = float(np.nanmax(speed, initial=1.0))
     power: Floats = (speed / fastest) ** FAN_EXPONENT
     return power
+
+
+def _cold_oil(view: View, oil: Shape) -> Floats:
+    """Per 1 N s/m at WARM_SPEED."""
+    time, steepness, churned = oil
+    drag: Floats = view.v * ((1 - churned) * WARM_SPEED + churned * view.v)
+    return drag * excess(cold_by_speed(view, time), steepness)
+
+
+def _oils_near(oil: Shape, size: float) -> tuple[Shape, ...]:
+    time, steepness, churned = oil
+    return tuple((*near, churned) for near in finer_excesses((time, steepness), size))
 
 
 VISCOUS_DRAG = Effect(
@@ -32,15 +58,15 @@ VISCOUS_DRAG = Effect(
 
 OIL_WARM_UP = Effect(
     name="oil_warm_up",
-    equation="B v^2 (exp(k x) - 1) / (exp(k) - 1), x = exp(-t / tau)",
-    source="churning of cold oil in axles and gearbox, which warms apart from the tyres",
+    equation="B v ((1 - s) v_w + s v) (exp(k x) - 1) / (exp(k) - 1), x = 1 - v_tau / v_w, v_w = 80 km/h",
+    source="cold oil in axles and gearbox: churned in proportion to the speed, in seals and bearings at any speed",
     symbol="B when cold",
     unit="N s/m",
-    power=lambda view, shape: view.v**2 * excess(cold(view, shape[0]), shape[1]),
+    power=_cold_oil,
     usual=lambda road_load: 0.25 * float(road_load[0]) / 20.0,
-    needs=(Quantity.ELAPSED,),
-    shapes=excesses(OIL_TIMES),
-    finer=finer_excesses,
+    needs=tuple(PAST_SPEEDS),
+    shapes=COLD_OILS,
+    finer=_oils_near,
     describe=told_excess,
     breaks="a drive that starts with warm oil",
 )
@@ -51,10 +77,10 @@ COLD_LOSS = Effect(
     source="cold gears and tyres lose a share of what they transmit (halves of winter trips differ in mass)",
     symbol="share lost when cold",
     unit="1",
-    power=lambda view, time: np.abs(view.P) * cold(view, time),
+    power=lambda view, time: np.abs(view.P) * cold_by_time(view, time),
     usual=always(0.05),
     needs=(Quantity.ELAPSED,),
-    shapes=OIL_TIMES,
+    shapes=GEAR_TIMES,
     finer=finer_times,
     describe=told_time,
     is_noisy=True,

@@ -4,8 +4,7 @@ import numpy as np
 
 from estimator.model.effects.effect import Effect, always, by_mass
 from estimator.signals import Quantity
-
-HOUR = 3600.0  # s
+from estimator.units import HOUR
 
 TORQUE_GAIN = Effect(
     name="torque_gain",

@@ -1,6 +1,6 @@
 """Effects between the vehicle and the road: gravity, load, tyres and brakes."""
 
-from estimator.model.effects.cold import cold_tyres, excess, excesses, finer_excesses, told_excess
+from estimator.model.effects.cold import cold_by_speed, excess, excesses, finer_excesses, told_excess
 from estimator.model.effects.effect import Effect, Shape, Timing, View, always, by_mass
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
@@ -50,7 +50,7 @@ WARM_UP = Effect(
     source="rolling resistance of tyres falls as they warm (ISO 28580; Nielsen and Sandberg, SAE 2002-01-1200)",
     symbol="cold excess of A",
     unit="1",
-    power=lambda view, shape: view.A * view.v * excess(cold_tyres(view, shape[0]), shape[1]),
+    power=lambda view, shape: view.A * view.v * excess(cold_by_speed(view, shape[0]), shape[1]),
     usual=always(0.25),
     needs=tuple(PAST_SPEEDS),
     shapes=excesses(TYRE_TIMES),

@@ -103,13 +103,14 @@ KINDS: dict[str, Kind] = {
         Kind(start=readings.quantisation, unit="1", usual=0.01, low=0.00125, high=0.01, known_as="quantisation"),
         Kind(start=rolling.snow_plough, unit="N", usual=3000.0, low=1500.0, high=6000.0, known_as=None),
         Kind(start=rolling.gear_loss, unit="N.m", usual=120.0, low=60.0, high=250.0, known_as=None),
-        Kind(start=rolling.oil_drag, unit="1", usual=0.40, low=0.20, high=0.60, known_as=None),
+        Kind(start=rolling.oil_drag, unit="1", usual=0.40, low=0.20, high=0.60, known_as="oil_warm_up"),
         Kind(start=rolling.liquid_surge, unit="1", usual=0.30, low=0.15, high=0.40, known_as=None),
         Kind(start=roads.road_surface, unit="1", usual=0.20, low=0.10, high=0.30, known_as=None),
         Kind(start=air.wind_gusts, unit="m/s", usual=2.0, low=1.0, high=3.0, known_as=None),
         Kind(start=readings.torque_ripple, unit="N.m", usual=80.0, low=40.0, high=150.0, known_as=None),
         Kind(start=readings.gain_walk, unit="1", usual=0.05, low=0.03, high=0.08, known_as=None),
         Kind(start=readings.torque_saturation, unit="1", usual=0.06, low=0.03, high=0.10, known_as=None, signed=True),
+        Kind(start=rolling.slow_puncture, unit="1", usual=0.25, low=0.15, high=0.40, known_as=None),
     )
 }
 

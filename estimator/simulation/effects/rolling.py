@@ -65,6 +65,14 @@ def resistance_segment(scene: Scene, effect: Effect) -> Action:
     return Action(force=lambda now: more if start <= now.t < end else 0.0, active=[(start, end)])
 
 
+def slow_puncture(scene: Scene, effect: Effect) -> Action:
+    """A tyre loses air from some moment on and rolls ever harder: a share of A more at the end of the drive."""
+    start, _ = window(scene, effect)
+    left = scene.duration - start
+    more = effect.magnitude * scene.truck.A
+    return Action(force=lambda now: more * max(now.t - start, 0.0) / left, active=[(start, scene.duration)])
+
+
 def cornering(scene: Scene, effect: Effect) -> Action:
     """Side-slipping tyres in a bend hold back with the square of the lateral acceleration."""
     curvature = along(scene.route.curvature, CURVE_SPACING)
