@@ -12,6 +12,8 @@ from estimator.components import search
 from estimator.components.candidates import Candidates
 from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
+from estimator.components.hypotheses import Hypotheses
+from estimator.components.model_table import ModelTable
 from estimator.components.search import Search
 from estimator.components.switching import Switching
 from estimator.diagnosis import explanation
@@ -58,6 +60,9 @@ def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: An
 
         def worthwhile(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
             return chosen
+
+        def rivals(self, table: object) -> tuple[()]:
+            return ()
 
     monkeypatch.setattr(search, "Hypotheses", Scripted)
     monkeypatch.setattr(search, "weigh", lambda joint, causes, size, before: SimpleNamespace(best=joint.chosen))
@@ -129,6 +134,35 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     with_other, without_other = ((50.0, 90.0), (200.0, 230.0)), ((50.0, 70.0), (200.0, 230.0))
     assert times(chosen, "brake_use") == {own, other, with_other, without_other}
     assert times(chosen, "auxiliary_cycling") == {own, other}
+
+
+# Shapes
+
+
+def test_a_rival_of_what_was_chosen_has_shapes_between_those_of_the_grid_too():
+    """Else what happened to be chosen first would have more evidence by its finer shapes alone."""
+    loss, plain = BY_NAME["cold_loss"], driven()
+    candidates = Candidates([loss, BY_NAME["viscous_drag"]], [()])
+
+    def joined() -> Hypotheses:
+        return Hypotheses((plain,), [()], [candidates.on(0, plain, with_processes=False, with_stretches=False)])
+
+    def forms(joint: Hypotheses) -> dict[object, int]:
+        return {key[-1]: i for i, key in enumerate(joint.keys) if key[0] == loss.name}
+
+    joint = joined()
+    drag = [key[0] for key in joint.keys].index("viscous_drag")
+    assert set(forms(joint)) == {str(time) for time in loss.shapes}
+    sets = (drag,), tuple(sorted((drag, forms(joint)[str(loss.shapes[1])]))), (forms(joint)[str(loss.shapes[0])],)
+    table = ModelTable(sets, np.array([0.9, 0.08, 0.02]), 0.0)
+    ((number, term, size),) = joint.rivals(table)
+    both = [of_term(Frame.of(plain.fit), each) for each in (Term(BY_NAME["viscous_drag"]), term)]
+    assert (number, term.shape) == (0, loss.shapes[1])
+    assert size == pytest.approx(plain.joint_with(both).posterior([0, 1]).mean[-1])
+
+    candidates.rival(number, term, size)
+    near = {str(time) for time in loss.finer(term.shape, size)}
+    assert set(forms(joined())) == {str(time) for time in loss.shapes} | near
 
 
 # The noise to start from

@@ -33,6 +33,9 @@ class Candidates:
     have changed, and those beside none with times nor stretches of the road. Two effects may share the times that one
     of them has, so those in the place of all effects with times are proposed too, whenever effects of other names are
     chosen, or the first stretches of the road.
+
+    Effects that were chosen have shapes near theirs, and so have their `rivals`: what was chosen first would else gain
+    by that alone.
     """
 
     def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]]) -> None:
@@ -42,6 +45,11 @@ class Candidates:
         self._untimed: dict[int, set[Spans]] = {}
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
+        self._rivals: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)
+
+    def rival(self, number: int, term: Term, size: float) -> None:
+        """An effect of this magnitude may act instead of those chosen on the drive with this ``number``."""
+        self._rivals[number][term.effect.name] = term, size
 
     def on(self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool) -> Iterator[Candidate]:
         """On the drive with this ``number``; of two equal forms the later one counts.
@@ -50,7 +58,7 @@ class Candidates:
         """
         frame, times = Frame.of(drive.fit), self._times(number, drive)
         yield from self._as_the_bus_tells(frame, drive)
-        yield from self._finer(frame, drive)
+        yield from self._finer(number, frame, drive)
         yield from self._at_times(frame, drive.chosen, times)
         if drive.is_hidden and with_stretches:
             yield from self._stretches(number, frame, drive, times)
@@ -91,10 +99,12 @@ class Candidates:
                     component=component,
                 )
 
-    def _finer(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
-        """Shapes near those that were chosen; effects that are given keep theirs."""
-        for term, size in zip((component.term for component in drive.chosen), drive.sizes.tolist(), strict=True):
-            if term is None or not is_free(term) or term.effect not in self._effects:
+    def _finer(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+        """Shapes near those that were chosen and those of rivals; effects that are given keep theirs."""
+        chosen = [(one.term, size) for one, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if one.term]
+        own = {term.effect.name: (term, size) for term, size in chosen}
+        for term, size in (self._rivals[number] | own).values():
+            if not is_free(term) or term.effect not in self._effects:
                 continue
             for finer in near(term, size):
                 component = of_term(frame, finer)

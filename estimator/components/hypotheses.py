@@ -4,7 +4,7 @@ An effect of the vehicle has to hold in all drives, so its evidence adds up; an 
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,8 @@ from estimator.components.candidates import Candidate
 from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState
 from estimator.components.model_table import Cause, Chosen, ModelTable
+from estimator.estimation.shapes import is_free
+from estimator.model.design_matrix import Term
 from estimator.signals import Floats
 
 ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e times as probable
@@ -124,6 +126,21 @@ class Hypotheses:
             _mixed(joint.base(self._here(chosen, n)), [joint.base(self._here(own, n)) for own in sets], weights)
             for n, joint in enumerate(self._joints)
         )
+
+    def rivals(self, table: ModelTable) -> Iterator[tuple[int, Term, float]]:
+        """Effects with a free shape that are in probable sets, but not in the best: drive, term and magnitude.
+
+        Each as in the most probable set that has it.
+        """
+        names = {self.component(i).name for i in table.best}
+        for own in (own for own, p in zip(table.sets, table.probability, strict=True) if p > MIN_PROBABILITY):
+            new = [i for i in own if self.component(i).name not in names]
+            names |= {self.component(i).name for i in new}
+            for form in new:
+                for number, component in self.each[form].items():
+                    if component.term is not None and is_free(component.term):
+                        here, place = self._here(own, number), self._places[form][number]
+                        yield number, component.term, self._joints[number].value(here, place)
 
     def component(self, i: int) -> Component:
         """One of the components that are form ``i``: they have the same name."""

@@ -18,6 +18,7 @@ from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState, Form
 from estimator.components.hypotheses import Hypotheses, OtherSets
 from estimator.components.model_table import MAX_CAUSES, Chosen, ModelTable, weigh
+from estimator.components.processes import LOW_PASS
 from estimator.model.effects.effect import Effect, Timing
 
 MAX_ROUNDS = 20  # of table and scales, each found beside the other
@@ -88,7 +89,7 @@ class Explained:
     beside: tuple[Ranked, ...]
     probability: Mapping[str, float]
     none: float  # probability that nothing acts
-    unknown: float  # probability that a nameless process acts
+    unknown: float  # probability that a nameless process acts that is not part of a lag
     unnamed: Mapping[int, Component]
     left_over: float
     by_effects: float
@@ -224,6 +225,8 @@ class Search:
             if found is not None and gain < -ROUNDING:
                 break
             last, states = _Converged(joint, table, table.best, fitted), fitted
+            for number, term, magnitude in joint.rivals(table):
+                self._candidates.rival(number, term, magnitude)
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
                 found, value = last, value + gain
                 if len(table.best) < room and gain < MIN_ROUND_GAIN:
@@ -281,7 +284,7 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
         beside=ranked(states, effects) if choices else first,
         probability=probability,
         none=1 - table.holding([*of_kind[Kind.EFFECT], *unnamed]),
-        unknown=table.holding([*unnamed]),
+        unknown=table.holding([i for i in unnamed if joint.component(i).name != LOW_PASS]),
         unnamed=joint.each[process],
         left_over=left_over,
         by_effects=beside - none,

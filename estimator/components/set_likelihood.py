@@ -148,6 +148,11 @@ class SetLikelihood:
         own = self.unit[places]
         return Posterior(mean / own, covariance / np.outer(own, own), self.base_size, float(log))
 
+    def value(self, chosen: Sequence[int], index: int) -> float:
+        """Amplitude of the component ``index``, of one column, in a set that it is in."""
+        before = sum(len(self.places[i]) for i in chosen[: chosen.index(index)])
+        return float(self.posterior(chosen).mean[self.base_size + before])
+
     def base(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
         """Amplitudes of the base beside a set: mean (b,) and covariance (b, b), in own units.
 

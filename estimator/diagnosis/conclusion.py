@@ -372,7 +372,8 @@ def conclude(
     split = budget(drives, possible, processes, rng, given)
     if explanation.is_sloping and not explanation.is_hilly:
         split = split.renamed(ROAD, UNKNOWN + FORCE_BY_PLACE)
-    return Conclusion(explanation=explanation, budget=split, plain=plain, thresholds=thresholds)
+    found = Conclusion(explanation=explanation, budget=split, plain=plain, thresholds=thresholds)
+    return found if found.lag is None else replace(found, budget=split.renamed(UNKNOWN + LOW_PASS, found.lag.name))
 
 
 def _with_choices(drive: Drive, state: DriveState) -> Drive:

@@ -17,7 +17,7 @@ from estimator.signals import Floats
 STRETCHES = 20  # of a drive, whose residuals are independent
 LONGEST_LAG = 0.8  # s: shifts of power up to 0.6 s are tried, beyond 0.8 s the columns are extrapolated
 LAG_DOUBT = 0.005  # s, sd from the form of effects: so 90 % intervals held the lag of 54 of 60 simulated drives
-MIN_EXCESS_SDS = 4.0  # sd of the lag by which it must lie outside USUAL_LAG
+MIN_LOG_BF = 8.0  # of a lag outside USUAL_LAG, that of four standard deviations
 
 
 def lag_finding(
@@ -40,15 +40,16 @@ def lag_finding(
         Log Bayes factor of what a low-pass of the speed adds to a lag: evidence of it too.
     """
     value, sd = _lag(explanation)
-    excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value) / sd
-    if excess < MIN_EXCESS_SDS or abs(value) > LONGEST_LAG:
+    excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value, 0.0) / sd
+    log_bayes_factor = 0.5 * excess**2 + bent
+    if not excess or log_bayes_factor < MIN_LOG_BF or abs(value) > LONGEST_LAG:
         return None
     effect = BY_NAME[LATE if value > 0 else EARLY]
     before, after = _unaligned(plain)
     return Finding(
         name=effect.name,
         probability=1.0,
-        log_bayes_factor=0.5 * excess**2 + bent,
+        log_bayes_factor=log_bayes_factor,
         equivalent=effect.equivalent,
         magnitude=Magnitude(effect.symbol, value, sd, effect.unit),
         gap_closed=_closed_by_alignment(before, after),
