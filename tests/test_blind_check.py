@@ -1,5 +1,6 @@
 """The blind check judges what it claims to judge; and a fixed set of drives is diagnosed as well as promised."""
 
+import dataclasses
 import os
 import sys
 from pathlib import Path
@@ -320,6 +321,22 @@ def test_logs_and_truths_lie_apart_and_come_again_from_the_same_seed(tmp_path):
     given = [f"{p.drive}.toml" for p in plans if p.given]
     assert given
     assert kept == sorted(["manifest.json", *given, *(f"{drive}.blf" for drive in one)])
+
+
+def test_the_sealed_drag_is_that_of_the_air_at_the_start_where_no_signal_shows_how_it_changes():
+    from blind import draw, world
+
+    plan = draw.draw(1, seed=5, minutes=4.0)[0]
+    thermometer = {Role.AMBIENT_TEMPERATURE, Role.AIR_PRESSURE}
+    hidden = dataclasses.replace(plan.sensors, without=plan.sensors.without | thermometer)
+    shown = dataclasses.replace(plan.sensors, without=plan.sensors.without - thermometer)
+
+    def drag(sensors, **effects):
+        return world.sealed_drag(dataclasses.replace(plan, sensors=sensors, effects=effects)) / plan.truck.C
+
+    assert drag(hidden, air_density=20.0) == pytest.approx(288.15 / 278.15)
+    assert drag(shown, air_density=20.0) == 1.0
+    assert drag(hidden, headwind=4.0) == 1.0
 
 
 def test_scores_of_nothing_are_refused_in_one_line(tmp_path, capsys):

@@ -431,7 +431,7 @@ def test_a_power_that_switches_and_is_larger_than_any_effect_has_no_name_of_the_
     names = ("auxiliary_cycling", "drafting", "brake_use", "resistance_segment")
     found = Search((DriveState.of(driven(n, power=power)),), [BY_NAME[name] for name in names]).explained()
     assert found.choices == ()
-    process = found.unnamed[0]
+    process = found.nameless.processes[0]
     assert SWITCHES[process.name] == "W"
     assert_allclose(process.spans, spans, atol=0.5)
     (state,) = found.drives
@@ -493,7 +493,7 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     power = 60e3 * on
     strides = driven(n, power=power)
     found = Search((DriveState.of(strides),), [BY_NAME["auxiliary_cycling"]]).explained()
-    whole = budget(found.drives, [[]], [None], np.random.default_rng(1))
+    whole = budget(found.drives, [[]], [[]], np.random.default_rng(1))
     assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
     # The true parts, off the plain columns as the residual is.
     v, F = strides.speed, strides.force[:, 0]
@@ -524,7 +524,7 @@ def test_a_cause_of_one_drive_only_counts_among_several():
     )
     loaded, plain = (DriveState.of(driven(n, seed, np.full(n, 15e3))) for seed in (1, 2))
     for drives in ((loaded.having((load,)), plain), (plain, loaded.having((load,)))):
-        whole = budget(drives, [[], []], [None, None], np.random.default_rng(1))
+        whole = budget(drives, [[], []], [[], []], np.random.default_rng(1))
         assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
         assert whole.part("auxiliary_load").reached is not None
 

@@ -1,5 +1,6 @@
 """Drives whose truth is known, from log to verdict: what is named, when it acted, how large, and when nothing is."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from simulated_logs import CLIMB, TRUCK, ask, drive, named, written
 
-from estimator.signals import Role
+from estimator.signals import Role, Series
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.recording import Recording
 
@@ -172,6 +173,17 @@ def test_air_that_grows_denser_where_no_signal_shows_it(diagnose):
     assert shown["verdict"] == "no gap"
     told = [entry["name"] for which in ("candidates", "invisible", "not_testable") for entry in shown[which]]
     assert "air_density" not in told
+
+
+def test_air_that_a_thermometer_shows_for_minutes_alone_is_looked_for(tmp_path):
+    recording = drive("highway", 60, 3, Effect(name="air_density", magnitude=-20.0))
+    late = {
+        role: Series(s.t[s.t > 3500], s.value[s.t > 3500])
+        for role, s in recording.signals.items()
+        if role in THERMOMETER
+    }
+    log = written(replace(recording, signals={**recording.signals, **late}), tmp_path / "late.blf")
+    assert named(ask("diagnose", log)) == ["air_density"]
 
 
 def test_cold_oil_is_told_from_cold_tyres(diagnose):
@@ -349,6 +361,21 @@ def test_a_filter_whose_lag_is_hardly_unusual_is_known_by_what_it_does_besides(d
     assert abs(effect["magnitude"]["value"]) < 0.12
     unknown = next(c for c in answer["candidates"] if c["name"] == "unknown effect")
     assert unknown["probability"] < 0.1
+
+
+def test_what_has_no_name_is_seen_beside_a_filter(diagnose):
+    puncture = Effect(name="slow_puncture", magnitude=0.4)
+    answer = diagnose(drive("mixed", 40, 3, Effect(name="speed_filter", magnitude=0.5), puncture))
+    assert (answer["verdict"], named(answer)) == ("effect", ["speed_filter"])
+    assert answer["remaining"]["verdict"] == "unknown effect"
+    assert {"speed_filter", "unknown: force over time"} <= {part["cause"] for part in answer["budget"]}
+
+
+def test_a_lag_too_long_to_be_one_is_a_low_pass_without_a_name(diagnose):
+    answer = diagnose(drive("mixed", 30, 3, Effect(name="time_lag", magnitude=1.0)))
+    assert answer["verdict"] == "unknown effect"
+    assert answer["candidates"][0]["detail"] == "a low-pass of the speed"
+    assert answer["candidates"][0]["probability"] > 0.9
 
 
 def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):

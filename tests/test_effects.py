@@ -92,6 +92,17 @@ def test_power_is_finite_with_shapes_near_any_whatever_size_was_found(size):
                 assert np.isfinite(effect.power(view(), near)).all()
 
 
+@pytest.mark.parametrize("name", ["warm_up", "oil_warm_up"])
+def test_shapes_near_the_shortest_and_the_longest_low_pass_are_no_copies_of_each_other(name):
+    """A time constant beyond those of the low-passed speeds has the column of the nearest."""
+    effect, times = BY_NAME[name], PAST_SPEEDS.values()
+    for time in (min(times), max(times)):
+        shape = next(s for s in effect.shapes if s[1] == 1.5)
+        near = effect.finer((time, *shape[1:]), 0.3)
+        columns = {effect.power(view(), each).tobytes() for each in near}
+        assert len(columns) == len(near)
+
+
 @pytest.mark.parametrize(("effect", "shape"), SHAPES)
 def test_what_is_computed_from_is_what_is_declared(effect, shape):
     context = Watched(view().context)

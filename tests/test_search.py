@@ -165,6 +165,29 @@ def test_a_rival_of_what_was_chosen_has_shapes_between_those_of_the_grid_too():
     assert set(forms(joined())) == {str(time) for time in loss.shapes} | near
 
 
+def test_a_search_makes_the_shapes_of_rivals_finer(monkeypatch):
+    tried: list[set[object]] = []
+    within = Candidates.on
+
+    def watched(self: Candidates, *arguments: Any) -> Any:
+        found = list(within(self, *arguments))
+        tried.append({one.form for one in found if one.cause == loss.name})
+        return found
+
+    loss, t = BY_NAME["cold_loss"], np.arange(1500) + 0.5
+    speed = 15 + 5 * np.sin(2 * np.pi * np.arange(1501) / 90) + 2 * np.sin(2 * np.pi * np.arange(1501) / 37)
+    v = 0.5 * (speed[1:] + speed[:-1])
+    force = 20e3 * np.diff(speed) + 1500 + 40 * v + 3 * v**2 + np.random.default_rng(3).normal(0, 100.0, 1500)
+    context = {Quantity.ELAPSED: t, Quantity.STOPS: np.zeros(1500)}
+    start = DriveState.of(made_strides(speed, force, context), is_level=True)
+    assert start is not None
+    monkeypatch.setattr(Candidates, "on", watched)
+    (found,) = Search((start,), [loss, BY_NAME["viscous_drag"]]).alone
+    assert [component.name for component in found.chosen] == ["viscous_drag"]
+    assert tried[0] == {str(time) for time in loss.shapes}
+    assert any(tried[-1] >= {str(time) for time in loss.finer(shape, 0.0)} for shape in loss.shapes)
+
+
 # The noise to start from
 
 

@@ -30,7 +30,7 @@ OIL = replace(  # that warms with the time, which is simpler to compute a drive 
     BY_NAME["oil_warm_up"],
     power=lambda view, shape: view.v**2 * excess(cold_by_time(view, shape[0]), shape[1]),
     needs=(Quantity.ELAPSED,),
-    shapes=excesses((360.0, 600.0, 960.0, 1500.0, 2400.0)),
+    shapes=excesses((600.0, 960.0, 1500.0, 2400.0)),
     finer=finer_excesses,
 )
 COLD = [Term(OIL, shape) for shape in OIL.shapes]
@@ -102,7 +102,7 @@ def test_a_shape_with_the_wrong_sign_adds_nothing():
     assert (gains < 0).all()
 
 
-@pytest.mark.parametrize("tau", [360.0, 900.0])
+@pytest.mark.parametrize("tau", [600.0, 960.0])
 def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
     strides = driven(size=60.0, term=Term(OIL, (tau, 0.0)))
     found = fit(strides, np.random.default_rng(1))
@@ -114,7 +114,7 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
 
 @pytest.mark.parametrize(
     ("truth", "size", "start"),
-    [(Term(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (Term(OIL, (430.0, 2.0)), 50.0, COLD[:1])],
+    [(Term(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (Term(OIL, (700.0, 2.0)), 50.0, COLD[:1])],
     ids=["wind", "oil"],
 )
 def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, size, start):

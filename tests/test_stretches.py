@@ -100,7 +100,7 @@ def test_nearly_the_whole_drive_is_no_stretch_of_it():
 def test_steep_stretches_are_the_roads(steep):
     (drive,) = steep.drives
     assert steep.choices == ()
-    assert steep.unknown < 0.5
+    assert steep.nameless.probability < 0.5
     assert drive.stretches is not None
     joint = drive.joint
     assert len(joint.stretches) == len(drive.stretches.spans or ())
@@ -113,7 +113,7 @@ def test_steep_stretches_are_the_roads(steep):
 
 
 def test_in_the_budget_they_are_part_of_the_road(steep):
-    found = budget(steep.drives, [[]], [None], np.random.default_rng(1))
+    found = budget(steep.drives, [[]], [[]], np.random.default_rng(1))
     assert {part.cause for part in found.parts} >= {ROAD}
     assert not any(STRETCHES.name in part.cause for part in found.parts)
     road = found.part(ROAD)

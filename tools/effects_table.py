@@ -40,7 +40,9 @@ the prior of the size, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²); larger
   diagnosis reports.
 * With `warm_up` in the model, A is that of tyres as warm as at a steady 80 km/h, where rolling resistance is tested
   (ISO 28580); without it, A is the mean of the drive. v_tau is the speed through a low-pass of the time constant tau; a
-  vehicle whose bus is silent stands, and one whose log begins has stood for long.
+  vehicle whose bus is silent stands, and one whose log begins has stood for long. `oil_warm_up` warms likewise.
+* With `air_density` in the model, C is that of the air at the start of the drive; without it, of the air in the mean.
+  Where temperature and pressure are known, the density is applied to C, and the diagnosis looks for no drift.
 
 {signals}
 

@@ -95,14 +95,14 @@ class _Powers:
 def budget(
     drives: Sequence[DriveState],
     possible: Sequence[Sequence[Component]],
-    unnamed: Sequence[Component | None],
+    unnamed: Sequence[Sequence[Component]],
     rng: np.random.Generator,
     given: Collection[str] = (),
 ) -> Budget:
     """The budget of one drive, or of several together.
 
-    For each drive ``possible`` effects that were not chosen, and the nameless process that counts, or None. Causes that
-    are ``given`` are part of the model that others are added to, and not part of what is closed.
+    For each drive ``possible`` effects that were not chosen, and the nameless processes that count. Causes that are
+    ``given`` are part of the model that others are added to, and not part of what is closed.
     """
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
@@ -175,9 +175,9 @@ def _part(
 
 
 def _powers(
-    drive: DriveState, others: Sequence[Component], unnamed: Component | None, rng: np.random.Generator
+    drive: DriveState, others: Sequence[Component], unnamed: Sequence[Component], rng: np.random.Generator
 ) -> _Powers:
-    added = (*others, *(() if unnamed is None else (unnamed,)))
+    added = (*others, *unnamed)
     joint, components = drive.joint_with(added), [*drive.chosen, *added]
     off = Projection(drive)
     amplitudes = _amplitudes(joint, components, rng)

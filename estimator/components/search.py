@@ -5,7 +5,7 @@ one cause more each time, with the scales of road and noise found again beside t
 effects that switch proposed beside it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +17,7 @@ from estimator.components.candidates import Candidates
 from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState, Form
 from estimator.components.hypotheses import Hypotheses, OtherSets
-from estimator.components.model_table import MAX_CAUSES, Chosen, ModelTable, weigh
+from estimator.components.model_table import MAX_CAUSES, Cause, Chosen, ModelTable, weigh
 from estimator.components.processes import LOW_PASS
 from estimator.model.effects.effect import Effect, Timing
 
@@ -71,16 +71,25 @@ class Choice:
         return self.effect.name
 
 
+@dataclass(frozen=True)
+class Nameless:
+    """The nameless process with most evidence, by the numbers of the drives, and how probable it is that any acts."""
+
+    processes: Mapping[int, Component]
+    log_bayes_factor: float
+    probability: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Explained:
     """The drives with what acts on them, and the evidence for it.
 
     ``choices``: the effects of the most probable set, those with most evidence first. ``ranking``: all effects, each
-    alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``unnamed``: the nameless
-    process with most evidence beside the choices, by the numbers of the drives; ``left_over``: its log Bayes factor;
-    ``by_effects`` and ``by_processes``: log Bayes factors of the choices without any process, and of the most probable
-    processes without any effect. ``log_evidence`` of the drives with the most probable set. ``others``: what
-    less probable sets add to the road load of each drive.
+    alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``nameless``: what has no name
+    beside the choices; ``beyond_low_pass``: that but a low-pass of the speed, beside this too. ``by_effects`` and
+    ``by_processes``: log Bayes factors of the choices without any process, and of the most probable processes without
+    any effect. ``log_evidence`` of the drives with the most probable set. ``others``: what less probable sets add to
+    the road load of each drive.
     """
 
     drives: tuple[DriveState, ...]
@@ -89,9 +98,8 @@ class Explained:
     beside: tuple[Ranked, ...]
     probability: Mapping[str, float]
     none: float  # probability that nothing acts
-    unknown: float  # probability that a nameless process acts that is not part of a lag
-    unnamed: Mapping[int, Component]
-    left_over: float
+    nameless: Nameless
+    beyond_low_pass: Nameless
     by_effects: float
     by_processes: float
     log_evidence: float
@@ -264,17 +272,9 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
     road = [i for i in best if joint.kind(i) is Kind.ROAD]
     named = [i for i in best if joint.kind(i) is Kind.EFFECT] + road
     beside = joint.unlimited(named)
-    gains = {
-        cause.name: (
-            float(logsumexp([joint.unlimited([*named, i]) - beside for i in cause.forms])) - cause.log_forms,
-            max(cause.forms, key=lambda i: joint.unlimited([*named, i])),
-        )
-        for cause in causes
-        if joint.kind(cause.forms[0]) is Kind.PROCESS
-    }
-    left_over, process = max(gains.values())
     of_kind = {kind: {i for i in forms if joint.kind(i) is kind} for kind in Kind}
     unnamed = of_kind[Kind.PROCESS]
+    low_pass = {i for i in unnamed if joint.component(i).name == LOW_PASS}
     none = joint.unlimited(road)
     alone = [joint.unlimited(own) for own in table.sets if unnamed & set(own) and not of_kind[Kind.EFFECT] & set(own)]
     return Explained(
@@ -284,11 +284,27 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
         beside=ranked(states, effects) if choices else first,
         probability=probability,
         none=1 - table.holding([*of_kind[Kind.EFFECT], *unnamed]),
-        unknown=table.holding([i for i in unnamed if joint.component(i).name != LOW_PASS]),
-        unnamed=joint.each[process],
-        left_over=left_over,
+        nameless=_nameless(joint, table, causes, named, unnamed),
+        beyond_low_pass=_nameless(joint, table, causes, [*named, *low_pass], unnamed - low_pass),
         by_effects=beside - none,
         by_processes=max([0.0, *(value - none for value in alone)]),
         log_evidence=log_evidence(states),
         others=joint.others(table, best),
     )
+
+
+def _nameless(
+    joint: Hypotheses, table: ModelTable, causes: Sequence[Cause], named: Sequence[int], forms: Set[int]
+) -> Nameless:
+    """Of the processes with these ``forms``, beside ``named`` ones."""
+    beside = joint.unlimited(named)
+    gains = {
+        cause.name: (
+            float(logsumexp([joint.unlimited([*named, i]) - beside for i in cause.forms])) - cause.log_forms,
+            max(cause.forms, key=lambda i: joint.unlimited([*named, i])),
+        )
+        for cause in causes
+        if cause.forms[0] in forms
+    }
+    log_bayes_factor, process = max(gains.values())
+    return Nameless(joint.each[process], log_bayes_factor, table.holding([*forms]))

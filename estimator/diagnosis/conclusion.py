@@ -11,11 +11,11 @@ from estimator.components.budget import ROAD, UNKNOWN, WHITE, Budget, Part, budg
 from estimator.components.component import Component, Frame, of_effect
 from estimator.components.drive_state import DriveState
 from estimator.components.processes import LOW_PASS, SWITCHES
-from estimator.components.search import Choice, Explained, Ranked
+from estimator.components.search import Choice, Explained, Nameless, Ranked
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.facts import MIN_RIVAL
 from estimator.diagnosis.isolability import evidence_of, is_lasting
-from estimator.diagnosis.lag import lag_finding
+from estimator.diagnosis.lag import effect_of, evidence_of_lag, lag_finding, low_pass_gain
 from estimator.diagnosis.model import Drive
 from estimator.diagnosis.result import (
     HIDDEN_GRADE,
@@ -76,7 +76,12 @@ class Conclusion:
     @property
     def left_over(self) -> float:
         """Log Bayes factor of what has no name: a process beside the choices, or a force that varies with place."""
-        return max(self.explained.left_over, self.by_place)
+        return max(self.nameless.log_bayes_factor, self.by_place)
+
+    @property
+    def nameless(self) -> Nameless:
+        """What has no name; a low-pass of the speed has that of the lag, where this is named."""
+        return self.explained.nameless if self.lag is None else self.explained.beyond_low_pass
 
     @property
     def by_place(self) -> float:
@@ -130,32 +135,26 @@ class Conclusion:
 
         What a low-pass explains beside them is the lag's, where that is named.
         """
-        likely = self.explained.unknown > self.thresholds.min_probability_no_gap
+        likely = self.nameless.probability > self.thresholds.min_probability_no_gap
         by_processes = self.explained.by_processes if likely else 0.0
-        bent = 0.0 if self.lag is None else self._bent
+        bent = 0.0 if self.lag is None else low_pass_gain(self.explanation)
         return self.explained.by_effects + bent < max(by_processes, self.by_place)
 
     def remaining(self) -> Verdict:
-        """Whether something without a name is left beside what was named."""
-        if self._bent and self.lag is not None:
-            return Verdict.NO_GAP
-        return Verdict.UNKNOWN if self.left_over > self.thresholds.min_log_bf_left else Verdict.NO_GAP
+        """Whether something without a name is left beside what was named, more than errors of the form of a lag."""
+        form = 0.0 if self.lag is None else MAX_FORM_SHARE * self.lag.log_bayes_factor
+        least = max(self.thresholds.min_log_bf_left, form)
+        return Verdict.UNKNOWN if self.left_over > least else Verdict.NO_GAP
 
     def remainder(self) -> Remainder:
         """The process with most evidence beside what was named."""
-        left = self._left(0.0)
+        left = self._left()
         return Remainder(left.detail, left.magnitude.value, self.left_over)
 
     @cached_property
     def lag(self) -> Finding | None:
         """The lag between power and speed, where it is beyond usual delays; the likelihood has it in its columns."""
-        return lag_finding(self.explanation, self.plain, self.budget.reached, self._bent)
-
-    @property
-    def _bent(self) -> float:
-        """Log Bayes factor of a low-pass of the speed beside the effects: it does more than a lag, which names it."""
-        is_low_pass = any(process.name == LOW_PASS for process in self.explained.unnamed.values())
-        return self.explained.left_over if is_low_pass else 0.0
+        return lag_finding(self.explanation, self.plain, self.budget.reached)
 
     def hills(self) -> Finding:
         """The finding of a road that no signal shows, with the share of the gap that a signal could close."""
@@ -192,17 +191,17 @@ class Conclusion:
         ranking = self.explained.ranking
         others = [finding for finding in named if finding.name not in {one.name for one in ranking}]
         beside = [self._candidate(one, self.explained.probability[one.name], ranking) for one in ranking]
-        return tuple(sorted((*others, *beside, self._left(self.explained.unknown)), key=lambda f: -f.log_bayes_factor))
+        return tuple(sorted((*others, *beside, self._left()), key=lambda f: -f.log_bayes_factor))
 
-    def _left(self, probability: float) -> Finding:
+    def _left(self) -> Finding:
         """The nameless process with most evidence in what the chosen effects leave."""
         parts = [part for part in self.budget.parts if part.cause.startswith(UNKNOWN) and part.cause != WHITE]
         rms = float(np.sqrt(sum(part.rms**2 for part in parts))) if parts else float("nan")
-        unnamed = self.explained.unnamed
+        unnamed = self.nameless.processes
         names = [part.cause.removeprefix(UNKNOWN) for part in parts] or [next(iter(unnamed.values())).name]
         return Finding(
             name=Verdict.UNKNOWN.value,
-            probability=probability,
+            probability=self.nameless.probability,
             log_bayes_factor=self.left_over,
             equivalent=(),
             magnitude=Magnitude("rms", rms, float("nan"), "W"),
@@ -216,7 +215,7 @@ class Conclusion:
 
     def _sized(self, name: str) -> str:
         """The name of what has none in the catalogue, with its size where it has a single one."""
-        found = [(n, process) for n, process in self.explained.unnamed.items() if process.name == name]
+        found = [(n, process) for n, process in self.nameless.processes.items() if process.name == name]
         if name not in SWITCHES or not found:
             return name
         number, process = found[0]
@@ -363,17 +362,22 @@ def conclude(
     explanation: Explanation, plain: tuple[Drive, ...], thresholds: Thresholds, rng: np.random.Generator
 ) -> Conclusion:
     """Split the gap between what was found; ``rng`` draws from the posterior."""
-    drives, unnamed = explanation.explained.drives, explanation.explained.unnamed
-    counts = explanation.explained.left_over > thresholds.min_log_bf_unknown
-    processes = [unnamed.get(i) if counts else None for i in range(len(drives))]
+    drives, explained = explanation.explained.drives, explanation.explained
+    late, unnamed = evidence_of_lag(explanation), [explained.nameless]
+    if late is not None and low_pass_gain(explanation):
+        unnamed.append(explained.beyond_low_pass)
+    least = max(thresholds.min_log_bf_unknown, MAX_FORM_SHARE * (late or 0.0))
+    counted = [one.processes for one in unnamed if one.log_bayes_factor > least]
+    processes = [[own[i] for own in counted if i in own] for i in range(len(drives))]
     possible = [_possible(explanation.explained, i) for i in range(len(drives))]
     terms = [term.effect for drive in plain for term in drive.model.terms]
     given = {ROAD if effect.is_gravity else effect.name for effect in terms}
     split = budget(drives, possible, processes, rng, given)
     if explanation.is_sloping and not explanation.is_hilly:
         split = split.renamed(ROAD, UNKNOWN + FORCE_BY_PLACE)
-    found = Conclusion(explanation=explanation, budget=split, plain=plain, thresholds=thresholds)
-    return found if found.lag is None else replace(found, budget=split.renamed(UNKNOWN + LOW_PASS, found.lag.name))
+    if late is not None:
+        split = split.renamed(UNKNOWN + LOW_PASS, effect_of(explanation).name)
+    return Conclusion(explanation=explanation, budget=split, plain=plain, thresholds=thresholds)
 
 
 def _with_choices(drive: Drive, state: DriveState) -> Drive:

@@ -58,7 +58,8 @@ def diagnose(
         Records of noise alone that effects are looked for in as well, for a p-value.
     """
     limits = Thresholds() if thresholds is None else thresholds
-    effects = [effect for effect in effects if not any(effect.is_applied(record.known) for record in records)]
+    applied = [{effect.name for effect in effects if effect.is_applied(record.known)} for record in records]
+    effects = [effect for effect in effects if not applied or not all(effect.name in own for own in applied)]
     plain: list[Drive] = []
     reason = "there is no driving in it"
     for record in records:

@@ -52,8 +52,9 @@ class Record:
     @property
     def known(self) -> frozenset[Quantity]:
         """Quantities that the samples carry."""
-        air = {Quantity.AIR_DENSITY} if np.isfinite(self.samples.density).any() else set()
-        return frozenset(self.samples.context) | air
+        density = self.samples.density
+        is_air_known = np.isfinite(density).sum() > MIN_KNOWN_SHARE * len(density)
+        return frozenset(self.samples.context) | ({Quantity.AIR_DENSITY} if is_air_known else set())
 
 
 def record(pieces: list[Rows], config: Config) -> Record:

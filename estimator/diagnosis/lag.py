@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.components.budget import SDS_OF_90_PERCENT
-from estimator.components.processes import USUAL_LAG
+from estimator.components.processes import LOW_PASS, USUAL_LAG
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.model import BLOCK_SAMPLES, Drive, unaligned_residual
 from estimator.diagnosis.result import EARLY, LATE, Finding, GapClosed, Magnitude
 from estimator.estimation.moments import block_means
 from estimator.estimation.road_likelihood import LAG
-from estimator.model.effects import BY_NAME
+from estimator.model.effects import BY_NAME, Effect
 from estimator.signals import Floats
 
 STRETCHES = 20  # of a drive, whose residuals are independent
@@ -20,36 +20,37 @@ LAG_DOUBT = 0.005  # s, sd from the form of effects: so 90 % intervals held the 
 MIN_LOG_BF = 8.0  # of a lag outside USUAL_LAG, that of four standard deviations
 
 
-def lag_finding(
-    explanation: Explanation,
-    plain: Sequence[Drive],
-    reached: float,
-    bent: float,
-) -> Finding | None:
-    """The lag, where it is beyond usual delays.
-
-    Parameters
-    ----------
-    explanation
-        What acts on the drives.
-    plain
-        The drives in their plain models.
-    reached
-        rms of the residual [W] with all that was found, the lag taken out.
-    bent
-        Log Bayes factor of what a low-pass of the speed adds to a lag: evidence of it too.
-    """
+def evidence_of_lag(explanation: Explanation) -> float | None:
+    """Of a lag beyond usual delays, and of what a low-pass of the speed does besides; None where it is not named."""
     value, sd = _lag(explanation)
     excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value, 0.0) / sd
-    log_bayes_factor = 0.5 * excess**2 + bent
-    if not excess or log_bayes_factor < MIN_LOG_BF or abs(value) > LONGEST_LAG:
+    found = 0.5 * excess**2 + low_pass_gain(explanation)
+    return found if excess and found >= MIN_LOG_BF and abs(value) <= LONGEST_LAG else None
+
+
+def low_pass_gain(explanation: Explanation) -> float:
+    """Log Bayes factor of a low-pass of the speed, where nothing else without a name has more."""
+    nameless = explanation.explained.nameless
+    is_low_pass = any(process.name == LOW_PASS for process in nameless.processes.values())
+    return nameless.log_bayes_factor if is_low_pass else 0.0
+
+
+def lag_finding(explanation: Explanation, plain: Sequence[Drive], reached: float) -> Finding | None:
+    """The lag, where it is beyond usual delays.
+
+    ``plain``: the drives in their plain models; ``reached``: rms of the residual [W] with all that was found, the lag
+    taken out.
+    """
+    found = evidence_of_lag(explanation)
+    if found is None:
         return None
-    effect = BY_NAME[LATE if value > 0 else EARLY]
+    value, sd = _lag(explanation)
+    effect = effect_of(explanation)
     before, after = _unaligned(plain)
     return Finding(
         name=effect.name,
         probability=1.0,
-        log_bayes_factor=log_bayes_factor,
+        log_bayes_factor=found,
         equivalent=effect.equivalent,
         magnitude=Magnitude(effect.symbol, value, sd, effect.unit),
         gap_closed=_closed_by_alignment(before, after),
@@ -58,6 +59,11 @@ def lag_finding(
         shift=None,
         detail="taken out by the alignment",
     )
+
+
+def effect_of(explanation: Explanation) -> Effect:
+    """The effect that a lag is called: power is late, or early where the speed is filtered."""
+    return BY_NAME[LATE if _lag(explanation)[0] > 0 else EARLY]
 
 
 def _lag(explanation: Explanation) -> tuple[float, float]:

@@ -1,6 +1,6 @@
-"""The speed of the past minutes, which the temperature of the tyres follows: low-passed over the times of PAST_SPEEDS.
+"""The speed of the past minutes, which warms tyres and oil: low-passed over the times of PAST_SPEEDS.
 
-While the bus is silent the vehicle stands, and its tyres cool; before the first message it has stood for long.
+While the bus is silent the vehicle stands, and both cool; before the first message it has stood for long.
 """
 
 from math import exp

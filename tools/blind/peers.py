@@ -61,7 +61,11 @@ def library_of(log: Path) -> Library | None:
     model = None if kept is None else fit(record.samples[kept])
     if model is None:
         return None
-    effects = [effect for effect in CATALOGUE if not effect.absorbed and effect.usable_shapes(record.known)]
+    effects = [
+        effect
+        for effect in CATALOGUE
+        if not effect.absorbed and not effect.is_applied(record.known) and effect.usable_shapes(record.known)
+    ]
     terms = [Term(effect, effect.usable_shapes(record.known)[0]) for effect in effects]
     own, _ = model.views()
     X = model.base.X

@@ -80,7 +80,7 @@ def truth_from(plan: Plan, drives: list[Drive]) -> Truth:
         kind=plan.kind,
         minutes=plan.minutes,
         route=f"{plan.road} {plan.shape}",
-        parameters={"mass_kg": plan.truck.mass, "A_N": _rolling(plan), "C_N_s2_m2": _drag(plan)},
+        parameters={"mass_kg": plan.truck.mass, "A_N": sealed_rolling(plan), "C_N_s2_m2": sealed_drag(plan)},
         effects=tuple(_active(name, i, first, views[0], plan) for i, name in enumerate(names)),
         shown=tuple(name for name in names if _shown(name, sensors)),
         companions=known,
@@ -100,12 +100,12 @@ def truth_from(plan: Plan, drives: list[Drive]) -> Truth:
     )
 
 
-def _rolling(plan: Plan) -> float:
+def sealed_rolling(plan: Plan) -> float:
     """A [N]: if tyres warm up at all, that of tyres as warm as in the test of rolling resistance."""
     return plan.truck.A * (1.0 + settled_excess(plan.effects.get("warm_up", 0.0), WARM_SPEED))
 
 
-def _drag(plan: Plan) -> float:
+def sealed_drag(plan: Plan) -> float:
     """C [N s^2/m^2]: of air whose density changes and is not known, that at the start of the drive."""
     if "air_density" not in plan.effects or _shown("air_density", plan.sensors):
         return plan.truck.C

@@ -66,8 +66,10 @@ def finer_times(time: Shape, _: float) -> tuple[Shape, ...]:
 def finer_excesses(shape: Shape, _: float) -> tuple[Shape, ...]:
     """Shapes of `excess` between one of a grid and its neighbours."""
     time, steepness = shape
+    shortest, longest = min(PAST_SPEEDS.values()), max(PAST_SPEEDS.values())
+    times = dict.fromkeys(float(np.clip(time * share, shortest, longest)) for share in TIMES_NEAR)
     near = dict.fromkeys(float(np.clip(steepness + more, 0.0, LARGEST_STEEPNESS)) for more in STEEPNESS_NEAR)
-    return tuple((time * share, k) for share in TIMES_NEAR for k in near)
+    return tuple((nearer, k) for nearer in times for k in near)
 
 
 def told_time(time: Shape) -> str:

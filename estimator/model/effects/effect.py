@@ -138,7 +138,7 @@ class Effect:
     is_gravity
         Its magnitude is the mass: in the model it joins m instead of adding a parameter.
     applied_with
-        Quantities with which it is applied, not fitted, so that none is looked for.
+        Quantities with which it is applied to the plain columns, so that a diagnosis does not look for it.
     absorbed
         A, C and m fit it completely, so no drive gives evidence of it, whatever its size.
     sized
