@@ -58,8 +58,8 @@ def diagnose(
         Records of noise alone that effects are looked for in as well, for a p-value.
     """
     limits = Thresholds() if thresholds is None else thresholds
-    applied = [{effect.name for effect in effects if effect.is_applied(record.known)} for record in records]
-    effects = [effect for effect in effects if not applied or not all(effect.name in own for own in applied)]
+    if records:
+        effects = [effect for effect in effects if not all(effect.is_applied(record.known) for record in records)]
     plain: list[Drive] = []
     reason = "there is no driving in it"
     for record in records:

@@ -21,7 +21,7 @@ MIN_LOG_BF = 8.0  # of a lag outside USUAL_LAG, that of four standard deviations
 
 
 def evidence_of_lag(explanation: Explanation) -> float | None:
-    """Of a lag beyond usual delays, and of what a low-pass of the speed does besides; None where it is not named."""
+    """Log Bayes factor of a lag beyond usual delays and of what a low-pass does besides; None: it is not named."""
     value, sd = _lag(explanation)
     excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value, 0.0) / sd
     found = 0.5 * excess**2 + low_pass_gain(explanation)
