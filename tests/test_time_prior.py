@@ -109,7 +109,8 @@ def test_a_run_between_gaps_costs_what_the_chain_gives_all_times_that_look_the_s
     assert [prior_cost(spans, BRAKE, t) for spans in same] == pytest.approx([once - np.log(odds)] * 6)
     without = rate_cost(1, 240.0) + 2 * CHANGE_COST - np.log(30.0) - np.log(20.0) + DWELL_COST
     assert [cost_without_dwell(spans, t) for spans in same] == pytest.approx([without] * 6)
-    assert prior_cost(same[0], WET, t) == pytest.approx(2 * np.log(250.0))
+    ends = [np.log(2 / (1 / 250 + gap / 300)) for gap in (30.0, 20.0)]  # at one of 250 places, or in 30 s of 300
+    assert [prior_cost(spans, WET, t) for spans in same] == pytest.approx([sum(ends)] * 6)
     assert len({seen(spans, t) for spans in same}) == 1
 
 
@@ -163,4 +164,6 @@ def test_leaving_a_gap_costs_what_a_change_costs_more_elsewhere():
     gap = in_gap(300.0, 12.0)
     assert cost_of_leaving(200.0, False, BRAKE, t) == pytest.approx(CHANGE_COST - gap.begins)
     assert cost_of_leaving(200.0, True, BRAKE, t) == pytest.approx(np.log(12.0) - gap.ends)
-    assert cost_of_leaving(50.2, True, BRAKE, t) == cost_of_leaving(200.0, True, WET, t) == 0.0
+    wet = np.log((1 / 200 + 300 / 500) / (1 / 200 + 1 / 500))
+    assert cost_of_leaving(200.0, True, WET, t) == cost_of_leaving(200.0, False, WET, t) == pytest.approx(wet)
+    assert cost_of_leaving(50.2, True, BRAKE, t) == cost_of_leaving(50.2, True, WET, t) == 0.0

@@ -57,10 +57,7 @@ def _share_and_forgotten(gap: float, dwell: float) -> tuple[float, float]:
 
 
 def least_costs(gap: float, effect: Effect) -> Costs:
-    """Of a change in ``gap`` [s] by any dwell of an effect; as if seen in short gaps.
-
-    A window begins and ends at places, and little way is made in gaps: an end costs as much there as elsewhere.
-    """
+    """Of a change in ``gap`` [s] by any dwell of an effect; as if seen in short gaps, and for a window in all."""
     if gap < MIN_GAP or effect.timing is Timing.WINDOW:
         return Costs(CHANGE_COST, CHANGE_COST, 0.0)
     each = [in_gap(gap, dwell) for dwell in effect.dwells]
@@ -150,12 +147,28 @@ def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
 def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
     """Minus the log prior probability of times of an effect on a drive with strides at ``t`` (n,) [s].
 
-    Each time has the nearest of the effect's dwells. A window begins and ends at any stride.
+    Each time has the nearest of the effect's dwells.
     """
     if effect.timing is Timing.WINDOW:
-        return sum(log(len(t) * DURATION) for span in spans for edge in span if t[0] < edge < t[-1])
+        return sum(_cost_of_end(_gap_at(edge, t), t) for span in spans for edge in span if t[0] < edge < t[-1])
     pieces = _pieces(spans, t)
     return _cost(_periods(pieces, apart=False), effect.dwells, _off(pieces, t), t)
+
+
+def _cost_of_end(gap: float, t: Floats) -> float:
+    """Of a beginning or an end of a window in a ``gap`` [s] between strides at ``t`` (n,) [s], or at one of them.
+
+    It is at a place (a wet road) or at a time (a tyre gone soft) with equal probability: little way is made in a gap,
+    but all of its time passes.
+    """
+    place, time = 1.0 / len(t), max(gap, DURATION) / (t[-1] - t[0] + DURATION)
+    return -log(0.5 * (place + time))
+
+
+def _gap_at(edge: float, t: Floats) -> float:
+    """The gap [s] between strides at ``t`` (n,) [s] that an edge lies in, less than MIN_GAP where it lies in none."""
+    after = int(np.clip(np.searchsorted(t, edge), 1, len(t) - 1))
+    return float(t[after] - t[after - 1]) - DURATION
 
 
 def cost_apart(spans: Spans, dwells: Sequence[float], t: Floats) -> float:
@@ -214,9 +227,10 @@ def cost_without_dwell(spans: Spans, t: Floats) -> float:
 
 def cost_of_leaving(edge: float, is_end: bool, effect: Effect, t: Floats) -> float:
     """What it costs to move an ``edge`` [s] out of the gap that it lies in; 0 where it lies in none."""
-    after = int(np.clip(np.searchsorted(t, edge), 1, len(t) - 1))
-    gap = float(t[after] - t[after - 1]) - DURATION
-    if gap < MIN_GAP or effect.timing is Timing.WINDOW:
+    gap = _gap_at(edge, t)
+    if gap < MIN_GAP:
         return 0.0
+    if effect.timing is Timing.WINDOW:
+        return _cost_of_end(0.0, t) - _cost_of_end(gap, t)
     least = least_costs(gap, effect)
     return log(min(effect.dwells)) - least.ends if is_end else CHANGE_COST - least.begins
