@@ -4,7 +4,9 @@ python tools/natural_world.py [--drives 24] [--minutes 60] [--seed 1] [--json]
 
 Every second drive has a further effect. The road is hidden, shown by a poor altimeter (3 m) or by a good one (0.3 m),
 on a third of the drives each. The shares in the budget of `roadload diagnose` are compared with the powers of the
-simulated truck, and the names with its effects.
+simulated truck, and the names with its effects. An oracle knows the true course and times of all effects, but of the
+road only the signals that are on the bus: by its log Bayes factor, less what times that nobody tells cost, an extra
+effect is visible on a drive or not.
 """
 
 import argparse
@@ -16,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from blind.oracle import log_bayes_factor
+from blind.truth import DETECTABLE
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -23,16 +27,20 @@ from rich.table import Table
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.components.budget import NOISE, ROAD, WHITE, Projection
+from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
+from estimator.components.time_prior import prior_cost
 from estimator.config import Config
 from estimator.diagnosis.drive_data import Record
 from estimator.model.effects import BY_NAME
+from estimator.model.effects.effect import Timing
 from estimator.signals import Floats, Role
 from estimator.simulation.effects.catalogue import effects_from, kind_of
 from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
+from estimator.simulation.truth import Truth
 from estimator.streaming.drive_extraction import diagnose_logs, drives
 
 # Smallest and largest size, in the units of the simulation (`simulation/effects/catalogue.py`).
@@ -75,25 +83,54 @@ def draw(number: int, seed: int, minutes: float) -> World:
     return World(shown, extra, record(truck, route, 60 * minutes, rng, sensors=sensors, effects=effects_from(effects)))
 
 
+def mean_power(truth: Truth, name: str, t: Floats) -> Floats:
+    """Mean over the seconds around the times ``t`` (n,) [s] of what an effect adds to the power (n,) [W]."""
+    total = np.concatenate([[0.0], np.cumsum(truth.effect_power[name][:-1] * np.diff(truth.t))])
+    at = truth.t - truth.t[0]
+    over: Floats = np.interp(t + 0.5, at, total) - np.interp(t - 0.5, at, total)
+    return over
+
+
 def true_shares(recording: Recording, drive: Record) -> dict[str, float]:
     """Share of each effect of the truck in the plain model's residual, by its name in the diagnosis."""
     state = DriveState.of(drive.strides)
     assert state is not None
-    off, truth = Projection(state), recording.truth
+    off = Projection(state)
     t = state.fit.strides.t - drive.start
     residual = off(off.power)
-    until = np.concatenate([[0.0], np.cumsum(truth.t[1:] - truth.t[:-1])])
-
-    def mean(power: Floats) -> Floats:
-        total = np.concatenate([[0.0], np.cumsum(power[:-1] * np.diff(truth.t))])
-        over: Floats = np.interp(t + 0.5, until, total) - np.interp(t - 0.5, until, total)
-        return over
-
     shares: dict[str, float] = {}
-    for name, power in truth.effect_power.items():
+    for name in recording.truth.effect_power:
         known = ROAD if name == "grade" else kind_of(name).known_as or name
-        shares[known] = shares.get(known, 0.0) + float(residual @ off(mean(power)) / (residual @ residual))
+        power = off(mean_power(recording.truth, name, t))
+        shares[known] = shares.get(known, 0.0) + float(residual @ power / (residual @ residual))
     return shares
+
+
+def visibility(recording: Recording, drive: Record, extra: str) -> float:
+    """Log Bayes factor to expect of an effect with its true course beside the others, A, C, m, lag and the road.
+
+    The road is known as far as the signals on the bus show it, and times cost what they are improbable by. The scales
+    of road and noise are those beside the truth.
+    """
+    plain = DriveState.of(drive.strides)
+    assert plain is not None
+    names = [name for name in recording.truth.effect_power if name != "grade"]
+
+    def component(name: str) -> Component:
+        def columns(frame: Frame) -> Floats:
+            power = mean_power(recording.truth, name, frame.strides.t - drive.start)
+            return frame.as_acceleration(power)[:, None]
+
+        return Component(name=name, columns=columns, sd=1.0)  # of its true size, which is 1
+
+    truth = [component(name) for name in names]
+    joint = plain.having((), tuple(truth)).likelihood_of(truth)
+    place = names.index(extra)
+    (sd,) = joint.gains([i for i in range(len(names)) if i != place], [place]).sd.tolist()
+    spans, effect = recording.truth.active.get(extra, []), BY_NAME[extra]
+    times = tuple((drive.start + start, drive.start + end) for start, end in spans)
+    cost = prior_cost(times, effect, joint.frame.strides.t) if times and effect.timing is not Timing.STEP else 0.0
+    return log_bayes_factor(max(sd**-2 - 1.0, 0.0)) - cost  # by the precision, less the prior's own
 
 
 def score(world: World, folder: Path) -> dict[str, Any]:
@@ -102,7 +139,8 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     write_log(frames_of(world.recording.signals), log)
     diagnosis = diagnose_logs([log], Config())
     assert diagnosis.budget is not None
-    truth = true_shares(world.recording, drives(log, Config())[0])
+    driven = drives(log, Config())[0]
+    truth = true_shares(world.recording, driven)
     parts = {part.cause: part for part in diagnosis.budget.parts}
     found = {cause: part.share for cause, part in parts.items()}
     rest = 1 - sum(truth.values())
@@ -117,6 +155,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
         "shown": world.shown,
         "extra": world.extra,
         "extra_share": truth.get(world.extra, 0.0),
+        "extra_log_bayes_factor": visibility(world.recording, driven, world.extra) if world.extra else 0.0,
         "extra_named": any(world.extra in names for names in named),
         "wrong": [names[0] for names in named if not there & set(names)],
         "named": [names[0] for names in named],
@@ -142,13 +181,16 @@ def main() -> int:
     if options.json:
         print(json.dumps(rows, indent=2))
         return 0
-    table = Table("road", "extra", "its share", "named", "wrong", "shares right", "road: truth", "found", "worst share")
+    table = Table(
+        "road", "extra", "its share", "log BF", "named", "wrong", "shares right", "road: truth", "found", "worst share"
+    )
     for row in rows:
         truth, share, low, high = row["road"]
         table.add_row(
             row["shown"],
             row["extra"],
             f"{row['extra_share']:.3f}" if row["extra"] else "",
+            f"{row['extra_log_bayes_factor']:.0f}" if row["extra"] else "",
             " ".join(row["named"]),
             " ".join(row["wrong"]),
             f"{row['within']} of {row['shares']}",
@@ -158,10 +200,12 @@ def main() -> int:
         )
     Console(width=None if sys.stdout.isatty() else 200).print(table)
     seen = [row for row in rows if row["extra"] and row["extra_share"] > MIN_SHARE]
+    clear = [row for row in rows if row["extra_log_bayes_factor"] > DETECTABLE]
     holds = sum(row["road"][2] <= row["road"][0] <= row["road"][3] for row in rows)
     print(f"shares within {MAX_SHARE_ERROR:.0%}: {sum(r['within'] for r in rows)} of {sum(r['shares'] for r in rows)}")
     print(f"90 % interval of the road's share holds: {holds} of {len(rows)}")
     print(f"extra effect of more than {MIN_SHARE:.0%} named: {sum(r['extra_named'] for r in seen)} of {len(seen)}")
+    print(f"extra effect visible to the oracle named: {sum(row['extra_named'] for row in clear)} of {len(clear)}")
     print(f"drives with a wrong name: {sum(bool(r['wrong']) for r in rows)} of {len(rows)}")
     return 0
 
