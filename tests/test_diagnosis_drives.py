@@ -378,6 +378,19 @@ def test_a_lag_too_long_to_be_one_is_a_low_pass_without_a_name(diagnose):
     assert answer["candidates"][0]["probability"] > 0.9
 
 
+def test_two_of_which_one_acts_are_named_together(diagnose):
+    """Tyres of a small excess that warm up: the drive is sure of something cold, but not of what it is."""
+    answer = diagnose(drive("highway", 40, 5, Effect(name="warm_up", magnitude=0.15)))
+    effect = only(answer, "warm_up")
+    assert effect["equivalent"] == ["oil_warm_up"]
+    alone = {c["name"]: c["probability"] for c in answer["candidates"]}
+    assert max(alone["warm_up"], alone["oil_warm_up"]) < 0.9 < effect["probability"]
+    assert effect["probability"] == pytest.approx(alone["warm_up"] + alone["oil_warm_up"], abs=0.02)
+    assert not {"warm_up", "oil_warm_up"} & {unseen["name"] for unseen in answer["invisible"]}
+    assert (answer["experiments"][0]["a"], answer["experiments"][0]["b"]) == ("warm_up", "oil_warm_up")
+    assert answer["configuration"] == 'effects = ["warm_up"]'
+
+
 def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):
     """A torque offset takes power with the engine speed, a load does not: another gear at the same speed tells."""
     answer = diagnose(drive("highway", 16, 18, Effect(name="torque_bias", magnitude=36.0)))

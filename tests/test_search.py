@@ -188,6 +188,26 @@ def test_a_search_makes_the_shapes_of_rivals_finer(monkeypatch):
     assert any(tried[-1] >= {str(time) for time in loss.finer(shape, 0.0)} for shape in loss.shapes)
 
 
+# Rivals
+
+
+@pytest.mark.parametrize(
+    ("probability", "expected"),
+    [
+        ([0.5, 0.44, 0.06, 0.0, 0.0], ("b", 0.94)),
+        ([0.86, 0.06, 0.02, 0.0, 0.06], ("", 0.86)),  # without a, b acts in less than half of the probability
+        ([0.5, 0.05, 0.1, 0.35, 0.0], ("", 0.85)),  # b acts as often beside a: it is not in its place
+        ([0.5, 0.0, 0.2, 0.0, 0.3], ("c", 0.8)),
+    ],
+)
+def test_a_rival_acts_more_likely_than_not_where_an_effect_does_not(probability, expected):
+    """Sets: a; b; nothing; a and b; c."""
+    table = ModelTable(((0,), (1, 2), (), (0, 2), (3,)), np.array(probability), 0.0)
+    rival, either = table.rival([0], {"b": [1, 2], "c": [3]})
+    assert (rival, either) == (expected[0], pytest.approx(expected[1]))
+    assert table.rival([0], {}) == ("", pytest.approx(probability[0] + probability[3]))
+
+
 # The noise to start from
 
 

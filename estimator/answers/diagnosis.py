@@ -44,8 +44,8 @@ class GapClosed(Struct, frozen=True, kw_only=True):
 class Finding(Struct, frozen=True, kw_only=True):
     """One effect: its evidence, its size, and when it acts.
 
-    ``span_s`` holds times from and to, since the first row of the log that ``span_log`` counts; without spans it acts
-    always.
+    ``probability`` that it acts; of one that is named, that it or one that is ``equivalent`` to it does. ``span_s``
+    holds times from and to, since the first row of the log that ``span_log`` counts; without spans it acts always.
     """
 
     name: str

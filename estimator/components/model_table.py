@@ -74,6 +74,16 @@ class ModelTable:
         wanted = set(forms)
         return float(sum(p for p, own in zip(self.probability, self.sets, strict=True) if wanted & set(own)))
 
+    def rival(self, forms: Sequence[int], others: Mapping[str, Sequence[int]]) -> tuple[str, float]:
+        """Which of ``others``, by their forms, acts where none of ``forms`` does, and the probability that either acts.
+
+        Empty, with the probability of ``forms`` alone, if none of them is more likely than not there.
+        """
+        alone = self.holding(forms)
+        either = {name: self.holding([*forms, *own]) for name, own in others.items()}
+        rival = max(either, key=lambda name: either[name], default="")
+        return (rival, either[rival]) if rival and either[rival] - alone > (1 - alone) / 2 else ("", alone)
+
 
 def weigh(
     likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES, before: Chosen = ()

@@ -58,10 +58,16 @@ class Ranked:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """An effect that acts: how probable, its log Bayes factor beside all others, and the drive that shows it most."""
+    """An effect that acts: how probable, its log Bayes factor beside all others, and the drive that shows it most.
+
+    ``rival``: another effect that acts, more likely than not, where this one does not; empty if there is none.
+    ``either``: the probability that one of the two acts.
+    """
 
     effect: Effect
     probability: float
+    rival: str
+    either: float
     log_bayes_factor: float
     drive: int
 
@@ -255,18 +261,23 @@ def _explained(found: _Converged, first: tuple[Ranked, ...], effects: Sequence[E
     causes = joint.causes()
     whole = joint.unlimited(best)
     forms = range(len(joint.keys))
-    probability = {e.name: table.holding([i for i in forms if joint.component(i).name == e.name]) for e in effects}
+    forms_of = {effect.name: [i for i in forms if joint.component(i).name == effect.name] for effect in effects}
+    probability = {name: table.holding(own) for name, own in forms_of.items()}
+    absent = [name for name, own in forms_of.items() if not set(own) & set(best)]
     choices = []
     for effect in effects:
-        own = [i for i in best if joint.component(i).name == effect.name]
+        own = set(best) & set(forms_of[effect.name])
         if own:
             rest = [i for i in best if i not in own]
+            rival, either = table.rival(forms_of[effect.name], {name: forms_of[name] for name in absent})
             choices.append(
                 Choice(
                     effect=effect,
                     probability=probability[effect.name],
+                    rival=rival,
+                    either=either,
                     log_bayes_factor=whole - joint.unlimited(rest),
-                    drive=max(joint.each[own[0]], key=lambda n: len(joint.drives[n].strides)),
+                    drive=max(joint.each[min(own)], key=lambda n: len(joint.drives[n].strides)),
                 )
             )
     road = [i for i in best if joint.kind(i) is Kind.ROAD]

@@ -70,8 +70,8 @@ class Conclusion:
 
     @property
     def sure(self) -> tuple[Choice, ...]:
-        """The effects that are probable enough to be named."""
-        return tuple(c for c in self.explained.choices if c.probability >= self.thresholds.min_probability)
+        """The effects that are probable enough to be named, each alone or as one of two."""
+        return tuple(c for c in self.explained.choices if c.either >= self.thresholds.min_probability)
 
     @property
     def left_over(self) -> float:
@@ -295,6 +295,16 @@ class Conclusion:
             detail=f"varies with place; {how} {signals}",
         )
 
+    def _rivals(self, choice: Choice) -> tuple[set[str], float]:
+        """Effects that may act in place of a choice, and the probability that it, or a single rival, acts."""
+        least = self.thresholds.min_probability
+        if choice.probability >= least:
+            return set(), choice.probability
+        if choice.either >= least:
+            return {choice.rival}, choice.either
+        likely = {name for name, p in self.explained.probability.items() if p > MIN_RIVAL}
+        return likely - {other.name for other in self.explained.choices}, choice.probability
+
     def _finding(self, choice: Choice) -> Finding:
         drive = self.explained.drives[choice.drive]
         place = next(i for i, component in enumerate(drive.chosen) if component.name == choice.name)
@@ -305,8 +315,7 @@ class Conclusion:
         part, effect, value = self.budget.part(choice.name), choice.effect, float(posterior.mean[at])
         sd = float(np.hypot(np.sqrt(posterior.covariance[at, at]), EFFECT_DOUBT * value))
         left = self.budget.base if part is None or part.reached is None else part.reached
-        likely = {name for name, p in self.explained.probability.items() if p > MIN_RIVAL and name != choice.name}
-        close = set() if choice in self.sure else likely - {other.name for other in self.explained.choices}
+        rivals, probability = self._rivals(choice)
         spans = [
             span
             for number, each in enumerate(self.explained.drives)
@@ -314,11 +323,10 @@ class Conclusion:
             if component.name == choice.name
             for span in self._clock(number, component.spans or ())
         ]
-        if self.is_outdone:
-            close.add(Verdict.UNKNOWN.value)
+        close = {*rivals, Verdict.UNKNOWN.value} if self.is_outdone else rivals
         return Finding(
             name=choice.name,
-            probability=choice.probability,
+            probability=probability,
             log_bayes_factor=choice.log_bayes_factor,
             equivalent=tuple(sorted(close | set(effect.equivalent))),
             magnitude=_magnitude(effect, value, sd),

@@ -133,7 +133,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
     after = conclusion.with_choices
     final, deviation = conclusion.road_load
     ranking = conclusion.candidates(named)
-    told = {finding.name for finding in named}
+    told = {name for finding in named for name in (finding.name, *finding.equivalent)}
     others = [effect for effect in effects if effect.name not in told and not effect.is_gravity]
     forms = [form for one in explained.ranking if (form := one.each[which]) is not None]
     remaining = conclusion.remaining()

@@ -55,7 +55,7 @@ class Finding:
     """One candidate effect, judged on the log."""
 
     name: str
-    probability: float
+    probability: float  # of one that is named: that it or an equivalent one acts
     log_bayes_factor: float  # against the model without it; natural logarithm
     equivalent: tuple[str, ...]  # effects that the log cannot separate from it
     magnitude: Magnitude

@@ -78,6 +78,12 @@ def first_is_right(truth: Truth, run: Run) -> bool:
     return bool(run.named) and any(means(run.named[0], effect.name) for effect in truth.effects)
 
 
+def is_alone(run: Run) -> bool:
+    """Whether what is named first stands for no second effect, but for those that no drive can tell from it."""
+    first = run.named[0] if run.named else None
+    return first is not None and all(means(bare(first.name), other) for other in first.equivalent)
+
+
 def found(truth: Truth, run: Run) -> list[bool]:
     """Which of the drive's effects are among those named."""
     return [any(means(finding, effect.name) for finding in run.named) for effect in truth.effects]

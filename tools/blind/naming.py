@@ -23,6 +23,7 @@ def naming(cases: Sequence[Case]) -> list[Measure]:
 
     return [
         share_of("named first, or its class: oracle > 10", ">= 95 %", clear, right_first),
+        share_of("... by one name alone, oracle > 10", "-", clear, lambda c: answer.is_alone(c.run) and right_first(c)),
         share_of("... a wrong name, oracle > 10", "low", clear, wrong, lower=True),
         share_of("named first, or its class: oracle 1..10", "-", middling, right_first),
         share_of("... a wrong name, oracle 1..10", "low", middling, wrong, lower=True),
