@@ -10,8 +10,8 @@ from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import ROAD, UNKNOWN, WHITE, Budget, Part, budget
 from estimator.components.component import Component, Frame, of_effect
 from estimator.components.drive_state import DriveState
+from estimator.components.explained import Choice, Explained, Nameless, Ranked
 from estimator.components.processes import LOW_PASS, SWITCHES
-from estimator.components.search import Choice, Explained, Nameless, Ranked
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.facts import MIN_RIVAL
 from estimator.diagnosis.isolability import evidence_of, is_lasting

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
-from estimator.components.search import Explained, Search
+from estimator.components.explained import Explained
+from estimator.components.search import Search
 from estimator.diagnosis.model import Drive
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals

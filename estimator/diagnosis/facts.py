@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from estimator.answers.diagnosis import Verdict
-from estimator.components.search import Explained
+from estimator.components.explained import Explained
 from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE, Advice, Doubtful, Finding
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME, Effect

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.components.component import Frame
 from estimator.components.drive_state import DriveState
-from estimator.components.search import ranked
+from estimator.components.explained import ranked
 from estimator.model.effects import Effect
 from estimator.signals import Floats
 

@@ -1,0 +1,187 @@
+"""What a table of models says of drives: which effects act, how probable they are, and what has no name."""
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+
+from scipy.special import logsumexp
+
+from estimator.components.component import Component, Kind
+from estimator.components.drive_state import DriveState, Form
+from estimator.components.hypotheses import Hypotheses, OtherSets
+from estimator.components.model_table import Cause, Chosen, ModelTable
+from estimator.components.processes import LOW_PASS
+from estimator.model.effects.effect import Effect, Timing
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """An effect over all drives; its form on each, None where it cannot be tested."""
+
+    effect: Effect
+    each: tuple[Form | None, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
+
+    @property
+    def is_event(self) -> bool:
+        """Whether it may act on one drive and not on another."""
+        return self.effect.timing is not Timing.ALWAYS
+
+    @property
+    def gain(self) -> float:
+        """In log evidence of all drives together."""
+        gains = [form.gain for form in self.each if form is not None]
+        return max(gains) if self.is_event else sum(gains)
+
+    @property
+    def best(self) -> tuple[int, Form]:
+        """Number of the drive with most evidence, and the form there."""
+        found = [(i, form) for i, form in enumerate(self.each) if form is not None]
+        return max(found, key=lambda pair: pair[1].gain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """An effect that acts: how probable, its log Bayes factor beside all others, and the drive that shows it most.
+
+    ``rival``: another effect that acts, more likely than not, where this one does not; empty if there is none.
+    ``either``: the probability that one of the two acts.
+    """
+
+    effect: Effect
+    probability: float
+    rival: str
+    either: float
+    log_bayes_factor: float
+    drive: int
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
+
+
+@dataclass(frozen=True)
+class Nameless:
+    """The nameless process with most evidence, by the numbers of the drives, and how probable it is that any acts."""
+
+    processes: Mapping[int, Component]
+    log_bayes_factor: float
+    probability: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """The drives with what acts on them, and the evidence for it.
+
+    ``choices``: the effects of the most probable set, those with most evidence first. ``ranking``: all effects, each
+    alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``nameless``: what has no name
+    beside the choices; ``beyond_low_pass``: that but a low-pass of the speed, beside this too. ``by_effects`` and
+    ``by_processes``: log Bayes factors of the choices without any process, and of the most probable processes without
+    any effect. ``log_evidence`` of the drives with the most probable set. ``others``: what less probable sets add to
+    the road load of each drive.
+    """
+
+    drives: tuple[DriveState, ...]
+    choices: tuple[Choice, ...]
+    ranking: tuple[Ranked, ...]
+    beside: tuple[Ranked, ...]
+    probability: Mapping[str, float]
+    none: float  # probability that nothing acts
+    nameless: Nameless
+    beyond_low_pass: Nameless
+    by_effects: float
+    by_processes: float
+    log_evidence: float
+    others: tuple[OtherSets, ...]
+
+
+def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ranked, ...]:
+    """All effects that some drive can test and that are not chosen, most evidence first."""
+    each = [drive.forms(effects) for drive in drives]
+    joined = [Ranked(effect, tuple(found.get(effect.name) for found in each)) for effect in effects]
+    return tuple(sorted((one for one in joined if any(one.each)), key=lambda one: -one.gain))
+
+
+def log_evidence(drives: Sequence[DriveState]) -> float:
+    """Of all drives together."""
+    return sum(drive.fit.log_evidence for drive in drives)
+
+
+def explained_by(
+    joint: Hypotheses,
+    table: ModelTable,
+    best: Chosen,
+    states: tuple[DriveState, ...],
+    first: tuple[Ranked, ...],
+    effects: Sequence[Effect],
+) -> Explained:
+    """What a ``table`` of the sets of ``joint`` says.
+
+    ``best``: the set that was chosen from it, and ``states`` the drives fitted beside that; ``first``: the ranking of
+    all ``effects``, each alone.
+    """
+    causes = joint.causes()
+    whole = joint.unlimited(best)
+    forms = range(len(joint.keys))
+    forms_of = {effect.name: [i for i in forms if joint.component(i).name == effect.name] for effect in effects}
+    probability = {name: table.holding(own) for name, own in forms_of.items()}
+    absent = [name for name, own in forms_of.items() if not set(own) & set(best)]
+    choices = []
+    for effect in effects:
+        own = set(best) & set(forms_of[effect.name])
+        if own:
+            rest = [i for i in best if i not in own]
+            rival, either = table.rival(forms_of[effect.name], {name: forms_of[name] for name in absent})
+            choices.append(
+                Choice(
+                    effect=effect,
+                    probability=probability[effect.name],
+                    rival=rival,
+                    either=either,
+                    log_bayes_factor=whole - joint.unlimited(rest),
+                    drive=max(joint.each[min(own)], key=lambda n: len(joint.drives[n].strides)),
+                )
+            )
+    road = [i for i in best if joint.kind(i) is Kind.ROAD]
+    named = [i for i in best if joint.kind(i) is Kind.EFFECT] + road
+    beside = joint.unlimited(named)
+    of_kind = {kind: {i for i in forms if joint.kind(i) is kind} for kind in Kind}
+    unnamed = of_kind[Kind.PROCESS]
+    low_pass = {i for i in unnamed if joint.component(i).name == LOW_PASS}
+    none = joint.unlimited(road)
+    alone = [joint.unlimited(own) for own in table.sets if unnamed & set(own) and not of_kind[Kind.EFFECT] & set(own)]
+    return Explained(
+        drives=states,
+        choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
+        ranking=first,
+        beside=ranked(states, effects) if choices else first,
+        probability=probability,
+        none=1 - table.holding([*of_kind[Kind.EFFECT], *unnamed]),
+        nameless=_nameless(joint, table, causes, named, unnamed),
+        beyond_low_pass=_nameless(joint, table, causes, [*named, *low_pass], unnamed - low_pass),
+        by_effects=beside - none,
+        by_processes=max([0.0, *(value - none for value in alone)]),
+        log_evidence=log_evidence(states),
+        others=joint.others(table, best),
+    )
+
+
+def _nameless(
+    joint: Hypotheses, table: ModelTable, causes: Sequence[Cause], named: Sequence[int], forms: Set[int]
+) -> Nameless:
+    """Of the processes with these ``forms``, beside ``named`` ones."""
+    beside = joint.unlimited(named)
+    gains = {
+        cause.name: (
+            float(logsumexp([joint.unlimited([*named, i]) - beside for i in cause.forms])) - cause.log_forms,
+            max(cause.forms, key=lambda i: joint.unlimited([*named, i])),
+        )
+        for cause in causes
+        if cause.forms[0] in forms
+    }
+    log_bayes_factor, process = max(gains.values())
+    return Nameless(joint.each[process], log_bayes_factor, table.holding([*forms]))
