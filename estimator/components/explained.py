@@ -124,28 +124,10 @@ def explained_by(
     ``best``: the set that was chosen from it, and ``states`` the drives fitted beside that; ``first``: the ranking of
     all ``effects``, each alone.
     """
-    causes = joint.causes()
-    whole = joint.unlimited(best)
-    forms = range(len(joint.keys))
+    causes, forms = joint.causes(), range(len(joint.keys))
     forms_of = {effect.name: [i for i in forms if joint.component(i).name == effect.name] for effect in effects}
-    probability = {name: table.holding(own) for name, own in forms_of.items()}
-    absent = [name for name, own in forms_of.items() if not set(own) & set(best)]
-    choices = []
-    for effect in effects:
-        own = set(best) & set(forms_of[effect.name])
-        if own:
-            rest = [i for i in best if i not in own]
-            rival, either = table.rival(forms_of[effect.name], {name: forms_of[name] for name in absent})
-            choices.append(
-                Choice(
-                    effect=effect,
-                    probability=probability[effect.name],
-                    rival=rival,
-                    either=either,
-                    log_bayes_factor=whole - joint.unlimited(rest),
-                    drive=max(joint.each[min(own)], key=lambda n: len(joint.drives[n].strides)),
-                )
-            )
+    acting = [effect for effect in effects if set(forms_of[effect.name]) & set(best)]
+    choices = [_choice(joint, table, best, effect, forms_of) for effect in acting]
     road = [i for i in best if joint.kind(i) is Kind.ROAD]
     named = [i for i in best if joint.kind(i) is Kind.EFFECT] + road
     beside = joint.unlimited(named)
@@ -159,7 +141,7 @@ def explained_by(
         choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
         ranking=first,
         beside=ranked(states, effects) if choices else first,
-        probability=probability,
+        probability={name: table.holding(own) for name, own in forms_of.items()},
         none=1 - table.holding([*of_kind[Kind.EFFECT], *unnamed]),
         nameless=_nameless(joint, table, causes, named, unnamed),
         beyond_low_pass=_nameless(joint, table, causes, [*named, *low_pass], unnamed - low_pass),
@@ -167,6 +149,24 @@ def explained_by(
         by_processes=max([0.0, *(value - none for value in alone)]),
         log_evidence=log_evidence(states),
         others=joint.others(table, best),
+    )
+
+
+def _choice(
+    joint: Hypotheses, table: ModelTable, best: Chosen, effect: Effect, forms_of: Mapping[str, Sequence[int]]
+) -> Choice:
+    """Of an ``effect`` in the set that was chosen."""
+    forms = forms_of[effect.name]
+    own = [i for i in best if i in forms]
+    absent = {name: others for name, others in forms_of.items() if not set(others) & set(best)}
+    rival, either = table.rival(forms, absent)
+    return Choice(
+        effect=effect,
+        probability=table.holding(forms),
+        rival=rival,
+        either=either,
+        log_bayes_factor=joint.unlimited(best) - joint.unlimited([i for i in best if i not in own]),
+        drive=max(joint.each[own[0]], key=lambda n: len(joint.drives[n].strides)),
     )
 
 
