@@ -172,6 +172,11 @@ HILLS = dataclasses.replace(finding("grade", 0.99, magnitude=SLOPES), rms_before
 RIVALS = (finding("drafting", 0.6, equivalent=("fan",)),)
 
 
+def test_a_probability_stands_beside_the_names_that_it_is_of() -> None:
+    either = finding("warm_up", 0.97, equivalent=("oil_warm_up",))
+    assert "<h3>warm up (or oil warm up)</h3>" in page(changed(effects=(either,)))
+
+
 @pytest.mark.parametrize(
     ("d", "sentence"),
     [

@@ -29,9 +29,15 @@ def label(name: str) -> str:
     return name.replace("_", " ")
 
 
+def with_equivalents(effect: Finding) -> str:
+    """Name of an effect, and of those that may act in its place."""
+    others = " or ".join(label(name) for name in effect.equivalent)
+    return label(effect.name) + (f" (or {others})" if others else "")
+
+
 def headline(d: Diagnosis) -> str:
     """The verdict as one sentence; `reason` is the next one."""
-    named = listed([_with_equivalents(effect) for effect in d.effects])
+    named = listed([with_equivalents(effect) for effect in d.effects])
     match d.verdict:
         case Verdict.EFFECT:
             closed = gap_closed(d)
@@ -242,11 +248,6 @@ def logs(d: Diagnosis) -> str:
 def listed(names: list[str]) -> str:
     """``a, b and c``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1]))) if names else ""
-
-
-def _with_equivalents(effect: Finding) -> str:
-    others = " or ".join(label(name) for name in effect.equivalent)
-    return label(effect.name) + (f" (or {others})" if others else "")
 
 
 def _value(magnitude: Magnitude) -> str:

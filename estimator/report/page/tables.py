@@ -41,7 +41,7 @@ def chosen(d: Diagnosis) -> str:
     for f in d.effects:
         share = _interval_bar(f.gap_closed)
         blocks.append(
-            f"<li><h3>{_name(f.name)}</h3><p>{html.escape(wording.size(f.magnitude))}, "
+            f"<li><h3>{html.escape(wording.with_equivalents(f))}</h3><p>{html.escape(wording.size(f.magnitude))}, "
             f"<span class='whole'>probability {html.escape(wording.percent(f.probability))}</span></p>"
             f"<p class='soft'>{html.escape(wording.action(f, len(d.logs) > 1))}</p>"
             f"<p>gap closed {html.escape(wording.interval(f.gap_closed))}</p>{share}</li>"
