@@ -91,12 +91,20 @@ def mean_power(truth: Truth, name: str, t: Floats) -> Floats:
     return over
 
 
-def true_shares(recording: Recording, drive: Record) -> dict[str, float]:
-    """Share of each effect of the truck in the plain model's residual, by its name in the diagnosis."""
-    state = DriveState.of(drive.strides)
-    assert state is not None
-    off = Projection(state)
-    t = state.fit.strides.t - drive.start
+def fitted(drive: Record) -> DriveState:
+    """The drive with the road as a state and without effects."""
+    plain = DriveState.of(drive.strides)
+    assert plain is not None
+    return plain
+
+
+def true_shares(recording: Recording, plain: DriveState, start: float) -> dict[str, float]:
+    """Share of each effect of the truck in the plain model's residual, by its name in the diagnosis.
+
+    The drive begins at ``start`` [s].
+    """
+    off = Projection(plain)
+    t = plain.fit.strides.t - start
     residual = off(off.power)
     shares: dict[str, float] = {}
     for name in recording.truth.effect_power:
@@ -106,19 +114,17 @@ def true_shares(recording: Recording, drive: Record) -> dict[str, float]:
     return shares
 
 
-def visibility(recording: Recording, drive: Record, extra: str) -> float:
+def visibility(recording: Recording, plain: DriveState, start: float, extra: str) -> float:
     """Log Bayes factor to expect of an effect with its true course beside the others, A, C, m, lag and the road.
 
     The road is known as far as the signals on the bus show it, and times cost what they are improbable by. The scales
-    of road and noise are those beside the truth.
+    of road and noise are those beside the truth. The drive begins at ``start`` [s].
     """
-    plain = DriveState.of(drive.strides)
-    assert plain is not None
     names = [name for name in recording.truth.effect_power if name != "grade"]
 
     def component(name: str) -> Component:
         def columns(frame: Frame) -> Floats:
-            power = mean_power(recording.truth, name, frame.strides.t - drive.start)
+            power = mean_power(recording.truth, name, frame.strides.t - start)
             return frame.as_acceleration(power)[:, None]
 
         return Component(name=name, columns=columns, sd=1.0)  # of its true size, which is 1
@@ -128,7 +134,7 @@ def visibility(recording: Recording, drive: Record, extra: str) -> float:
     place = names.index(extra)
     (sd,) = joint.gains([i for i in range(len(names)) if i != place], [place]).sd.tolist()
     spans, effect = recording.truth.active.get(extra, []), BY_NAME[extra]
-    times = tuple((drive.start + start, drive.start + end) for start, end in spans)
+    times = tuple((start + begin, start + end) for begin, end in spans)
     cost = prior_cost(times, effect, joint.frame.strides.t) if times and effect.timing is not Timing.STEP else 0.0
     return log_bayes_factor(max(sd**-2 - 1.0, 0.0)) - cost  # by the precision, less the prior's own
 
@@ -140,7 +146,8 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     diagnosis = diagnose_logs([log], Config())
     assert diagnosis.budget is not None
     driven = drives(log, Config())[0]
-    truth = true_shares(world.recording, driven)
+    plain = fitted(driven)
+    truth = true_shares(world.recording, plain, driven.start)
     parts = {part.cause: part for part in diagnosis.budget.parts}
     found = {cause: part.share for cause, part in parts.items()}
     rest = 1 - sum(truth.values())
@@ -155,7 +162,9 @@ def score(world: World, folder: Path) -> dict[str, Any]:
         "shown": world.shown,
         "extra": world.extra,
         "extra_share": truth.get(world.extra, 0.0),
-        "extra_log_bayes_factor": visibility(world.recording, driven, world.extra) if world.extra else 0.0,
+        "extra_log_bayes_factor": (
+            visibility(world.recording, plain, driven.start, world.extra) if world.extra else 0.0
+        ),
         "extra_named": any(world.extra in names for names in named),
         "wrong": [names[0] for names in named if not there & set(names)],
         "named": [names[0] for names in named],

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from accuracy import METRES_PER_MINUTE
-from natural_world import true_shares
+from natural_world import fitted, true_shares
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -70,7 +70,7 @@ def score(world: World, recording: Recording, folder: Path) -> dict[str, Any]:
     write_log(frames, log)
     pipeline = Pipeline(config)
     last = [*pipeline.feed(frames), *pipeline.finish()][-1]
-    diagnosis = diagnose_logs([log], config)
+    diagnosis, driven = diagnose_logs([log], config), drives(log, config)[0]
     part = None if diagnosis.budget is None else diagnosis.budget.part(ROAD)
     found = last.mass
     return {
@@ -81,7 +81,7 @@ def score(world: World, recording: Recording, folder: Path) -> dict[str, Any]:
         "reason": last.reason,
         "amplitude_found": None if last.road is None else float(np.sqrt(2)) * last.road.slope_sd,
         "named": [effect.name for effect in diagnosis.effects],
-        "share": true_shares(recording, drives(log, config)[0])[ROAD],
+        "share": true_shares(recording, fitted(driven), driven.start)[ROAD],
         "found": None if part is None else [part.share, part.q05, part.q95],
         "before_kW": None if diagnosis.budget is None else diagnosis.budget.base / 1e3,
         "known_kW": None if part is None else part.expected / 1e3,

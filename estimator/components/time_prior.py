@@ -57,7 +57,10 @@ def _share_and_forgotten(gap: float, dwell: float) -> tuple[float, float]:
 
 
 def least_costs(gap: float, effect: Effect) -> Costs:
-    """Of a change in ``gap`` [s] by any dwell of an effect; as if seen in short gaps, and for a window in all."""
+    """Of a change in ``gap`` [s] by any dwell of an effect; as if seen in short gaps.
+
+    For a window it is the same in all, since these costs only lead to times that `prior_cost` weighs.
+    """
     if gap < MIN_GAP or effect.timing is Timing.WINDOW:
         return Costs(CHANGE_COST, CHANGE_COST, 0.0)
     each = [in_gap(gap, dwell) for dwell in effect.dwells]
