@@ -475,6 +475,15 @@ def test_a_gain_that_rises_with_the_torque_is_finite_where_the_engine_rests(stri
     assert_allclose(running / running.max(), share[50:] / share[50:].max(), rtol=1e-9)
 
 
+def test_what_acts_in_one_gear_is_told_by_engine_and_road_speed(strides):
+    is_high = np.arange(len(strides)) % 90 < 50
+    turns = np.where(is_high, 6.5, 8.0) * strides.speed
+    frame = Frame.of(DriveState.of(replace(strides, context=strides.context | {Quantity.ENGINE_SPEED: turns})).fit)
+    columns = next(p for p in processes(frame) if p.name == "force over gear ratio").columns(frame)
+    in_gear = columns[:, np.abs(columns[is_high]).max(axis=0) < 1e-9].sum(axis=1)
+    assert_allclose(in_gear, np.where(is_high, 0.0, frame.as_acceleration(strides.speed)), atol=1e-9)
+
+
 @pytest.mark.slow
 def test_what_is_smaller_than_the_error_of_a_large_effects_form_is_not_added():
     """A fan whose power rises by a tenth towards the end of each time it is on."""

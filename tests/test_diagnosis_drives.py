@@ -429,6 +429,13 @@ def test_a_torque_that_is_not_linear_is_unknown(diagnose):
     assert answer["candidates"][0]["detail"] == "gain over torque"
 
 
+def test_a_loss_in_one_gear_is_no_brake(diagnose):
+    """It has the force of a brake, at the times of the gear, which the bus does not send."""
+    answer = diagnose(drive("mixed", 25, 2, Effect(name="gear_loss", magnitude=120.0)))
+    assert (answer["verdict"], named(answer)) == ("unknown effect", [])
+    assert answer["candidates"][0]["detail"] == "force over gear ratio"
+
+
 def test_a_tyre_that_loses_air_is_no_air_that_grows_denser(diagnose):
     answer = diagnose(drive("mixed", 40, 3, Effect(name="slow_puncture", magnitude=0.35), without=THERMOMETER))
     assert (answer["verdict"], named(answer)) == ("unknown effect", [])

@@ -18,8 +18,10 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS
 
 TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter ones cannot be separated from slopes
+GUSTS = 40.0  # s, of drag besides, which rises with the speed's square as no slope does
 SPEEDS = (3.0,)  # m/s
 ENGINE_SPEEDS = (15.0,)  # rad/s
+GEAR_RATIOS = (0.12,)  # of the logarithm of engine over road speed: about half a step between two gears of a truck
 STRENGTHS = (0.1, 0.3, 1.0)  # of what is usual
 GAIN_ERROR = 0.1  # share of the force, usual where a gain wanders
 USUAL_POWER = 0.3  # W/kg, 8 kW for a truck of 27 t
@@ -48,13 +50,15 @@ def processes(frame: Frame) -> Iterator[Component]:
     over = [
         ("power over time", _power, USUAL_POWER * m, s.t, TIMES),
         ("force over time", _force, 0.3 * A, s.t, TIMES),
-        ("drag over time", _drag, 0.3 * C, s.t, TIMES),
+        ("drag over time", _drag, 0.3 * C, s.t, (GUSTS, *TIMES)),
         ("gain over time", _measured, GAIN_ERROR, s.t, TIMES),
         ("force over speed", _force, 0.3 * A, s.speed, SPEEDS),
     ]
-    turns, gear = s.context.get(Quantity.ENGINE_SPEED), s.context.get(Quantity.GEAR)
+    turns = s.context.get(Quantity.ENGINE_SPEED)
     if turns is not None and np.isfinite(turns).all():
+        gear_ratio = np.log(np.maximum(turns, LOWEST_TURNS) / s.speed)
         over.append(("power over engine speed", _power, USUAL_POWER * m, turns, ENGINE_SPEEDS))
+        over.append(("force over gear ratio", _force, 0.3 * A, gear_ratio, GEAR_RATIOS))
         for strength in STRENGTHS:
             yield Component(name="gain over torque", columns=_gain_over_torque, sd=strength * GAIN_ERROR, is_noisy=True)
     for name, profile, usual, axis, lengths in over:
@@ -62,10 +66,6 @@ def processes(frame: Frame) -> Iterator[Component]:
             columns = _over(profile, axis, length)
             for strength in STRENGTHS:
                 yield Component(name=name, columns=columns, sd=strength * usual, is_noisy=profile is _measured)
-    if gear is not None and np.isfinite(gear).all():
-        each = (np.round(gear)[:, None] == np.unique(np.round(gear))).astype(float)
-        for strength in STRENGTHS:
-            yield Component(name="power by gear", columns=_along(_power, each), sd=strength * USUAL_POWER * m)
     if not USUAL_LAG[0] < frame.lag < USUAL_LAG[1]:
         yield Component(name=LOW_PASS, columns=_bent, sd=LOW_PASS_SD / m)
     for period in RING_PERIODS.tolist():
