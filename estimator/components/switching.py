@@ -248,19 +248,21 @@ def exchanged(
     for _ in range(MAX_EXCHANGES):
         active = on.astype(float)
         score, strength = float(s @ active), float(active @ G @ active)
-        sums = np.vstack([np.zeros(4), np.cumsum(np.column_stack([s, G @ active, active, 1 - active]), axis=0)])
-        run = sums[last] - sums[first]
-        more, edges = changes.by_run(on, first, last)
-        gains = []
-        for switch, pure in ((1.0, run[:, 2] == 0), (-1.0, run[:, 3] == 0)):
-            gain = _evidence(score + switch * run[:, 0], strength + 2 * switch * run[:, 1] + own, sd, positive)
-            allowed = pure & ~(single & (_count(on) + switch * edges > 2))
-            gains.append(np.where(allowed, gain - changes.cost(on) - switch * more, -np.inf))
-        which, k = divmod(int(np.argmax(gains)), len(first))
-        if gains[which][k] <= best + 1e-9:
+        scores, crosses, counts = (np.insert(np.cumsum(each), 0, 0.0) for each in (s, G @ active, active))
+        in_run = counts[last] - counts[first]
+        runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # in one state
+        begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
+        more, edges = changes.by_run(on, begin, end)
+        scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
+        gain = _evidence(score + switch * scored, strength + 2 * switch * crossed + own[runs], sd, positive)
+        gain -= changes.cost(on) + switch * more
+        if single:
+            gain[_count(on) + switch * edges > 2] = -np.inf
+        k = int(np.argmax(gain))
+        if gain[k] <= best + 1e-9:
             break
-        best = float(gains[which][k])
-        on[first[k] : last[k]] = which == 0
+        best = float(gain[k])
+        on[begin[k] : end[k]] = switch[k] > 0
     return on
 
 

@@ -74,9 +74,10 @@ def _present(rows: Rows) -> tuple[NDArray[np.intp], Floats]:
         return there, rows if len(there) == rows.shape[1] else rows[:, there]
     is_there = np.zeros(rows.shape[1], dtype=np.bool_)
     is_there[rows.indices] = True
-    place = np.cumsum(is_there) - 1
-    shape = len(rows.indptr) - 1, np.count_nonzero(is_there)
-    return np.flatnonzero(is_there), sp.csr_array((rows.data, place[rows.indices], rows.indptr), shape).toarray()
+    there, place = np.flatnonzero(is_there), np.cumsum(is_there) - 1
+    columns = np.zeros((rows.shape[0], len(there)))
+    columns[np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), place[rows.indices]] = rows.data
+    return there, columns
 
 
 class _Whitened:
