@@ -1,10 +1,13 @@
 """Fixtures and settings of all tests."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from estimator.blas_threads import one_blas_thread
 
 HERE = Path(__file__).parent
 
@@ -30,6 +33,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return Path(nodeid.partition("::")[0]).relative_to(HERE.name).parts[0]
 
     return ByModule(config, log)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def single_threaded_blas() -> Iterator[None]:
+    """As the program is where it is run whole: threads of several workers would wait for each other."""
+    with one_blas_thread():
+        yield
 
 
 @pytest.fixture(scope="session")
