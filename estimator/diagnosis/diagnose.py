@@ -13,7 +13,8 @@ from estimator.diagnosis.described import described
 from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.experiment import experiments
 from estimator.diagnosis.explanation import explain
-from estimator.diagnosis.isolability import isolability, not_testable
+from estimator.diagnosis.findings import Findings
+from estimator.diagnosis.isolability import invisible, isolability, not_testable
 from estimator.diagnosis.localisation import gap_map, places
 from estimator.diagnosis.model import MIN_SAMPLES, Drive, Model, fit, select
 from estimator.diagnosis.result import Diagnosis, Experiment, Finding, NotTestable, Shift, Traces
@@ -127,12 +128,13 @@ def _with_shapes(record: Record, terms: tuple[Term, ...]) -> tuple[Term, ...]:
 def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[NotTestable, ...]) -> Diagnosis:
     """The diagnosis of a conclusion."""
     verdict, explained, longest = conclusion.verdict(), conclusion.explained, conclusion.longest
-    named = conclusion.findings() if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
+    findings = Findings(conclusion)
+    named = findings.named() if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
     which = max(range(len(conclusion.plain)), key=lambda i: len(conclusion.plain[i].model.samples))
     before = conclusion.plain[which].model
     after = conclusion.with_choices
     final, deviation = conclusion.road_load
-    ranking = conclusion.candidates(named)
+    ranking = findings.candidates(named)
     told = {name for finding in named for name in (finding.name, *finding.equivalent)}
     others = [effect for effect in effects if effect.name not in told and not effect.is_gravity]
     forms = [form for one in explained.ranking if (form := one.each[which]) is not None]
@@ -143,7 +145,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
         candidates=ranking,
         remaining_verdict=remaining,
         remaining_log_bayes_factor=conclusion.left_over,
-        remainder=conclusion.remainder(),
+        remainder=findings.remainder(),
         formula=described(longest) if remaining is Verdict.UNKNOWN or verdict is Verdict.UNKNOWN else None,
         doubtful=facts.doubtful(explained, verdict, named),
         noise_floor=conclusion.budget.floor,
@@ -156,7 +158,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
         where=tuple(places(before)),
         isolability=isolability(conclusion.explained.drives[which], forms),
         not_testable=missing,
-        invisible=conclusion.invisible(others),
+        invisible=invisible(longest, others, conclusion.thresholds.min_expected_log_bf),
         advice=facts.advice(explained, effects, verdict, named),
         experiments=_experiments(conclusion, effects, verdict, named, ranking),
         streaming_effects=facts.streaming_effects(named, before.terms) if verdict is Verdict.EFFECT else (),

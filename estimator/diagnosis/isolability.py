@@ -1,12 +1,14 @@
-"""Which effects this drive can separate, and the evidence to expect of each."""
+"""Which effects this drive can separate, the evidence to expect of each, and those too small to see."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from estimator.components.budget import Projection
+from estimator.components.component import Frame, of_effect
 from estimator.components.drive_state import DriveState, Form
-from estimator.diagnosis.result import Isolability, NotTestable
+from estimator.diagnosis.result import Invisible, Isolability, NotTestable, Shift
+from estimator.estimation.road_fit import theta_jacobian
 from estimator.model.effects import Effect, Timing
 from estimator.signals import Quantity
 
@@ -31,6 +33,27 @@ def expected_evidence(form: Form) -> float:
 def evidence_of(strength: float) -> float:
     """Log Bayes factor to be expected of a usual size of ``strength`` standard deviations: Laplace's approximation."""
     return float(0.5 * strength**2 - np.log(max(strength, 1.0)))
+
+
+def invisible(drive: DriveState, effects: Sequence[Effect], least: float) -> tuple[Invisible, ...]:
+    """Effects that could act at their usual size with a log Bayes factor below ``least``, and the shift they cause."""
+    known, present = frozenset(drive.strides.context), {component.name for component in drive.chosen}
+    lasting = [effect for effect in effects if is_lasting(effect) and effect.name not in present]
+    frame, ours = Frame.of(drive.fit), range(len(drive.chosen))
+    forms = [(effect, form) for effect in lasting for form in of_effect(frame, effect, known)]
+    joint = drive.joint_with([form for _, form in forms])
+    places = range(len(ours), len(ours) + len(forms))
+    sds = joint.gains(ours, places).sd
+    jacobian = theta_jacobian(joint.posterior(ours).mean[: joint.base_size], 0)
+    best: dict[str, Invisible] = {}
+    for place, sd, (effect, form) in zip(places, sds.tolist(), forms, strict=True):
+        strength = float(np.sqrt(max((form.sd / sd) ** 2 - 1.0, 0.0)))  # less the prior's own
+        A, C, m, *_ = (jacobian @ joint.imitated(ours, place)[: joint.base_size] * form.sd).tolist()
+        found = Invisible(effect.name, evidence_of(strength), Shift(mass=m, A=A, C=C), effect.breaks)
+        most = best.setdefault(effect.name, found)
+        if found.expected_log_bayes_factor > most.expected_log_bayes_factor:
+            best[effect.name] = found
+    return tuple(one for one in best.values() if one.expected_log_bayes_factor < least)
 
 
 def is_lasting(effect: Effect) -> bool:
