@@ -37,7 +37,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @pytest.fixture(scope="session", autouse=True)
 def single_threaded_blas() -> Iterator[None]:
-    """As the program is where it is run whole: threads of several workers would wait for each other."""
+    """One thread, as in the whole program: with more, threads of several workers wait for each other."""
     with one_blas_thread():
         yield
 

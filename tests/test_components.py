@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from made_strides import made_strides, past_speeds
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 from test_diagnosis_evidence import driven as on_level_road
 
@@ -475,6 +476,16 @@ def test_a_gain_that_rises_with_the_torque_is_finite_where_the_engine_rests(stri
     assert_allclose(running / running.max(), share[50:] / share[50:].max(), rtol=1e-9)
 
 
+@pytest.mark.slow
+def test_gusts_of_half_a_minute_are_a_drag_over_time():
+    v = on_level_road().fit.strides.speed
+    gusts = gaussian_filter1d(np.random.default_rng(SEED).standard_normal(len(v)), 25.0)
+    found = Search((on_level_road(2 * C * v**2 * 0.6 * gusts / gusts.std()),), [BY_NAME["drafting"]]).explained()
+    assert not found.choices
+    assert [process.name for process in found.nameless.processes.values()] == ["drag over time"]
+    assert found.nameless.log_bayes_factor > 1000  # 281 with hats of two minutes
+
+
 def test_what_acts_in_one_gear_is_told_by_engine_and_road_speed(strides):
     is_high = np.arange(len(strides)) % 90 < 50
     turns = np.where(is_high, 6.5, 8.0) * strides.speed
@@ -482,6 +493,17 @@ def test_what_acts_in_one_gear_is_told_by_engine_and_road_speed(strides):
     columns = next(p for p in processes(frame) if p.name == "force over gear ratio").columns(frame)
     in_gear = columns[:, np.abs(columns[is_high]).max(axis=0) < 1e-9].sum(axis=1)
     assert_allclose(in_gear, np.where(is_high, 0.0, frame.as_acceleration(strides.speed)), atol=1e-9)
+
+
+def test_an_engine_that_rests_is_in_no_gear(strides):
+    rests = np.arange(len(strides)) < 50
+    context = strides.context | {Quantity.ENGINE_SPEED: np.where(rests, 0.0, 8.0 * strides.speed)}
+    frame = Frame.of(DriveState.of(replace(strides, context=context)).fit)
+    columns = next(p for p in processes(frame) if p.name == "force over gear ratio").columns(frame)
+    assert_allclose(columns.sum(axis=1), np.where(rests, 0.0, frame.as_acceleration(strides.speed)))
+    context[Quantity.ENGINE_SPEED] = np.zeros(len(strides))
+    resting = Frame.of(DriveState.of(replace(strides, context=context)).fit)
+    assert "force over gear ratio" not in {process.name for process in processes(resting)}
 
 
 @pytest.mark.slow

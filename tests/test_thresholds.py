@@ -5,7 +5,6 @@ import pytest
 from simulated_logs import drive, written
 
 from estimator.answers.diagnosis import Verdict
-from estimator.blas_threads import one_blas_thread
 from estimator.config import Config
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.thresholds import Thresholds
@@ -15,7 +14,6 @@ from estimator.streaming.drive_extraction import drives
 
 
 @pytest.mark.slow
-@one_blas_thread()
 def test_an_effect_is_named_where_its_probability_exceeds_the_threshold(tmp_path):
     recording = drive("mixed", 25, 1, Effect(name="cornering", magnitude=900.0))
     records = drives(written(recording, tmp_path / "log.blf"), Config(), lambda share: None)

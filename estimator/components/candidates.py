@@ -1,6 +1,6 @@
 """What may act on a drive: effects in all their forms, with signals or with times, and nameless processes."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -139,8 +139,10 @@ def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: in
     for spans in times:
         for process in switched(frame, spans):
             yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
-    for i, process in enumerate(processes(frame)):
-        yield Candidate(cause=process.name, is_event=False, form=i, component=process)
+    number: Counter[str] = Counter()  # of the forms of each, which are the same on all drives
+    for process in processes(frame):
+        yield Candidate(cause=process.name, is_event=False, form=number[process.name], component=process)
+        number[process.name] += 1
     beside = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
     for i, process in enumerate(swings(drive.joint, beside)):
         yield Candidate(cause=process.name, is_event=True, form=i, component=process)

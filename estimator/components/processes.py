@@ -18,10 +18,11 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS
 
 TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter ones cannot be separated from slopes
-GUSTS = 40.0  # s, of drag besides, which rises with the speed's square as no slope does
+GUSTS = 40.0  # s, a further distance, for drag alone: it rises with the square of the speed, as no slope does
+MAX_GUSTS = 240  # hats of that distance, 2.7 h: bounds time and memory
 SPEEDS = (3.0,)  # m/s
 ENGINE_SPEEDS = (15.0,)  # rad/s
-GEAR_RATIOS = (0.12,)  # of the logarithm of engine over road speed: about half a step between two gears of a truck
+GEAR_RATIOS = (0.12,)  # along the logarithm of engine over road speed: about half a step between two gears of a truck
 STRENGTHS = (0.1, 0.3, 1.0)  # of what is usual
 GAIN_ERROR = 0.1  # share of the force, usual where a gain wanders
 USUAL_POWER = 0.3  # W/kg, 8 kW for a truck of 27 t
@@ -47,18 +48,19 @@ def processes(frame: Frame) -> Iterator[Component]:
     """All processes but swings, in all their lengths and strengths; a low-pass where the lag is not a usual one."""
     A, C, m = frame.road_load.tolist()
     s = frame.strides
+    gusts = (GUSTS,) if s.t[-1] - s.t[0] < MAX_GUSTS * GUSTS else ()
     over = [
         ("power over time", _power, USUAL_POWER * m, s.t, TIMES),
         ("force over time", _force, 0.3 * A, s.t, TIMES),
-        ("drag over time", _drag, 0.3 * C, s.t, (GUSTS, *TIMES)),
+        ("drag over time", _drag, 0.3 * C, s.t, (*TIMES, *gusts)),
         ("gain over time", _measured, GAIN_ERROR, s.t, TIMES),
         ("force over speed", _force, 0.3 * A, s.speed, SPEEDS),
     ]
     turns = s.context.get(Quantity.ENGINE_SPEED)
     if turns is not None and np.isfinite(turns).all():
-        gear_ratio = np.log(np.maximum(turns, LOWEST_TURNS) / s.speed)
         over.append(("power over engine speed", _power, USUAL_POWER * m, turns, ENGINE_SPEEDS))
-        over.append(("force over gear ratio", _force, 0.3 * A, gear_ratio, GEAR_RATIOS))
+        if (turns > LOWEST_TURNS).any():
+            over.append(("force over gear ratio", _geared, 0.3 * A, _gear_ratio(turns, s.speed), GEAR_RATIOS))
         for strength in STRENGTHS:
             yield Component(name="gain over torque", columns=_gain_over_torque, sd=strength * GAIN_ERROR, is_noisy=True)
     for name, profile, usual, axis, lengths in over:
@@ -135,6 +137,19 @@ def _torque(frame: Frame) -> Floats:
 
 def _force(frame: Frame) -> Floats:
     return frame.strides.speed
+
+
+def _geared(frame: Frame) -> Floats:
+    """Of a force while the engine turns."""
+    return np.where(frame.strides.context[Quantity.ENGINE_SPEED] > LOWEST_TURNS, frame.strides.speed, 0.0)
+
+
+def _gear_ratio(turns: Floats, speed: Floats) -> Floats:
+    """Logarithm (n,) of engine over road speed; the lowest one where the engine rests."""
+    is_turning = turns > LOWEST_TURNS
+    ratio = np.log(np.where(is_turning, turns, np.inf) / speed)
+    found: Floats = np.where(is_turning, ratio, ratio.min())
+    return found
 
 
 def _drag(frame: Frame) -> Floats:

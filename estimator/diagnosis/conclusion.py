@@ -111,15 +111,17 @@ class Conclusion:
 
     @property
     def named(self) -> tuple[Choice, ...]:
-        """The effects that are sure, or the one that a "cannot tell" is about; beside a lag, more than its errors."""
+        """The effects that are sure, or the one that a "cannot tell" is about.
+
+        Beside a lag, those computed from power need more evidence than errors of its form give.
+        """
         doubtful = self.explained.choices[:1] if self.verdict() is Verdict.CANNOT_TELL else ()
         choices = doubtful if self.is_outdone else self.sure or doubtful
         return tuple(c for c in choices if not c.effect.is_noisy or c.log_bayes_factor > self._error_of_lag)
 
     @property
     def _error_of_lag(self) -> float:
-        """Log Bayes factor that errors of the form of a lag may give to what is computed from power."""
-        return -np.inf if self.lag is None else MAX_FORM_SHARE * self.lag.log_bayes_factor
+        return _error_of_form(None if self.lag is None else self.lag.log_bayes_factor)
 
     @property
     def is_outdone(self) -> bool:
@@ -143,6 +145,11 @@ class Conclusion:
         return lag_finding(self.explanation, self.plain, self.budget.reached)
 
 
+def _error_of_form(lag: float | None) -> float:
+    """Evidence that errors of the form of a lag, of this evidence, give to what is computed from power."""
+    return -np.inf if lag is None else MAX_FORM_SHARE * lag
+
+
 def conclude(
     explanation: Explanation, plain: tuple[Drive, ...], thresholds: Thresholds, rng: np.random.Generator
 ) -> Conclusion:
@@ -151,7 +158,7 @@ def conclude(
     late, unnamed = evidence_of_lag(explanation), [explained.nameless]
     if late is not None and low_pass_gain(explanation):
         unnamed.append(explained.beyond_low_pass)
-    least = max(thresholds.min_log_bf_unknown, MAX_FORM_SHARE * (late or 0.0))
+    least = max(thresholds.min_log_bf_unknown, _error_of_form(late))
     counted = [one.processes for one in unnamed if one.log_bayes_factor > least]
     processes = [[own[i] for own in counted if i in own] for i in range(len(drives))]
     possible = [_possible(explanation.explained, i) for i in range(len(drives))]

@@ -129,7 +129,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
     """The diagnosis of a conclusion."""
     verdict, explained, longest = conclusion.verdict(), conclusion.explained, conclusion.longest
     findings = Findings(conclusion)
-    named = findings.named() if verdict in (Verdict.EFFECT, Verdict.CANNOT_TELL) else ()
+    named = findings.named()
     which = max(range(len(conclusion.plain)), key=lambda i: len(conclusion.plain[i].model.samples))
     before = conclusion.plain[which].model
     after = conclusion.with_choices
