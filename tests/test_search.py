@@ -208,6 +208,12 @@ def test_a_rival_acts_more_likely_than_not_where_an_effect_does_not(probability,
     assert table.rival([0], {}) == ("", pytest.approx(probability[0] + probability[3]))
 
 
+def test_rounding_makes_no_probability_larger_than_one():
+    """Weights of sets are exponentials of differences of large numbers, whose sum is one to some 1e-14."""
+    table = ModelTable(((0,), (1,)), np.array([0.75, 0.25 + 4e-14]), 0.0)
+    assert (table.holding([0, 1]), table.none) == (1.0, 0.0)
+
+
 # The noise to start from
 
 

@@ -72,7 +72,8 @@ class ModelTable:
     def holding(self, forms: Sequence[int]) -> float:
         """Probability that any of ``forms`` acts."""
         wanted = set(forms)
-        return float(sum(p for p, own in zip(self.probability, self.sets, strict=True) if wanted & set(own)))
+        total = sum(p for p, own in zip(self.probability, self.sets, strict=True) if wanted & set(own))
+        return min(float(total), 1.0)  # rounding may add to more
 
     def rival(self, forms: Sequence[int], others: Mapping[str, Sequence[int]]) -> tuple[str, float]:
         """Which of ``others``, by their forms, acts where none of ``forms`` does, and the probability that either acts.
