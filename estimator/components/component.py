@@ -11,6 +11,7 @@ has the road in it.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class Frame:
         """With an error [N] (n,) in the measured force."""
         return replace(self, force=self.force + error)
 
-    @property
+    @cached_property
     def view(self) -> View:
         """The quantities that effects are computed from, with the acceleration on level ground."""
         return view_of(self.strides, self.force, self.road_load, self.taken)

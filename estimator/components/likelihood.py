@@ -8,7 +8,6 @@ the measured force adds to the products, and what drivers' answers to slopes tak
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -148,13 +147,17 @@ def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[
     Strengths of one process share its columns, and stretches of the road those of the same times.
     """
     at: dict[object, int] = {}
-    kept: list[sp.csc_array[Any]] = [sp.csc_array((len(frame.strides), 0))]
+    rows, values = [np.empty(0, dtype=np.int64)], [np.empty(0)]
     places: dict[int, NDArray[np.int64]] = {}
     for key, one in {id(one.columns): one for one in components}.items():
-        columns = one.columns(frame)
-        names = [column.tobytes() if one.is_slope else (key, k) for k, column in enumerate(columns.T)]
-        new = [k for k, name in enumerate(names) if len(at) == at.setdefault(name, len(at))]
+        own = one.columns(frame).T
+        names = [column.tobytes() if one.is_slope else (key, k) for k, column in enumerate(own)]
+        for column, name in zip(own, names, strict=True):
+            if name not in at:
+                at[name] = len(at)
+                rows.append(np.flatnonzero(column))
+                values.append(column[rows[-1]])
         places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
-        found = sp.csc_array(columns)
-        kept.append(found if len(new) == len(names) else found[:, new])
-    return sp.hstack(kept, format="csc"), [places[id(one.columns)] for one in components]
+    ends = np.cumsum([len(one) for one in rows])  # the first, without rows, begins them
+    columns = sp.csc_array((np.concatenate(values), np.concatenate(rows), ends), (len(frame.strides), len(at)))
+    return columns, [places[id(one.columns)] for one in components]

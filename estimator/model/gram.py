@@ -50,7 +50,7 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
         for observed, rows in kinds:
             part = observed.within(begin, end)
             here = slice(rows.start + part.start, rows.start + part.stop)
-            there, values = _present(data[here])
+            there, values = _present(data, here)
             if len(there):
                 scaled = values * weight[here]
                 product[np.ix_(there, there)] += scaled.T @ scaled
@@ -67,16 +67,19 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
     return product - whitened.product
 
 
-def _present(rows: Rows) -> tuple[NDArray[np.intp], Floats]:
-    """Which columns (k,) are not zero in all ``rows`` (m, c), and those columns (m, k)."""
-    if not isinstance(rows, sp.csr_array):
+def _present(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
+    """Which columns (k,) are not zero in all rows (m,) ``here``, and those columns (m, k)."""
+    if not isinstance(data, sp.csr_array):
+        rows = data[here]
         there = np.flatnonzero(rows.any(axis=0))
         return there, rows if len(there) == rows.shape[1] else rows[:, there]
-    is_there = np.zeros(rows.shape[1], dtype=np.bool_)
-    is_there[rows.indices] = True
+    ends = data.indptr[here.start : here.stop + 1]
+    indices, values = data.indices[ends[0] : ends[-1]], data.data[ends[0] : ends[-1]]
+    is_there = np.zeros(data.shape[1], dtype=np.bool_)
+    is_there[indices] = True
     there, place = np.flatnonzero(is_there), np.cumsum(is_there) - 1
-    columns = np.zeros((rows.shape[0], len(there)))
-    columns[np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), place[rows.indices]] = rows.data
+    columns = np.zeros((len(ends) - 1, len(there)))
+    columns[np.repeat(np.arange(len(ends) - 1), np.diff(ends)), place[indices]] = values
     return there, columns
 
 
