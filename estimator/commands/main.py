@@ -3,11 +3,11 @@
 import argparse
 import logging
 import sys
-from importlib import import_module
 from typing import NoReturn
 
 from estimator import __version__
 from estimator.commands.complaints import complain, show_traceback
+from estimator.commands.lean_import import import_without
 from estimator.errors import RoadloadError
 from estimator.freed_memory import keep_freed_memory
 
@@ -69,7 +69,7 @@ def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     for name, use in COMMANDS.items():
         command = subparsers.add_parser(name, help=use)
         if name == chosen:
-            module = import_module(f"estimator.commands.{name}")
+            module = import_without("asammdf", f"estimator.commands.{name}")
             module.add_arguments(command)
             command.set_defaults(run=module.run)
     return parser

@@ -1,0 +1,56 @@
+"""Imports without a package that python-can would import as well."""
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from estimator.commands.lean_import import import_without
+
+USER = """
+try:
+    import rl_wanted
+except ImportError:
+    rl_wanted = None
+"""
+
+
+@pytest.fixture
+def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module `rl_user` that imports `rl_wanted` if that is installed, and one that cannot be imported."""
+    (tmp_path / "rl_wanted.py").write_text("")
+    (tmp_path / "rl_user.py").write_text(USER)
+    (tmp_path / "rl_broken.py").write_text("import rl_nowhere\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("rl_wanted", "rl_user"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+@pytest.mark.usefixtures("modules")
+def test_the_package_is_missing_for_that_module_alone():
+    assert import_without("rl_wanted", "rl_user").rl_wanted is None
+    assert importlib.import_module("rl_wanted").__name__ == "rl_wanted"
+
+
+@pytest.mark.usefixtures("modules")
+def test_what_was_imported_before_stays():
+    wanted = importlib.import_module("rl_wanted")
+    assert import_without("rl_wanted", "rl_user").rl_wanted is wanted
+
+
+@pytest.mark.usefixtures("modules")
+def test_a_module_that_cannot_be_imported_leaves_nothing_behind():
+    with pytest.raises(ImportError, match="rl_nowhere"):
+        import_without("rl_wanted", "rl_broken")
+    assert "rl_wanted" not in sys.modules
+
+
+def test_a_command_on_logs_imports_no_library_of_tables():
+    program = (
+        "import sys; from estimator.commands.main import main; main(['inspect', 'none.blf']);"
+        "print(*{'can', 'asammdf', 'pandas'} & sys.modules.keys())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["can"]
