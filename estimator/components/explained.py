@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 
 from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState, Form
-from estimator.components.hypotheses import Hypotheses, OtherSets
+from estimator.components.hypotheses import MIN_GAIN, Hypotheses, OtherSets
 from estimator.components.model_table import Cause, Chosen, ModelTable
 from estimator.components.processes import LOW_PASS
 from estimator.model.effects.effect import Effect, Timing
@@ -97,6 +97,11 @@ class Explained:
     by_processes: float
     log_evidence: float
     others: tuple[OtherSets, ...]
+
+    @property
+    def error_of_form(self) -> float:
+        """Log Bayes factor that errors of the form of the largest choice may give to what does not act."""
+        return MIN_GAIN * max((choice.log_bayes_factor for choice in self.choices), default=0.0)
 
 
 def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ranked, ...]:

@@ -135,8 +135,8 @@ class Conclusion:
         return self.explained.by_effects + bent < max(by_processes, self.by_place)
 
     def remaining(self) -> Verdict:
-        """Whether something without a name is left beside what was named, more than errors of the form of a lag."""
-        least = max(self.thresholds.min_log_bf_left, self._error_of_lag)
+        """Whether something without a name is left beside what was named, more than errors of the form of that."""
+        least = max(self.thresholds.min_log_bf_left, self._error_of_lag, self.explained.error_of_form)
         return Verdict.UNKNOWN if self.left_over > least else Verdict.NO_GAP
 
     @cached_property

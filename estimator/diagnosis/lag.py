@@ -21,11 +21,15 @@ MIN_LOG_BF = 8.0  # of a lag outside USUAL_LAG, that of four standard deviations
 
 
 def evidence_of_lag(explanation: Explanation) -> float | None:
-    """Log Bayes factor of a lag beyond usual delays and of what a low-pass does besides; None: it is not named."""
+    """Log Bayes factor of a lag beyond usual delays and of what a low-pass does besides; None: it is not named.
+
+    Nor is it where an error of the form of a large effect may give as much.
+    """
     value, sd = _lag(explanation)
     excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value, 0.0) / sd
     found = 0.5 * excess**2 + low_pass_gain(explanation)
-    return found if excess and found >= MIN_LOG_BF and abs(value) <= LONGEST_LAG else None
+    least = max(MIN_LOG_BF, explanation.explained.error_of_form)
+    return found if excess and found >= least and abs(value) <= LONGEST_LAG else None
 
 
 def low_pass_gain(explanation: Explanation) -> float:

@@ -1,0 +1,44 @@
+"""The evidence of a lag between power and speed, beside effects that were chosen."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator.components.processes import LOW_PASS
+from estimator.diagnosis.lag import LAG_DOUBT, evidence_of_lag
+from estimator.estimation.road_likelihood import LAG
+
+SD = 0.012  # s, of the fit
+
+
+def explanation(lag: float, low_pass: float = 0.0, error_of_form: float = 0.0) -> Any:
+    """Of one drive with a ``lag`` [s], and a log Bayes factor of a low-pass."""
+    covariance = np.zeros((4, 4))
+    covariance[LAG, LAG] = SD**2
+    fit = SimpleNamespace(lag=lag, theta_covariance=lambda: covariance)
+    process = SimpleNamespace(name=LOW_PASS if low_pass else "white force")
+    nameless = SimpleNamespace(processes={0: process}, log_bayes_factor=low_pass)
+    explained = SimpleNamespace(nameless=nameless, error_of_form=error_of_form)
+    return SimpleNamespace(longest=SimpleNamespace(fit=fit), explained=explained)
+
+
+def test_a_lag_has_the_evidence_of_its_distance_from_usual_ones():
+    sd = np.hypot(SD, LAG_DOUBT)  # 0.013 s
+    assert evidence_of_lag(explanation(0.12 + 5 * sd)) == pytest.approx(12.5)
+    assert evidence_of_lag(explanation(-0.06 - 5 * sd)) == pytest.approx(12.5)
+    assert evidence_of_lag(explanation(0.12 + 3.9 * sd)) is None
+    assert evidence_of_lag(explanation(0.9)) is None
+
+
+def test_a_low_pass_adds_to_it_and_is_no_lag_alone():
+    sd = np.hypot(SD, LAG_DOUBT)
+    assert evidence_of_lag(explanation(0.12 + 3 * sd, low_pass=20.0)) == pytest.approx(24.5)
+    assert evidence_of_lag(explanation(0.1, low_pass=20.0)) is None
+
+
+def test_it_is_more_than_errors_of_the_form_of_a_large_effect():
+    late = 0.12 + 10 * np.hypot(SD, LAG_DOUBT)
+    assert evidence_of_lag(explanation(late, error_of_form=49.0)) == pytest.approx(50.0)
+    assert evidence_of_lag(explanation(late, error_of_form=51.0)) is None
