@@ -84,6 +84,16 @@ def test_a_stretch_is_gravity_along_a_slope_in_its_times_alone():
     assert not columns[231:].any()
 
 
+def test_the_slope_felt_changes_over_ten_metres():
+    frame = Frame.of(state_of(driven()).fit)
+    n = len(frame.strides)
+    slow = replace(frame, strides=made_strides(np.full(n + 1, 2.0), frame.force, {Quantity.ELAPSED: frame.strides.t}))
+    (component,) = stretches(slow, ((100.0, 200.0),))
+    share = component.columns(slow)[:, 0] / -STANDARD_GRAVITY
+    assert_allclose(share[96:104], [0.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0], atol=1e-12)  # 5 s at 2 m/s
+    assert_allclose(share[196:204], share[96:104][::-1], atol=1e-12)
+
+
 def test_where_one_stretch_follows_another_the_slope_changes_once():
     frame = Frame.of(state_of(driven()).fit)
     (apart,) = stretches(frame, ((100.0, 200.0), (201.0, 231.0)))

@@ -4,7 +4,8 @@ The slopes of the road model are a stationary Gaussian process. Real roads are n
 a bridge or a hill: on seven trips of a car whose accelerometer shows the slopes, their kurtosis is 2.5 to 8, where the
 process has 3. The beginning and the end of a steep stretch are then better explained by a load or a brake that
 switches. So the times at which an effect may act are also candidates for stretches of the road, each with a slope of
-its own: a load that switches is told from them only if its power is the same in all its times, at all speeds.
+its own: a load that switches is told from them if its power is the same in all its times, at all speeds, and a brake
+because it holds back at once, where the slope felt changes over a vertical curve and between the axles.
 """
 
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from estimator.strides import DURATION
 from estimator.units import STANDARD_GRAVITY
 
 LOG_ODDS = 1.4  # prior, of any stretches against none: 22 of 27 trips of that car have some
+CHANGE_LENGTH = 10.0  # m over which the slope felt changes at least: 5 m between a truck's axles, and a curve besides
 SLOPE_SD = 0.02  # of the prior of the slope of a stretch, over that of the process
 STEEPEST = 0.15  # sine: public roads are hardly steeper
 
@@ -48,7 +50,8 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
         return
 
     def columns(frame: Frame) -> Floats:
-        on = np.column_stack([covered(frame.strides.t, DURATION, (span,)) for span in spans])
+        felt = np.maximum(CHANGE_LENGTH / frame.strides.speed, DURATION)
+        on = np.column_stack([covered(frame.strides.t, felt, (span,)) for span in spans])
         return -STANDARD_GRAVITY * on
 
     yield Component(

@@ -48,13 +48,13 @@ def inside(t: Floats, spans: Spans) -> Floats:
     return within
 
 
-def covered(t: Floats, duration: float, spans: Spans) -> Floats:
-    """Share (n,) of the ``duration`` [s] around each time ``t`` [s] (n,) that lies within the ``spans``."""
-    if not duration:
+def covered(t: Floats, duration: float | Floats, spans: Spans) -> Floats:
+    """Share (n,) of the ``duration`` [s], one or (n,), around each time ``t`` [s] (n,) that lies within ``spans``."""
+    if not np.any(duration):
         return inside(t, spans)
     edges = np.array(spans).reshape(-1, 2)
-    after = np.clip(t[:, None] + duration / 2, edges[:, 0], edges[:, 1])
-    before = np.clip(t[:, None] - duration / 2, edges[:, 0], edges[:, 1])
+    after = np.clip((t + duration / 2)[:, None], edges[:, 0], edges[:, 1])
+    before = np.clip((t - duration / 2)[:, None], edges[:, 0], edges[:, 1])
     share: Floats = (after - before).sum(axis=1) / duration
     return share
 
