@@ -17,7 +17,7 @@ from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Role
 
 DRIVES = int(os.environ.get("BLIND_DRIVES", "12"))  # of the fixed set
-MINUTES = float(os.environ.get("BLIND_MINUTES", "30"))
+MINUTES = float(os.environ.get("BLIND_MINUTES", "20"))
 SEED = 7
 
 FAKE = """

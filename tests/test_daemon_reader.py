@@ -153,7 +153,7 @@ def test_filters_let_through_what_is_decoded_and_little_else() -> None:
     messages = bind(settings, load_database([]))
     filters = input_filters(messages)
     rng = np.random.default_rng(1)
-    idents = rng.integers(0, 1 << 29, 5000).tolist()
+    idents = rng.integers(0, 1 << 29, 2000).tolist()
     idents += [6 << 26 | m.key << 8 | source for m in messages for source in (0, 0x31, 0xFE)]
     idents += [0x1CECFF00, 0x1CEBFF00]
     for ident in idents:
