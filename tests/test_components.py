@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 from test_diagnosis_evidence import driven as on_level_road
 
-from estimator.components import switching
+from estimator.components import edges, exchange, switching
 from estimator.components.budget import NOISE, ROAD, budget
 from estimator.components.candidates import Candidates
 from estimator.components.component import Component, Frame, of_effect, of_term
@@ -254,13 +254,13 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
     costs = [Costs(*each) for each in rng.uniform(0.0, CHANGE_COST, (b - 1, 3))]
 
     def evidence(z):
-        return switching.value(G, s, np.array(z, bool), sd, True, costs)
+        return exchange.value(G, s, np.array(z, bool), sd, True, costs)
 
     best = max(product([False, True], repeat=b), key=evidence)
-    found = switching.exchanged(G, s, sd, True, False, np.ones(b), costs)
+    found = exchange.exchanged(G, s, sd, True, False, np.ones(b), costs)
     assert evidence(found) == pytest.approx(evidence(best))
     once = [z for z in product([False, True], repeat=b) if np.count_nonzero(np.diff(z)) <= 2]
-    one = switching.exchanged(G, s, sd, True, True, np.ones(b), costs)
+    one = exchange.exchanged(G, s, sd, True, True, np.ones(b), costs)
     assert np.count_nonzero(np.diff(one)) <= 2
     assert evidence(one) <= max(map(evidence, once)) + 1e-9
 
@@ -268,7 +268,7 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
 def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():
     rng = np.random.default_rng(1)
     first, last = np.triu_indices(12)
-    changes = switching._Changes([Costs(*each) for each in rng.uniform(0.0, CHANGE_COST, (11, 3))])
+    changes = exchange.Changes([Costs(*each) for each in rng.uniform(0.0, CHANGE_COST, (11, 3))])
     for _ in range(20):
         on = rng.random(12) < 0.5
         more, edges = changes.by_run(on, first, last + 1)
@@ -281,6 +281,27 @@ def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():
                 assert sign * edges[k] == np.count_nonzero(
                     np.diff(with_run if sign > 0 else without)
                 ) - np.count_nonzero(np.diff(on))
+
+
+def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
+    effect, t = BY_NAME["auxiliary_cycling"], np.arange(400) + 0.5
+    truth = ((100.4, 140.9), (250.2, 301.7))
+    joint = DriveState.of(driven(power=40e3 * covered(t, 1.0, truth))).joint
+    sd = effect.usual(joint.frame.road_load)
+
+    def evidence(spans):
+        G, s = joint.projected([], joint.frame.column(Term(effect, None, spans))[:, None])
+        return float(exchange.amplitude_evidence(s[0], G[0, 0], sd, positive=False))
+
+    start = ((101.5, 139.0), (249.0, 303.5))
+    found = edges.with_refined_edges(joint, [], Term(effect, None, start))
+    assert_allclose(found, truth, atol=0.31)
+    assert evidence(found) > evidence(start)
+    for i, j in product((0, 1), (0, 1)):
+        for move in (*edges.MOVES, 0.0):
+            moved = np.array(found)
+            moved[i, j] = start[i][j] + move
+            assert evidence(tuple(map(tuple, moved.tolist()))) <= evidence(found) + 1e-3
 
 
 def test_products_of_steps_are_sums_over_the_parts_between_them(strides, quiet):

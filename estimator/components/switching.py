@@ -1,26 +1,22 @@
-"""Times of an effect that no signal shows: those with most evidence, by exchange of runs of blocks.
+"""Times of an effect that no signal shows: those with most evidence beside a set of components.
 
-Amplitude b and times z (one of two states a block) have the log evidence
-
-    1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - costs of changes of state
-
-with s and G the scores and products of a profile cut into blocks, off everything else in the model. Blocks end where a
-step of the state would score most, and at gaps without strides (costs: `time_prior.py`). A run of blocks is switched on
-or off as long as that gains; every run is tried.
+Blocks end where a step of the state would score most, and at gaps without strides. Runs of them are switched on or off
+(`exchange.py`), and the edges of what is on are moved (`edges.py`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from estimator.components.component import Frame
+from estimator.components.edges import with_refined_edges
+from estimator.components.exchange import exchanged
 from estimator.components.likelihood import JointLikelihood
-from estimator.components.time_prior import MAX_ON_SHARE, Costs, cost_of_leaving, least_costs, prior_cost
-from estimator.model.design_matrix import Spans, Term, covered
+from estimator.components.time_prior import MAX_ON_SHARE, least_costs, prior_cost
+from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects.effect import Effect, Timing
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
@@ -31,10 +27,6 @@ PROBED_STEPS = 60  # steps whose strength is computed; that of the others is int
 MIN_STEP_DISTANCE = 5  # strides between two steps of the state
 MAX_STEPS = 200  # of the state that are considered: bounds the cost of the exchanges
 MIN_BLOCK_GAP = 5.0  # s without strides, where blocks end: in less the state hardly changes unseen
-MAX_RUN = 2000.0  # s, of the blocks exchanged at once
-MAX_EXCHANGES = 60  # bounds the cost
-STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, by which an edge is moved
-MOVES = np.concatenate([-STEPS, STEPS])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,75 +122,6 @@ def _between(spans: Spans, t: Floats) -> Spans:
     return tuple((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
 
 
-def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
-    """Spans of ``term`` whose beginnings and ends are moved by up to the last of STEPS where that adds evidence.
-
-    More than it costs to leave the gap that one lies in.
-
-    Moving an edge changes the column of a few strides, so the evidence of any moves follows from the products of these
-    strides.
-    """
-    spans, t = term.spans or (), joint.frame.strides.t
-    edges = [(i, side) for i in range(len(spans)) for side in (0, 1) if t[0] < spans[i][side] < t[-1]]
-    profile = joint.frame.column(replace(term, spans=None))
-    half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
-    moves = MOVES[np.abs(MOVES) < half]
-    column = joint.frame.column(term)
-    near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
-    each = [profile[near] * _moved(t[near], spans[i][side], move, side) for i, side in edges for move in moves]
-    changes = np.array(each).reshape(-1, len(near))
-    single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
-    G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
-    made = np.zeros((1 + len(near), 1 + len(changes)))
-    made[0, 0], made[1:, 1:] = 1.0, changes.T
-    G, s = made.T @ G @ made, made.T @ s
-    sd = term.effect.usual(joint.frame.road_load)
-    leaving = [cost_of_leaving(spans[i][side], side == 1, term.effect, t) for i, side in edges]
-    taken = np.zeros(len(edges), dtype=np.int64) - 1
-    score, strength, cross = float(s[0]), float(G[0, 0]), G[0].copy()
-    best, paid = float(_evidence(np.array(score), np.array(strength), sd, positive=False)), 0.0
-    for _ in range(MAX_EXCHANGES):
-        before = best
-        for k in range(len(edges)):
-            own = 1 + k * len(moves) + np.arange(len(moves))
-            if taken[k] >= 0:
-                old = own[taken[k]]
-                score, strength = score - s[old], strength - 2 * cross[old] + G[old, old]
-                cross -= G[old]
-                paid -= leaving[k]
-            stay = float(_evidence(np.array(score), np.array(strength), sd, positive=False)) - paid
-            gains = _evidence(score + s[own], strength + 2 * cross[own] + np.diag(G)[own], sd, positive=False)
-            gains -= paid + leaving[k]
-            taken[k] = int(np.argmax(gains)) if gains.max(initial=-np.inf) > stay else -1
-            best = max(float(gains.max(initial=-np.inf)), stay)
-            if taken[k] >= 0:
-                new = own[taken[k]]
-                score, strength = score + s[new], strength + 2 * cross[new] + G[new, new]
-                cross += G[new]
-                paid += leaving[k]
-        if best <= before + 1e-3:
-            break
-    found = [list(span) for span in spans]
-    for (i, side), move in zip(edges, taken.tolist(), strict=True):
-        if move >= 0:
-            found[i][side] += float(moves[move])
-    return tuple((a, b) for a, b in found)
-
-
-def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.intp]:
-    """Strides (k,) whose share may change when ``edges`` [s] are moved by up to ``furthest`` [s]."""
-    reached = np.zeros(len(t), dtype=bool)
-    for edge in edges:
-        reached |= np.abs(t - edge) < furthest + DURATION / 2
-    return np.flatnonzero(reached)
-
-
-def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
-    """Change (n,) of the share of each stride that is covered, when a span's ``edge`` moves."""
-    between = covered(t, DURATION, ((min(edge, edge + move), max(edge, edge + move)),))
-    return between if (move > 0) == (side == 1) else -between
-
-
 def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> NDArray[np.intp]:
     """Strides at which a state with this ``column`` (n,) most likely changes.
 
@@ -229,89 +152,6 @@ def highest_peaks(values: Floats) -> NDArray[np.intp]:
             found.append(place)
             is_free[max(place - MIN_STEP_DISTANCE + 1, 0) : place + MIN_STEP_DISTANCE] = False
     return np.array(found, dtype=np.intp)
-
-
-def exchanged(
-    G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats, costs: Sequence[Costs]
-) -> Mask:
-    """Blocks (b,) that are on; ``lengths`` [s] of them, ``costs`` (b - 1,) between. ``single``: at most one run."""
-    b = len(s)
-    on, changes = np.zeros(b, dtype=bool), _Changes(costs)
-    first, last = np.triu_indices(b)
-    ends = np.insert(np.cumsum(lengths), 0, 0.0)
-    short = (ends[last + 1] - ends[first] <= MAX_RUN) | single
-    first, last = first[short], last[short] + 1
-    corner = np.zeros((b + 1, b + 1))
-    corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
-    own = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
-    best = 0.0
-    for _ in range(MAX_EXCHANGES):
-        active = on.astype(float)
-        score, strength = float(s @ active), float(active @ G @ active)
-        scores, crosses, counts = (np.insert(np.cumsum(each), 0, 0.0) for each in (s, G @ active, active))
-        in_run = counts[last] - counts[first]
-        runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # in one state
-        begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
-        more, edges = changes.by_run(on, begin, end)
-        scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
-        gain = _evidence(score + switch * scored, strength + 2 * switch * crossed + own[runs], sd, positive)
-        gain -= changes.cost(on) + switch * more
-        if single:
-            gain[_count(on) + switch * edges > 2] = -np.inf
-        k = int(np.argmax(gain))
-        if gain[k] <= best + 1e-9:
-            break
-        best = float(gain[k])
-        on[begin[k] : end[k]] = switch[k] > 0
-    return on
-
-
-class _Changes:
-    """Costs of the states of b blocks, from the ``costs`` (b - 1,) between them."""
-
-    def __init__(self, costs: Sequence[Costs]) -> None:
-        self._begins, self._ends, self._stays = (
-            np.array([getattr(one, name) for one in costs]) for name in ("begins", "ends", "stays")
-        )
-
-    def cost(self, on: Mask) -> float:
-        """Of states (b,)."""
-        before, after = on[:-1], on[1:]
-        return float(self._begins @ (~before & after) + self._ends @ (before & ~after) + self._stays @ (before & after))
-
-    def by_run(self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Cost (r,) and changes (r,) that the blocks from ``first`` to before ``last`` (r,) make by being on, not off.
-
-        They are in one state before.
-        """
-        b = len(on)
-        left = np.append(np.where(on[:-1], self._stays - self._ends, self._begins), 0.0)
-        right = np.append(np.where(on[1:], self._stays - self._begins, self._ends), 0.0)
-        within = np.insert(np.cumsum(self._stays), 0, 0.0)
-        cost = left[first - 1] + within[last - 1] - within[first] + right[last - 1]
-        edges = np.where(first > 0, 1 - 2 * on[first - 1], 0) + np.where(last < b, 1 - 2 * on[last % b], 0)
-        return cost, edges.astype(float)
-
-
-def value(G: Floats, s: Floats, on: Mask, sd: float, positive: bool, costs: Sequence[Costs]) -> float:
-    """Log evidence of states (b,), less the cost of their changes; 0 of none."""
-    if not on.any():
-        return 0.0
-    active = on.astype(float)
-    gain = _evidence(np.array(s @ active), np.array(active @ G @ active), sd, positive)
-    return float(gain) - _Changes(costs).cost(on)
-
-
-def _evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
-    precision = np.maximum(strength, 0.0) + sd**-2.0
-    gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * sd**2)
-    allowed: Floats = np.where((score > 0) | (not positive), gain, -np.inf)
-    return allowed
-
-
-def _count(on: Mask) -> int:
-    """Changes of state within the drive."""
-    return int(np.count_nonzero(np.diff(on)))
 
 
 def _spans(frame: Frame, on: Mask) -> Spans:

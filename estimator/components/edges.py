@@ -1,0 +1,125 @@
+"""Edges of times, moved where that adds evidence.
+
+Blocks end at whole strides, and where noise has it. Moving an edge changes the column of a few strides, so the evidence
+of any moves follows from the products of these strides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from estimator.components.exchange import amplitude_evidence
+from estimator.components.likelihood import JointLikelihood
+from estimator.components.time_prior import cost_of_leaving
+from estimator.model.design_matrix import Spans, Term, covered
+from estimator.signals import Floats
+from estimator.strides import DURATION
+
+STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, by which an edge is moved
+MOVES = np.concatenate([-STEPS, STEPS])
+MAX_SWEEPS = 60  # over all edges: bounds the cost
+MIN_SWEEP_GAIN = 1e-3  # in log evidence, for one sweep more
+
+
+def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
+    """Spans of ``term`` whose beginnings and ends are moved by up to the last of STEPS where that adds evidence.
+
+    More than it costs to leave the gap that one lies in.
+    """
+    spans, t = term.spans or (), joint.frame.strides.t
+    edges = [(i, side) for i in range(len(spans)) for side in (0, 1) if t[0] < spans[i][side] < t[-1]]
+    half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
+    moves = MOVES[np.abs(MOVES) < half]
+    leaving = [cost_of_leaving(spans[i][side], side == 1, term.effect, t) for i, side in edges]
+    column = _Column(*_products(joint, chosen, term, edges, moves), term.effect.usual(joint.frame.road_load))
+    found = [list(span) for span in spans]
+    for (i, side), move in zip(edges, _best_moves(column, leaving, len(moves)), strict=True):
+        if move >= 0:
+            found[i][side] += float(moves[move])
+    return tuple((a, b) for a, b in found)
+
+
+def _products(
+    joint: JointLikelihood, chosen: list[int], term: Term, edges: Sequence[tuple[int, int]], moves: Floats
+) -> tuple[Floats, Floats]:
+    """Products (1 + k, 1 + k) and scores (1 + k,) of a term's column and of what each move of each edge adds to it."""
+    spans, t = term.spans or (), joint.frame.strides.t
+    profile, column = joint.frame.column(replace(term, spans=None)), joint.frame.column(term)
+    near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
+    each = [profile[near] * _moved(t[near], spans[i][side], move, side) for i, side in edges for move in moves]
+    changes = np.array(each).reshape(-1, len(near))
+    single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
+    G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
+    made = np.zeros((1 + len(near), 1 + len(changes)))
+    made[0, 0], made[1:, 1:] = 1.0, changes.T
+    return made.T @ G @ made, made.T @ s
+
+
+def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.intp]:
+    """Strides (k,) whose share may change when ``edges`` [s] are moved by up to ``furthest`` [s]."""
+    reached = np.zeros(len(t), dtype=bool)
+    for edge in edges:
+        reached |= np.abs(t - edge) < furthest + DURATION / 2
+    return np.flatnonzero(reached)
+
+
+def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
+    """Change (n,) of the share of each stride that is covered, when a span's ``edge`` moves."""
+    between = covered(t, DURATION, ((min(edge, edge + move), max(edge, edge + move)),))
+    return between if (move > 0) == (side == 1) else -between
+
+
+def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> list[int]:
+    """Which of the ``number`` moves each edge makes, -1 for none; ``leaving``: the cost of any move of it.
+
+    One edge after the other takes its best move beside those of the others, until that gains no more.
+    """
+    taken, paid = [-1] * len(leaving), 0.0
+    best = float(column.evidence())
+    for _ in range(MAX_SWEEPS):
+        before = best
+        for k, cost in enumerate(leaving):
+            own = 1 + k * number + np.arange(number)
+            if taken[k] >= 0:
+                column.change(own[taken[k]], -1.0)
+                paid -= cost
+            stay = float(column.evidence()) - paid
+            gains = column.evidence_with(own) - (paid + cost)
+            taken[k] = int(np.argmax(gains)) if gains.max(initial=-np.inf) > stay else -1
+            best = max(float(gains.max(initial=-np.inf)), stay)
+            if taken[k] >= 0:
+                column.change(own[taken[k]], 1.0)
+                paid += cost
+        if best <= before + MIN_SWEEP_GAIN:
+            break
+    return taken
+
+
+class _Column:
+    """A column, the first of ``G`` (1 + k, 1 + k) and ``s`` (1 + k,), to which the others may be added.
+
+    ``G``: products, ``s``: scores, off everything else; ``sd``: of the prior of its amplitude.
+    """
+
+    def __init__(self, G: Floats, s: Floats, sd: float) -> None:
+        self._G, self._s, self._sd, self._squares = G, s, sd, np.diag(G)
+        self._score, self._strength, self._cross = float(s[0]), float(G[0, 0]), G[0].copy()
+
+    def change(self, k: int, sign: float) -> None:
+        """Add the column ``k``, or take it away again."""
+        self._score += sign * float(self._s[k])
+        self._strength += 2 * sign * float(self._cross[k]) + float(self._squares[k])
+        self._cross += sign * self._G[k]
+
+    def evidence(self) -> Floats:
+        """Log evidence of its amplitude."""
+        return amplitude_evidence(np.array(self._score), np.array(self._strength), self._sd, positive=False)
+
+    def evidence_with(self, own: NDArray[np.intp]) -> Floats:
+        """The same with each of its ``own`` (c,) columns added, each alone."""
+        score, strength = self._score + self._s[own], self._strength + 2 * self._cross[own] + self._squares[own]
+        return amplitude_evidence(score, strength, self._sd, positive=False)

@@ -1,0 +1,104 @@
+"""Blocks of a drive that are on, by exchange of runs of blocks.
+
+Amplitude b and times z (one of two states a block) have the log evidence
+
+    1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - costs of changes of state
+
+with s and G the scores and products of a profile cut into blocks, off everything else in the model (costs:
+`time_prior.py`). A run of blocks is switched on or off as long as that gains; every run is tried.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.components.time_prior import Costs
+from estimator.signals import Floats, Mask
+
+MAX_RUN = 2000.0  # s, of the blocks exchanged at once
+MAX_EXCHANGES = 60  # bounds the cost
+
+
+def exchanged(
+    G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats, costs: Sequence[Costs]
+) -> Mask:
+    """Blocks (b,) that are on; ``lengths`` [s] of them, ``costs`` (b - 1,) between. ``single``: at most one run."""
+    b = len(s)
+    on, changes = np.zeros(b, dtype=bool), Changes(costs)
+    first, last = np.triu_indices(b)
+    ends = np.insert(np.cumsum(lengths), 0, 0.0)
+    short = (ends[last + 1] - ends[first] <= MAX_RUN) | single
+    first, last = first[short], last[short] + 1
+    corner = np.zeros((b + 1, b + 1))
+    corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
+    own = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
+    best = 0.0
+    for _ in range(MAX_EXCHANGES):
+        active = on.astype(float)
+        score, strength = float(s @ active), float(active @ G @ active)
+        scores, crosses, counts = (np.insert(np.cumsum(each), 0, 0.0) for each in (s, G @ active, active))
+        in_run = counts[last] - counts[first]
+        runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # in one state
+        begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
+        more, edges = changes.by_run(on, begin, end)
+        scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
+        gain = amplitude_evidence(score + switch * scored, strength + 2 * switch * crossed + own[runs], sd, positive)
+        gain -= changes.cost(on) + switch * more
+        if single:
+            gain[_count(on) + switch * edges > 2] = -np.inf
+        k = int(np.argmax(gain))
+        if gain[k] <= best + 1e-9:
+            break
+        best = float(gain[k])
+        on[begin[k] : end[k]] = switch[k] > 0
+    return on
+
+
+class Changes:
+    """Costs of the states of b blocks, from the ``costs`` (b - 1,) between them."""
+
+    def __init__(self, costs: Sequence[Costs]) -> None:
+        self._begins, self._ends, self._stays = (
+            np.array([getattr(one, name) for one in costs]) for name in ("begins", "ends", "stays")
+        )
+
+    def cost(self, on: Mask) -> float:
+        """Of states (b,)."""
+        before, after = on[:-1], on[1:]
+        return float(self._begins @ (~before & after) + self._ends @ (before & ~after) + self._stays @ (before & after))
+
+    def by_run(self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Cost (r,) and changes (r,) that the blocks from ``first`` to before ``last`` (r,) make by being on, not off.
+
+        They are in one state before.
+        """
+        b = len(on)
+        left = np.append(np.where(on[:-1], self._stays - self._ends, self._begins), 0.0)
+        right = np.append(np.where(on[1:], self._stays - self._begins, self._ends), 0.0)
+        within = np.insert(np.cumsum(self._stays), 0, 0.0)
+        cost = left[first - 1] + within[last - 1] - within[first] + right[last - 1]
+        edges = np.where(first > 0, 1 - 2 * on[first - 1], 0) + np.where(last < b, 1 - 2 * on[last % b], 0)
+        return cost, edges.astype(float)
+
+
+def value(G: Floats, s: Floats, on: Mask, sd: float, positive: bool, costs: Sequence[Costs]) -> float:
+    """Log evidence of states (b,), less the cost of their changes; 0 of none."""
+    if not on.any():
+        return 0.0
+    active = on.astype(float)
+    gain = amplitude_evidence(np.array(s @ active), np.array(active @ G @ active), sd, positive)
+    return float(gain) - Changes(costs).cost(on)
+
+
+def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
+    """Log evidence (k,) of one amplitude, against none, by its scores (k,) and products (k,) off everything else."""
+    precision = np.maximum(strength, 0.0) + sd**-2.0
+    gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * sd**2)
+    allowed: Floats = np.where((score > 0) | (not positive), gain, -np.inf)
+    return allowed
+
+
+def _count(on: Mask) -> int:
+    """Changes of state within the drive."""
+    return int(np.count_nonzero(np.diff(on)))
