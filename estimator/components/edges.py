@@ -1,7 +1,7 @@
 """Edges of times, moved where that adds evidence.
 
-Blocks end at whole strides, and where noise has it. Moving an edge changes the column of a few strides, so the evidence
-of any moves follows from the products of these strides.
+The blocks that are found first end at whole strides, and noise displaces their ends by some strides. Moving an edge
+changes the column of a few strides, so the evidence of any moves follows from the products of these strides.
 """
 
 from collections.abc import Sequence
