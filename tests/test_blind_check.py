@@ -16,7 +16,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Role
 
-DRIVES = int(os.environ.get("BLIND_DRIVES", "12"))  # of the fixed set
+DRIVES = int(os.environ.get("BLIND_DRIVES", "9"))  # of the fixed set
 MINUTES = float(os.environ.get("BLIND_MINUTES", "20"))
 SEED = 7
 

@@ -291,7 +291,7 @@ def test_the_loop_closes(hills):
 )
 def test_the_loop_closes_for_what_no_signal_tells_the_shape_of(tmp_path, truth, route, shape):
     """A wind between those of the grid, or a time constant: the estimate has it too, and nothing is left."""
-    log = written(drive(route, 50, 8, truth, shape=shape), tmp_path / "drive.blf")
+    log = written(drive(route, 40, 8, truth, shape=shape), tmp_path / "drive.blf")
     promised = ask("diagnose", log)
     assert named(promised) == [truth.name]
     assert promised["configuration"] == f'effects = ["{truth.name}"]'

@@ -63,15 +63,15 @@ def trips(recordings: Path) -> dict[str, Run]:
     bus = Bus(dbc=[str(folder / "bmw_i3.dbc")])
     settings = config.replace(settings, bus=bus)
     every = [path for path in sorted(folder.glob("*.blf")) if path.stem not in PAYLOAD]
-    chosen = [*every[::3], *(folder / f"{name}.blf" for name in sorted(PAYLOAD))]
+    chosen = [*every[::4], *(folder / f"{name}.blf" for name in sorted(PAYLOAD))]
     return {path.stem: estimate_logs([path], settings, silent) for path in chosen}
 
 
 @pytest.mark.slow
 def test_bmw_masses_agree_between_trips(trips: dict[str, Run]) -> None:
     mass = {name: run.final.mass.mean for name, run in trips.items() if run.final.mass is not None}
-    assert len(trips) == 12
-    assert len(mass) >= 10
+    assert len(trips) == 10
+    assert len(mass) >= 8
     empty = np.array([m for name, m in mass.items() if name not in PAYLOAD])
     assert empty.std(ddof=1) < 0.04 * empty.mean()
     assert max(mass, key=lambda name: mass[name]) == "TripB34"
