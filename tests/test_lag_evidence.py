@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.components.explained import Choice, Explained
 from estimator.components.processes import LOW_PASS
 from estimator.diagnosis.lag import LAG_DOUBT, evidence_of_lag
 from estimator.estimation.road_likelihood import LAG
+from estimator.model.effects import BY_NAME
 
 SD = 0.012  # s, of the fit
 
@@ -22,6 +24,12 @@ def explanation(lag: float, low_pass: float = 0.0, error_of_form: float = 0.0) -
     nameless = SimpleNamespace(processes={0: process}, log_bayes_factor=low_pass)
     explained = SimpleNamespace(nameless=nameless, error_of_form=error_of_form)
     return SimpleNamespace(longest=SimpleNamespace(fit=fit), explained=explained)
+
+
+def explained_with(*choices: Choice) -> Explained:
+    """Of these ``choices``, and nothing else known."""
+    unknown: dict[str, Any] = dict.fromkeys(Explained.__dataclass_fields__)
+    return Explained(**(unknown | {"choices": choices}))
 
 
 def test_a_lag_has_the_evidence_of_its_distance_from_usual_ones():
@@ -42,3 +50,19 @@ def test_it_is_more_than_errors_of_the_form_of_a_large_effect():
     late = 0.12 + 10 * np.hypot(SD, LAG_DOUBT)
     assert evidence_of_lag(explanation(late, error_of_form=49.0)) == pytest.approx(50.0)
     assert evidence_of_lag(explanation(late, error_of_form=51.0)) is None
+
+
+def test_errors_of_form_are_those_of_the_largest_choice():
+    def choice(name: str, log_bayes_factor: float) -> Choice:
+        return Choice(
+            effect=BY_NAME[name],
+            probability=1.0,
+            rival="",
+            either=1.0,
+            log_bayes_factor=log_bayes_factor,
+            drive=0,
+        )
+
+    explained = explained_with(choice("mass_step", 90_000.0), choice("headwind", 200.0))
+    assert explained.error_of_form == pytest.approx(90.0)
+    assert explained_with().error_of_form == 0.0

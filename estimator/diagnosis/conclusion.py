@@ -121,7 +121,7 @@ class Conclusion:
 
     @property
     def _error_of_lag(self) -> float:
-        return _error_of_form(None if self.lag is None else self.lag.log_bayes_factor)
+        return _evidence_by_error_of(None if self.lag is None else self.lag.log_bayes_factor)
 
     @property
     def is_outdone(self) -> bool:
@@ -145,7 +145,7 @@ class Conclusion:
         return lag_finding(self.explanation, self.plain, self.budget.reached)
 
 
-def _error_of_form(lag: float | None) -> float:
+def _evidence_by_error_of(lag: float | None) -> float:
     """Evidence that errors of the form of a lag, of this evidence, give to what is computed from power."""
     return -np.inf if lag is None else MAX_FORM_SHARE * lag
 
@@ -158,7 +158,7 @@ def conclude(
     late, unnamed = evidence_of_lag(explanation), [explained.nameless]
     if late is not None and low_pass_gain(explanation):
         unnamed.append(explained.beyond_low_pass)
-    least = max(thresholds.min_log_bf_unknown, _error_of_form(late))
+    least = max(thresholds.min_log_bf_unknown, _evidence_by_error_of(late))
     counted = [one.processes for one in unnamed if one.log_bayes_factor > least]
     processes = [[own[i] for own in counted if i in own] for i in range(len(drives))]
     possible = [_possible(explanation.explained, i) for i in range(len(drives))]
