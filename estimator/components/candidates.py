@@ -14,6 +14,7 @@ from estimator.components.time_prior import is_usual, prior_cost, seen
 from estimator.estimation.shapes import is_free, near
 from estimator.model.design_matrix import Spans, Term, cut, union, without
 from estimator.model.effects.effect import Effect, Timing
+from estimator.signals import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +47,7 @@ class Candidates:
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
         self._rivals: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)
+        self._costs: dict[tuple[int, Timing, tuple[float, ...], Spans], float | None] = {}
 
     def rival(self, number: int, term: Term, size: float) -> None:
         """An effect of this magnitude may act instead of those chosen on the drive with this ``number``."""
@@ -59,7 +61,7 @@ class Candidates:
         frame, times = Frame.of(drive.fit), self._times(number, drive)
         yield from self._as_the_bus_tells(frame, drive)
         yield from self._finer(number, frame, drive)
-        yield from self._at_times(frame, drive.chosen, times)
+        yield from self._at_times(number, frame, drive.chosen, times)
         if drive.is_hidden and with_stretches:
             yield from self._stretches(number, frame, drive, times)
         if with_processes:
@@ -110,15 +112,28 @@ class Candidates:
                 component = of_term(frame, finer)
                 yield Candidate(cause=term.effect.name, is_event=False, form=str(finer.shape), component=component)
 
-    def _at_times(self, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]) -> Iterator[Candidate]:
+    def _at_times(
+        self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
+    ) -> Iterator[Candidate]:
         """Effects at fitted times, and at those that were chosen for them with others added or taken away."""
         for effect in self._timed:
             own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
             for spans in sorted({*times, *changed}):
-                if is_usual(spans, effect, frame.strides.t):
-                    component = of_term(frame, Term(effect, None, spans), prior_cost(spans, effect, frame.strides.t))
+                cost = self._cost(number, spans, effect, frame.strides.t)
+                if cost is not None:
+                    component = of_term(frame, Term(effect, None, spans), cost)
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
+
+    def _cost(self, number: int, spans: Spans, effect: Effect, t: Floats) -> float | None:
+        """Of times of an effect on a drive with strides at ``t`` (n,) [s]; None where they are not usual.
+
+        Kept: many effects have the same dwells, and the same times are candidates in many rounds.
+        """
+        key = number, effect.timing, effect.dwells, spans
+        if key not in self._costs:
+            self._costs[key] = prior_cost(spans, effect, t) if is_usual(spans, effect, t) else None
+        return self._costs[key]
 
     def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
         """Stretches of the road at fitted times, and at all that were chosen so far.

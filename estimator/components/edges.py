@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimator.components.exchange import amplitude_evidence
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import cost_of_leaving
-from estimator.model.design_matrix import Spans, Term, covered
+from estimator.model.design_matrix import Spans, Term
 from estimator.signals import Floats
 from estimator.strides import DURATION
 
@@ -50,8 +50,8 @@ def _products(
     spans, t = term.spans or (), joint.frame.strides.t
     profile, column = joint.frame.column(replace(term, spans=None)), joint.frame.column(term)
     near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
-    each = [profile[near] * _moved(t[near], spans[i][side], move, side) for i, side in edges for move in moves]
-    changes = np.array(each).reshape(-1, len(near))
+    each = [profile[near] * _moved(t[near], spans[i][side], moves, side) for i, side in edges]
+    changes = np.concatenate(each) if each else np.empty((0, len(near)))
     single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
     G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
     made = np.zeros((1 + len(near), 1 + len(changes)))
@@ -67,10 +67,12 @@ def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.i
     return np.flatnonzero(reached)
 
 
-def _moved(t: Floats, edge: float, move: float, side: int) -> Floats:
-    """Change (n,) of the share of each stride that is covered, when a span's ``edge`` moves."""
-    between = covered(t, DURATION, ((min(edge, edge + move), max(edge, edge + move)),))
-    return between if (move > 0) == (side == 1) else -between
+def _moved(t: Floats, edge: float, moves: Floats, side: int) -> Floats:
+    """Change (k, n) of the share of each stride that is covered, when a span's ``edge`` makes each of k ``moves``."""
+    before = np.clip((edge - t) / DURATION + 0.5, 0.0, 1.0)  # share of each stride that is before the edge
+    after = np.clip((edge + moves[:, None] - t) / DURATION + 0.5, 0.0, 1.0)
+    more: Floats = after - before
+    return more if side == 1 else -more
 
 
 def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> list[int]:

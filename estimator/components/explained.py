@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
+import numpy as np
 from scipy.special import logsumexp
 
 from estimator.components.component import Component, Kind
@@ -140,7 +141,8 @@ def explained_by(
     unnamed = of_kind[Kind.PROCESS]
     low_pass = {i for i in unnamed if joint.component(i).name == LOW_PASS}
     none = joint.unlimited(road)
-    alone = [joint.unlimited(own) for own in table.sets if unnamed & set(own) and not of_kind[Kind.EFFECT] & set(own)]
+    without_effects = (own for own in table.sets if unnamed & set(own) and not of_kind[Kind.EFFECT] & set(own))
+    alone = next(without_effects, tuple(road))
     return Explained(
         drives=states,
         choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
@@ -151,7 +153,7 @@ def explained_by(
         nameless=_nameless(joint, table, causes, named, unnamed),
         beyond_low_pass=_nameless(joint, table, causes, [*named, *low_pass], unnamed - low_pass),
         by_effects=beside - none,
-        by_processes=max([0.0, *(value - none for value in alone)]),
+        by_processes=max(joint.unlimited(alone) - none, 0.0),
         log_evidence=log_evidence(states),
         others=joint.others(table, best),
     )
@@ -180,13 +182,9 @@ def _nameless(
 ) -> Nameless:
     """Of the processes with these ``forms``, beside ``named`` ones."""
     beside = joint.unlimited(named)
-    gains = {
-        cause.name: (
-            float(logsumexp([joint.unlimited([*named, i]) - beside for i in cause.forms])) - cause.log_forms,
-            max(cause.forms, key=lambda i: joint.unlimited([*named, i])),
-        )
-        for cause in causes
-        if cause.forms[0] in forms
-    }
-    log_bayes_factor, process = max(gains.values())
+    gains = list[tuple[float, int]]()
+    for cause in (cause for cause in causes if cause.forms[0] in forms):
+        gain = joint.unlimited_with_each(named, cause.forms) - beside
+        gains.append((float(logsumexp(gain)) - cause.log_forms, cause.forms[int(np.argmax(gain))]))
+    log_bayes_factor, process = max(gains)
     return Nameless(joint.each[process], log_bayes_factor, table.holding([*forms]))

@@ -4,7 +4,7 @@ An effect of the vehicle has to hold in all drives, so its evidence adds up; an 
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from estimator.components import stretches
 from estimator.components.candidates import Candidate
 from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState
+from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import Cause, Chosen, ModelTable
 from estimator.estimation.shapes import is_free
 from estimator.model.design_matrix import Term
@@ -93,19 +94,32 @@ class Hypotheses:
         """Of a set of forms; minus infinity for a set with an effect of impossible size. Those given may be any."""
         return sum(joint.log_evidence(self._here(chosen, n)) for n, joint in enumerate(self._joints))
 
-    def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """Of the set with each of ``others`` added (c,)."""
-        total = np.zeros(len(others))
-        for n, joint in enumerate(self._joints):
-            here, acting = self._here(chosen, n), [k for k, i in enumerate(others) if n in self.each[i]]
-            added = np.full(len(others), joint.log_evidence(here) if len(acting) < len(others) else 0.0)
-            added[acting] = joint.with_each(here, [self._places[others[k]][n] for k in acting])
-            total += added
-        return total
-
     def unlimited(self, chosen: Sequence[int]) -> float:
         """Log evidence of a set of forms, whatever the sizes are."""
         return sum(joint.unlimited(self._here(chosen, n)) for n, joint in enumerate(self._joints))
+
+    def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
+        """`log_evidence` (c,) of the set with each of ``others`` added."""
+        return self._with_each(chosen, others, JointLikelihood.log_evidence, JointLikelihood.with_each)
+
+    def unlimited_with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
+        """`unlimited` (c,) of the set with each of ``others`` added."""
+        return self._with_each(chosen, others, JointLikelihood.unlimited, JointLikelihood.unlimited_with_each)
+
+    def _with_each(
+        self,
+        chosen: Sequence[int],
+        others: Sequence[int],
+        alone: Callable[[JointLikelihood, Sequence[int]], float],
+        with_each: Callable[[JointLikelihood, Sequence[int], Sequence[int]], Floats],
+    ) -> Floats:
+        total = np.zeros(len(others))
+        for n, joint in enumerate(self._joints):
+            here, acting = self._here(chosen, n), [k for k, i in enumerate(others) if n in self.each[i]]
+            added = np.full(len(others), alone(joint, here) if len(acting) < len(others) else 0.0)
+            added[acting] = with_each(joint, here, [self._places[others[k]][n] for k in acting])
+            total += added
+        return total
 
     def _here(self, chosen: Sequence[int], number: int) -> list[int]:
         """Numbers of the components of a set, and those given before them, in the likelihood of one drive."""

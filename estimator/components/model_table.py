@@ -90,11 +90,9 @@ def weigh(
     likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES, before: Chosen = ()
 ) -> ModelTable:
     """Grow the table from the empty set and from that found ``before``, up to sets of ``max_causes``."""
-    of = {form: cause for cause in causes for form in cause.forms}
     log = dict[Chosen, float]()
     for start in dict.fromkeys(((), before)):
-        log[start] = likelihood.log_evidence(start) + sum(of[form].log_prior for form in start)
-        _grow(start, log, likelihood, of, max_causes)
+        _grow(start, log, likelihood, causes, max_causes)
     order = sorted(log, key=lambda own: -log[own])
     values = np.array([log[own] for own in order])
     others = [log[own] for own in order if own]
@@ -103,28 +101,36 @@ def weigh(
 
 
 def _grow(
-    start: Chosen, log: dict[Chosen, float], likelihood: Evidence, of: Mapping[int, Cause], max_causes: int
+    start: Chosen, log: dict[Chosen, float], likelihood: Evidence, causes: Sequence[Cause], max_causes: int
 ) -> None:
-    """Add sets that steps from ``start`` lead to, with their log probabilities, to ``log``."""
-    frontier = [start]
+    """Add ``start`` and the sets that steps from it lead to, with their log probabilities, to ``log``."""
+    prior = {form: cause.log_prior for cause in causes for form in cause.forms}
+
+    def probable(own: Chosen) -> float:
+        return likelihood.log_evidence(own) + sum(prior[form] for form in own)
+
+    frontier, log[start] = [start], probable(start)
     for _ in range(2 * max_causes):  # up to the largest sets, and down again
         found: dict[Chosen, float] = {}
         for own in frontier:
             smaller = [tuple(form for form in own if form != gone) for gone in own]
-            found |= {one: likelihood.log_evidence(one) for one in smaller if one not in log and one not in found}
+            found |= {one: probable(one) for one in smaller if one not in log and one not in found}
             for base in (own, *smaller) if own == frontier[0] else (own,):
-                added = _addable(base, of, max_causes)
+                added = _addable(base, causes, max_causes)
+                more = likelihood.with_each(base, added) + [prior[form] for form in added] if added else np.empty(0)
+                values = more + sum(prior[form] for form in base)
                 larger = [tuple(sorted((*base, form))) for form in added]
-                found |= dict(zip(larger, likelihood.with_each(base, added).tolist(), strict=True)) if added else {}
-        found = {own: found[own] + sum(of[form].log_prior for form in own) for own in sorted(found.keys() - log.keys())}
-        log |= found
+                found |= dict(zip(larger, values.tolist(), strict=True))
+        new = sorted(found.keys() - log.keys(), key=lambda own: (-found[own], own))
+        log |= {own: found[own] for own in new}
         least = max(log.values()) - WINDOW
-        frontier = [own for own in sorted(found, key=lambda own: -found[own]) if found[own] > least][:BEAM]
+        frontier = [own for own in new[:BEAM] if found[own] > least]
         if not frontier:
             break
 
 
-def _addable(own: Chosen, of: Mapping[int, Cause], max_causes: int) -> list[int]:
+def _addable(own: Chosen, causes: Sequence[Cause], max_causes: int) -> list[int]:
     """Forms of causes that are absent from a set; none once it is full."""
-    present = {of[form].name for form in own}
-    return [form for form, cause in of.items() if cause.name not in present] if len(own) < max_causes else []
+    if len(own) >= max_causes:
+        return []
+    return [form for cause in causes if not set(own) & set(cause.forms) for form in cause.forms]

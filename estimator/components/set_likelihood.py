@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from estimator.components.one_sided import cut_at_zero
-from estimator.signals import Floats
+from estimator.signals import Floats, Mask
 
 
 class Prior(Protocol):
@@ -109,6 +109,11 @@ class SetLikelihood:
         self._prior = base_precision
         self._total, self._moment = float(products[0, 0]), products[1:, 0]
         self._information = products[1:, 1:]
+        self._widths = np.array([len(own) for own in places])
+        self._sds, self._costs, self._largest = (
+            np.array([getattr(prior, name) for prior in priors]) for name in ("sd", "cost", "largest")
+        )
+        self._positive = np.array([prior.positive for prior in priors], dtype=np.bool_)
 
     def observe(self, weights: Mapping[int, float], value: float) -> None:
         """Add a measurement: the sum of ``weights`` x amplitudes is ``value``, all over its sd.
@@ -177,15 +182,27 @@ class SetLikelihood:
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
         """Log evidence (c,) of the set with each of ``others`` added, as `log_evidence` of the larger set gives it."""
-        widths, found = np.array([len(self.places[i]) for i in others]), np.empty(len(others))
-        posterior = self.posterior(chosen)
+        found, possible = self._with_each(chosen, others)
+        return np.where(possible, found, -np.inf)
+
+    def unlimited_with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
+        """The same as `unlimited` gives it."""
+        return self._with_each(chosen, others)[0]
+
+    def _with_each(self, chosen: Sequence[int], others: Sequence[int]) -> tuple[Floats, Mask]:
+        """Log evidence (c,) of the set with each of ``others`` added, and whether all sizes are possible (c,)."""
+        widths, posterior = self._widths[list(others)], self.posterior(chosen)
+        found, possible = np.empty(len(others)), np.empty(len(others), dtype=np.bool_)
         for width in np.unique(widths):
             alike = np.flatnonzero(widths == width)
-            found[alike] = self._with_each_alike(chosen, posterior, [others[k] for k in alike.tolist()])
-        return found
+            own = [others[k] for k in alike.tolist()]
+            found[alike], possible[alike] = self._with_each_alike(chosen, posterior, own)
+        return found, possible
 
-    def _with_each_alike(self, chosen: Sequence[int], posterior: Posterior, others: Sequence[int]) -> Floats:
-        """`with_each` for components of equally many columns.
+    def _with_each_alike(
+        self, chosen: Sequence[int], posterior: Posterior, others: Sequence[int]
+    ) -> tuple[Floats, Mask]:
+        """`_with_each` for components of equally many columns.
 
         They change the amplitudes b of the set and their covariance S to b - W x and S + W V W', see `_Added`.
         """
@@ -197,29 +214,33 @@ class SetLikelihood:
         spread = variance + np.einsum("gks,gkl,gls->gs", turned, added.covariance, turned, optimize=True)
         signed = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
         signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(before / np.sqrt(variance)))[:, signed].sum(axis=1)
-        costs = sum(self.priors[i].cost for i in chosen) + np.array([self.priors[i].cost for i in others])
-        largest = np.array([self.priors[i].largest * self.unit[self.places[i]] for i in others])
+        own = list(others)
+        costs = sum(self.priors[i].cost for i in chosen) + self._costs[own]
+        largest = self._largest[own, None] * self.unit[self._places_of(others)]
         possible = np.all(np.abs(mean / units) <= self._limits(chosen), axis=1)
         possible &= np.all(np.abs(added.value) <= largest, axis=1)
-        found: Floats = np.where(possible, posterior.log_evidence + added.gain + signs - costs, -np.inf)
-        return found
+        return posterior.log_evidence + added.gain + signs - costs, possible
+
+    def _places_of(self, others: Sequence[int]) -> NDArray[np.int64]:
+        """Places (g, k) of the columns of ``others`` (g,), which have equally many."""
+        width = len(self.places[others[0]]) if others else 1
+        return np.array([self.places[i] for i in others], dtype=np.int64).reshape(len(others), width)
 
     def _added(self, chosen: Sequence[int], others: Sequence[int]) -> "_Added":
         """``others`` (g,) of k columns each, each alone beside a set; costs not counted."""
         places, information, _ = self._set(chosen)
-        width = len(self.places[others[0]]) if others else 1
-        new = np.array([self.places[i] for i in others], dtype=np.int64).reshape(len(others), width)
+        new = self._places_of(others)
         crossed = self._information[np.ix_(places, new.ravel())]
         weights = np.linalg.solve(information, np.column_stack([crossed, self._moment[places]]))
         across, turned = (x.T.reshape(*new.shape, len(places)) for x in (crossed, weights[:, :-1]))
         score = self._moment[new] - across @ weights[:, -1]
-        usual = np.array([self.priors[i].sd for i in others])
+        usual = self._sds[list(others)]
         precision = self._information[new[:, :, None], new[:, None, :]] - across @ turned.transpose(0, 2, 1)
         diagonal = np.einsum("gkk->gk", precision)
         diagonal[:] = np.maximum(diagonal, 0.0) + usual[:, None] ** -2.0
         value, covariance = np.linalg.solve(precision, score[:, :, None])[:, :, 0], np.linalg.inv(precision)
         volume = np.linalg.slogdet(precision * usual[:, None, None] ** 2)[1]
-        positive = np.array([self.priors[i].positive for i in others], dtype=np.bool_)
+        positive = self._positive[list(others)]
         signs = np.where(positive, log_ndtr(value[:, 0] / np.sqrt(covariance[:, 0, 0])) + np.log(2), 0.0)
         return _Added(0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs, value, covariance, turned)
 

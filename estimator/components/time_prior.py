@@ -5,8 +5,10 @@ known, at a standstill or on the brake, the chain goes on unseen: the longer suc
 it depend on the one before it.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from math import exp, inf, lgamma, log
 
@@ -33,6 +35,7 @@ class Costs:
     stays: float
 
 
+@lru_cache(maxsize=2**16)  # of effects with the same dwells
 def in_gap(gap: float, dwell: float) -> Costs:
     """Of a chain with a mean ``dwell`` [s] in a ``gap`` [s]; nothing is more likely than staying off."""
     share, forgotten = _share_and_forgotten(gap, dwell)
@@ -95,7 +98,7 @@ def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
     gaps = [inf, *(b - a - DURATION for a, b in zip(end[:-1], begin[1:], strict=True)), inf]
     found = list[_Piece]()
     for number, (start, stop) in enumerate(spans):
-        for run in range(int(np.searchsorted(end, start - DURATION / 2)), len(begin)):
+        for run in range(bisect_left(end, start - DURATION / 2), len(begin)):
             low, high = max(start, begin[run] - DURATION / 2), min(stop, end[run] + DURATION / 2)
             if low >= stop:
                 break

@@ -236,9 +236,12 @@ def fit_given(
 
 
 def refit(found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term]) -> RoadFit:
-    """Fit the ``strides`` of a fit with other terms: scales are found again, orders of road and wander are kept."""
+    """Fit the ``strides`` of a fit with other terms: scales are found again, orders of road and wander are kept.
+
+    Its equations have no changes during the drive.
+    """
     search = _Search(strides, terms, found.road_load, taken=found.taken)
-    return _concluded(*search.improved(found.scales), rng)
+    return _concluded(*search.improved(found.scales), rng, with_changes=False)
 
 
 class _Search:
@@ -356,11 +359,13 @@ def _other_noise(scales: RoadScales) -> RoadScales:
     return replace(scales, values=values)
 
 
-def _concluded(likelihood: Likelihood, scales: RoadScales, evidence: float, rng: np.random.Generator) -> RoadFit:
+def _concluded(
+    likelihood: Likelihood, scales: RoadScales, evidence: float, rng: np.random.Generator, with_changes: bool = True
+) -> RoadFit:
     """Coefficients with all doubts in their covariance, and the road that they leave."""
     model, unit = likelihood.model, likelihood.unit
     conditioned, _ = likelihood.at(scales.values)
-    shapes = shapes_of(model.driven.t >= max(likelihood.departures, default=-np.inf))
+    shapes = shapes_of(model.driven.t >= max(likelihood.departures, default=-np.inf))[:, : None if with_changes else 0]
     equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes, rng)
     beta, covariance, share = equations.solve()
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)

@@ -11,9 +11,9 @@ the rise of their products.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import accumulate, pairwise
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
@@ -243,12 +243,15 @@ def limited(noise: Floats, information: Floats) -> Floats:
 
     A direction with noise alone (the lag, where the force hardly changes) keeps some information.
     """
-    unit = 1 / np.sqrt(np.diag(information))
-    root = np.linalg.cholesky(information * np.outer(unit, unit))
-    inverse = np.linalg.inv(root)
-    shares, directions = np.linalg.eigh(inverse @ (noise * np.outer(unit, unit)) @ inverse.T)
-    back = root @ directions
-    kept: Floats = (back * np.minimum(shares, MAX_CORRECTED_SHARE)) @ back.T / np.outer(unit, unit)
+    unit, noisy = 1 / np.sqrt(np.diag(information)), np.flatnonzero(np.diag(noise))
+    at, alone = np.ix_(noisy, noisy), np.eye(len(noise))[:, noisy]
+    scaled = noise[at] * np.outer(unit[noisy], unit[noisy])
+    # Directions outside of the noisy coefficients have no noise, so their covariance beside all others is enough.
+    root = np.linalg.cholesky(np.linalg.solve(information * np.outer(unit, unit), alone)[noisy])
+    shares, directions = np.linalg.eigh(root.T @ scaled @ root)
+    back = np.linalg.solve(root.T, directions) / unit[noisy, None]
+    kept = np.zeros_like(noise)
+    kept[at] = (back * np.minimum(shares, MAX_CORRECTED_SHARE)) @ back.T
     return kept
 
 
@@ -270,10 +273,9 @@ def ou_at_ends(model: RoadModel, keep: float, rng: np.random.Generator) -> tuple
     n = len(model.driven)
     starts, shocks = rng.standard_normal((2, n))
     shocks *= np.sqrt(1 - keep**2)
-    firsts = np.flatnonzero(~model.joined).tolist()
-    before, after = np.empty(n), np.empty(n)
-    for first, end in pairwise([*firsts, n]):
-        steps = accumulate(shocks[first:end].tolist(), lambda last, shock: keep * last + shock, initial=starts[first])
-        ends = np.array([*steps])
-        before[first:end], after[first:end] = ends[:-1], ends[1:]
-    return before, after
+    # End less keep x beginning is a shock; the beginning is the end before it where strides are joined.
+    band = np.ones((2, n))
+    band[1] = np.append(np.where(model.joined[1:], -keep, 0.0), 0.0)
+    shocks[~model.joined] += keep * starts[~model.joined]
+    after: Floats = dtbtrs(band, shocks[:, None], uplo="L", diag="U")[0][:, 0]
+    return np.where(model.joined, np.roll(after, 1), starts), after
