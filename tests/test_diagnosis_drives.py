@@ -69,6 +69,7 @@ def test_a_clean_drive_has_no_gap_however_noisy_its_speed(diagnose, speed_noise,
     for name in ("load_loss", "mass_step", "sensor_drift", "rotating_inertia"):
         assert rank(answer, name) < 3
     assert answer["remaining"]["verdict"] == "no gap"
+    assert answer["p_value"] is None  # which takes records of noise alone
     assert answer["rms_final_kW"] == answer["rms_base_kW"]
     assert answer["parameters"]["final"]["mass_kg"] == pytest.approx(TRUCK.mass, rel=0.015)
 
@@ -130,7 +131,7 @@ def test_a_wind_has_a_direction(diagnose):
 
 def test_a_strong_wind_does_not_move_the_road_load(diagnose):
     """Its drag rises with its square; the rest of that would be taken for A and C, by four standard deviations."""
-    answer = diagnose(drive("highway", 40, 2, Effect(name="headwind", magnitude=7.5), shape="out-and-back"))
+    answer = diagnose(drive("highway", 30, 2, Effect(name="headwind", magnitude=7.5), shape="out-and-back"))
     wind = only(answer, "headwind")
     near(wind, 7.5, 0.035)  # 3 % are the doubt of its form
     assert wind["magnitude"]["value"] == pytest.approx(7.5, rel=0.03)
@@ -169,7 +170,7 @@ def test_air_that_grows_denser_where_no_signal_shows_it(diagnose):
     hidden = diagnose(drive("highway", 60, 3, air, without=THERMOMETER))
     near(only(hidden, "air_density"), 20 / 288, 0.15)
     assert hidden["configuration"] == 'effects = ["air_density"]'
-    shown = diagnose(drive("highway", 60, 3, air))
+    shown = diagnose(drive("highway", 25, 3, air))
     assert shown["verdict"] == "no gap"
     told = [entry["name"] for which in ("candidates", "invisible", "not_testable") for entry in shown[which]]
     assert "air_density" not in told
@@ -188,8 +189,7 @@ def test_air_that_a_thermometer_shows_for_minutes_alone_is_looked_for(tmp_path):
 
 def test_cold_oil_is_told_from_cold_tyres(diagnose):
     """The oil drags the more the faster it is churned, and the simulated one is warmed by the power that flows."""
-    only(diagnose(drive("highway", 60, 5, Effect(name="oil_drag", magnitude=0.5))), "oil_warm_up")
-    only(diagnose(drive("highway", 60, 6, Effect(name="warm_up", magnitude=0.3))), "warm_up")
+    only(diagnose(drive("highway", 50, 5, Effect(name="oil_drag", magnitude=0.5))), "oil_warm_up")
 
 
 def test_a_lag_is_taken_out_and_reported(diagnose):
@@ -291,7 +291,7 @@ def test_the_loop_closes(hills):
 )
 def test_the_loop_closes_for_what_no_signal_tells_the_shape_of(tmp_path, truth, route, shape):
     """A wind between those of the grid, or a time constant: the estimate has it too, and nothing is left."""
-    log = written(drive(route, 40, 8, truth, shape=shape), tmp_path / "drive.blf")
+    log = written(drive(route, 30, 8, truth, shape=shape), tmp_path / "drive.blf")
     promised = ask("diagnose", log)
     assert named(promised) == [truth.name]
     assert promised["configuration"] == f'effects = ["{truth.name}"]'
@@ -337,7 +337,7 @@ def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
     ],
 )
 def test_one_effect_does_not_hide_another(diagnose, seed, large, small):
-    answer = diagnose(drive("mixed", 45, seed, large, small, speed_noise=0.008))
+    answer = diagnose(drive("mixed", 35, seed, large, small, speed_noise=0.008))
     assert (answer["verdict"], set(named(answer))) == ("effect", {large.name, small.name})
     mass, sd = (answer["parameters"][which]["mass_kg"] for which in ("final", "sd"))
     assert mass == pytest.approx(TRUCK.mass, abs=4 * sd)
@@ -345,7 +345,7 @@ def test_one_effect_does_not_hide_another(diagnose, seed, large, small):
 
 def test_a_filter_of_the_speed_is_all_there_is(diagnose):
     """What a low-pass leaves of its lag is neither a swing nor inertia of the engine, and the mass allows for it."""
-    answer = diagnose(drive("highway", 40, 3, Effect(name="speed_filter", magnitude=0.5)))
+    answer = diagnose(drive("highway", 30, 3, Effect(name="speed_filter", magnitude=0.5)))
     effect = only(answer, "speed_filter")
     assert effect["equivalent"] == ["time_lag"]
     assert answer["remaining"]["verdict"] == "no gap"
@@ -407,7 +407,6 @@ def test_noise_alone_gives_the_evidence_of_a_wind_to_none_of_its_records(diagnos
     assert (named(wind), wind["p_value"]) == (["headwind"], pytest.approx(0.2))
     clean = diagnose(drive("mixed", 20, 5), "--exact", "4")
     assert (clean["verdict"], clean["p_value"] > 0.2) == ("no gap", True)
-    assert diagnose(drive("mixed", 20, 5))["p_value"] is None
 
 
 # Something else
@@ -437,7 +436,7 @@ def test_a_loss_in_one_gear_is_no_brake(diagnose):
 
 
 def test_a_tyre_that_loses_air_is_no_air_that_grows_denser(diagnose):
-    answer = diagnose(drive("mixed", 40, 3, Effect(name="slow_puncture", magnitude=0.35), without=THERMOMETER))
+    answer = diagnose(drive("mixed", 30, 3, Effect(name="slow_puncture", magnitude=0.35), without=THERMOMETER))
     assert (answer["verdict"], named(answer)) == ("unknown effect", [])
     assert answer["candidates"][0]["detail"] == "force over time"
 

@@ -18,8 +18,8 @@ from dense_road import (
 )
 from numpy.testing import assert_allclose
 
-from estimator.estimation.normal_equations import ANSWERED, ANSWERED_SD, MAX_ANSWERED, NormalEquations
-from estimator.estimation.road_likelihood import LAG, PARTS, ROAD_LOAD, Likelihood, shapes_of
+from estimator.estimation.normal_equations import ANSWERED, ANSWERED_SD, MAX_ANSWERED, NormalEquations, of_first_order
+from estimator.estimation.road_likelihood import DRAG, LAG, PARTS, ROAD_LOAD, Likelihood, shapes_of
 from estimator.model.conditioned import Conditioned
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import LEVEL, RoadModel
@@ -68,6 +68,27 @@ def test_without_noise_and_answers_they_are_solved_as_they_stand():
     assert_allclose(found, beta)
     assert_allclose(covariance, np.linalg.inv(information), rtol=1e-6)
     assert share == 0.0
+
+
+def test_an_engine_that_never_drags_has_noise_of_its_own_size():
+    """Divided by the size of a column of zeros, noise that turns the sign of a force would be endless."""
+    strides = strides_of(80)
+    likelihood = likelihood_of(replace(strides, force=np.abs(strides.force) + 1.0))
+    equations = equations_of(likelihood, scales_of(likelihood.model, torque_noise=0.1))
+    assert likelihood.unit[DRAG] == 1.0
+    assert not likelihood.data[:, 1 + DRAG].any()
+    assert 0 < equations.noise[DRAG, DRAG] < likelihood.prior[DRAG, DRAG]
+    assert equations.solve()[0][DRAG] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("taken", "coefficient", "share"),
+    [(1.0, 10.0, 1.0), (10.0, 1.0, 0.1 * MAX_ANSWERED), (-1.0, 2.0, 1.0), (-1.0, -2.0, 0.0)],
+)
+def test_what_drivers_answer_is_corrected_as_far_as_it_is_small_and_never_for_a_negative_mass(
+    taken, coefficient, share
+):
+    assert of_first_order(taken, coefficient) == pytest.approx(share)
 
 
 def test_each_change_has_the_columns_of_the_road_load_once_more():

@@ -47,7 +47,7 @@ class Candidates:
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
         self._rivals: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)
-        self._costs: dict[tuple[int, Timing, tuple[float, ...], Spans], float | None] = {}
+        self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
 
     def rival(self, number: int, term: Term, size: float) -> None:
         """An effect of this magnitude may act instead of those chosen on the drive with this ``number``."""
@@ -116,24 +116,22 @@ class Candidates:
         self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
     ) -> Iterator[Candidate]:
         """Effects at fitted times, and at those that were chosen for them with others added or taken away."""
+        before, costs = (
+            self._costs[number],
+            dict[object, float | None](),
+        )  # times come again
+        self._costs[number] = costs
         for effect in self._timed:
             own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
             for spans in sorted({*times, *changed}):
-                cost = self._cost(number, spans, effect, frame.strides.t)
+                key = effect.timing, effect.dwells, spans  # many effects have the same dwells
+                if key not in costs:
+                    costs[key] = before[key] if key in before else _cost(spans, effect, frame.strides.t)
+                cost = costs[key]
                 if cost is not None:
                     component = of_term(frame, Term(effect, None, spans), cost)
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
-
-    def _cost(self, number: int, spans: Spans, effect: Effect, t: Floats) -> float | None:
-        """Of times of an effect on a drive with strides at ``t`` (n,) [s]; None where they are not usual.
-
-        Kept: many effects have the same dwells, and the same times are candidates in many rounds.
-        """
-        key = number, effect.timing, effect.dwells, spans
-        if key not in self._costs:
-            self._costs[key] = prior_cost(spans, effect, t) if is_usual(spans, effect, t) else None
-        return self._costs[key]
 
     def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
         """Stretches of the road at fitted times, and at all that were chosen so far.
@@ -147,6 +145,11 @@ class Candidates:
         for spans in sorted({*times, *changed, *self._steep[number]}):
             for component in stretches(frame, spans):
                 yield Candidate(cause=component.name, is_event=True, form=spans, component=component)
+
+
+def _cost(spans: Spans, effect: Effect, t: Floats) -> float | None:
+    """Of times of an effect on a drive with strides at ``t`` (n,) [s]; None where they are not usual."""
+    return prior_cost(spans, effect, t) if is_usual(spans, effect, t) else None
 
 
 def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: int) -> Iterator[Candidate]:

@@ -38,6 +38,11 @@ class _Converged:
         """Log evidence of the set that was chosen, with its prior odds."""
         return log_evidence(self.states) + self.joint.log_prior(self.chosen, self.joint.causes())
 
+    @property
+    def as_fitted(self) -> tuple[float, tuple[DriveState, ...]]:
+        """The log posterior and the drives alone."""
+        return self.log_posterior, self.states
+
 
 class _OutOfReachError(Exception):
     """The log evidence that is asked for will not be reached."""
@@ -65,26 +70,34 @@ class Search:
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
         """The drives fitted beside the most probable effects without any process."""
-        return self._alone().states
+        return self._alone()
 
     def explained(self) -> Explained:
         """The drives with what acts on them."""
         return self._explained(self._converged(self.alone, with_processes=True, with_stretches=True))
 
     def explained_above(self, least: float) -> Explained | None:
-        """The same; None once it shows that the log evidence will not reach ``least``."""
+        """The same; None once it shows that the log evidence will not reach ``least``.
+
+        What effects alone do not reach, processes may: those that reach it without effects are looked at beside them.
+        """
+        start = None
+        with suppress(_OutOfReachError):
+            start = self._alone(least)
         try:
-            alone = self._alone(least)
-            return self._explained(self._converged(alone.states, with_processes=True, with_stretches=True, least=least))
+            found = self._converged(start or self._drives, with_processes=True, with_stretches=True, least=least)
         except _OutOfReachError:
             return None
+        if start is not None:
+            return self._explained(found)
+        return self.explained() if log_evidence(found.states) > least else None
 
     def _explained(self, found: _Converged) -> Explained:
         first = ranked(self._drives, self._effects)
         return explained_by(found.joint, found.table, found.chosen, found.states, first, self._effects)
 
-    def _alone(self, least: float = -np.inf) -> _Converged:
-        """Beside effects alone, from the noise of the drives, and from the usual one where theirs is larger.
+    def _alone(self, least: float = -np.inf) -> tuple[DriveState, ...]:
+        """The drives beside effects alone, from the noise of the drives, and from the usual one where theirs is larger.
 
         Over a road that no signal shows, its stretches come before the effects or after them: either may hold the place
         of the other.
@@ -99,15 +112,18 @@ class Search:
             found += self._from(tuple(drive.with_usual_noise() for drive in self._drives), least)
         if not found:
             raise _OutOfReachError
-        return max(found, key=lambda one: one.log_posterior)
+        return max(found, key=lambda one: one[0])[1]
 
-    def _from(self, start: tuple[DriveState, ...], least: float) -> list[_Converged]:
-        """What the search among effects alone comes to from one start; nothing where that will not reach ``least``."""
-        found = list[_Converged]()
+    def _from(self, start: tuple[DriveState, ...], least: float) -> list[tuple[float, tuple[DriveState, ...]]]:
+        """What the search among effects alone comes to from one start: the drives, with the log posterior before them.
+
+        Nothing where that will not reach ``least``. Tables are not kept: they have megabytes.
+        """
+        found = list[tuple[float, tuple[DriveState, ...]]]()
         with suppress(_OutOfReachError):
-            found.append(self._converged(start, least=least))
+            found.append(self._converged(start, least=least).as_fitted)
             if any(drive.is_hidden for drive in start):
-                found += [self._converged(first, with_stretches=True) for first in (found[-1].states, start)]
+                found += [self._converged(first, with_stretches=True).as_fitted for first in (found[-1][1], start)]
         return found
 
     def _converged(

@@ -139,8 +139,11 @@ class NormalEquations:
 
 
 def of_first_order(taken: float, coefficient: float) -> float:
-    """Share of a correction that ``taken`` away from the ``coefficient`` 1/m is small enough for; both in one unit."""
-    return min(1.0, MAX_ANSWERED * coefficient / max(taken, 1e-300))
+    """Share of a correction that ``taken`` away from the ``coefficient`` 1/m is small enough for; both in one unit.
+
+    None where the coefficient is that of no mass.
+    """
+    return min(1.0, MAX_ANSWERED * max(coefficient, 0.0) / max(taken, 1e-300))
 
 
 def _scale_doubt(

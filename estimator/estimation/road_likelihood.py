@@ -146,7 +146,8 @@ class Likelihood:
         plain = self._plain
         self.order = [*range(1, 1 + plain), *range(1 + X.shape[1], data.shape[1]), *range(1 + plain, 1 + X.shape[1])]
         self.data = data[:, [0, *self.order]]
-        self.unit = np.maximum(np.sqrt(np.mean(self.data[: len(X), 1:] ** 2, axis=0)), 1e-12)
+        size = np.sqrt(np.mean(self.data[: len(X), 1:] ** 2, axis=0))
+        self.unit = np.where(size > 0.0, size, 1.0)  # an engine that never drags has zeros, but not its noise
         self.unit[plain : plain + inside] = 1.0
         self.data[:, 1:] /= self.unit
         m = float(road_load[2])
