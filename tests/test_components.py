@@ -145,6 +145,8 @@ def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, qui
         others = [i for i in range(len(own)) if i not in chosen]
         one_by_one = [joint.log_evidence([*chosen, i]) for i in others]
         assert_allclose(joint.with_each(chosen, others), one_by_one, rtol=1e-9, atol=1e-6)
+        unlimited = [joint.unlimited([*chosen, i]) for i in others]
+        assert_allclose(joint.unlimited_with_each(chosen, others), unlimited, rtol=1e-9, atol=1e-6)
     assert np.isinf(joint.log_evidence([len(own) - 2]))
 
 

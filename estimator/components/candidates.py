@@ -116,11 +116,8 @@ class Candidates:
         self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
     ) -> Iterator[Candidate]:
         """Effects at fitted times, and at those that were chosen for them with others added or taken away."""
-        before, costs = (
-            self._costs[number],
-            dict[object, float | None](),
-        )  # times come again
-        self._costs[number] = costs
+        before = self._costs[number]  # of the last round: most times come again
+        costs = self._costs[number] = {}
         for effect in self._timed:
             own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in own for other in times for change in (union, without)}

@@ -80,10 +80,10 @@ class Explained:
 
     ``choices``: the effects of the most probable set, those with most evidence first. ``ranking``: all effects, each
     alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``nameless``: what has no name
-    beside the choices; ``beyond_low_pass``: that but a low-pass of the speed, beside this too. ``by_effects`` and
-    ``by_processes``: log Bayes factors of the choices without any process, and of the most probable processes without
-    any effect. ``log_evidence`` of the drives with the most probable set. ``others``: what less probable sets add to
-    the road load of each drive.
+    beside the choices; ``beyond_low_pass``: that but a low-pass of the speed, beside this too; ``low_pass``: that
+    alone, None where it is no candidate. ``by_effects`` and ``by_processes``: log Bayes factors of the choices without
+    any process, and of the most probable processes without any effect. ``log_evidence`` of the drives with the most
+    probable set. ``others``: what less probable sets add to the road load of each drive.
     """
 
     drives: tuple[DriveState, ...]
@@ -98,6 +98,7 @@ class Explained:
     by_processes: float
     log_evidence: float
     others: tuple[OtherSets, ...]
+    low_pass: Nameless | None = None
 
     @property
     def error_of_form(self) -> float:
@@ -156,6 +157,7 @@ def explained_by(
         by_processes=max(joint.unlimited(alone) - none, 0.0),
         log_evidence=log_evidence(states),
         others=joint.others(table, best),
+        low_pass=_nameless(joint, table, causes, named, low_pass) if low_pass else None,
     )
 
 

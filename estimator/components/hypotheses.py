@@ -113,6 +113,7 @@ class Hypotheses:
         alone: Callable[[JointLikelihood, Sequence[int]], float],
         with_each: Callable[[JointLikelihood, Sequence[int], Sequence[int]], Floats],
     ) -> Floats:
+        """The sum over the drives of what sets have in each; ``alone`` on those where what is added does not act."""
         total = np.zeros(len(others))
         for n, joint in enumerate(self._joints):
             here, acting = self._here(chosen, n), [k for k, i in enumerate(others) if n in self.each[i]]

@@ -35,7 +35,7 @@ class Costs:
     stays: float
 
 
-@lru_cache(maxsize=2**16)  # of effects with the same dwells
+@lru_cache(maxsize=2**14)  # effects with the same dwells ask for the same gaps
 def in_gap(gap: float, dwell: float) -> Costs:
     """Of a chain with a mean ``dwell`` [s] in a ``gap`` [s]; nothing is more likely than staying off."""
     share, forgotten = _share_and_forgotten(gap, dwell)

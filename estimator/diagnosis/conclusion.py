@@ -158,6 +158,8 @@ def conclude(
     late, unnamed = evidence_of_lag(explanation), [explained.nameless]
     if late is not None and low_pass_gain(explanation):
         unnamed.append(explained.beyond_low_pass)
+    elif late is not None and explained.low_pass is not None:  # something else without a name explains more
+        unnamed.append(explained.low_pass)
     least = max(thresholds.min_log_bf_unknown, _evidence_by_error_of(late))
     counted = [one.processes for one in unnamed if one.log_bayes_factor > least]
     processes = [[own[i] for own in counted if i in own] for i in range(len(drives))]
