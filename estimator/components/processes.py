@@ -18,7 +18,8 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS
 
 TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter ones cannot be separated from slopes
-GUSTS = 40.0  # s, a further distance, for drag, which rises with the square of the speed, and power: no slope does so
+# s, a further distance: the force of a power falls with the speed and drag rises with it, that of a slope does neither.
+GUSTS = 40.0
 MAX_GUSTS = 240  # hats of that distance, 2.7 h: bounds time and memory
 SPEEDS = (3.0,)  # m/s
 ENGINE_SPEEDS = (15.0,)  # rad/s
