@@ -78,13 +78,20 @@ class Rows:
         return self.index * STEP
 
     @property
+    def frozen(self) -> Mask:
+        """Where speed and power no longer change on the move (n,): last values are repeated."""
+        is_frozen: Mask = self.derived.get(Quantity.FROZEN, np.zeros(len(self))) == 1.0
+        return is_frozen
+
+    @property
     def plausible_speed(self) -> Floats:
-        """Speed [m/s] (n,), NaN on either side of a jump: a locked wheel, a restarted sensor, a wrong bit.
+        """Speed [m/s] (n,), NaN where frozen and on either side of a jump: a locked wheel, a restarted sensor.
 
         One such value has more weight in the fit than an hour of driving, and its cell is evicted last.
         """
         jump = np.abs(np.diff(self.speed)) > MAX_ACCELERATION * STEP
-        return np.where(np.append(jump, False) | np.insert(jump, 0, False), np.nan, self.speed)
+        wrong = np.append(jump, False) | np.insert(jump, 0, False) | self.frozen
+        return np.where(wrong, np.nan, self.speed)
 
     @classmethod
     def concatenate(cls, *parts: "Rows") -> "Rows":

@@ -16,6 +16,7 @@ class Reason(StrEnum):
 
     SPEED_STALE = "speed stale"
     SPEED_NOT_AVAILABLE = "speed not available"
+    FROZEN = "speed and power frozen"
     SPEED_IMPLAUSIBLE = "speed jumps"
     STANDING = "standing"
     REVERSE = "reverse"
@@ -55,6 +56,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
     masks: dict[Reason, Mask] = {
         Reason.SPEED_STALE: ~rows.fresh[:, 0],
         Reason.SPEED_NOT_AVAILABLE: np.isnan(rows.speed),
+        Reason.FROZEN: rows.frozen,
         Reason.SPEED_IMPLAUSIBLE: np.isnan(rows.plausible_speed),
         Reason.STANDING: standing,
         Reason.REVERSE: context(Role.GEAR) < 0,
@@ -63,7 +65,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
         Reason.SHIFTING: shifting,
         Reason.POWER_STALE: ~rows.fresh[:, 1],
         Reason.POWER_NOT_AVAILABLE: np.isnan(rows.power),
-        Reason.NEAR_EXCLUDED: near(braking | retarding | shifting, round(admission.margin_s / STEP)),
+        Reason.NEAR_EXCLUDED: near(braking | retarding | shifting | rows.frozen, round(admission.margin_s / STEP)),
     }
     codes = np.full(len(rows), ADMITTED, dtype=np.int8)
     for reason, mask in reversed(masks.items()):

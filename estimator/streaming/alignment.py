@@ -19,6 +19,7 @@ from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
 from estimator.signals import Floats, Mask, Role, Series
 from estimator.streaming.engine_power import BATTERY, EnginePower, is_electric
+from estimator.streaming.frozen_rows import FrozenRows
 from estimator.streaming.lone_errors import lone_errors
 from estimator.streaming.resampling import MAX_FRESH, Track
 
@@ -61,7 +62,7 @@ class Aligner:
         self._tracks: dict[tuple[Role, int], Track] = {}
         self._hidden = NO_CONTEXT if is_electric(bound) else NO_CONTEXT | BATTERY
         self._engine = EnginePower(vehicle, bound, despike, self._tracks)
-        self._past = PastSpeed()
+        self._past, self._frozen = PastSpeed(), FrozenRows()
         self._next: int | None = None
 
     def forget(self) -> None:
@@ -109,7 +110,7 @@ class Aligner:
         for track in [*self._tracks.values(), self._engine.track]:
             track.forget(last * STEP - SETTLE)
         for low, high in pairwise([0, *(horizons - first).tolist()]):
-            yield rows[low:high]
+            yield self._frozen.feed(rows[low:high]) if high > low else None
 
     def _is_settled(self, readings: Readings, ends: Floats) -> bool:
         """Whether several blocks can be added at once: no sender is new, and nothing known changes between them."""
@@ -128,6 +129,7 @@ class Aligner:
     def finish(self, now: float) -> Iterator[Rows]:
         """The rows still waiting at time ``now`` [s], at the end of the traffic; keeps the constants of the engine."""
         yield from self.feed({}, now + SETTLE)
+        yield from filter(None, [self._frozen.finish()])
         self._engine.finish()
         self._tracks.clear()
         self._next = None
