@@ -361,7 +361,7 @@ def test_times_of_one_or_both_and_of_one_alone_are_those_of_every_moment(one, ot
 
 def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked_for():
     state = DriveState.of(driven(600, power=np.full(600, 15e3)))
-    found = Search((state,), [BY_NAME["auxiliary_load"]]).explained().log_evidence
+    found = Search((state,), [BY_NAME["auxiliary_load"]]).explained().log_posterior
     for least, is_reached in ((found - 1, True), (found + 1000, False)):
         again = Search((state,), [BY_NAME["auxiliary_load"]]).explained_above(least)
         assert (again is not None) == is_reached

@@ -265,7 +265,7 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
 def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one(
     monkeypatch, level, signals, is_sloping, is_hilly
 ):
-    """Beside slopes the drives have a log evidence of 100."""
+    """Beside slopes the drives have a log posterior of 100."""
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
     fit = SimpleNamespace(strides=np.zeros(9), scales=scales, log_evidence=0.0)
     drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
@@ -275,14 +275,14 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
             self.is_sloping, self.alone = drives == ("sloping",), (drive,)
 
         def explained(self) -> Any:
-            return SimpleNamespace(drives=(drive,), log_evidence=100.0 if self.is_sloping else level)
+            return SimpleNamespace(drives=(drive,), log_posterior=100.0 if self.is_sloping else level)
 
         def explained_above(self, least: float) -> Any:
             return self.explained() if level > least else None
 
     monkeypatch.setattr(explanation, "Search", Found)
     monkeypatch.setattr(explanation, "_states", lambda drives, is_level: ("level" if is_level else "sloping",))
-    monkeypatch.setattr(explanation, "_slopes", lambda states: 50.0)
+    monkeypatch.setattr(explanation, "_slopes", lambda states, sloping=(): 50.0)
     monkeypatch.setattr(explanation, "log_bayes_factor_of_signals", lambda strides, fit: signals)
     found = explanation.explain([SimpleNamespace(model=SimpleNamespace(terms=()))], [], Thresholds())
     assert (found.is_sloping, found.is_hilly) == (is_sloping, is_hilly)

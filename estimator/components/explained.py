@@ -82,8 +82,9 @@ class Explained:
     alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``nameless``: what has no name
     beside the choices; ``beyond_low_pass``: that but a low-pass of the speed, beside this too; ``low_pass``: that
     alone, None where it is no candidate. ``by_effects`` and ``by_processes``: log Bayes factors of the choices without
-    any process, and of the most probable processes without any effect. ``log_evidence`` of the drives with the most
-    probable set. ``others``: what less probable sets add to the road load of each drive.
+    any process, and of the most probable processes without any effect. ``log_posterior``: log evidence of the drives
+    with the most probable set, and its log prior odds. ``others``: what less probable sets add to the road load of
+    each drive.
     """
 
     drives: tuple[DriveState, ...]
@@ -96,7 +97,7 @@ class Explained:
     beyond_low_pass: Nameless
     by_effects: float
     by_processes: float
-    log_evidence: float
+    log_posterior: float
     others: tuple[OtherSets, ...]
     low_pass: Nameless | None = None
 
@@ -155,7 +156,7 @@ def explained_by(
         beyond_low_pass=_nameless(joint, table, causes, [*named, *low_pass], unnamed - low_pass),
         by_effects=beside - none,
         by_processes=max(joint.unlimited(alone) - none, 0.0),
-        log_evidence=log_evidence(states),
+        log_posterior=log_evidence(states) + joint.log_prior(best, causes),
         others=joint.others(table, best),
         low_pass=_nameless(joint, table, causes, named, low_pass) if low_pass else None,
     )

@@ -45,7 +45,7 @@ class _Converged:
 
 
 class _OutOfReachError(Exception):
-    """The log evidence that is asked for will not be reached."""
+    """The log posterior that is asked for will not be reached."""
 
 
 class Search:
@@ -77,7 +77,7 @@ class Search:
         return self._explained(self._converged(self.alone, with_processes=True, with_stretches=True))
 
     def explained_above(self, least: float) -> Explained | None:
-        """The same; None once it shows that the log evidence will not reach ``least``.
+        """The same; None once it shows that its log posterior will not reach ``least``.
 
         What effects alone do not reach, processes may: those that reach it without effects are looked at beside them.
         """
@@ -90,7 +90,7 @@ class Search:
             return None
         if start is not None:
             return self._explained(found)
-        return self.explained() if log_evidence(found.states) > least else None
+        return self.explained() if found.log_posterior > least else None
 
     def _explained(self, found: _Converged) -> Explained:
         first = ranked(self._drives, self._effects)

@@ -46,12 +46,12 @@ def explain(drives: Sequence[Drive], effects: Sequence[Effect], thresholds: Thre
     plain = _states(drives, is_level=True)
     if plain is None:
         return None
-    level, slopes = None, _slopes(plain)
-    if slopes < thresholds.min_log_bf_slopes:
+    sloping = _states(drives, is_level=False)
+    level, slopes = None, _slopes(plain, sloping or ())
+    if slopes < thresholds.min_log_bf_effect:
         level = Search(plain, candidates).explained()
-        slopes = _slopes(level.drives)
-    sloping = None if slopes < thresholds.min_log_bf_slopes else _states(drives, is_level=False)
-    if sloping is None:
+        slopes = _slopes(level.drives, sloping or ())
+    if sloping is None or slopes < thresholds.min_log_bf_effect:
         return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
     return _on_either_road(plain, level, sloping, candidates, thresholds)
 
@@ -73,18 +73,23 @@ def _on_either_road(
         return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
     beside = search.explained()
     is_shown = _is_shown(beside, thresholds)
-    least = beside.log_evidence - (0.0 if is_shown else thresholds.min_log_bf_slopes)
+    least = beside.log_posterior - (0.0 if is_shown else thresholds.min_log_bf_slopes)
     level = level or Search(plain, candidates).explained_above(least)
-    if level is not None and level.log_evidence > least:
+    if level is not None and level.log_posterior > least:
         return Explanation(level, False, slopes, False)
-    slopes = min([_slopes(beside.drives), *([beside.log_evidence - level.log_evidence] if level else [])])
+    slopes = min([_slopes(beside.drives), *([beside.log_posterior - level.log_posterior] if level else [])])
     longest = max(beside.drives, key=lambda drive: len(drive.fit.strides))
     return Explanation(beside, True, slopes, is_shown is not False and longest.slope_sd > thresholds.min_grade_sd)
 
 
-def _slopes(drives: Sequence[DriveState]) -> float:
-    """Log Bayes factor of a road with slopes under the drives, beside what they are fitted beside."""
-    return sum(log_bayes_factor_of_road(drive.strides, drive.fit) for drive in drives)
+def _slopes(drives: Sequence[DriveState], sloping: Sequence[DriveState] = ()) -> float:
+    """Log Bayes factor of a road with slopes under the drives, beside what they are fitted beside.
+
+    ``sloping``: drives on a level road as they are with slopes.
+    """
+    known = [drive.fit.scales for drive in sloping] if sloping else [None for _ in drives]
+    pairs = zip(drives, known, strict=True)
+    return sum(log_bayes_factor_of_road(drive.strides, drive.fit, scales) for drive, scales in pairs)
 
 
 def _is_shown(explained: Explained, thresholds: Thresholds) -> bool | None:
