@@ -42,13 +42,13 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
     """
     size, count = factor.lower.shape[1], data.shape[1]
     weight, whitened = 1 / np.sqrt(variance)[:, None], _Whitened(factor, count)
-    product, behind = np.zeros((count, count)), np.zeros((whitened.reach, count))
+    product, behind = np.zeros((count, count)), np.zeros((count, whitened.reach))
     length = max(ELEMENTS // max(count, 1), MIN_PIECE, whitened.reach)
     for begin in range(0, size, length):
-        end, found = min(begin + length, size), []
-        own: Mask = np.any(behind, axis=0)
+        width, found = min(length, size - begin), []
+        own: Mask = np.any(behind, axis=1)
         for observed, rows in kinds:
-            part = observed.within(begin, end)
+            part = observed.within(begin, begin + width)
             here = slice(rows.start + part.start, rows.start + part.stop)
             there, values = _present(data, here)
             if len(there):
@@ -56,14 +56,17 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
                 product[np.ix_(there, there)] += scaled.T @ scaled
                 own[there] = True
                 found.append((observed, part, there, scaled * weight[here]))
-        place = np.cumsum(own) - 1
-        gathered = np.zeros((min(end + len(behind), size) - begin, np.count_nonzero(own)))
-        gathered[: len(behind)] = behind[: len(gathered), own]
+        # Column by column, as LAPACK has it; what lies behind the piece is the beginning of the next.
+        place, next_behind = np.cumsum(own) - 1, np.zeros_like(behind)
+        gathered = np.zeros((np.count_nonzero(own), width))
+        reaching = min(whitened.reach, width)
+        gathered[:, :reaching] = behind[own, :reaching]
         for observed, part, there, weighed in found:
-            gathered[:, place[there]] += observed.gathered_within(part, weighed, begin, len(gathered))
-        behind = np.zeros_like(behind)
-        behind[: len(gathered) - (end - begin), own] = gathered[end - begin :]
-        whitened.add(begin, own, gathered[: end - begin])
+            added = observed.gathered_within(part, weighed, begin, min(width + whitened.reach, size - begin)).T
+            gathered[place[there]] += added[:, :width]
+            next_behind[there, : added.shape[1] - width] += added[:, width:]
+        behind = next_behind
+        whitened.add(begin, own, gathered.T)
     return product - whitened.product
 
 
@@ -89,6 +92,7 @@ class _Whitened:
     def __init__(self, factor: Factor, count: int) -> None:
         self._lower, self.reach = factor.lower, len(factor.lower) - 1
         self._last = np.zeros((self.reach, count))  # elements before the next piece
+        self._row, self._column = np.indices((self.reach, self.reach))
         self.product = np.zeros((count, count))
 
     def add(self, begin: int, own: Mask, columns: Floats) -> None:
@@ -97,26 +101,26 @@ class _Whitened:
         columns[: len(link)] += link @ self._last[:, own]
         W = self._solved(begin, columns)
         self.product[np.ix_(own, own)] += W.T @ W
-        last = np.where(own, 0.0, self._last)
-        if last.any():
-            answers = np.zeros((len(columns), self.reach))
+        last = np.zeros_like(self._last)
+        last[-len(W) :, own] = W[-self.reach :]  # of the last piece, which may be shorter, nothing is needed
+        going = np.flatnonzero(np.where(own, False, self._last.any(axis=0)))
+        if len(going):
+            answers = np.zeros((len(columns), self.reach), order="F")
             answers[: len(link)] = link
-            H = self._solved(begin, answers)
-            self.product += last.T @ (H.T @ H) @ last
-            cross = (W.T @ H) @ last
-            self.product[own] += cross
-            self.product[:, own] += cross.T
-            last = H[-self.reach :] @ last
-        if len(W) >= self.reach:  # or it is the last piece
-            last[:, own] = W[len(W) - self.reach :]
-            self._last = last
+            H, state = self._solved(begin, answers), self._last[:, going]
+            self.product[np.ix_(going, going)] += state.T @ (H.T @ H) @ state
+            cross = (W.T @ H) @ state
+            self.product[np.ix_(own, going)] += cross
+            self.product[np.ix_(going, own)] += cross.T
+            last[-len(H) :, going] = H[-self.reach :] @ state
+        self._last = last
 
     def _link(self, begin: int) -> Floats:
         """What the elements (reach,) before ``begin`` add to the right-hand side (reach,) from there on."""
         if not begin:
             return np.zeros((self.reach, self.reach))
-        row, column = np.indices((self.reach, self.reach))
-        below = self._lower[np.minimum(self.reach + row - column, self.reach), begin - self.reach + column]
+        down = np.minimum(self.reach + self._row - self._column, self.reach)
+        below = self._lower[down, begin - self.reach + self._column]
         added: Floats = -np.triu(below)
         return added
 
