@@ -164,27 +164,34 @@ def test_a_stretch_of_wet_road(diagnose):
 THERMOMETER = (Role.AMBIENT_TEMPERATURE, Role.AIR_PRESSURE)
 
 
-def test_air_that_grows_denser_where_no_signal_shows_it(diagnose):
-    """By 20 K in an hour of 288 K."""
-    air = Effect(name="air_density", magnitude=-20.0)
-    hidden = diagnose(drive("highway", 60, 3, air, without=THERMOMETER))
+@pytest.fixture(scope="module")
+def denser_air() -> Recording:
+    """A drive of an hour whose air grows denser, by 20 K of 288 K."""
+    return drive("highway", 60, 3, Effect(name="air_density", magnitude=-20.0))
+
+
+def part(recording: Recording, first: float, last: float, roles: tuple[Role, ...] = tuple(Role)) -> Recording:
+    """With the signals of ``roles`` from ``first`` to ``last`` [s] alone, and all others as they are."""
+    kept = {
+        role: Series(s.t[of], s.value[of]) if role in roles else s
+        for role, s in recording.signals.items()
+        for of in [(s.t >= first) & (s.t < last)]
+    }
+    return replace(recording, signals={role: s for role, s in kept.items() if len(s.t)})
+
+
+def test_air_that_grows_denser_where_no_signal_shows_it(diagnose, denser_air):
+    hidden = diagnose(part(denser_air, 0, 0, THERMOMETER))
     near(only(hidden, "air_density"), 20 / 288, 0.15)
     assert hidden["configuration"] == 'effects = ["air_density"]'
-    shown = diagnose(drive("highway", 25, 3, air))
+    shown = diagnose(part(denser_air, 0, 1500))
     assert shown["verdict"] == "no gap"
     told = [entry["name"] for which in ("candidates", "invisible", "not_testable") for entry in shown[which]]
     assert "air_density" not in told
 
 
-def test_air_that_a_thermometer_shows_for_minutes_alone_is_looked_for(tmp_path):
-    recording = drive("highway", 60, 3, Effect(name="air_density", magnitude=-20.0))
-    late = {
-        role: Series(s.t[s.t > 3500], s.value[s.t > 3500])
-        for role, s in recording.signals.items()
-        if role in THERMOMETER
-    }
-    log = written(replace(recording, signals={**recording.signals, **late}), tmp_path / "late.blf")
-    assert named(ask("diagnose", log)) == ["air_density"]
+def test_air_that_a_thermometer_shows_for_minutes_alone_is_looked_for(diagnose, denser_air):
+    assert named(diagnose(part(denser_air, 3500, 3600, THERMOMETER))) == ["air_density"]
 
 
 def test_cold_oil_is_told_from_cold_tyres(diagnose):

@@ -19,7 +19,7 @@ from estimator.streaming.pipeline import Pipeline
 pytestmark = pytest.mark.slow
 
 TOOL = Path(__file__).parents[1] / "tools" / "power_loss.py"
-KILLS = 40
+KILLS = 24
 
 
 def test_killed_at_any_instant_it_goes_on():

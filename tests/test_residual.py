@@ -237,21 +237,21 @@ def test_what_has_no_name_is_unknown_and_gets_a_formula():
 
 @pytest.mark.slow
 def test_noise_is_rarely_given_a_name():
-    verdicts = [diagnosed(100 + seed) for seed in range(60)]
+    verdicts = [diagnosed(100 + seed) for seed in range(40)]
     wrong = [found for found in verdicts if found.named or found.verdict is Verdict.UNKNOWN]
     assert verdicts[0].max_false_alarms < 0.04
-    assert len(wrong) <= 4  # 60 x 0.03 expected at most: five or more have a probability below 4 %
+    assert len(wrong) <= 3  # 40 x 0.03 expected at most: four or more have a probability below 4 %
 
 
 @pytest.mark.slow
 def test_magnitudes_are_covered():
     rng = np.random.default_rng(12)
     inside = 0
-    for seed in range(60):
+    for seed in range(40):
         size = rng.normal(0, 0.3)
         suspect = next(s for s in diagnosed(500 + seed, {"product": size}).suspects if s.name == "product")
         inside += abs(suspect.value - size) < 1.645 * suspect.sd
-    assert 47 <= inside <= 60  # of 54 expected
+    assert 31 <= inside <= 40  # of 36 expected
 
 
 @pytest.mark.slow
