@@ -60,6 +60,12 @@ def rms_promised(answer: DiagnosisAnswer) -> float | None:
     return min(after, default=answer.rms_final_kW)
 
 
+def rms_beside(answer: DiagnosisAnswer) -> float | None:
+    """Residual [kW] that is neither of the road nor of what is named: all that exact signals of these would leave."""
+    others = [part.rms_kW for part in answer.budget if part.cause not in ("road", *named(answer))]
+    return float(np.hypot.reduce([rms for rms in others if rms is not None])) if others else None
+
+
 def share_removed(answer: DiagnosisAnswer, rms: float | None) -> float | None:
     """Share of the mean squared residual removed when ``rms`` [kW] remains."""
     return None if rms is None or not answer.rms_base_kW else 1 - (rms / answer.rms_base_kW) ** 2
@@ -168,6 +174,7 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
             "reached": share_text(share_removed(withheld, felt.rms_final_kW)),
             "named, accelerometer": _names(felt),
             "kW reached": _kilowatts(felt.rms_final_kW),
+            "kW beside": _kilowatts(rms_beside(felt)),
             "named, GPS elevation": _names(elevation),
             "kW elevation": _kilowatts(elevation.rms_final_kW),
         }
