@@ -253,13 +253,13 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
 @pytest.mark.parametrize(
     ("level", "signals", "is_sloping", "is_hilly"),
     [
-        (90.0, None, False, False),  # 10 less than beside slopes, which no signal confirms
-        (80.0, None, True, True),
-        (90.0, 0.1, False, False),  # signals that tell neither count as none
-        (80.0, -0.1, True, True),
+        (75.0, None, False, False),  # 25 less than beside slopes, which no signal confirms
+        (65.0, None, True, True),
+        (75.0, 0.1, False, False),  # signals that tell neither count as none
+        (65.0, -0.1, True, True),
         (90.0, 40.0, True, True),  # confirmed
         (101.0, 40.0, False, False),
-        (80.0, -40.0, True, False),  # denied: no hills, but not a level road without a gap either
+        (65.0, -40.0, True, False),  # denied: no hills, but not a level road without a gap either
     ],
 )
 def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one(
@@ -268,7 +268,7 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
     """Beside slopes the drives have a log posterior of 100."""
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
     fit = SimpleNamespace(strides=np.zeros(9), scales=scales, log_evidence=0.0)
-    drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
+    drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01, is_hidden=signals is None)
 
     class Found:
         def __init__(self, drives: tuple[Any, ...], effects: object) -> None:
