@@ -375,10 +375,10 @@ def test_a_search_goes_on_where_processes_reach_the_evidence_that_effects_alone_
     (process,) = {component.name for component in found.nameless.processes.values()}
     assert (process, found.nameless.probability > 0.99) == ("power over time", True)
     alone = sum(drive.fit.log_evidence for drive in Search((state,), effects).alone)
-    assert alone < found.log_evidence - 200
-    again = Search((state,), effects).explained_above(found.log_evidence - 1)
+    assert alone < found.log_posterior - 200
+    again = Search((state,), effects).explained_above(found.log_posterior - 1)
     assert again is not None
-    assert again.log_evidence == pytest.approx(found.log_evidence)
+    assert again.log_posterior == pytest.approx(found.log_posterior)
 
 
 def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():

@@ -84,7 +84,14 @@ def test_a_log_of_standing(urban, log):
 
 
 def test_a_log_of_one_speed(urban, log):
-    assert "vary too little" in cannot_tell(log(urban, STILL | {Role.SPEED: 20.0, Role.ENGINE_SPEED: 130.0}))
+    steady = STILL | {Role.SPEED: 20.0, Role.ENGINE_SPEED: 130.0}
+    del steady[Role.TORQUE_FRACTION]  # else it would be frozen
+    assert "vary too little" in cannot_tell(log(urban, steady))
+
+
+def test_a_log_in_which_nothing_changes(urban, log):
+    reason = cannot_tell(log(urban, dict.fromkeys(urban.signals, 1.0) | STILL | {Role.SPEED: 20.0}))
+    assert "speed and power frozen" in reason
 
 
 @pytest.mark.slow

@@ -468,6 +468,7 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
         "reached": "91 %",
         "named, accelerometer": "grade (99 %)",
         "kW reached": "12.00",
+        "kW beside": "-",
         "named, GPS elevation": "headwind (99 %)",
         "kW elevation": "38.00",
     }

@@ -14,7 +14,8 @@ class Thresholds:
     min_log_bf_slopes: float = 15.0  # of a road with slopes over a level one
     # The same where no signal shows it: noise of a real car has up to 44 on a level road, 33 in the median of 14.
     min_log_bf_hidden_slopes: float = 30.0
-    min_log_bf_effect: float = 5.0  # of signals of the road, and of an effect as likely as a named one
+    # Of signals of the road, of slopes that are looked at, and of an effect as likely as a named one.
+    min_log_bf_effect: float = 5.0
     min_class_correlation: float = 0.95  # |correlation| of columns above which two effects are one class
     min_grade_sd: float = 0.002  # of hills [1]: level ones without other effects come out at 0.0001 .. 0.0009
     min_expected_log_bf: float = 5.0  # of an effect of usual size: the drive would show it
