@@ -6,7 +6,7 @@ from made_strides import made_strides
 from scipy.signal import lfilter
 
 from estimator.estimation.road_evidence import log_bayes_factor_of_road
-from estimator.estimation.road_fit import fit
+from estimator.estimation.road_fit import RoadFit, fit
 from estimator.signals import Floats
 from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
@@ -37,13 +37,19 @@ def driven(slope_sd: float, seed: int, n: int = 900) -> Strides:
     return made_strides(speed + rng.normal(0, 0.01, n + 1), force, {})
 
 
+def fits(strides: Strides) -> tuple[RoadFit, RoadFit]:
+    """On a level road, and on one with slopes."""
+    level, sloping = (fit(strides, np.random.default_rng(1), level=is_level) for is_level in (True, False))
+    assert level is not None
+    assert sloping is not None
+    return level, sloping
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_of_a_level_road_does_not_hide_its_slopes(seed: int) -> None:
     """On a level road the noise grows until it holds the slopes, and from there none are found."""
     strides = driven(0.006, seed)
-    level, sloping = (fit(strides, np.random.default_rng(1), level=is_level) for is_level in (True, False))
-    assert level is not None
-    assert sloping is not None
+    level, sloping = fits(strides)
     found = log_bayes_factor_of_road(strides, level, sloping.scales)
     assert found > 15
     assert found == pytest.approx(sloping.log_evidence - level.log_evidence, abs=10)  # but for priors of the scales
@@ -53,7 +59,5 @@ def test_noise_of_a_level_road_does_not_hide_its_slopes(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_level_road_has_no_slopes(seed: int) -> None:
     strides = driven(0.0, seed)
-    level, sloping = (fit(strides, np.random.default_rng(1), level=is_level) for is_level in (True, False))
-    assert level is not None
-    assert sloping is not None
+    level, sloping = fits(strides)
     assert log_bayes_factor_of_road(strides, level, sloping.scales) < 3

@@ -61,7 +61,10 @@ def rms_promised(answer: DiagnosisAnswer) -> float | None:
 
 
 def rms_beside(answer: DiagnosisAnswer) -> float | None:
-    """Residual [kW] that is neither of the road nor of what is named: all that exact signals of these would leave."""
+    """Residual [kW] that is neither of the road nor of what is named: what exact signals of these would leave.
+
+    The parts of the budget are taken as independent.
+    """
     others = [part.rms_kW for part in answer.budget if part.cause not in ("road", *named(answer))]
     return float(np.hypot.reduce([rms for rms in others if rms is not None])) if others else None
 

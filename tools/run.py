@@ -40,7 +40,6 @@ def install(extras: str) -> None:
     if not (BIN / "python").exists():
         venv.create(ENVIRONMENT, with_pip=True)
     pip = [str(BIN / "python"), "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
-    pip += ["--no-compile"]  # Python does that for what it imports, which is a part
     subprocess.run([*pip, "--constraint", "constraints.txt", "--editable", f".{extras}"], cwd=ROOT, check=True)
     stamp.write_text(state)
 

@@ -27,25 +27,25 @@ class FrozenRows:
 
     def __init__(self) -> None:
         self._held: Rows | None = None  # they follow on those handed on, and have not changed for up to LONGEST
+        self._held_still = np.empty(0)  # [s], for which each of them has not changed
         self._last = np.full(2, np.nan)  # speed [m/s] and power [W] of the row before the next one
         self._count = 0  # rows before that with the same values
 
     def feed(self, rows: Rows) -> Rows | None:
         """The next rows of the grid, at least one: those of which it is now known whether they are frozen."""
-        still = self._still(rows)
-        rows = replace(rows, derived={**rows.derived, Quantity.FROZEN: still})
+        still = np.concatenate([self._held_still, self._still(rows)])
         rows = rows if self._held is None else Rows.concatenate(self._held, rows)
-        still = rows.derived[Quantity.FROZEN]
         begun = rows.index - np.rint(still / STEP).astype(np.int64)  # where each stretch without a change began
         last = np.searchsorted(begun, begun, side="right") - 1
         waiting: Mask = (begun == begun[-1]) & (still > USUAL) & (still[-1] <= LONGEST)
         frozen = (still > USUAL) & (still[last] > LONGEST)
-        self._held = rows[int(np.argmax(waiting)) :] if waiting.any() else None
-        return _marked(rows, frozen, len(rows) - int(waiting.sum()))
+        known = len(rows) - int(waiting.sum())
+        self._held, self._held_still = rows[known:] if known < len(rows) else None, still[known:]
+        return _marked(rows, frozen, known)
 
     def finish(self) -> Rows | None:
         """The rows still waiting, when no row follows without a gap."""
-        held, self._held = self._held, None
+        held, self._held, self._held_still = self._held, None, np.empty(0)
         self._last, self._count = np.full(2, np.nan), 0
         return None if held is None else _marked(held, np.zeros(len(held), dtype=bool), len(held))
 
