@@ -5,8 +5,7 @@ one cause more each time, with the scales of road and noise found again beside t
 effects that switch proposed beside it.
 """
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -45,7 +44,11 @@ class _Converged:
 
 
 class _OutOfReachError(Exception):
-    """The log posterior that is asked for will not be reached."""
+    """The log posterior that is asked for will not be reached; ``states``: how far each start came."""
+
+    def __init__(self, states: Sequence[tuple[DriveState, ...]]) -> None:
+        super().__init__()
+        self.states = tuple(states)
 
 
 class Search:
@@ -70,7 +73,7 @@ class Search:
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
         """The drives fitted beside the most probable effects without any process."""
-        return self._alone()
+        return self._alone(self._starts)
 
     def explained(self) -> Explained:
         """The drives with what acts on them."""
@@ -81,23 +84,38 @@ class Search:
 
         What effects alone do not reach, processes may: those that reach it without effects are looked at beside them.
         """
-        start = None
-        with suppress(_OutOfReachError):
-            start = self._alone(least)
         try:
-            found = self._converged(start or self._drives, with_processes=True, with_stretches=True, least=least)
+            alone = self._alone(self._starts, least)
+        except _OutOfReachError as short:
+            if not self._is_reached_by_processes(least):
+                return None
+            alone, least = self._alone(short.states), -np.inf
+        try:
+            return self._explained(self._converged(alone, with_processes=True, with_stretches=True, least=least))
         except _OutOfReachError:
             return None
-        if start is not None:
-            return self._explained(found)
-        return self.explained() if found.log_posterior > least else None
+
+    def _is_reached_by_processes(self, least: float) -> bool:
+        """Whether processes and effects, looked for together from the start, have a log posterior above ``least``."""
+        try:
+            found = self._converged(self._drives, with_processes=True, with_stretches=True, least=least)
+        except _OutOfReachError:
+            return False
+        return found.log_posterior > least
 
     def _explained(self, found: _Converged) -> Explained:
         first = ranked(self._drives, self._effects)
         return explained_by(found.joint, found.table, found.chosen, found.states, first, self._effects)
 
-    def _alone(self, least: float = -np.inf) -> tuple[DriveState, ...]:
-        """The drives beside effects alone, from the noise of the drives, and from the usual one where theirs is larger.
+    @property
+    def _starts(self) -> Iterator[tuple[DriveState, ...]]:
+        """The drives with their own noise, and with the usual one where theirs is larger."""
+        yield self._drives
+        if any(drive.has_unusual_noise for drive in self._drives):
+            yield tuple(drive.with_usual_noise() for drive in self._drives)
+
+    def _alone(self, starts: Iterable[tuple[DriveState, ...]], least: float = -np.inf) -> tuple[DriveState, ...]:
+        """The drives beside effects alone, from all ``starts``. Tables are not kept: they have megabytes.
 
         Over a road that no signal shows, its stretches come before the effects or after them: either may hold the place
         of the other.
@@ -105,26 +123,20 @@ class Search:
         Raises
         ------
         _OutOfReachError
-            Neither would reach ``least``.
+            None would reach ``least``.
         """
-        found = self._from(self._drives, least)
-        if any(drive.has_unusual_noise for drive in self._drives):
-            found += self._from(tuple(drive.with_usual_noise() for drive in self._drives), least)
-        if not found:
-            raise _OutOfReachError
-        return max(found, key=lambda one: one[0])[1]
-
-    def _from(self, start: tuple[DriveState, ...], least: float) -> list[tuple[float, tuple[DriveState, ...]]]:
-        """What the search among effects alone comes to from one start: the drives, with the log posterior before them.
-
-        Nothing where that will not reach ``least``. Tables are not kept: they have megabytes.
-        """
-        found = list[tuple[float, tuple[DriveState, ...]]]()
-        with suppress(_OutOfReachError):
-            found.append(self._converged(start, least=least).as_fitted)
+        found, short = list[tuple[float, tuple[DriveState, ...]]](), list[tuple[DriveState, ...]]()
+        for start in starts:
+            try:
+                found.append(self._converged(start, least=least).as_fitted)
+            except _OutOfReachError as error:
+                short += error.states
+                continue
             if any(drive.is_hidden for drive in start):
                 found += [self._converged(first, with_stretches=True).as_fitted for first in (found[-1][1], start)]
-        return found
+        if not found:
+            raise _OutOfReachError(short)
+        return max(found, key=lambda one: one[0])[1]
 
     def _converged(
         self,
@@ -143,7 +155,8 @@ class Search:
         _OutOfReachError
             As many rounds as a set has causes, each with the gain of the last, would not reach ``least``.
         """
-        found, last, value = None, None, log_evidence(states)
+        found, last, highest = None, None, log_evidence(states)
+        value = highest
         for size in range(2, MAX_ROUNDS + 2):
             candidates = [
                 self._candidates.on(number, state, with_processes, with_stretches)
@@ -151,22 +164,23 @@ class Search:
             ]
             joint = Hypotheses(states, self._given, candidates)
             causes = joint.causes()
-            before = joint.before() if with_processes else ()  # processes come to the effects found without them
-            room = max(size, len(before) + 1)
-            table = weigh(joint, causes, min(room, MAX_CAUSES), before)
+            known = joint.before() if with_processes else ()  # processes come to the effects found without them
+            room = max(size, len(known) + 1)
+            table = weigh(joint, causes, min(room, MAX_CAUSES), known)
             fitted = joint.fitted(table.best)
             if log_evidence(fitted) + MAX_CAUSES * max(log_evidence(fitted) - log_evidence(states), 0.0) < least:
-                raise _OutOfReachError
-            gain = log_evidence(fitted) + joint.log_prior(table.best, causes) - value
-            if found is not None and gain < -ROUNDING:
+                raise _OutOfReachError([fitted])
+            before, value = value, log_evidence(fitted) + joint.log_prior(table.best, causes)
+            if found is not None and value < highest - ROUNDING:
                 break
             last, states = _Converged(joint, table, table.best, fitted), fitted
             for number, term, magnitude in joint.rivals(table):
                 self._candidates.rival(number, term, magnitude)
+            gain = abs(value - before)  # where that is nothing, sizes that are impossible stay so
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
-                found, value = last, value + gain
-                if len(table.best) < room and gain < MIN_ROUND_GAIN:
-                    break
+                gain, found, highest = value - highest, last, value
+            if len(table.best) < room and gain < MIN_ROUND_GAIN:
+                break
         found = found or last
         assert found is not None
         best = found.joint.worthwhile(found.chosen)
