@@ -1,5 +1,6 @@
 """Tables become logs that say the same; another simulator's drives and real recordings are judged as they should be."""
 
+import dataclasses
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,7 +11,9 @@ import cantools
 import numpy as np
 import pytest
 from diagnoses import finding
+from made_strides import made_strides
 from msgspec.structs import replace
+from scipy.ndimage import gaussian_filter1d
 
 from estimator import config
 from estimator.answers.diagnosis import Verdict
@@ -21,6 +24,7 @@ from estimator.can_io.j1939_encoder import EPOCH, frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.diagnosis.result import Diagnosis, GapClosed
 from estimator.errors import RoadloadError
+from estimator.estimation import road_fit
 from estimator.model.road_load import design
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Role
@@ -520,6 +524,28 @@ def test_a_surrogate_has_the_spectrum_of_the_residual(tools, original):
     for low, high in ((0.01, 0.03), (0.1, 0.2), (1.0, 2.0)):
         band, same = (frequency > low) & (frequency < high), (original.frequency > low) & (original.frequency < high)
         assert power[band].mean() == pytest.approx(original.spectrum[same].mean(), rel=0.15)
+
+
+def test_errors_of_an_accelerometer_are_not_in_the_noise_beside_the_road(tools):
+    rng, n, (A, C, m) = np.random.default_rng(7), 1500, (250.0, 0.4, 1600.0)
+    slope, error = (gaussian_filter1d(rng.standard_normal(n), memory) for memory in (30.0, 10.0))
+    slope, error, noise = 0.01 * slope / slope.std(), 0.005 * error / error.std(), rng.normal(0.0, 30.0, n)
+    speed, pull = np.full(n + 1, 15.0), np.zeros(n)
+    for k in range(n):
+        pull[k] = A + m * (0.3 * (16 + 6 * np.sin(k / 21) - speed[k]) + 0.4 * np.sin(k / 7))
+        speed[k + 1] = speed[k] + (pull[k] - A - C * speed[k] ** 2) / m - STANDARD_GRAVITY * slope[k]
+    v, a = 0.5 * (speed[1:] + speed[:-1]), np.diff(speed)
+    measured = made_strides(speed + rng.normal(0.0, 0.02, n + 1), pull + noise, {})
+    strides = dataclasses.replace(measured, gravity=STANDARD_GRAVITY * (slope + error))
+    found = road_fit.fit(strides, rng)
+    drawn = tools.surrogates.drawn_slope(strides, found, rng)
+
+    def slow(slopes, A, C, m):
+        beside = pull + noise - A - C * v**2 - m * (a + STANDARD_GRAVITY * slopes)
+        return gaussian_filter1d(beside, 10.0).std()
+
+    assert slow(slope + error, A, C, m) > 60  # N, for 5 without any error
+    assert slow(drawn, *found.theta[:3]) < 20
 
 
 @pytest.mark.slow

@@ -311,7 +311,7 @@ def surrogates(folder: Path, work: Path, trips: list[str], count: int) -> Iterat
     withheld.write_text(without(text, "longitudinal_acceleration", "altitude", "ambient_temperature"))
     felt.write_text(without(text, "altitude").replace('"bmw_i3.dbc"', f'"{dbc}"'))
     settings = config.load(felt)
-    likes = {log.stem: original(log, settings) for log in bmw_logs(folder, trips)}
+    likes = {log.stem: original(log, settings, np.random.default_rng(SEED)) for log in bmw_logs(folder, trips)}
     usable = {trip: like for trip, like in likes.items() if like is not None}
     total: Counter[str] = Counter()
     for i, (trip, like) in enumerate(usable.items()):

@@ -1,9 +1,11 @@
 """Clean drives with the noise of real ones: the measured speed, the power of a model, and a surrogate residual.
 
-The model is fitted with the accelerometer revealed, so that hills are not in its residual. The surrogate is a
-Gaussian process with that residual's own spectrum (phase randomisation: Theiler et al. 1992, Physica D 58). Its power
-obeys the road load of a flat road, so every effect named on such a drive is a false alarm. It keeps the slow
-variations of the real residual, so "unknown effect" is not a false alarm.
+The model is fitted with the accelerometer revealed, so that hills are not in its residual. An accelerometer has errors
+of slope of its own, 0.3 to 0.9 %, so what it shows is no more than a measurement of the road: the residual is that
+beside a draw of the road from its posterior. The surrogate is a Gaussian process with that residual's own spectrum
+(phase randomisation: Theiler et al. 1992, Physica D 58). Its power obeys the road load of a flat road, so every effect
+named on such a drive is a false alarm. It keeps the slow variations of the real residual, so "unknown effect" is not a
+false alarm.
 """
 
 from dataclasses import dataclass
@@ -17,13 +19,17 @@ from table_to_log import frames_of_table
 from estimator.can_io.binding import load_database
 from estimator.can_io.log_writer import write_log
 from estimator.config import Config
-from estimator.diagnosis.model import fit, select
+from estimator.diagnosis.model import select
+from estimator.estimation.road_fit import RoadFit, fit
+from estimator.estimation.road_likelihood import Likelihood
 from estimator.model.road_load import design
 from estimator.preparation import smoothing
 from estimator.preparation.sample_maker import SampleMaker
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 from estimator.streaming.drive_extraction import drive_rows, drives
+from estimator.strides import Strides
+from estimator.units import STANDARD_GRAVITY
 
 SEGMENT = 4096  # samples, 7 min: spectra are means over stretches of this length
 TURNING = 10.0  # rad/s, of the motor, below which its torque is taken as zero
@@ -34,7 +40,7 @@ MAP = ["MOTION.VehicleSpeed=m/s*3.6", "MOTOR.MotorTorque=Nm", f"MOTOR.MotorSpeed
 class Original:
     """A real drive on the time grid, arrays (n,): ``speed`` as measured [m/s], model ``power`` [W], ``motor`` [rad/s].
 
-    ``frequency`` [Hz] and ``spectrum`` [W^2/Hz] are those of the residual of the model.
+    ``frequency`` [Hz] and ``spectrum`` [W^2/Hz] are those of the residual of the model beside the road.
     """
 
     speed: Floats
@@ -49,26 +55,37 @@ class Original:
         return float(np.sqrt(np.trapezoid(self.spectrum, self.frequency)))
 
 
-def original(log: Path, config: Config) -> Original | None:
-    """The drive in ``log`` and the residual of a model with the grade; None where it cannot be fitted."""
+def original(log: Path, config: Config, rng: np.random.Generator) -> Original | None:
+    """The drive in ``log`` and the residual beside a draw of its road; None where it cannot be fitted."""
     record = drives(log, config)[0]
-    kept = select(record.samples)
-    model = None if kept is None else fit(record.samples[kept])
-    if model is None:
+    kept, found = select(record.samples), fit(record.strides, rng)
+    if kept is None or found is None:
         return None
     rows = Rows.concatenate(*(piece for pieces in drive_rows(log, config) for piece in pieces))
     speed = rows.plausible_speed
     smoother, _ = SampleMaker(config.kinematics, config.admission).calibrate(speed, rows.power)
     v, a = smoothing.convolve(speed, smoother.value), smoothing.convolve(speed, smoother.slope)
-    residual = model.base.residual
+    uphill = a + STANDARD_GRAVITY * np.interp(rows.t, found.strides.t, drawn_slope(record.strides, found, rng))
+    samples = record.samples[kept]
+    at = np.searchsorted(rows.t, samples.t - STEP / 2)
+    residual = samples.P - design(v[at], uphill[at]) @ found.theta[:3]
     frequency, spectrum = welch(residual, 1 / STEP, nperseg=min(SEGMENT, len(residual)), detrend="constant")
     return Original(
         speed=rows.speed,
         motor=rows.context[Role.ENGINE_SPEED],
-        power=design(v, a) @ model.road_load,
+        power=design(v, a) @ found.theta[:3],
         frequency=frequency,
         spectrum=spectrum,
     )
+
+
+def drawn_slope(strides: Strides, found: RoadFit, rng: np.random.Generator) -> Floats:
+    """The slope (n,) under the driven ``strides``, drawn from its posterior beside the coefficients that were found."""
+    model = found.scales.model_of(strides)
+    likelihood = Likelihood(model, found.terms, found.road_load, found.scales.lag)
+    conditioned, _ = likelihood.at(found.scales.values)
+    residual = likelihood.data[:, 0] - likelihood.data[:, 1:] @ (found.beta * likelihood.unit)
+    return model.slope_under(model.driven, conditioned.draws(residual[:, None], rng)[:, 0])
 
 
 def surrogate(like: Original, rng: np.random.Generator) -> Floats:
