@@ -367,20 +367,6 @@ def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked
         assert (again is not None) == is_reached
 
 
-def test_a_search_goes_on_where_processes_reach_the_evidence_that_effects_alone_do_not():
-    n = 1200
-    wander = np.interp(np.arange(n), 40.0 * np.arange(32), np.random.default_rng(5).normal(0.0, 40e3, 32))
-    state, effects = DriveState.of(driven(n, power=wander), is_level=True), [BY_NAME["auxiliary_load"]]
-    found = Search((state,), effects).explained()
-    (process,) = {component.name for component in found.nameless.processes.values()}
-    assert (process, found.nameless.probability > 0.99) == ("power over time", True)
-    alone = sum(drive.fit.log_evidence for drive in Search((state,), effects).alone)
-    assert alone < found.log_posterior - 200
-    again = Search((state,), effects).explained_above(found.log_posterior - 1)
-    assert again is not None
-    assert again.log_posterior == pytest.approx(found.log_posterior)
-
-
 def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     n = 2400
     on = (np.arange(n) % 800) > 500

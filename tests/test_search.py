@@ -96,6 +96,11 @@ def test_a_set_that_is_possible_is_kept_where_only_impossible_ones_have_more_evi
     assert rounds(monkeypatch, [((1, 2), 10.0), ((1, 2, IMPOSSIBLE), 30.0), ((1, 3), 5.0)]) == 10.0
 
 
+def test_rounds_end_where_an_impossible_set_comes_again_with_the_same_evidence(monkeypatch):
+    script = [((1,), 10.0), ((1, IMPOSSIBLE), 30.0), ((1, IMPOSSIBLE), 30.2)]
+    assert rounds(monkeypatch, script) == 10.0
+
+
 @pytest.mark.parametrize(("from_usual_noise", "best"), [(40.0, 40.0), (20.0, 30.0)])
 def test_where_noise_is_large_effects_are_looked_for_from_the_usual_noise_too(monkeypatch, from_usual_noise, best):
     script = [((1,), 29.5), ((1,), 30.0), ((2,), from_usual_noise - 0.5), ((2,), from_usual_noise)]
@@ -253,13 +258,13 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
 @pytest.mark.parametrize(
     ("level", "signals", "is_sloping", "is_hilly"),
     [
-        (75.0, None, False, False),  # 25 less than beside slopes, which no signal confirms
-        (65.0, None, True, True),
-        (75.0, 0.1, False, False),  # signals that tell neither count as none
-        (65.0, -0.1, True, True),
+        (90.0, None, False, False),  # 10 less than beside slopes, which no signal confirms
+        (80.0, None, True, True),
+        (90.0, 0.1, False, False),  # signals that tell neither count as none
+        (80.0, -0.1, True, True),
         (90.0, 40.0, True, True),  # confirmed
         (101.0, 40.0, False, False),
-        (65.0, -40.0, True, False),  # denied: no hills, but not a level road without a gap either
+        (80.0, -40.0, True, False),  # denied: no hills, but not a level road without a gap either
     ],
 )
 def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one(
@@ -268,7 +273,7 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
     """Beside slopes the drives have a log posterior of 100."""
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
     fit = SimpleNamespace(strides=np.zeros(9), scales=scales, log_evidence=0.0)
-    drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01, is_hidden=signals is None)
+    drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
 
     class Found:
         def __init__(self, drives: tuple[Any, ...], effects: object) -> None:

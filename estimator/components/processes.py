@@ -18,8 +18,7 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS
 
 TIMES = (120.0, 480.0, 1920.0)  # s, distances of hats in time: shorter ones cannot be separated from slopes
-# s, a further distance: the force of a power falls with the speed and drag rises with it, that of a slope does neither.
-GUSTS = 40.0
+GUSTS = 40.0  # s, a further distance, for drag alone: it rises with the square of the speed, as no slope does
 MAX_GUSTS = 240  # hats of that distance, 2.7 h: bounds time and memory
 SPEEDS = (3.0,)  # m/s
 ENGINE_SPEEDS = (15.0,)  # rad/s
@@ -51,7 +50,7 @@ def processes(frame: Frame) -> Iterator[Component]:
     s = frame.strides
     gusts = (GUSTS,) if s.t[-1] - s.t[0] < MAX_GUSTS * GUSTS else ()
     over = [
-        ("power over time", _power, USUAL_POWER * m, s.t, (*TIMES, *gusts)),
+        ("power over time", _power, USUAL_POWER * m, s.t, TIMES),
         ("force over time", _force, 0.3 * A, s.t, TIMES),
         ("drag over time", _drag, 0.3 * C, s.t, (*TIMES, *gusts)),
         ("gain over time", _measured, GAIN_ERROR, s.t, TIMES),

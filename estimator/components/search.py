@@ -5,7 +5,8 @@ one cause more each time, with the scales of road and noise found again beside t
 effects that switch proposed beside it.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -44,11 +45,7 @@ class _Converged:
 
 
 class _OutOfReachError(Exception):
-    """The log posterior that is asked for will not be reached; ``states``: how far each start came."""
-
-    def __init__(self, states: Sequence[tuple[DriveState, ...]]) -> None:
-        super().__init__()
-        self.states = tuple(states)
+    """The log posterior that is asked for will not be reached."""
 
 
 class Search:
@@ -73,35 +70,19 @@ class Search:
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
         """The drives fitted beside the most probable effects without any process."""
-        return self._alone(self._starts)
+        return self._alone()
 
     def explained(self) -> Explained:
         """The drives with what acts on them."""
         return self._explained(self._converged(self.alone, with_processes=True, with_stretches=True))
 
     def explained_above(self, least: float) -> Explained | None:
-        """The same; None once it shows that its log posterior will not reach ``least``.
-
-        What effects alone do not reach, processes may: those that reach it without effects are looked at beside them.
-        """
+        """The same; None once it shows that its log posterior will not reach ``least``."""
         try:
-            alone = self._alone(self._starts, least)
-        except _OutOfReachError as short:
-            if not self._is_reached_by_processes(least):
-                return None
-            alone, least = self._alone(short.states), -np.inf
-        try:
+            alone = self._alone(least)
             return self._explained(self._converged(alone, with_processes=True, with_stretches=True, least=least))
         except _OutOfReachError:
             return None
-
-    def _is_reached_by_processes(self, least: float) -> bool:
-        """Whether processes and effects, looked for together from the start, have a log posterior above ``least``."""
-        try:
-            found = self._converged(self._drives, with_processes=True, with_stretches=True, least=least)
-        except _OutOfReachError:
-            return False
-        return found.log_posterior > least
 
     def _explained(self, found: _Converged) -> Explained:
         first = ranked(self._drives, self._effects)
@@ -114,8 +95,8 @@ class Search:
         if any(drive.has_unusual_noise for drive in self._drives):
             yield tuple(drive.with_usual_noise() for drive in self._drives)
 
-    def _alone(self, starts: Iterable[tuple[DriveState, ...]], least: float = -np.inf) -> tuple[DriveState, ...]:
-        """The drives beside effects alone, from all ``starts``. Tables are not kept: they have megabytes.
+    def _alone(self, least: float = -np.inf) -> tuple[DriveState, ...]:
+        """The drives beside effects alone. Tables are not kept: they have megabytes.
 
         Over a road that no signal shows, its stretches come before the effects or after them: either may hold the place
         of the other.
@@ -123,19 +104,16 @@ class Search:
         Raises
         ------
         _OutOfReachError
-            None would reach ``least``.
+            No start would reach ``least``.
         """
-        found, short = list[tuple[float, tuple[DriveState, ...]]](), list[tuple[DriveState, ...]]()
-        for start in starts:
-            try:
+        found = list[tuple[float, tuple[DriveState, ...]]]()
+        for start in self._starts:
+            with suppress(_OutOfReachError):
                 found.append(self._converged(start, least=least).as_fitted)
-            except _OutOfReachError as error:
-                short += error.states
-                continue
-            if any(drive.is_hidden for drive in start):
-                found += [self._converged(first, with_stretches=True).as_fitted for first in (found[-1][1], start)]
+                if any(drive.is_hidden for drive in start):
+                    found += [self._converged(first, with_stretches=True).as_fitted for first in (found[-1][1], start)]
         if not found:
-            raise _OutOfReachError(short)
+            raise _OutOfReachError
         return max(found, key=lambda one: one[0])[1]
 
     def _converged(
@@ -169,7 +147,7 @@ class Search:
             table = weigh(joint, causes, min(room, MAX_CAUSES), known)
             fitted = joint.fitted(table.best)
             if log_evidence(fitted) + MAX_CAUSES * max(log_evidence(fitted) - log_evidence(states), 0.0) < least:
-                raise _OutOfReachError([fitted])
+                raise _OutOfReachError
             before, value = value, log_evidence(fitted) + joint.log_prior(table.best, causes)
             if found is not None and value < highest - ROUNDING:
                 break

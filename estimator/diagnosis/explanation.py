@@ -68,12 +68,12 @@ def _on_either_road(
     Over hills the search on a level road would take many rounds to explain the slopes by effects, so it comes second.
     """
     search = Search(sloping, candidates)
-    slopes, hidden = _slopes(search.alone), thresholds.min_log_bf_hidden_slopes
-    if slopes < (hidden if any(drive.is_hidden for drive in search.alone) else thresholds.min_log_bf_slopes):
+    slopes = _slopes(search.alone)
+    if slopes < thresholds.min_log_bf_slopes:
         return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
     beside = search.explained()
     is_shown = _is_shown(beside, thresholds)
-    least = beside.log_posterior - (0.0 if is_shown else hidden)
+    least = beside.log_posterior - (0.0 if is_shown else thresholds.min_log_bf_slopes)
     level = level or Search(plain, candidates).explained_above(least)
     if level is not None and level.log_posterior > least:
         return Explanation(level, False, slopes, False)

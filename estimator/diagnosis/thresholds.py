@@ -12,8 +12,6 @@ class Thresholds:
     min_log_bf_unknown: float = 10.0  # of a process: an unknown effect acts
     min_log_bf_left: float = 20.0  # of a process beside effects that are named
     min_log_bf_slopes: float = 15.0  # of a road with slopes over a level one
-    # The same where no signal shows it: noise of a real car has up to 44 on a level road, 33 in the median of 14.
-    min_log_bf_hidden_slopes: float = 30.0
     # Of signals of the road, of slopes that are looked at, and of an effect as likely as a named one.
     min_log_bf_effect: float = 5.0
     min_class_correlation: float = 0.95  # |correlation| of columns above which two effects are one class
