@@ -31,7 +31,7 @@ from estimator.errors import ConfigError, RoadloadError
 from estimator.fleet import output
 from estimator.fleet.cache import Cache
 from estimator.fleet.drive_result import DriveResult
-from estimator.fleet.engine import Failure, Serial, dask_engine
+from estimator.fleet.engine import Distributed, Failure, Serial, dask_engine
 from estimator.fleet.rows import drive_rows
 from estimator.fleet.run import run_fleet
 from estimator.fleet.sources import find_logs
@@ -445,6 +445,21 @@ def test_a_worker_that_dies_costs_its_task_only() -> None:
     assert answers[1].reason.startswith("ZeroDivisionError")
     assert isinstance(answers[3], Failure)
     assert answers[3].reason.startswith("2 workers died of it")
+
+
+def test_a_worker_that_dies_with_a_result_that_was_not_fetched_yet_is_no_traceback() -> None:
+    distributed = pytest.importorskip("distributed")
+
+    class Lost:
+        def exception(self) -> None:
+            """It was done."""
+
+        def result(self) -> None:
+            raise distributed.KilledWorker("task", SimpleNamespace(address="tcp://127.0.0.1:9"), 1)
+
+    answer = Distributed(SimpleNamespace(status="running"))._answer(Lost())
+    assert isinstance(answer, Failure)
+    assert answer.worker_died
 
 
 def test_workers_keep_no_record_of_what_they_did() -> None:

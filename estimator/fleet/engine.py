@@ -83,12 +83,16 @@ class Distributed:
             error = future.exception()
             if self._client.status != "running":
                 raise RoadloadError(GONE)
-            if isinstance(error, KilledWorker):
-                reason = f"{DEATHS + 1} workers died of it, as one does that has too little memory"
-                return Failure(reason, worker_died=True)
-            return future.result() if error is None else _failure(error)
+            if error is None:
+                return future.result()
         except FutureCancelledError:  # the connection may be lost between the two calls, too
             raise RoadloadError(GONE) from None
+        except KilledWorker as died:  # with a result that was not fetched yet: the task was run again
+            error = died
+        if not isinstance(error, KilledWorker):
+            return _failure(error)
+        reason = f"{DEATHS + 1} workers died of it, as one does that has too little memory"
+        return Failure(reason, worker_died=True)
 
 
 def _failure(error: BaseException) -> Failure:
