@@ -167,7 +167,7 @@ THERMOMETER = (Role.AMBIENT_TEMPERATURE, Role.AIR_PRESSURE)
 @pytest.fixture(scope="module")
 def denser_air() -> Recording:
     """A drive of an hour whose air grows denser, by 20 K of 288 K."""
-    return drive("highway", 60, 3, Effect(name="air_density", magnitude=-20.0))
+    return drive("highway", 50, 3, Effect(name="air_density", magnitude=-20.0))
 
 
 def part(recording: Recording, first: float, last: float, roles: tuple[Role, ...] = tuple(Role)) -> Recording:
@@ -298,7 +298,7 @@ def test_the_loop_closes(hills):
 )
 def test_the_loop_closes_for_what_no_signal_tells_the_shape_of(tmp_path, truth, route, shape):
     """A wind between those of the grid, or a time constant: the estimate has it too, and nothing is left."""
-    log = written(drive(route, 30, 8, truth, shape=shape), tmp_path / "drive.blf")
+    log = written(drive(route, 25, 8, truth, shape=shape), tmp_path / "drive.blf")
     promised = ask("diagnose", log)
     assert named(promised) == [truth.name]
     assert promised["configuration"] == f'effects = ["{truth.name}"]'
@@ -450,5 +450,5 @@ def test_a_tyre_that_loses_air_is_no_air_that_grows_denser(diagnose):
 
 def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):
     """A force that comes and goes, but not as that of anything with a name; a brake where there are a few launches."""
-    answer = diagnose(drive("mixed", 30, 2, Effect(name="snow_plough", magnitude=5000.0)))
+    answer = diagnose(drive("mixed", 25, 2, Effect(name="snow_plough", magnitude=5000.0)))
     assert (answer["verdict"], named(answer), answer["configuration"]) == ("unknown effect", [], "")

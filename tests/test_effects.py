@@ -307,7 +307,7 @@ def example() -> Effect:
 def test_one_object_more_is_one_effect_more(tmp_path):
     """The page's effect acts on a truck: something without a name, until there is an object of that name."""
     shimmy, size = example(), 800.0
-    recording = drive("mixed", 25, 32, torque_resolution=0.01)
+    recording = drive("mixed", 20, 32, torque_resolution=0.01)
     truth = recording.truth
     power = size * shimmy.power(view(v=truth.v), None)
     torque = recording.signals[Role.TORQUE_FRACTION]
