@@ -166,7 +166,7 @@ THERMOMETER = (Role.AMBIENT_TEMPERATURE, Role.AIR_PRESSURE)
 
 @pytest.fixture(scope="module")
 def denser_air() -> Recording:
-    """A drive of an hour whose air grows denser, by 20 K of 288 K."""
+    """A drive of 50 min whose air grows denser, by 20 K of 288 K."""
     return drive("highway", 50, 3, Effect(name="air_density", magnitude=-20.0))
 
 
