@@ -2,7 +2,8 @@
 
 The model is fitted with the accelerometer revealed, so that hills are not in its residual. An accelerometer has errors
 of slope of its own, 0.3 to 0.9 %, so what it shows is no more than a measurement of the road: the residual is that
-beside a draw of the road from its posterior. The surrogate is a Gaussian process with that residual's own spectrum
+beside a draw of the road from its posterior. That draw is by the model under test: slow noise that the accelerometer
+leaves open goes to the road. The surrogate is a Gaussian process with that residual's own spectrum
 (phase randomisation: Theiler et al. 1992, Physica D 58). Its power obeys the road load of a flat road, so every effect
 named on such a drive is a false alarm. It keeps the slow variations of the real residual, so "unknown effect" is not a
 false alarm.
@@ -65,10 +66,10 @@ def original(log: Path, config: Config, rng: np.random.Generator) -> Original | 
     speed = rows.plausible_speed
     smoother, _ = SampleMaker(config.kinematics, config.admission).calibrate(speed, rows.power)
     v, a = smoothing.convolve(speed, smoother.value), smoothing.convolve(speed, smoother.slope)
-    uphill = a + STANDARD_GRAVITY * np.interp(rows.t, found.strides.t, drawn_slope(record.strides, found, rng))
+    felt = a + STANDARD_GRAVITY * np.interp(rows.t, found.strides.t, drawn_slope(record.strides, found, rng))
     samples = record.samples[kept]
     at = np.searchsorted(rows.t, samples.t - STEP / 2)
-    residual = samples.P - design(v[at], uphill[at]) @ found.theta[:3]
+    residual = samples.P - design(v[at], felt[at]) @ found.theta[:3]
     frequency, spectrum = welch(residual, 1 / STEP, nperseg=min(SEGMENT, len(residual)), detrend="constant")
     return Original(
         speed=rows.speed,

@@ -154,9 +154,10 @@ class Search:
             last, states = _Converged(joint, table, table.best, fitted), fitted
             for number, term, magnitude in joint.rivals(table):
                 self._candidates.rival(number, term, magnitude)
-            gain = abs(value - before)  # where that is nothing, sizes that are impossible stay so
-            if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
-                gain, found, highest = value - highest, last, value
+            is_possible = all(s.is_possible(len(given)) for s, given in zip(states, self._given, strict=True))
+            gain = value - highest if is_possible else abs(value - before)  # an impossible set that stays gains nothing
+            if is_possible:
+                found, highest = last, value
             if len(table.best) < room and gain < MIN_ROUND_GAIN:
                 break
         found = found or last
