@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimator.preparation.past_speed import low_passed
+from estimator.preparation.recursion import low_passed
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides

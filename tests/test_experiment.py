@@ -13,7 +13,7 @@ from estimator.diagnosis import experiment
 from estimator.diagnosis.experiment import Manoeuvre, expected, experiments, manoeuvres
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import AtRest
-from estimator.preparation.past_speed import low_passed
+from estimator.preparation.recursion import low_passed
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Quantity
 from estimator.strides import LAGS, Strides

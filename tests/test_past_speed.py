@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.errors import StateError
-from estimator.preparation.past_speed import PastSpeed, low_passed
+from estimator.preparation.past_speed import PastSpeed
+from estimator.preparation.recursion import low_passed
 from estimator.roles import PAST_SPEEDS
 from estimator.samples import STEP
 

@@ -23,7 +23,15 @@ OTHER_COMMANDS = {
         "estimator.daemon",
     },
     "diagnose": {"matplotlib", "filterpy", "scipy.signal", "scipy.stats", "estimator.simulation", "estimator.daemon"},
-    "simulate": {"matplotlib", "filterpy", "estimator.estimation", "estimator.diagnosis", "estimator.daemon"},
+    "simulate": {
+        "matplotlib",
+        "filterpy",
+        "scipy.signal",
+        "scipy.stats",
+        "estimator.estimation",
+        "estimator.diagnosis",
+        "estimator.daemon",
+    },
     "run": {"matplotlib", "filterpy", "scipy.signal", "scipy.stats", "estimator.simulation", "estimator.diagnosis"},
 }
 

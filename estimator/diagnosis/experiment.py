@@ -18,7 +18,7 @@ from estimator.diagnosis.result import Experiment
 from estimator.diagnosis.standing import IDLE_SD, IDLE_SHARE
 from estimator.model.effects import Effect
 from estimator.model.effects.effect import AtRest
-from estimator.preparation.past_speed import low_passed
+from estimator.preparation.recursion import low_passed
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, ROWS, Strides

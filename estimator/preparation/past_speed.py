@@ -3,26 +3,16 @@
 While the bus is silent the vehicle stands, and both cool; before the first message it has stood for long.
 """
 
-from math import exp
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, array, read
-from estimator.preparation.recursion import recursive
+from estimator.preparation.recursion import low_passed
 from estimator.roles import PAST_SPEEDS
 from estimator.samples import STEP
 from estimator.signals import Floats, Quantity
-
-
-def low_passed(speed: Floats, before: float, step: float, time: float) -> Floats:
-    """A ``speed`` (n,) [m/s] in steps [s] through a low-pass of first order with a time constant [s].
-
-    ``before`` [m/s] is the value a step before the first one.
-    """
-    keep = exp(-step / time)
-    return recursive(np.concatenate([[before], (1.0 - keep) * speed]), np.array([1.0, -keep]))[1:]
 
 
 def last_known(values: Floats, before: float) -> Floats:

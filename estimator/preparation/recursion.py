@@ -1,5 +1,6 @@
 """Recursive filters as banded triangular systems; `scipy.signal.lfilter` takes 59 MB and 0.6 s to import."""
 
+from math import exp
 from typing import TypeVar
 
 import numpy as np
@@ -17,3 +18,12 @@ def recursive(signal: Values, recursion: Values) -> Values:
     solve = ztbtrs if np.iscomplexobj(band) else dtbtrs
     solution: Values = solve(band, signal[:, None], uplo="L", diag="U")[0][:, 0]
     return solution
+
+
+def low_passed(signal: Floats, before: float, step: float, time: float) -> Floats:
+    """A ``signal`` (n,) in steps [s] through a low-pass of first order with a time constant [s].
+
+    ``before`` is the value a step before the first one.
+    """
+    keep = exp(-step / time)
+    return recursive(np.concatenate([[before], (1.0 - keep) * signal]), np.array([1.0, -keep]))[1:]

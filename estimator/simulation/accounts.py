@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from estimator.preparation.recursion import low_passed
 from estimator.signals import Floats, Mask
 from estimator.simulation.atmosphere import STANDARD_TEMPERATURE, pressure_at
 from estimator.simulation.bends import CURVE_SPACING
@@ -146,6 +145,4 @@ def _coolant(truck: Truck, course: Course, actions: Mapping[str, Action]) -> Flo
         if action.coolant:
             return np.array(action.coolant)
     load = np.maximum(course.torque * course.engine_speed, 0.0) / cruise_power(truck)
-    keep = exp(-STEP / COOLANT_TIME)
-    rise: Floats = lfilter([1.0 - keep], [1.0, -keep], COOL_DAY_RISE * load)
-    return THERMOSTAT + rise
+    return THERMOSTAT + low_passed(COOL_DAY_RISE * load, 0.0, STEP, COOLANT_TIME)

@@ -6,12 +6,12 @@ SPN 513 and 4154 do; the nominal friction comes apart and slower, as SPN 514 doe
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import cos, exp, pi
+from math import cos, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from estimator.preparation.recursion import low_passed
 from estimator.signals import Floats, Mask, Role, Series, Signals
 from estimator.simulation.moment import STEP
 from estimator.simulation.noise import correlated, smooth
@@ -216,10 +216,9 @@ def _surroundings(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> I
 
 def _altitude(truth: Truth, t: Floats, sensors: Sensors, rng: np.random.Generator) -> Floats:
     """Altitude [m] (n,) with its errors, at times (n,) [s] that are one second apart."""
-    altitude = np.interp(t, truth.t, truth.altitude)
+    altitude: Floats = np.interp(t, truth.t, truth.altitude)
     if sensors.altitude_smoothing > 0.0:
-        keep = exp(-1.0 / sensors.altitude_smoothing)
-        altitude = altitude[0] + lfilter([1.0 - keep], [1.0, -keep], altitude - altitude[0])
+        altitude = low_passed(altitude, altitude[0], 1.0, sensors.altitude_smoothing)
     altitude = altitude + smooth(len(t), sensors.altitude_noise, 30.0, rng)
     if sensors.altitude_wander > 0.0:
         altitude += smooth(len(t), sensors.altitude_wander, sensors.altitude_wander_time, rng)

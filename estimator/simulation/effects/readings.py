@@ -1,11 +1,11 @@
 """Effects of the instruments: the reports of the control units are wrong, the truck itself drives as before."""
 
 from dataclasses import replace
-from math import exp, pi
+from math import pi
 
 import numpy as np
-from scipy.signal import lfilter
 
+from estimator.preparation.recursion import low_passed
 from estimator.signals import Floats
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.moment import STEP, Action, Reading, Scene
@@ -75,10 +75,9 @@ def _late(t: Floats, value: Floats, lag: float) -> Floats:
 
 def speed_filter(scene: Scene, effect: Effect) -> Action:
     """The wheel speed passes a low-pass of first order in the brakes' control unit, time constant [s]."""
-    keep = exp(-STEP / effect.magnitude)
 
     def reading(read: Reading) -> Reading:
-        v = lfilter([1.0 - keep], [1.0, -keep], read.v)
+        v = low_passed(read.v, 0.0, STEP, effect.magnitude)
         return replace(read, v=v, a=(read.v - v) / effect.magnitude)
 
     return Action(reading=reading)
