@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from estimator.commands.lean_import import import_without
+from estimator.lean_import import import_deferring, import_without
 
 USER = """
 try:
@@ -45,6 +45,28 @@ def test_a_module_that_cannot_be_imported_leaves_nothing_behind():
     with pytest.raises(ImportError, match="rl_nowhere"):
         import_without("rl_wanted", "rl_broken")
     assert "rl_wanted" not in sys.modules
+
+
+@pytest.mark.usefixtures("modules")
+def test_contents_of_a_deferred_package_are_imported_when_they_are_used(tmp_path):
+    (tmp_path / "rl_wanted.py").write_text("class Table:\n    rows = 3\n\ndef half(x, by=2):\n    return x / by\n")
+    (tmp_path / "rl_taker.py").write_text("from rl_wanted import Table, half\n")
+    taker = import_deferring("rl_wanted", "rl_taker")
+    assert "rl_wanted" not in sys.modules
+    assert taker.Table.rows == 3
+    assert taker.half(6, by=4) == 1.5
+    assert sys.modules["rl_wanted"].half is not taker.half
+    assert import_deferring("rl_wanted", "rl_user").rl_wanted is sys.modules["rl_wanted"]
+
+
+def test_a_kalman_filter_imported_without_its_statistics_has_them_when_they_are_asked_for():
+    program = (
+        "import sys; from estimator.preparation.smoothing import smoother_kernels; smoother_kernels(100.0, 0.1);"
+        "print('scipy.stats' in sys.modules);"
+        "from filterpy.stats import logpdf; print(round(logpdf(0.0, 0.0, 1.0), 3), 'scipy.stats' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "-0.919", "True"]
 
 
 def test_a_command_on_logs_imports_no_library_of_tables():

@@ -7,9 +7,9 @@ from typing import NoReturn
 
 from estimator import __version__
 from estimator.commands.complaints import complain, show_traceback
-from estimator.commands.lean_import import import_without
 from estimator.errors import RoadloadError
 from estimator.freed_memory import keep_freed_memory
+from estimator.lean_import import import_without
 
 COMMANDS = {  # module of this package, and its use
     "replay": "play logs on a virtual bus to the daemon's loop",

@@ -23,6 +23,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from estimator.checkpoint.validation import State, array, table
+from estimator.lean_import import import_deferring
 from estimator.preparation.recursion import recursive
 from estimator.samples import STEP
 from estimator.signals import Floats
@@ -66,9 +67,7 @@ class Kernels:
 
 def _model(ratio: float, dt: float) -> Any:
     """Constant-acceleration filter with r = 1 / dt and q = ratio: the gain depends on their ratio only."""
-    from filterpy.kalman import KalmanFilter  # a quarter of the program's start: it imports scipy.stats
-
-    kalman = KalmanFilter(dim_x=2, dim_z=1)
+    kalman = import_deferring("filterpy.stats", "filterpy.kalman").KalmanFilter(dim_x=2, dim_z=1)
     kalman.F = np.array([[1.0, dt], [0.0, 1.0]])
     kalman.H = np.array([[1.0, 0.0]])
     kalman.Q = ratio * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
