@@ -16,7 +16,7 @@ from test_diagnosis_evidence import driven as on_level_road
 
 from estimator.components import edges, exchange, switching
 from estimator.components.budget import NOISE, ROAD, budget
-from estimator.components.candidates import Candidates
+from estimator.components.candidates import Candidates, FoundForms
 from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.hypotheses import Hypotheses
@@ -422,6 +422,28 @@ def test_the_share_of_a_stride_that_is_covered_is_its_overlap():
     t = np.arange(10) + 0.5
     assert_allclose(covered(t, 1.0, ((2.25, 4.5), (8.0, 8.1))), [0, 0, 0.75, 1, 0.5, 0, 0, 0, 0.1, 0])
     assert_allclose(covered(t, 0.0, ((2.25, 4.5),)), [0, 0, 1, 1, 1, 0, 0, 0, 0, 0])
+    assert_allclose(covered(t, 1.0, ()), np.zeros(10))
+
+
+@given(
+    edges=st.lists(st.floats(-50.0, 150.0), max_size=12, unique=True),
+    durations=st.lists(st.floats(0.1, 40.0), min_size=1, max_size=9),
+)
+def test_the_share_that_is_covered_is_the_sum_of_the_overlaps_with_each_span(edges, durations):
+    ordered = sorted(edges)
+    spans = tuple(zip(ordered[::2], ordered[1::2], strict=False))
+    duration = np.array(durations)
+    t = np.linspace(0.0, 100.0, len(duration))
+    overlaps = [
+        sum(max(min(end, x + d / 2) - max(start, x - d / 2), 0.0) for start, end in spans) / d
+        for x, d in zip(t.tolist(), durations, strict=True)
+    ]
+    share = covered(t, duration, spans)
+    assert_allclose(share, overlaps, atol=1e-9)
+    apart = [
+        all(end <= x - d / 2 or x + d / 2 <= start for start, end in spans) for x, d in zip(t, duration, strict=True)
+    ]
+    assert not share[apart].any()  # to the bit: columns are zero where nothing acts
 
 
 def test_the_period_of_a_load_that_swings_is_among_those_tried():
@@ -587,7 +609,9 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
     state = DriveState(strides=strides, fit=quiet)
     effects = [BY_NAME[name] for name in ("auxiliary_load", "viscous_drag", "warm_up")]
     joint = Hypotheses(
-        (state,), [()], [Candidates(effects, [()]).on(0, state, with_processes=False, with_stretches=False)]
+        (state,),
+        [()],
+        [Candidates(effects, [()], FoundForms()).on(0, state, with_processes=False, with_stretches=False)],
     )
     names = [joint.component(i).name for i in range(len(joint.keys))]
     load, drag, tyres = (names.index(effect.name) for effect in effects)

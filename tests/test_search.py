@@ -9,7 +9,7 @@ import pytest
 from made_strides import made_strides
 
 from estimator.components import search
-from estimator.components.candidates import Candidates
+from estimator.components.candidates import Candidates, FoundForms
 from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.hypotheses import Hypotheses
@@ -36,6 +36,8 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
     return SimpleNamespace(
         fit=fit,
         chosen=(),
+        sizes=np.empty(0),
+        stretches=None,
         is_possible=lambda given: is_possible,
         **{"has_unusual_noise": False, "is_hidden": False} | further,
     )
@@ -126,7 +128,7 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     chosen = plain.having((of_term(Frame.of(plain.fit), Term(brake, None, own), 1.0),))
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: {other})
     monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
-    candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]], [()])
+    candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]], [()], FoundForms())
 
     def times(of: DriveState, cause: str) -> set[Spans | None]:
         return {
@@ -141,13 +143,31 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
     assert times(chosen, "auxiliary_cycling") == {own, other}
 
 
+def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monkeypatch):
+    loss, brake, fan = (BY_NAME[name] for name in ("cold_loss", "brake_use", "auxiliary_cycling"))
+    plain, shape, own = driven(), BY_NAME["cold_loss"].shapes[1], ((50.0, 80.0), (200.0, 230.0))
+    frame, found = Frame.of(plain.fit), FoundForms()
+    before = plain.having((of_term(frame, Term(brake, None, own), 1.0), of_term(frame, Term(loss, shape))))
+    found.add(0, before)
+    monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())
+    monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
+
+    def tried(forms: FoundForms) -> set[tuple[str, object]]:
+        candidates = Candidates([loss, brake, fan], [()], forms)
+        return {(one.cause, one.form) for one in candidates.on(0, plain, with_processes=False, with_stretches=False)}
+
+    finer = {(loss.name, str(time)) for time in loss.finer(shape, float(before.sizes[1]))}
+    on_the_grid = {(loss.name, str(time)) for time in loss.shapes}
+    assert tried(found) - tried(FoundForms()) == {(brake.name, own), (fan.name, own)} | finer - on_the_grid
+
+
 # Shapes
 
 
 def test_a_rival_of_what_was_chosen_has_shapes_between_those_of_the_grid_too():
     """Else what happened to be chosen first would have more evidence by its finer shapes alone."""
-    loss, plain = BY_NAME["cold_loss"], driven()
-    candidates = Candidates([loss, BY_NAME["viscous_drag"]], [()])
+    loss, plain, found = BY_NAME["cold_loss"], driven(), FoundForms()
+    candidates = Candidates([loss, BY_NAME["viscous_drag"]], [()], found)
 
     def joined() -> Hypotheses:
         return Hypotheses((plain,), [()], [candidates.on(0, plain, with_processes=False, with_stretches=False)])
@@ -165,7 +185,7 @@ def test_a_rival_of_what_was_chosen_has_shapes_between_those_of_the_grid_too():
     assert (number, term.shape) == (0, loss.shapes[1])
     assert size == pytest.approx(plain.joint_with(both).posterior([0, 1]).mean[-1])
 
-    candidates.rival(number, term, size)
+    found.shape(number, term, size)
     near = {str(time) for time in loss.finer(term.shape, size)}
     assert set(forms(joined())) == {str(time) for time in loss.shapes} | near
 
@@ -276,7 +296,7 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
     drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
 
     class Found:
-        def __init__(self, drives: tuple[Any, ...], effects: object) -> None:
+        def __init__(self, drives: tuple[Any, ...], effects: object, forms: object) -> None:
             self.is_sloping, self.alone = drives == ("sloping",), (drive,)
 
         def explained(self) -> Any:

@@ -27,6 +27,31 @@ class Candidate:
     component: Component
 
 
+class FoundForms:
+    """Times and shapes that searches on the same drives have found, for each drive by its number.
+
+    A search from another start, or beside another road, need not find them round by round again.
+    """
+
+    def __init__(self) -> None:
+        self.times: dict[int, set[Spans]] = defaultdict(set)
+        self.shapes: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)  # the last of an effect; its size
+
+    def shape(self, number: int, term: Term, size: float) -> None:
+        """An effect with this ``term`` may have this ``size``."""
+        self.shapes[number][term.effect.name] = term, size
+
+    def add(self, number: int, drive: DriveState) -> None:
+        """The forms of all that was chosen on a drive, and stretches of its road."""
+        for one, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
+            if one.is_timed and one.spans:
+                self.times[number].add(one.spans)
+            if one.term is not None:
+                self.shape(number, one.term, size)
+        if drive.stretches is not None and drive.stretches.spans:
+            self.times[number].add(drive.stretches.spans)
+
+
 class Candidates:
     """All that may act on the drives of a vehicle, for ``effects`` of the catalogue, beside those ``given`` for each.
 
@@ -35,23 +60,18 @@ class Candidates:
     of them has, so those in the place of all effects with times are proposed too, whenever effects of other names are
     chosen, or the first stretches of the road.
 
-    Effects that were chosen have shapes near theirs, and so have their `rivals`: what was chosen first would else gain
-    by that alone.
+    Effects that were chosen have shapes near theirs, and so have those ``found`` before: what was chosen first would
+    else gain by that alone.
     """
 
-    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]]) -> None:
+    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]], found: FoundForms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
-        self._given = given
+        self._given, self._found = given, found
         self._latest: dict[int, tuple[object, set[Spans]]] = {}
         self._untimed: dict[int, set[Spans]] = {}
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
-        self._rivals: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)
         self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
-
-    def rival(self, number: int, term: Term, size: float) -> None:
-        """An effect of this magnitude may act instead of those chosen on the drive with this ``number``."""
-        self._rivals[number][term.effect.name] = term, size
 
     def on(self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool) -> Iterator[Candidate]:
         """On the drive with this ``number``; of two equal forms the later one counts.
@@ -83,6 +103,7 @@ class Candidates:
         own += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(own, 2)}
         proposed = self._latest[number][1] | self._instead[number][1] | self._untimed.get(number, set())
+        proposed |= self._found.times[number]
         # Times that differ in gaps alone look the same, and would count as many times.
         alike = {seen(spans, drive.fit.strides.t): spans for spans in sorted({*own, *both, *proposed})}
         return sorted(alike.values())
@@ -102,10 +123,10 @@ class Candidates:
                 )
 
     def _finer(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
-        """Shapes near those that were chosen and those of rivals; effects that are given keep theirs."""
+        """Shapes near those that were chosen and those found before; effects that are given keep theirs."""
         chosen = [(one.term, size) for one, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if one.term]
         own = {term.effect.name: (term, size) for term, size in chosen}
-        for term, size in (self._rivals[number] | own).values():
+        for term, size in (self._found.shapes[number] | own).values():
             if not is_free(term) or term.effect not in self._effects:
                 continue
             for finer in near(term, size):

@@ -6,11 +6,14 @@ what explains most alone need not do so beside others. Steps begin at the empty 
 two effects that explain most together may each explain little alone. Probabilities are sums over the table.
 """
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from estimator.signals import Floats
@@ -67,13 +70,23 @@ class ModelTable:
     @property
     def none(self) -> float:
         """Probability of the empty set."""
-        return 1 - self.holding([form for own in self.sets for form in own])
+        return 1 - self.holding(self._having)
 
-    def holding(self, forms: Sequence[int]) -> float:
+    @cached_property
+    def _having(self) -> dict[int, NDArray[np.intp]]:
+        """Numbers of the sets that hold each form."""
+        numbers: dict[int, list[int]] = defaultdict(list)
+        for number, own in enumerate(self.sets):
+            for form in own:
+                numbers[form].append(number)
+        return {form: np.array(own, dtype=np.intp) for form, own in numbers.items()}
+
+    def holding(self, forms: Iterable[int]) -> float:
         """Probability that any of ``forms`` acts."""
-        wanted = set(forms)
-        total = sum(p for p, own in zip(self.probability, self.sets, strict=True) if wanted & set(own))
-        return min(float(total), 1.0)  # rounding may add to more
+        held = np.zeros(len(self.sets), dtype=np.bool_)
+        for form in self._having.keys() & set(forms):
+            held[self._having[form]] = True
+        return min(float(self.probability[held].sum()), 1.0)  # rounding may add to more
 
     def rival(self, forms: Sequence[int], others: Mapping[str, Sequence[int]]) -> tuple[str, float]:
         """Which of ``others``, by their forms, acts where none of ``forms`` does, and the probability that either acts.

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from estimator.components.candidates import Candidates
+from estimator.components.candidates import Candidates, FoundForms
 from estimator.components.drive_state import DriveState
 from estimator.components.explained import Explained, explained_by, log_evidence, ranked
 from estimator.components.hypotheses import Hypotheses
@@ -60,12 +60,16 @@ class Search:
         With the effects that are given.
     effects
         That may act besides.
+    forms
+        That other searches on these drives found; those of this one are added.
     """
 
-    def __init__(self, drives: tuple[DriveState, ...], effects: Sequence[Effect]) -> None:
-        self._drives, self._effects = drives, effects
+    def __init__(
+        self, drives: tuple[DriveState, ...], effects: Sequence[Effect], forms: FoundForms | None = None
+    ) -> None:
+        self._drives, self._effects, self._forms = drives, effects, forms or FoundForms()
         self._given = [drive.chosen for drive in drives]
-        self._candidates = Candidates(effects, self._given)
+        self._candidates = Candidates(effects, self._given, self._forms)
 
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
@@ -153,7 +157,7 @@ class Search:
                 break
             last, states = _Converged(joint, table, table.best, fitted), fitted
             for number, term, magnitude in joint.rivals(table):
-                self._candidates.rival(number, term, magnitude)
+                self._forms.shape(number, term, magnitude)
             is_possible = all(s.is_possible(len(given)) for s, given in zip(states, self._given, strict=True))
             gain = value - highest if is_possible else abs(value - before)  # an impossible set that stays gains nothing
             if is_possible:
@@ -162,5 +166,7 @@ class Search:
                 break
         found = found or last
         assert found is not None
+        for number, state in enumerate(found.states):
+            self._forms.add(number, state)
         best = found.joint.worthwhile(found.chosen)
         return found if best == found.chosen else replace(found, chosen=best, states=found.joint.fitted(best))

@@ -8,6 +8,7 @@ too small for a road, or that signals of the road deny, are no hills.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from estimator.components.candidates import FoundForms
 from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.explained import Explained
@@ -43,17 +44,18 @@ def explain(drives: Sequence[Drive], effects: Sequence[Effect], thresholds: Thre
     if any(term.effect.is_gravity for drive in drives for term in drive.model.terms):
         given = _states(drives, is_level=False)
         return None if given is None else Explanation(Search(given, candidates).explained(), True, None, True)
+    forms = FoundForms()
     plain = _states(drives, is_level=True)
     if plain is None:
         return None
     sloping = _states(drives, is_level=False)
     level, slopes = None, _slopes(plain, sloping or ())
     if slopes < thresholds.min_log_bf_effect:
-        level = Search(plain, candidates).explained()
+        level = Search(plain, candidates, forms).explained()
         slopes = _slopes(level.drives, sloping or ())
     if sloping is None or slopes < thresholds.min_log_bf_effect:
         return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
-    return _on_either_road(plain, level, sloping, candidates, thresholds)
+    return _on_either_road(plain, level, sloping, candidates, forms, thresholds)
 
 
 def _on_either_road(
@@ -61,20 +63,21 @@ def _on_either_road(
     level: Explained | None,
     sloping: tuple[DriveState, ...],
     candidates: Sequence[Effect],
+    forms: FoundForms,
     thresholds: Thresholds,
 ) -> Explanation:
     """The explanation with more evidence of drives that seem to have slopes; ``level``: that on a level road, if known.
 
     Over hills the search on a level road would take many rounds to explain the slopes by effects, so it comes second.
     """
-    search = Search(sloping, candidates)
+    search = Search(sloping, candidates, forms)
     slopes = _slopes(search.alone)
     if slopes < thresholds.min_log_bf_slopes:
-        return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
+        return Explanation(level or Search(plain, candidates, forms).explained(), False, slopes, False)
     beside = search.explained()
     is_shown = _is_shown(beside, thresholds)
     least = beside.log_posterior - (0.0 if is_shown else thresholds.min_log_bf_slopes)
-    level = level or Search(plain, candidates).explained_above(least)
+    level = level or Search(plain, candidates, forms).explained_above(least)
     if level is not None and level.log_posterior > least:
         return Explanation(level, False, slopes, False)
     slopes = min([_slopes(beside.drives), *([beside.log_posterior - level.log_posterior] if level else [])])

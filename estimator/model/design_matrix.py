@@ -53,9 +53,11 @@ def covered(t: Floats, duration: float | Floats, spans: Spans) -> Floats:
     if not np.any(duration):
         return inside(t, spans)
     edges = np.array(spans).reshape(-1, 2)
-    after = np.clip((t + duration / 2)[:, None], edges[:, 0], edges[:, 1])
-    before = np.clip((t - duration / 2)[:, None], edges[:, 0], edges[:, 1])
-    share: Floats = (after - before).sum(axis=1) / duration
+    if not edges.size:
+        return np.zeros(len(t))
+    within = np.cumsum(np.column_stack([np.zeros(len(edges)), edges[:, 1] - edges[:, 0]]))  # of the time up to an edge
+    before, after = (np.interp(t + half, edges.ravel(), within) for half in (-duration / 2, duration / 2))
+    share: Floats = (after - before) / duration
     return share
 
 
