@@ -41,6 +41,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:unclosed <soc
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KNOWN, PLAYED = 400.0, 90.0  # s of driving: before the daemon starts, and at most while it runs
+START = 5.0  # s of driving, where it need only be heard: 800 frames
 LONGEST = 60.0  # s for anything here to happen; the machine is slow
 SERVICE = """
 [service]
@@ -50,10 +51,9 @@ runtime_directory = "{folder}"
 ESTIMATED, WITHHELD = "estimated", "not available"
 
 
-@pytest.fixture(scope="module")
-def drive() -> Frames:
+def driven(duration: float) -> Frames:
     rng = np.random.default_rng(1)
-    return frames_of(record(TRUCK, generate_route("mixed", 30e3, rng), KNOWN + PLAYED, rng).signals)
+    return frames_of(record(TRUCK, generate_route("mixed", 30e3, rng), duration, rng).signals)
 
 
 @pytest.fixture
@@ -176,8 +176,8 @@ def play(drive: Frames, folder: Path, channel: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-m", "can.player", "-i", "socketcan", "-c", channel, str(log)])
 
 
-def test_a_played_log_comes_back_as_an_estimate_on_the_other_bus(buses, drive, settings):
-    inward, outward = buses
+def test_a_played_log_comes_back_as_an_estimate_on_the_other_bus(buses, settings):
+    (inward, outward), drive = buses, driven(KNOWN + PLAYED)
     remember(drive, settings)
     bus = ["-i", "socketcan", "-c", inward, "--output-interface", "socketcan", "--output-channel", outward]
     with (
@@ -224,10 +224,10 @@ def test_a_played_log_comes_back_as_an_estimate_on_the_other_bus(buses, drive, s
     assert told["input"]["frames"] >= content["input"]["frames"]
 
 
-def test_without_permission_nothing_is_sent(buses, drive, settings):
+def test_without_permission_nothing_is_sent(buses, settings):
     """Listen-only is the default, and holds through loss and return of the interface."""
     inward, _ = buses
-    frames = [m for m in drive[:400].messages() if group(m) not in (0xEC00, 0xEB00)]
+    frames = [m for m in driven(START)[:400].messages() if group(m) not in (0xEC00, 0xEB00)]
     with Listener(inward) as on_bus, thread(settings, inward):
         status(settings.parent, lambda s: s["input"]["open"], "the bus to open")
         with can.Bus(interface="socketcan", channel=inward, ignore_config=True) as player:
@@ -239,9 +239,9 @@ def test_without_permission_nothing_is_sent(buses, drive, settings):
         assert len(on_bus.messages) == len(frames)
 
 
-def test_the_bus_may_go_and_come_back(buses, drive, settings):
+def test_the_bus_may_go_and_come_back(buses, settings):
     inward, outward = buses
-    folder = settings.parent
+    folder, drive = settings.parent, driven(START)
 
     def drive_on(first: int) -> None:
         before = status(folder, lambda s: True, "a status")["input"]["frames"]
@@ -273,12 +273,12 @@ def test_the_bus_may_go_and_come_back(buses, drive, settings):
 @pytest.mark.parametrize(
     ("peer", "wins"), [("0000000000000001", True), ("ffffffffffffffff", False)], ids=["lower", "higher"]
 )
-def test_address_claim_against_another_implementation(buses, drive, settings, tmp_path, peer, wins):
+def test_address_claim_against_another_implementation(buses, settings, tmp_path, peer, wins):
     """can-utils' j1939acd wants our address; the lower NAME keeps it, the other one moves."""
     bus, ours = buses[0], 0x80
     settings.write_text(settings.read_text() + f"[publish]\nsource_address = {ours}\n")
     claim = ["j1939acd", "-r", "128-140", "-a", "128", "-c", str(tmp_path / "claim"), peer, bus]
-    frames = list(drive[:600].messages())
+    frames = list(driven(START)[:600].messages())
     name = bytes.fromhex(peer)[::-1]
     with Listener(bus) as heard, thread(settings, bus, transmit=True), subprocess.Popen(claim) as acd:
         try:
