@@ -17,8 +17,9 @@ from test_diagnosis_evidence import driven as on_level_road
 from estimator.components import edges, exchange, switching
 from estimator.components.budget import NOISE, ROAD, budget
 from estimator.components.candidates import Candidates, FoundForms
-from estimator.components.component import Component, Frame, of_effect, of_term
+from estimator.components.component import Component, Frame, Kind, of_effect, of_term
 from estimator.components.drive_state import DriveState
+from estimator.components.explained import explained_by, ranked
 from estimator.components.hypotheses import Hypotheses
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import ModelTable
@@ -603,6 +604,26 @@ def test_a_cause_of_one_drive_only_counts_among_several():
         whole = budget(drives, [[], []], [[], []], np.random.default_rng(1))
         assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
         assert whole.part("auxiliary_load").reached is not None
+
+
+def test_effects_are_compared_with_processes_by_the_most_probable_set_of_either_alone():
+    """A process that takes the place of one effect in the best set says nothing of what the effects explain."""
+    drag, fan = (BY_NAME[name] for name in ("viscous_drag", "auxiliary_load"))
+    state = on_level_road(3e3 + 10 * on_level_road().fit.strides.speed ** 2)
+    forms = Candidates([drag, fan], [()], FoundForms()).on(0, state, with_processes=True, with_stretches=False)
+    joint = Hypotheses((state,), [()], [forms])
+    names = [joint.component(i).name for i in range(len(joint.keys))]
+    one, other = names.index(drag.name), names.index(fan.name)
+    process = max(range(len(names)), key=lambda i: joint.unlimited((i,)) if joint.kind(i) is Kind.PROCESS else -np.inf)
+    sets = (one, process), (process,), (one, other), (one,), ()
+    table = ModelTable(sets, np.array([0.7, 0.1, 0.1, 0.06, 0.04]), 0.0)
+    first = ranked((state,), [drag, fan])
+    found = explained_by(joint, table, table.best, joint.fitted(table.best), first, [drag, fan])
+    none = joint.unlimited(())
+    assert found.by_effects == pytest.approx(joint.unlimited((one, other)) - none)
+    assert found.by_effects > joint.unlimited((one,)) - none + 5
+    assert found.by_processes == pytest.approx(joint.unlimited((process,)) - none)
+    assert found.by_processes > 0
 
 
 def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):

@@ -81,10 +81,10 @@ class Explained:
     ``choices``: the effects of the most probable set, those with most evidence first. ``ranking``: all effects, each
     alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``nameless``: what has no name
     beside the choices; ``beyond_low_pass``: that but a low-pass of the speed, beside this too; ``low_pass``: that
-    alone, None where it is no candidate. ``by_effects`` and ``by_processes``: log Bayes factors of the choices without
-    any process, and of the most probable processes without any effect. ``log_posterior``: log evidence of the drives
-    with the most probable set, and its log prior odds. ``others``: what less probable sets add to the road load of
-    each drive.
+    alone, None where it is no candidate. ``by_effects`` and ``by_processes``: log Bayes factors of the most probable
+    effects without any process, and of the most probable processes without any effect. ``log_posterior``: log evidence
+    of the drives with the most probable set, and its log prior odds. ``others``: what less probable sets add to the
+    road load of each drive.
     """
 
     drives: tuple[DriveState, ...]
@@ -138,13 +138,16 @@ def explained_by(
     choices = [_choice(joint, table, best, effect, forms_of) for effect in acting]
     road = [i for i in best if joint.kind(i) is Kind.ROAD]
     named = [i for i in best if joint.kind(i) is Kind.EFFECT] + road
-    beside = joint.unlimited(named)
     of_kind = {kind: {i for i in forms if joint.kind(i) is kind} for kind in Kind}
     unnamed = of_kind[Kind.PROCESS]
     low_pass = {i for i in unnamed if joint.component(i).name == LOW_PASS}
     none = joint.unlimited(road)
-    without_effects = (own for own in table.sets if unnamed & set(own) and not of_kind[Kind.EFFECT] & set(own))
-    alone = next(without_effects, tuple(road))
+
+    def without(others: Set[int]) -> float:
+        """Log Bayes factor of the most probable set without ``others``; 0 where it is of no use."""
+        alone = next((own for own in table.sets if not others & set(own)), tuple(road))
+        return max(joint.unlimited(alone) - none, 0.0)
+
     return Explained(
         drives=states,
         choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
@@ -154,8 +157,8 @@ def explained_by(
         none=1 - table.holding([*of_kind[Kind.EFFECT], *unnamed]),
         nameless=_nameless(joint, table, causes, named, unnamed),
         beyond_low_pass=_nameless(joint, table, causes, [*named, *low_pass], unnamed - low_pass),
-        by_effects=beside - none,
-        by_processes=max(joint.unlimited(alone) - none, 0.0),
+        by_effects=without(unnamed),
+        by_processes=without(of_kind[Kind.EFFECT]),
         log_posterior=log_evidence(states) + joint.log_prior(best, causes),
         others=joint.others(table, best),
         low_pass=_nameless(joint, table, causes, named, low_pass) if low_pass else None,
