@@ -1,8 +1,8 @@
 """Imports of modules without what they import and hardly need, which takes more time and memory than they do.
 
 python-can imports asammdf wherever that is installed, and asammdf pandas: 84 MB and 0.7 s. `can_io.logs.mf4` reads the
-logs that python-can would read with it. filterpy.stats imports scipy.stats, 25 MB and 0.6 to 1 s, and the
-Kalman filter needs it for the likelihood alone.
+logs that python-can would read with it. filterpy.stats imports scipy.stats, 25 MB and 0.6 to 1 s, and the Kalman filter
+needs it for the likelihood alone.
 """
 
 import sys
@@ -35,7 +35,8 @@ def _in_its_place(package: str, other: ModuleType | None) -> Iterator[None]:
     try:
         yield
     finally:
-        del sys.modules[package]
+        if package in sys.modules and sys.modules[package] is other:  # else it was used, and imported, meanwhile
+            del sys.modules[package]
 
 
 class _Deferred(ModuleType):
@@ -60,4 +61,6 @@ class _Content:
         return self._imported()(*arguments, **options)
 
     def _imported(self) -> Any:
+        if isinstance(sys.modules.get(self._module), _Deferred):  # used while its user is still being imported
+            del sys.modules[self._module]
         return getattr(import_module(self._module), self._name)

@@ -59,6 +59,14 @@ def test_contents_of_a_deferred_package_are_imported_when_they_are_used(tmp_path
     assert import_deferring("rl_wanted", "rl_user").rl_wanted is sys.modules["rl_wanted"]
 
 
+@pytest.mark.usefixtures("modules")
+def test_a_deferred_package_that_is_used_at_once_is_imported_at_once(tmp_path):
+    (tmp_path / "rl_wanted.py").write_text("def half(x):\n    return x / 2\n")
+    (tmp_path / "rl_hasty.py").write_text("from rl_wanted import half\nquarter = half(0.5)\n")
+    assert import_deferring("rl_wanted", "rl_hasty").quarter == 0.25
+    assert sys.modules["rl_wanted"].half(6) == 3
+
+
 def test_a_kalman_filter_imported_without_its_statistics_has_them_when_they_are_asked_for():
     program = (
         "import sys; from estimator.preparation.smoothing import smoother_kernels; smoother_kernels(100.0, 0.1);"

@@ -145,7 +145,7 @@ def explained_by(
 
     def without(others: Set[int]) -> float:
         """Log Bayes factor of the most probable set without ``others``; 0 where it is of no use."""
-        alone = next((own for own in table.sets if not others & set(own)), tuple(road))
+        alone = next(own for own in table.sets if not others & set(own))
         return max(joint.unlimited(alone) - none, 0.0)
 
     return Explained(
