@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
+from scipy.stats import multivariate_normal
 from test_diagnosis_evidence import driven as on_level_road
 
 from estimator.components import edges, exchange, switching
@@ -37,12 +38,13 @@ from estimator.components.processes import (
 from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
 from estimator.components.time_prior import CHANGE_COST, Costs
+from estimator.estimation import road_fit
 from estimator.estimation.normal_equations import NormalEquations
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
-from estimator.estimation.road_fit import fit
-from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, USUAL_SDS, Likelihood
+from estimator.estimation.road_fit import fit, fit_given
+from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
 from estimator.model.conditioned import Conditioned
-from estimator.model.design_matrix import Term, covered, union, without
+from estimator.model.design_matrix import USUAL_SDS, Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
 from estimator.samples import STEP
@@ -50,6 +52,7 @@ from estimator.signals import Quantity
 
 M, A, C = 25e3, 1600.0, 3.5
 SEED = 3
+ELAPSED = frozenset({Quantity.ELAPSED, Quantity.ENGINE_SPEED})
 QUIET = 1e-4  # m/s^2 of torque noise: the correction for it is next to nothing
 
 
@@ -176,6 +179,63 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
     assert_allclose(shift[:ROAD_LOAD] / sd[:ROAD_LOAD], expected[:ROAD_LOAD] / sd[:ROAD_LOAD], atol=0.1)
     size = -(with_answers[-1] / with_answers[0] - without[-1] / without[0]) * likelihood.unit[0] / likelihood.unit[-1]
     assert shift[-1] / sd[-1] == pytest.approx(size / sd[-1], abs=0.1)
+
+
+@pytest.mark.parametrize(("name", "size"), [("auxiliary_load", 12e3), ("torque_bias", 90.0)])
+def test_a_fit_gives_an_effect_the_evidence_that_a_table_gives_it(name, size):
+    """With its prior, its sign, and the power at idle, which tells an effect that the motion hardly shows."""
+    truth, turns = BY_NAME[name], 8.0 * driven(900).speed
+    rest = AtRest(power=size if name == "auxiliary_load" else 63.0 * size, sd=1.3e3, engine_speed=63.0)
+    strides = driven(900, power=size * (np.ones(900) if name == "auxiliary_load" else turns))
+    plain = DriveState.of(strides, (rest,))
+    component = of_effect(Frame.of(plain.fit), truth, frozenset(strides.context))[0]
+    having = plain.having((component,))
+    scales = having.fit.scales
+    bare = fit_given(strides, np.random.default_rng(2), scales, (), rests=(rest,))
+    given = fit_given(strides, np.random.default_rng(2), scales, having.fit.terms, rests=(rest,))
+    with_it, without_it = replace(having, fit=given), replace(plain, fit=bare)
+    gain = having.joint.log_evidence([0]) - having.joint.log_evidence([])
+    assert with_it.log_evidence - without_it.log_evidence == pytest.approx(gain, abs=0.5)
+    posterior = having.joint.posterior([0])
+    sd = np.sqrt(posterior.covariance[-1, -1])
+    assert having.sizes[0] == pytest.approx(posterior.mean[-1], abs=0.3 * sd)
+    assert np.sqrt(having.fit.theta_covariance()[-1, -1]) == pytest.approx(sd, rel=0.15)
+    assert gain > 5 > replace(having, rests=()).joint.gains([], [0]).gain[0]
+
+
+def test_power_at_rest_is_a_measurement_of_the_magnitudes():
+    """As the product of two Gaussians, to first order: one rest after the other, or all at once."""
+    strides = driven(600, power=np.full(600, 9e3))
+    frame = Frame.of(DriveState.of(strides).fit)
+    terms = [of_effect(frame, BY_NAME[name], ELAPSED)[0].term for name in ("auxiliary_load", "torque_bias")]
+    found = fit(strides, np.random.default_rng(1), terms)
+    rests = [AtRest(power=9.5e3, sd=700.0, engine_speed=60.0), AtRest(power=8.5e3, sd=900.0, engine_speed=110.0)]
+    beta, covariance, evidence = found.beta, found.covariance, 0.0
+    for rest in rests:
+        beta, covariance, gain = road_fit._beside(rest, beta, covariance, terms)
+        evidence += gain
+    after = replace(found, beta=beta, covariance=covariance)
+    rows = np.array([[0.0, 0.0, 0.0, 0.0, 1.0, rest.engine_speed] for rest in rests]) / [[rest.sd] for rest in rests]
+    P, missed = found.theta_covariance(), np.array([rest.power / rest.sd for rest in rests]) - rows @ found.theta
+    spread = rows @ P @ rows.T + np.eye(2)
+    weights = np.linalg.solve(spread, rows @ P).T
+    sds = np.sqrt(np.diag(P))
+    assert_allclose((after.theta - found.theta) / sds, weights @ missed / sds, atol=0.03)
+    jacobian = road_fit.theta_jacobian(found.beta, len(terms))
+    assert_allclose(
+        (jacobian @ covariance @ jacobian.T) / np.outer(sds, sds),
+        (P - weights @ rows @ P) / np.outer(sds, sds),
+        atol=0.05,
+    )
+    assert evidence == pytest.approx(multivariate_normal.logpdf(missed, cov=spread), abs=0.05)
+
+
+def test_an_effect_alone_has_the_prior_of_its_sign_whether_its_times_are_given_or_found():
+    n, spans = 900, ((200.0, 420.0), (600.0, 760.0))
+    state = DriveState.of(driven(n, power=25e3 * covered(np.arange(n) + 0.5, 1.0, spans)))
+    form = state.forms([BY_NAME["auxiliary_cycling"]])["auxiliary_cycling"]
+    joint = state.joint_with([form.component])
+    assert form.gain == pytest.approx(joint.log_evidence([0]) - joint.log_evidence([]), abs=0.01)
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):

@@ -31,10 +31,9 @@ IMPOSSIBLE = 9  # a form whose size is beyond its limit once the scales are foun
 
 
 def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> Any:
-    fit = SimpleNamespace(log_evidence=log_evidence)
     is_possible = IMPOSSIBLE not in chosen
     return SimpleNamespace(
-        fit=fit,
+        log_evidence=log_evidence,
         chosen=(),
         sizes=np.empty(0),
         stretches=None,
@@ -69,7 +68,7 @@ def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: An
     monkeypatch.setattr(search, "Hypotheses", Scripted)
     monkeypatch.setattr(search, "weigh", lambda joint, causes, size, before: SimpleNamespace(best=joint.chosen))
     (found,) = Search((state(0.0, **start),), ()).alone
-    return float(found.fit.log_evidence)
+    return float(found.log_evidence)
 
 
 def test_a_set_with_less_evidence_by_its_own_scales_ends_the_rounds(monkeypatch):
@@ -292,7 +291,7 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
 ):
     """Beside slopes the drives have a log posterior of 100."""
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
-    fit = SimpleNamespace(strides=np.zeros(9), scales=scales, log_evidence=0.0)
+    fit = SimpleNamespace(strides=np.zeros(9), scales=scales)
     drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
 
     class Found:

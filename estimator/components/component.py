@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
-from estimator.estimation.road_likelihood import USUAL_SDS, view_of
+from estimator.estimation.road_likelihood import view_of
 from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects.effect import Effect, Timing, View
 from estimator.signals import Floats, Quantity
@@ -136,7 +136,7 @@ def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
 def as_terms(frame: Frame, process: Component) -> list[Term]:
     """The columns of what is no effect as terms of a fit, each with the prior of its amplitude."""
     power = _Powers(frame, process)
-    return [Term(_of_process(process, power, k)) for k in range(power.count)]
+    return [Term(_of_process(process, power, k), usual_sds=1.0) for k in range(power.count)]
 
 
 class _Powers:
@@ -168,7 +168,7 @@ def _of_process(process: Component, power: _Powers, k: int) -> Effect:
         symbol="",
         unit="1",
         power=lambda view, shape: power(view)[:, k],
-        usual=lambda road_load: process.sd / USUAL_SDS,
+        usual=lambda road_load: process.sd,
         positive=False,
         is_noisy=True,  # or its columns are known at the frame's strides only
         is_gravity=process.is_slope,

@@ -9,6 +9,7 @@ from scipy.special import logsumexp
 
 from estimator.components.component import Component, Frame, as_terms, of_effect, of_term
 from estimator.components.likelihood import JointLikelihood
+from estimator.components.one_sided import log_evidence_of_sign
 from estimator.components.set_likelihood import Judged
 from estimator.components.switching import Switching
 from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given, refit
@@ -75,7 +76,7 @@ class DriveState:
         cls, strides: Strides, rests: tuple[AtRest, ...] = (), is_level: bool = False, known: RoadScales | None = None
     ) -> "DriveState | None":
         """The plain start, from scales ``known`` before; None where too little is known."""
-        found = fit(strides, np.random.default_rng(PROBE_SEED), (), known, level=is_level)
+        found = fit(strides, np.random.default_rng(PROBE_SEED), (), known, level=is_level, rests=rests)
         if found is None or not found.beta[0] > 0:
             return None
         return cls(strides=strides, fit=found, rests=rests)
@@ -91,15 +92,23 @@ class DriveState:
         Beside nameless ``processes`` too.
         """
         frame, further = Frame.of(self.fit), (*processes, *(() if stretches is None else (stretches,)))
-        terms = [component.term for component in chosen if component.term is not None]
+        terms = [replace(component.term, usual_sds=1.0) for component in chosen if component.term is not None]
         terms += [term for process in further for term in as_terms(frame, process)]
-        found = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), terms)
+        found = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), terms, self.rests)
         return replace(self, fit=found, chosen=chosen, stretches=stretches)
 
     @property
     def sizes(self) -> Floats:
         """Magnitudes (c,) of the effects chosen, each in its own unit."""
         return self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the drive beside the effects chosen, with the priors that these have in every set of a table."""
+        sds = np.sqrt(np.diag(self.fit.theta_covariance()))[LAG + 1 : LAG + 1 + len(self.chosen)]
+        positive = np.array([component.positive for component in self.chosen], dtype=np.bool_)
+        signs = log_evidence_of_sign(self.sizes / sds)[positive]
+        return self.fit.log_evidence + float(signs.sum())
 
     @property
     def has_unusual_noise(self) -> bool:
@@ -113,7 +122,8 @@ class DriveState:
         for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):
             values[i] = min(values[i], SCALES[i].centre)
         known = replace(self.fit.scales, values=values)
-        found = fit_given(self.strides, np.random.default_rng(PROBE_SEED), known, self.fit.terms)
+        rng, terms = np.random.default_rng(PROBE_SEED), self.fit.terms
+        found = fit_given(self.strides, rng, known, terms, rests=self.rests)
         return self if found is None else replace(self, fit=found)
 
     def is_possible(self, given: int) -> bool:
@@ -139,7 +149,8 @@ class DriveState:
         rng = np.random.default_rng(PROBE_SEED)
         joint = JointLikelihood(self._conditioned, self.fit, components, rng, stretches)
         for rest in self.rests:
-            per_unit = {i: at_rest(component, rest) for i, component in enumerate(components)}
+            terms = {i: one.term for i, one in enumerate(components) if one.term is not None}
+            per_unit = {i: term.at_rest(rest) for i, term in terms.items()}
             weights = {i: power / rest.sd for i, power in per_unit.items() if power}
             joint.observe(weights, rest.power / rest.sd)
         return joint
@@ -164,12 +175,6 @@ class DriveState:
         return found
 
 
-def at_rest(component: Component, rest: AtRest) -> float:
-    """Power [W] per unit of magnitude that it takes at rest."""
-    term = component.term
-    return 0.0 if term is None or term.effect.at_rest is None else term.effect.at_rest(rest, term.shape)
-
-
 def has_free_times(effect: Effect) -> bool:
     """Whether no signal shows when it acts, so that its times are fitted."""
     return effect.timing in (Timing.WINDOW, Timing.SWITCHING) and None in effect.shapes
@@ -184,12 +189,14 @@ def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect
     column = component.columns(joint.frame)
     products, score = joint.projected(ours, column)
     precision = max(float(products[0, 0]), 0.0) + component.sd**-2.0
-    gain = 0.5 * float(score[0]) ** 2 / precision - 0.5 * np.log(precision * component.sd**2)
+    value, sd = float(score[0]) / precision, precision**-0.5
+    gain = 0.5 * (value / sd) ** 2 - np.log(component.sd / sd)
+    gain += log_evidence_of_sign(value / sd) if component.positive else 0.0
     return Form(
         component=component,
         gain=float(gain) - component.cost,
-        value=float(score[0]) / precision,
-        sd=precision**-0.5,
+        value=value,
+        sd=sd,
         trace=column[:, 0],
     )
 

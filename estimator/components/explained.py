@@ -116,7 +116,7 @@ def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ran
 
 def log_evidence(drives: Sequence[DriveState]) -> float:
     """Of all drives together."""
-    return sum(drive.fit.log_evidence for drive in drives)
+    return sum(drive.log_evidence for drive in drives)
 
 
 def explained_by(

@@ -15,6 +15,12 @@ def above_zero(value: Floats, sd: Floats) -> tuple[Floats, Floats]:
     return value + sd * raised, sd * np.sqrt(np.maximum(1 - raised * (raised + at), 0.0))
 
 
+def log_evidence_of_sign(at: Floats | float) -> Floats:
+    """What amplitudes gain by half of a Gaussian prior, beside the whole one, by their means over their sds ``at``."""
+    gained: Floats = log_ndtr(at) + np.log(2)
+    return gained
+
+
 def cut_at_zero(mean: Floats, covariance: Floats, places: Iterable[int]) -> tuple[Floats, Floats]:
     """Mean (p,) and covariance (p, p) of a Gaussian with each of ``places`` cut at zero, one after another.
 

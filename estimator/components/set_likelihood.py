@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from estimator.components.one_sided import cut_at_zero
+from estimator.components.one_sided import cut_at_zero, log_evidence_of_sign
 from estimator.signals import Floats, Mask
 
 
@@ -148,7 +148,7 @@ class SetLikelihood:
         at = self.base_size
         for i in chosen:
             if self.priors[i].positive:
-                log += float(log_ndtr(mean[at] / np.sqrt(covariance[at, at]))) + np.log(2)
+                log += float(log_evidence_of_sign(mean[at] / np.sqrt(covariance[at, at])))
             at += len(self.places[i])
         own = self.unit[places]
         return Posterior(mean / own, covariance / np.outer(own, own), self.base_size, float(log))
@@ -241,7 +241,7 @@ class SetLikelihood:
         value, covariance = np.linalg.solve(precision, score[:, :, None])[:, :, 0], np.linalg.inv(precision)
         volume = np.linalg.slogdet(precision * usual[:, None, None] ** 2)[1]
         positive = self._positive[list(others)]
-        signs = np.where(positive, log_ndtr(value[:, 0] / np.sqrt(covariance[:, 0, 0])) + np.log(2), 0.0)
+        signs = np.where(positive, log_evidence_of_sign(value[:, 0] / np.sqrt(covariance[:, 0, 0])), 0.0)
         return _Added(0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs, value, covariance, turned)
 
     def _limits(self, chosen: Sequence[int]) -> Floats:

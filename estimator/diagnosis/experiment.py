@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.components.drive_state import DriveState, Form, at_rest
+from estimator.components.drive_state import DriveState, Form
 from estimator.diagnosis.result import Experiment
 from estimator.diagnosis.standing import IDLE_SD, IDLE_SHARE
 from estimator.model.effects import Effect
@@ -101,7 +101,8 @@ def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Man
 
 def _at_rest(acting: Form, other: Form | None) -> float:
     """Log Bayes factor to expect of the power at idle, which each effect would change by its own share."""
-    power = [0.0 if form is None else form.value * at_rest(form.component, IDLE) for form in (acting, other)]
+    terms = [(form.value, form.component.term) for form in (acting, other) if form is not None]
+    power = [*(0.0 if term is None else value * term.at_rest(IDLE) for value, term in terms), 0.0]
     sd = IDLE_SD + IDLE_SHARE * abs(power[0])
     return 0.5 * ((power[0] - power[1]) / sd) ** 2
 

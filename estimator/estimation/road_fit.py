@@ -22,6 +22,7 @@ from estimator.estimation.road_likelihood import (
 )
 from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import MIN_DRAG, MIN_ROLLING, Term
+from estimator.model.effects.effect import AtRest
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
 from estimator.signals import Floats
@@ -186,6 +187,7 @@ def fit(
     longest_lag: float = float(LAGS.max()),
     departures: Sequence[float] = (),
     level: bool = False,
+    rests: Sequence[AtRest] = (),
 ) -> RoadFit | None:
     """Fit strides, with the most probable scales of road and noise.
 
@@ -207,6 +209,8 @@ def fit(
         Times [s] before which the load may have changed; the mass is that after the last of them.
     level
         Whether the road has no slopes.
+    rests
+        The power while the vehicle stood, as far as it is known.
     """
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES or not driven.a.any():
@@ -214,7 +218,7 @@ def fit(
     search = _Search(strides, terms, first_guess(driven), longest_lag, departures)
     if known is not None and known.readings != search.model(known).reading_names:
         known = None
-    return _concluded(*search.best(known, level), rng)
+    return _concluded(*search.best(known, level), rng, rests)
 
 
 def fit_given(
@@ -224,6 +228,7 @@ def fit_given(
     terms: Sequence[Term] = (),
     longest_lag: float = float(LAGS.max()),
     departures: Sequence[float] = (),
+    rests: Sequence[AtRest] = (),
 ) -> RoadFit | None:
     """Fit strides as `fit` does, with ``scales`` as they are; they are found where other signals show the road."""
     driven = strides[strides.known]
@@ -231,17 +236,19 @@ def fit_given(
         return None
     search = _Search(strides, terms, first_guess(driven), longest_lag, departures)
     if scales.readings != search.model(scales).reading_names:
-        return fit(strides, rng, terms, None, longest_lag, departures)
-    return _concluded(*search.given(scales), rng)
+        return fit(strides, rng, terms, None, longest_lag, departures, rests=rests)
+    return _concluded(*search.given(scales), rng, rests)
 
 
-def refit(found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term]) -> RoadFit:
+def refit(
+    found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term], rests: Sequence[AtRest] = ()
+) -> RoadFit:
     """Fit the ``strides`` of a fit with other terms: scales are found again, orders of road and wander are kept.
 
-    Its equations have no changes during the drive.
+    Its equations have no changes during the drive. ``rests``: the power while the vehicle stood.
     """
     search = _Search(strides, terms, found.road_load, taken=found.taken)
-    return _concluded(*search.improved(found.scales), rng, with_changes=False)
+    return _concluded(*search.improved(found.scales), rng, rests, with_changes=False)
 
 
 class _Search:
@@ -359,8 +366,27 @@ def _other_noise(scales: RoadScales) -> RoadScales:
     return replace(scales, values=values)
 
 
+def _beside(rest: AtRest, beta: Floats, covariance: Floats, terms: Sequence[Term]) -> tuple[Floats, Floats, float]:
+    """Coefficients (p,) and their covariance with the power at rest, which ``terms`` take, and its log density.
+
+    To first order, as the update of a Kalman filter.
+    """
+    power = np.array([term.at_rest(rest) for term in terms]) / rest.sd  # per unit of each magnitude
+    missed = rest.power / rest.sd - float(power @ theta_of(beta, len(terms))[LAG + 1 :])
+    weights = power @ theta_jacobian(beta, len(terms))[LAG + 1 :]
+    shared = covariance @ weights
+    variance = 1.0 + float(weights @ shared)
+    gain = -0.5 * (missed**2 / variance + float(np.log(2 * np.pi * variance)))
+    return beta + shared * missed / variance, covariance - np.outer(shared, shared) / variance, gain
+
+
 def _concluded(
-    likelihood: Likelihood, scales: RoadScales, evidence: float, rng: np.random.Generator, with_changes: bool = True
+    likelihood: Likelihood,
+    scales: RoadScales,
+    evidence: float,
+    rng: np.random.Generator,
+    rests: Sequence[AtRest],
+    with_changes: bool = True,
 ) -> RoadFit:
     """Coefficients with all doubts in their covariance, and the road that they leave."""
     model, unit = likelihood.model, likelihood.unit
@@ -369,6 +395,9 @@ def _concluded(
     equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes, rng)
     beta, covariance, share = equations.solve()
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
+    for rest in rests:
+        beta, covariance, gain = _beside(rest, beta, covariance, likelihood.terms)
+        evidence += gain
     covariance = with_doubt_of_effects(beta, covariance, len(likelihood.terms))
     residual = likelihood.data[:, 0] - likelihood.data[:, 1:] @ (beta * unit)
     n = len(model.driven)

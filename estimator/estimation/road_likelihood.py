@@ -32,7 +32,6 @@ LAG, DRAG = 3, 4  # places of the nuisances
 PLAIN = 5  # coefficients without loads, offsets and effects
 LAG_SD = 0.15  # s, sd of the prior of the lag that the nearest of LAGS leaves
 DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from what the bus says (gearbox losses)
-USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
 MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
 PARTS = 4  # of the driving with a load, between which the force may change by a step
@@ -153,7 +152,7 @@ class Likelihood:
         m = float(road_load[2])
         sds = [*VAGUE, LAG_SD / m, DRAG_SD / m, *([NEW_LOAD_SD / m] * (plain - PLAIN))]
         sds += [reading.offset_sd for reading in model.readings for _ in range(reading.offsets.shape[1])]
-        sds += [USUAL_SDS * term.effect.usual(road_load) / m for term in terms]
+        sds += [term.prior_sd(road_load) / m for term in terms]
         self.prior = np.diag((np.array(sds) * self.unit) ** -2.0)
 
     def _columns(self, driven: Strides) -> Floats:

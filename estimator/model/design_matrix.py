@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from estimator.model.effects import Effect, Shape, View
+from estimator.model.effects.effect import AtRest
 from estimator.model.road_load import design
 from estimator.samples import Samples
 from estimator.signals import Floats, Quantity
@@ -20,6 +21,7 @@ PLAIN = 4  # columns without effects
 MASS = 2  # of the mass
 LAG = 3  # of the lag of power
 MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
+USUAL_SDS = 3.0  # prior sd of the magnitude of an effect that is given, in usual magnitudes
 MAX_MASS_DIFFERENCE = 0.1  # share of the mass, between the mass by inertia and by gravity
 Span = tuple[float, float]
 Spans = tuple[Span, ...]
@@ -27,17 +29,29 @@ Spans = tuple[Span, ...]
 
 @dataclass(frozen=True)
 class Term:
-    """An effect as it is in the model: its shape, and when it acts, from and to [s], None for always."""
+    """An effect as it is in the model: its shape, and when it acts, from and to [s], None for always.
+
+    ``usual_sds``: prior sd of its magnitude, in usual magnitudes.
+    """
 
     effect: Effect
     shape: Shape = None
     spans: Spans | None = None
     joins_mass: bool = False  # its magnitude is the mass itself, not a parameter of its own
+    usual_sds: float = USUAL_SDS
 
     def column(self, view: View) -> Floats:
         """Power [W] (n,) per unit of magnitude."""
         power = self.effect.power(view, self.shape)
         return power if self.spans is None else power * covered(view.t, view.duration, self.spans)
+
+    def prior_sd(self, road_load: Floats) -> float:
+        """Of its magnitude, for a vehicle with ``road_load`` = [A, C, m] (3,)."""
+        return self.usual_sds * self.effect.usual(road_load)
+
+    def at_rest(self, rest: AtRest) -> float:
+        """Power [W] per unit of magnitude that it takes while the vehicle stands."""
+        return 0.0 if self.effect.at_rest is None else self.effect.at_rest(rest, self.shape)
 
 
 def inside(t: Floats, spans: Spans) -> Floats:
