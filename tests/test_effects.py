@@ -58,7 +58,7 @@ def view(n: int = 3000, **changes: object) -> View:
         Quantity.ENGINE_SPEED: 120 + 20 * np.sin(t / 9),
         Quantity.ELAPSED: t,
         Quantity.HEADING: t / 50,
-        Quantity.FAN_SPEED: np.where(np.sin(t / 30) > 0, 200.0, 20.0),
+        Quantity.FAN_SPEED: np.where(np.sin(t / 30) > 0, 220.0, 22.0),
     }
     density = np.ones(n)
     values = {"t": t, "v": v, "a": a, "P": design(v, a, density) @ ROAD_LOAD, "density": density, "context": context}
@@ -225,6 +225,18 @@ def test_powers_are_those_of_the_equations():
     )
     fan = BY_NAME["auxiliary_cycling"].power(seen, Quantity.FAN_SPEED)
     np.testing.assert_allclose([fan.max(), fan.min()], [1.0, 0.001])  # a tenth of the speed, a thousandth of the power
+
+
+@pytest.mark.parametrize(("effect", "shape"), SHAPES)
+def test_the_power_at_a_time_is_the_same_whatever_else_is_looked_at(effect, shape):
+    """A fit on some stretches gives a magnitude that holds on the others."""
+    whole, some = view(), slice(1200, 1500)
+    part = replace(
+        whole,
+        **{name: getattr(whole, name)[some] for name in ("t", "v", "a", "P", "density", "climb")},
+        context={quantity: values[some] for quantity, values in whole.context.items()},
+    )
+    np.testing.assert_allclose(effect.power(part, shape), effect.power(whole, shape)[some], rtol=1e-12)
 
 
 @pytest.mark.parametrize("effect", [e for e in CATALOGUE if e.absorbed and e.name not in LAGS], ids=lambda e: e.name)

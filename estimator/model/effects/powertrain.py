@@ -22,14 +22,13 @@ OIL_TIMES = tuple(60.0 * minutes for minutes in (10, 16, 25, 40, 60))  # s
 CHURNED = (0.5, 1.0)  # share of the drag of oil at WARM_SPEED that rises with the speed; tyres have none
 COLD_OILS = tuple((*cooled, churned) for cooled in excesses(OIL_TIMES) for churned in CHURNED)
 FAN_EXPONENT = 3  # power of a fan over its speed
+FAN_SPEED = 220.0  # rad/s, 2,100 1/min: of a truck's fan that runs, at which its power is given
 
 
 def _fan(view: View, source: Shape) -> Floats:
     if source is None:
         return np.ones_like(view.v)
-    speed = view.context[source]
-    fastest = float(np.nanmax(speed, initial=1.0))
-    power: Floats = (speed / fastest) ** FAN_EXPONENT
+    power: Floats = (view.context[source] / FAN_SPEED) ** FAN_EXPONENT
     return power
 
 
@@ -114,7 +113,7 @@ AUXILIARY_LOAD = Effect(
 
 AUXILIARY_CYCLING = Effect(
     name="auxiliary_cycling",
-    equation="Pf u(t)",
+    equation="Pf u(t), or Pf (w / 220)^3 with the speed w of the fan [rad/s]",
     source="engine fan or air compressor: two levels, switched by temperature or pressure",
     symbol="Pf",
     unit="W",
