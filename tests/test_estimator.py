@@ -1,5 +1,7 @@
 """The estimator on rows: everything is accounted for, nothing waits for ever, and what fails says why."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -123,6 +125,18 @@ def test_a_new_drive_forgets():
     assert len(estimator.window) == 0
     assert run(estimator, drive(100))[-1].status == Status.UNESTIMATED
     assert run(estimator, drive(6000, first=-100_000))[-1].status == Status.ESTIMATED
+
+
+@pytest.mark.parametrize("is_another", [False, True])
+def test_the_lag_of_one_vehicle_is_not_that_of_another(is_another):
+    samples = stage.SampleStage(from_dict({}))
+    late = replace(drive(3000), power=np.roll(drive(3000).power, 5))
+    list(samples.feed(late))
+    assert samples.lag > 0.3
+    samples.forget(is_another)
+    assert (samples.lag == 0.0) == is_another
+    list(samples.feed(drive(3000, first=50_000)))
+    assert (abs(samples.lag) < 0.1) == is_another
 
 
 @pytest.mark.slow

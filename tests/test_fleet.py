@@ -156,7 +156,7 @@ def test_effects_that_a_diagnosis_names_are_a_table(
         shift=None,
     )
     diagnosis = Diagnosis(verdict=Verdict.EFFECT, effects=(found,))
-    monkeypatch.setattr("estimator.streaming.drive_extraction.diagnose_logs", lambda paths, config: diagnosis)
+    monkeypatch.setattr("estimator.streaming.drive_extraction.diagnose_drive", lambda paths, config: diagnosis)
     logs = find_logs([str(fleet / "truck-2/a.blf")])
     output.prepare(tmp_path)
     result = run_fleet(logs, Config(), Serial(), with_diagnosis=True)

@@ -245,6 +245,12 @@ def test_drives_that_overlap_and_clocks_that_differ_by_years_are_named() -> None
     assert group([*hours, surveyed("t", "other", T0 + 600, T0 + 1200)]).overlapping("t") == 1
 
 
+def test_drives_within_a_longer_one_overlap_it_all() -> None:
+    spans = ((0, 9000), (2000, 3000), (4000, 5000))
+    logs = [surveyed("t", f"{a}", T0 + a, T0 + b) for a, b in spans]
+    assert group(logs).overlapping("t") == 2
+
+
 def test_a_log_that_cannot_be_read_says_why(tmp_path: Path) -> None:
     path = candump(tmp_path / "a.log")
     path.write_text(path.read_text() + "(1700000004.0) can0 18FEF1")

@@ -53,6 +53,13 @@ def simulated(n: int, rng, sd: float, rho: float, speed_noise: float = 0.0) -> S
     )
 
 
+@pytest.mark.parametrize("parameters", [4, 8, 12, 30])
+def test_the_spread_of_the_moments_has_more_degrees_of_freedom_than_the_fit_takes(parameters):
+    """Of a short drive with slow noise; with twelve the covariance was divided by zero."""
+    assert moments._cosines(600, 100.0, parameters) - parameters == moments.MIN_COSINES - moments.PARAMETERS
+    assert moments._cosines(100_000, 2.0, parameters) == moments._cosines(100_000, 2.0, 4)
+
+
 def test_truth_comes_back_without_noise():
     v, a = speeds(6000, np.random.default_rng(1))
     fit = moments.fit(samples_of(v, a, design(v, a) @ THETA + np.random.default_rng(2).normal(0, 1, 6000)), SIGMAS)

@@ -118,7 +118,8 @@ class Switching:
 
 def _between(spans: Spans, t: Floats) -> Spans:
     """The times of the drive that are in none of ``spans``."""
-    edges = [float(t[0]), *(edge for span in spans for edge in span), float(t[-1])]
+    first, last = float(t[0]) - DURATION / 2, float(t[-1]) + DURATION / 2
+    edges = [first, *(edge for span in spans for edge in span), last]
     return tuple((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
 
 

@@ -72,8 +72,7 @@ class Conclusion:
     @cached_property
     def road_load(self) -> tuple[Shift, Shift]:
         """A, C, m with the road as a state, averaged over sets of effects and over shapes, and their sd."""
-        pairs = zip(self.explained.drives, self.explained.others, strict=True)
-        others = next(others for drive, others in pairs if drive is self.longest)
+        others = self.explained.others[self.explanation.which]
         fit = averaged(self.longest.strides, self.longest.fit).mixed(others.shift, others.covariance)
         A, C, m = fit.theta[:ROAD_LOAD].tolist()
         dA, dC, dm = np.sqrt(np.diag(fit.theta_covariance()))[:ROAD_LOAD].tolist()
@@ -82,8 +81,7 @@ class Conclusion:
     @property
     def shift(self) -> Shift:
         """Of the parameters, from the plain model to the one with the road and all chosen effects."""
-        model = max((drive.model for drive in self.plain), key=lambda model: len(model.samples))
-        A, C, m = model.road_load.tolist()
+        A, C, m = self.plain[self.explanation.which].model.road_load.tolist()
         final, _ = self.road_load
         return Shift(mass=final.mass - m, A=final.A - A, C=final.C - C)
 

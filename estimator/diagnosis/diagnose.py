@@ -78,7 +78,7 @@ def diagnose(
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=reason, not_testable=missing)
     conclusion = conclude(explanation, tuple(plain), limits, rng)
     found = _report(conclusion, effects, missing)
-    return replace(found, p_value=_p_value(conclusion, effects, surrogates, rng)) if surrogates else found
+    return replace(found, p_value=p_value(conclusion.explained, surrogates, rng)) if surrogates else found
 
 
 def _obstacle(records: Sequence[Record], reason: str) -> str:
@@ -99,7 +99,8 @@ def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
         common = record.rejected.most_common(1)
         return "less than a minute of driving can be used" + (f"; most is: {common[0][0]}" if common else "")
     if len(samples) < MIN_DRIVE * SAMPLES_PER_SECOND:
-        return f"only {len(samples) / SAMPLES_PER_SECOND / 60:.1f} minutes of driving can be used; it takes 5 at least"
+        minutes, least = len(samples) / SAMPLES_PER_SECOND / 60, MIN_DRIVE / 60
+        return f"only {minutes:.1f} minutes of driving can be used; it takes {least:.0f} at least"
     for effect in given:
         if not effect.streaming_shapes(record.known):
             return f"the effect {effect.name} needs {' or '.join(r.value for r in effect.wanted)}, which the bus lacks"
@@ -130,7 +131,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
     verdict, explained, longest = conclusion.verdict(), conclusion.explained, conclusion.longest
     findings = Findings(conclusion)
     named = findings.named()
-    which = max(range(len(conclusion.plain)), key=lambda i: len(conclusion.plain[i].model.samples))
+    which = conclusion.explanation.which
     before = conclusion.plain[which].model
     after = conclusion.with_choices
     final, deviation = conclusion.road_load
@@ -156,7 +157,7 @@ def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[No
         final=final,
         deviation=deviation,
         where=tuple(places(before)),
-        isolability=isolability(conclusion.explained.drives[which], forms),
+        isolability=isolability(longest, forms),
         not_testable=missing,
         invisible=invisible(longest, others, conclusion.thresholds.min_expected_log_bf),
         advice=facts.advice(explained, effects, verdict, named),
@@ -178,12 +179,6 @@ def _experiments(
     pairs = facts.unsettled(conclusion.explained, effects, verdict, named)
     evidence = {finding.name: finding.log_bayes_factor for finding in ranking}
     return experiments(conclusion.longest, pairs[:MAX_EXPERIMENTS], evidence)
-
-
-def _p_value(conclusion: Conclusion, effects: Sequence[Effect], count: int, rng: np.random.Generator) -> float:
-    candidates = [effect for effect in effects if not effect.absorbed and not effect.is_gravity]
-    here = max((one.gain for one in conclusion.explained.ranking), default=-np.inf)
-    return p_value(here, conclusion.explained.drives, candidates, count, rng)
 
 
 def _road_load(parameters: Floats) -> Shift:

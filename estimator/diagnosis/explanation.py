@@ -17,7 +17,6 @@ from estimator.diagnosis.model import Drive
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.model.effects import Effect
-from estimator.model.effects.effect import Timing
 
 
 @dataclass(frozen=True)
@@ -30,16 +29,20 @@ class Explanation:
     is_hilly: bool  # the slopes are those of a road
 
     @property
+    def which(self) -> int:
+        """Number of the drive with most strides, which figures of a single drive are taken from."""
+        drives = self.explained.drives
+        return max(range(len(drives)), key=lambda i: len(drives[i].fit.strides))
+
+    @property
     def longest(self) -> DriveState:
-        """The drive with most strides, which figures of a single drive are taken from."""
-        return max(self.explained.drives, key=lambda drive: len(drive.fit.strides))
+        """That drive."""
+        return self.explained.drives[self.which]
 
 
 def explain(drives: Sequence[Drive], effects: Sequence[Effect], thresholds: Thresholds) -> Explanation | None:
     """Search for what acts on ``drives``; None where their motion cannot be fitted."""
-    present = {
-        term.effect.name for drive in drives for term in drive.model.terms if term.effect.timing is Timing.ALWAYS
-    }
+    present = {term.effect.name for drive in drives for term in drive.model.terms}
     candidates = [e for e in effects if not (e.absorbed or e.is_gravity or e.name in present)]
     if any(term.effect.is_gravity for drive in drives for term in drive.model.terms):
         given = _states(drives, is_level=False)

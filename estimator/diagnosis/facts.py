@@ -13,7 +13,7 @@ MIN_RIVAL = 0.05  # probability from which an effect is a rival of the likeliest
 
 def doubtful(explained: Explained, verdict: Verdict, named: Sequence[Finding]) -> Doubtful | None:
     """The likeliest candidate of a "cannot tell" without named effects; else None."""
-    if verdict is not Verdict.CANNOT_TELL or named:
+    if verdict is not Verdict.CANNOT_TELL or named or not explained.probability:
         return None
     return Doubtful(_likeliest(explained)[0], is_weak=True)
 
@@ -45,7 +45,7 @@ def unsettled(
     pairs = [(found.name, other) for found in named for other in found.equivalent]
     if named and (pairs or verdict is Verdict.EFFECT):
         return [(by_name[a], by_name[b]) for a, b in pairs if a in by_name and b in by_name]
-    if verdict is not Verdict.CANNOT_TELL:
+    if verdict is not Verdict.CANNOT_TELL or not explained.probability:
         return []
     best, *others = _likeliest(explained)
     rivals = [by_name[name] for name in others if explained.probability[name] > MIN_RIVAL]

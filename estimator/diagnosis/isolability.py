@@ -19,7 +19,7 @@ def isolability(drive: DriveState, forms: Sequence[Form]) -> Isolability:
     off = Projection(drive)
     traces = [off(off.as_power(form.trace, 1 / drive.fit.beta[:1])[:, 0]) for form in ordered]
     unit = np.array([trace / max(float(np.linalg.norm(trace)), np.finfo(float).tiny) for trace in traces])
-    unit = unit.reshape(len(ordered), -1)
+    unit = unit.reshape(len(ordered), -1 if ordered else 0)
     expected = np.array([expected_evidence(form) for form in ordered])
     return Isolability(tuple(form.component.name for form in ordered), np.abs(unit @ unit.T), expected)
 

@@ -50,7 +50,7 @@ def lag_finding(explanation: Explanation, plain: Sequence[Drive], reached: float
         return None
     value, sd = _lag(explanation)
     effect = effect_of(explanation)
-    before, after = _unaligned(plain)
+    before, after = _unaligned(plain[explanation.which])
     return Finding(
         name=effect.name,
         probability=1.0,
@@ -76,9 +76,8 @@ def _lag(explanation: Explanation) -> tuple[float, float]:
     return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG] + LAG_DOUBT**2))
 
 
-def _unaligned(plain: Sequence[Drive]) -> tuple[Floats, Floats]:
+def _unaligned(drive: Drive) -> tuple[Floats, Floats]:
     """Squared residuals [W^2] (n,) over 2 s of the plain model, without and with the alignment of the power."""
-    drive = max(plain, key=lambda drive: len(drive.model.samples))
     before, after = (
         block_means(residual, BLOCK_SAMPLES) ** 2
         for residual in (unaligned_residual(drive.model, drive.record.lag), drive.model.base.residual)

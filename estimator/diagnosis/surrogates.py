@@ -12,21 +12,21 @@ import numpy as np
 
 from estimator.components.component import Frame
 from estimator.components.drive_state import DriveState
-from estimator.components.explained import ranked
+from estimator.components.explained import Explained, ranked
 from estimator.model.effects import Effect
 from estimator.signals import Floats
 
 
-def p_value(
-    here: float, final: Sequence[DriveState], effects: Sequence[Effect], count: int, rng: np.random.Generator
-) -> float:
-    """Share of records whose best effect has as much evidence as ``here``: ``count`` of noise, and this one.
+def p_value(explained: Explained, count: int, rng: np.random.Generator) -> float:
+    """Share of records whose best effect has as much evidence as that of the drives: ``count`` of noise, and this one.
 
-    ``final`` drives have the effects that were named in their models.
+    Effects that are given are in no record and no candidates.
     """
+    here = max((one.gain for one in explained.ranking), default=-np.inf)
+    effects = [one.effect for one in explained.ranking]
     larger = 0
     for _ in range(count):
-        drawn = [_surrogate(drive, rng) for drive in final]
+        drawn = [_surrogate(drive, rng) for drive in explained.drives]
         larger += best_evidence(drawn, effects) >= here
     return (1 + larger) / (1 + count)
 
@@ -44,7 +44,8 @@ def _surrogate(drive: DriveState, rng: np.random.Generator) -> DriveState:
     effects = columns[:, 1:] @ drive.sizes
     a = drive.strides.a.copy()
     a[drive.strides.known] = fit.fitted - effects + with_other_phases(residual, rng)
-    drawn = DriveState.of(replace(drive.strides, a=a), (), drive.is_level, fit.scales)
+    rests = tuple(replace(rest, power=float(rng.normal(0.0, rest.sd))) for rest in drive.rests)
+    drawn = DriveState.of(replace(drive.strides, a=a), rests, drive.is_level, fit.scales)
     return drive if drawn is None else drawn
 
 

@@ -102,7 +102,7 @@ class Estimator:
         With ``vehicle``, also discard the parameters of the vehicle: the next drive may be of another vehicle, or the
         same drive again.
         """
-        self._stage.forget()
+        self._stage.forget(vehicle)
         self._due, self._next = None, None
         self._start_segment()
         if vehicle:

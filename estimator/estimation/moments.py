@@ -35,7 +35,6 @@ TIMES_PER_COSINE = 4.0  # autocorrelation times that one cosine transform must s
 LAG_SD = 0.1  # s, sd of the prior of the lag that the coarse alignment leaves
 ROAD_LOAD = 3  # the first parameters
 PARAMETERS = 4  # with the lag
-USUAL_SDS = 3.0  # prior sd of an effect's magnitude, in usual magnitudes
 EFFECT_PASSES = 3  # fits: effects scale with the road load of the fit before
 MIN_SAMPLES_FOR_EFFECTS = 600  # 1 min of samples
 MIN_SAMPLES_PER_COLUMN = 20  # samples, 2 s, for each column: with fewer there is no fit
@@ -56,12 +55,12 @@ class Belief:
 
     def beside(self, terms: tuple[Term, ...], road_load: Floats) -> "Belief":
         """The same with a prior of each term's own magnitude, scaled by ``road_load`` = [A, C, m] (3,)."""
-        own = [term.effect for term in terms if not term.joins_mass]
+        own = [term for term in terms if not term.joins_mass]
         n = len(self.moment)
         precision = np.zeros((n + len(own), n + len(own)))
         precision[:n, :n] = self.precision
-        for i, effect in enumerate(own, start=n):
-            precision[i, i] = (USUAL_SDS * effect.usual(road_load)) ** -2
+        for i, term in enumerate(own, start=n):
+            precision[i, i] = term.prior_sd(road_load) ** -2
         return Belief(precision, np.concatenate([self.moment, np.zeros(len(own))]))
 
     @classmethod
@@ -189,7 +188,7 @@ def _fit(
         theta, covariance = solution
         residual = Pk - Xk @ theta
         time = autocorrelation_time(residual)
-        cosines = _cosines(len(Pk), _slow_time(residual))
+        cosines = _cosines(len(Pk), _slow_time(residual), X.shape[1])
         # The fit reduces the residual's variance by its number of parameters, as in n / (n - p).
         spread = long_run_covariance(Zk * residual[:, None], cosines) * cosines / (cosines - X.shape[1])
         previous, kept = kept, Z @ (theta * driving) > power_sigmas * residual.std()
@@ -231,6 +230,10 @@ def _solve(X: Floats, Z: Floats, P: Floats, spread: Floats | None, prior: Belief
     return covariance @ (cross.T @ weighted[:, -1] + prior.moment), covariance
 
 
-def _cosines(n: int, time: float) -> int:
-    """How many cosine transforms stay below the frequency at which the residual's spectrum falls off."""
-    return int(np.clip(n / (TIMES_PER_COSINE * time), MIN_COSINES, max(0.4 * n ** (2 / 3), MIN_COSINES)))
+def _cosines(n: int, time: float, parameters: int) -> int:
+    """How many cosine transforms stay below the frequency at which the residual's spectrum falls off.
+
+    More than the ``parameters`` of the fit, which take as many degrees of freedom.
+    """
+    least = MIN_COSINES + max(parameters - PARAMETERS, 0)
+    return int(np.clip(n / (TIMES_PER_COSINE * time), least, max(0.4 * n ** (2 / 3), least)))

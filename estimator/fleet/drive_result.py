@@ -90,9 +90,9 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
             if not with_diagnosis:
                 return DriveResult(segments=segments, passes=passes)
             # Imported above, it would be half of a worker's start.
-            from estimator.streaming.drive_extraction import diagnose_logs
+            from estimator.streaming.drive_extraction import diagnose_drive
 
-            diagnosis = diagnose_logs(paths, config)
+            diagnosis = diagnose_drive(paths, config)
     except (RoadloadError, OSError) as error:
         return DriveResult(fault=" ".join(str(error).split()))
     effects = tuple(

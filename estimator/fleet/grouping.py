@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import accumulate
 from math import inf
 
 from estimator.fleet.survey import Survey
@@ -49,7 +49,8 @@ class Grouped:
     def overlapping(self, vehicle: str) -> int:
         """The number of drives of a vehicle that begin before another one has ended."""
         spans = sorted((d.start, d.end) for d in self.drives if d.vehicle == vehicle and d.start >= MIN_SET_CLOCK)
-        return sum(start < end - OVERLAP for (_, end), (start, _) in pairwise(spans))
+        ended = accumulate((end for _, end in spans), max)  # the latest so far
+        return sum(start < end - OVERLAP for end, (start, _) in zip(ended, spans[1:], strict=False))
 
 
 def group(surveys: Sequence[Survey]) -> Grouped:

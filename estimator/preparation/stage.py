@@ -68,8 +68,8 @@ class Stage(Protocol[B]):
         """Count ``rows`` of the grid that are missing: a silence of the bus."""
         ...
 
-    def forget(self) -> None:
-        """Start a new drive."""
+    def forget(self, vehicle: bool) -> None:
+        """Start a new drive; with ``vehicle`` perhaps of another one."""
         ...
 
     def state(self) -> dict[str, Any]:
@@ -130,9 +130,11 @@ class SampleStage:
         """See `Stage`."""
         self._standstill.pause(rows)
 
-    def forget(self) -> None:
-        """See `Stage`."""
+    def forget(self, vehicle: bool) -> None:
+        """See `Stage`; another vehicle has another lag."""
         self._pending, self.wanted, self._start = None, None, None
+        if vehicle:
+            self._smoother, self.lag, self.moving = None, 0.0, 0
 
     def _consume(self, least: int) -> Iterator[Piece[Samples]]:
         assert self._pending is not None
@@ -247,7 +249,7 @@ class StrideStage:
         """See `Stage`."""
         self._standstill.pause(rows)
 
-    def forget(self) -> None:
+    def forget(self, vehicle: bool) -> None:
         """See `Stage`."""
         self._pending, self._strider, self.wanted, self._newest = None, None, None, None
 

@@ -73,8 +73,9 @@ def _draws(
     posteriors: dict[int, Posterior] = {}
     for model in rng.choice(len(table.sets), size=DRAWS, p=table.probability).tolist():
         own = table.sets[model]
-        posterior = posteriors.setdefault(model, likelihood.posterior(own))
-        yield own, _amplitudes(likelihood, own, posterior, rng)
+        if model not in posteriors:
+            posteriors[model] = likelihood.posterior(own)
+        yield own, _amplitudes(likelihood, own, posteriors[model], rng)
 
 
 def _amplitudes(

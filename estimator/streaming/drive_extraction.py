@@ -59,6 +59,22 @@ def diagnose_logs(
     return replace(result, logs=tuple(map(str, given_paths)), mixed_channels=dict(mixed))
 
 
+@one_blas_thread()
+def diagnose_drive(paths: Sequence[Path], config: Config) -> Diagnosis:
+    """Diagnose one drive that was recorded in several files, each of which goes on where the one before ends.
+
+    Raises
+    ------
+    LogError
+        A file cannot be read.
+    MissingInputsError
+        The files lack inputs of the model.
+    """
+    pieces = _pieces(LogFrames(list(paths), config, no_progress), paths[0], config)
+    rng = np.random.default_rng(config.sampler.seed)
+    return diagnose([record(drive, config) for drive in pieces], named(config.effects), rng)
+
+
 def _part(progress: Progress, done: int, of: int, share: float) -> None:
     progress((done + READING_SHARE * share) / of)
 
