@@ -317,7 +317,9 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
     costs = [Costs(*each) for each in rng.uniform(0.0, CHANGE_COST, (b - 1, 3))]
 
     def evidence(z):
-        return exchange.value(G, s, np.array(z, bool), sd, True, costs)
+        on = np.array(z, bool)
+        gain = exchange.amplitude_evidence(s @ on, on @ G @ on, sd, True)
+        return float(gain) - exchange.Changes(costs).cost(on) if on.any() else 0.0
 
     best = max(product([False, True], repeat=b), key=evidence)
     found = exchange.exchanged(G, s, sd, True, False, np.ones(b), costs)

@@ -25,7 +25,6 @@ from estimator.diagnosis.result import (
     HIDDEN_GRADE,
     Advice,
     Diagnosis,
-    Doubtful,
     GapClosed,
     Isolability,
     Magnitude,
@@ -192,12 +191,8 @@ def test_a_probability_stands_beside_the_names_that_it_is_of() -> None:
             "The drive shows drafting or fan, and cannot tell which.",
         ),
         (
-            changed(verdict=Verdict.CANNOT_TELL, effects=(), doubtful=Doubtful("fan", is_weak=True)),
+            changed(verdict=Verdict.CANNOT_TELL, effects=(), doubtful="fan"),
             "There may be fan, too weak on this drive to be sure.",
-        ),
-        (
-            changed(verdict=Verdict.CANNOT_TELL, effects=(), doubtful=Doubtful("fan", is_weak=False)),
-            "There may be fan, but it does not predict stretches kept from the fit.",
         ),
         (
             changed(effects=(HILLS,)),

@@ -24,8 +24,9 @@ candidates of the diagnosis and the terms of the streaming model (`effects = ["g
 
 ## Power of each effect
 
-`v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1; SI units. "Usual" is the scale of
-the prior of the size, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²); larger sizes are not excluded.
+`v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1; SI units. "Usual" is the sd of the
+size's prior in the diagnosis, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²); in `estimate` it is three times that.
+What is larger than "largest" is something else to the diagnosis.
 
 {equations}
 
@@ -71,7 +72,9 @@ Effect(
 `power` is called with a `View` of the samples as measured, and again with a `View` of their instruments (the same
 quantities from readings around each sample), so it must read all quantities from its argument. Required quantities are
 declared in `needs`, or in `shapes` where one of several sources is enough; an effect without its signals is reported
-as not testable.
+as not testable. Set `is_noisy=True` where `power` uses `view.P` or `view.a`, or the noise of force or acceleration
+counts as evidence. `positive=False` allows either sign, `largest` bounds the size, `timing` and `dwells` say when an
+effect acts that no signal shows.
 """
 
 
@@ -88,11 +91,11 @@ def _roles(quantity: Quantity) -> str:
     return " or ".join(f"`{role.value}`" for role in SOURCES[quantity])
 
 
-def usual(effect: Effect) -> str:
-    """Usual size of an effect for TRUCK."""
+def sized(effect: Effect, value: float) -> str:
+    """A size of an effect, for TRUCK, with its unit."""
+    unit = effect.unit
     if effect.is_gravity:
         return "the mass"
-    value, unit = effect.usual(TRUCK), effect.unit
     if unit == "1":
         return f"{100 * value:.3g} %"
     if unit == "1/h":
@@ -110,14 +113,19 @@ def table(*rows: tuple[str, ...]) -> str:
 def page() -> str:
     """The whole page."""
     equations = [
-        (f"`{e.name}`", f"`{e.equation}`", f"{e.symbol} [{e.unit}]", usual(e), WHEN[e.timing]) for e in CATALOGUE
+        (
+            *(f"`{e.name}`", f"`{e.equation}`", f"{e.symbol} [{e.unit}]"),
+            *(sized(e, e.usual(TRUCK)), sized(e, e.limit(TRUCK))),
+            WHEN[e.timing],
+        )
+        for e in CATALOGUE
     ]
     shown = [
         (f"`{e.name}`", signals(e), ", ".join(f"`{n}`" for n in e.equivalent) or "-", e.breaks, _streams(e))
         for e in CATALOGUE
     ]
     return PAGE.format(
-        equations=table(("effect", "power added [W]", "size", "usual", "when"), *equations),
+        equations=table(("effect", "power added [W]", "size", "usual", "largest", "when"), *equations),
         signals=table(("effect", "signals", "equivalent", "evidence", "streams"), *shown),
         sources="\n".join(f"* `{e.name}`: {e.source}" for e in CATALOGUE),
     )

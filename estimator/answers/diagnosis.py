@@ -34,7 +34,7 @@ class Magnitude(Struct, frozen=True, kw_only=True):
 
 
 class GapClosed(Struct, frozen=True, kw_only=True):
-    """Share of the gap that an effect closes on held-out blocks, with its 90 % interval."""
+    """Share of the squared residual beyond noise that an effect takes away, with its 90 % interval."""
 
     fraction: float | None
     q05: float | None

@@ -9,6 +9,11 @@ from pathlib import Path
 def add_output(parser: argparse.ArgumentParser) -> None:
     """Add --json and --debug."""
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    add_debug(parser)
+
+
+def add_debug(parser: argparse.ArgumentParser) -> None:
+    """Add --debug."""
     parser.add_argument("--debug", action="store_true", help="show a traceback on errors")
 
 

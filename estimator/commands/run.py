@@ -5,7 +5,7 @@ import logging
 
 import can.cli
 
-from estimator.commands.arguments import add_output, add_print_config, add_settings
+from estimator.commands.arguments import add_debug, add_print_config, add_settings
 from estimator.commands.terminal import print_config
 from estimator.daemon.service import logging_setup
 from estimator.daemon.service.assembly import plan, settle
@@ -14,7 +14,7 @@ from estimator.daemon.service.supervision import Signals, supervise
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_output(parser)
+    add_debug(parser)
     add_settings(parser)
     can.cli.add_bus_arguments(parser, group_title="bus")
     can.cli.add_bus_arguments(parser, prefix="output", group_title="bus to send on, where it is another")

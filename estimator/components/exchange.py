@@ -82,15 +82,6 @@ class Changes:
         return cost, edges.astype(float)
 
 
-def value(G: Floats, s: Floats, on: Mask, sd: float, positive: bool, costs: Sequence[Costs]) -> float:
-    """Log evidence of states (b,), less the cost of their changes; 0 of none."""
-    if not on.any():
-        return 0.0
-    active = on.astype(float)
-    gain = amplitude_evidence(np.array(s @ active), np.array(active @ G @ active), sd, positive)
-    return float(gain) - Changes(costs).cost(on)
-
-
 def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
     """Log evidence (k,) of one amplitude, against none, by its scores (k,) and products (k,) off everything else."""
     precision = np.maximum(strength, 0.0) + sd**-2.0

@@ -46,7 +46,7 @@ class Ranked:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """An effect that acts: how probable, its log Bayes factor beside all others, and the drive that shows it most.
+    """An effect that acts: how probable, its log Bayes factor beside all others, and the longest drive it acts on.
 
     ``rival``: another effect that acts, more likely than not, where this one does not; empty if there is none.
     ``either``: the probability that one of the two acts.

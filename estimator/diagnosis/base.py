@@ -53,9 +53,10 @@ def parameter_sd(base: Base, i: int) -> float:
     """Standard deviation of the base model's parameter ``i``; the residual may be autocorrelated."""
     influence = (base.Z * base.residual[:, None]) @ base.inverse[i]
     variance, dof = long_run_variance(block_sums(influence[:, None], base.block))
-    # The fit uses up one degree of freedom for each parameter; the estimate is Student distributed.
+    # The fit uses up one degree of freedom for each parameter (dof / left), and the estimate is Student distributed
+    # (left / (left - 2)).
     left = max(float(dof[0]) - base.X.shape[1], MIN_DOF)
-    return float(np.sqrt(variance[0] * dof[0] / left * left / (left - 2.0)))
+    return float(np.sqrt(variance[0] * dof[0] / (left - 2.0)))
 
 
 def block_sums(values: Floats, block: Blocks) -> Floats:

@@ -4,14 +4,12 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.config import Config
 from estimator.diagnosis.standing import rests
 from estimator.model.effects.effect import AtRest
-from estimator.preparation import kinematics, smoothing
+from estimator.preparation import kinematics
 from estimator.preparation.sample_maker import SampleMaker
-from estimator.preparation.smoothing import Kernels
 from estimator.preparation.striding import Strider
 from estimator.samples import STEP, Rows, Samples
 from estimator.signals import Floats, Quantity
@@ -28,9 +26,8 @@ class Record:
     """Admitted samples of one drive, the lag [s] that was taken out, and rows not used by reason.
 
     It is the whole of a log, or one of several drives in it: ``log`` says which, ``log_start`` when that began [s].
-    ``rests``: the power while the vehicle stood. ``speed`` [m/s] is that of every STEP from the start, straight across
-    what is not known; ``smoother`` made the samples of it. ``strides`` are all of the same drive, for the model with
-    the road as a state.
+    ``rests``: the power while the vehicle stood. ``strides`` are all of the same drive, for the model with the road as
+    a state.
     """
 
     samples: Samples
@@ -38,16 +35,9 @@ class Record:
     lag: float
     rejected: Counter[str]
     rests: tuple[AtRest, ...]
-    speed: Floats
-    smoother: Kernels
     strides: Strides = field(default_factory=Strides.none)
     log: int = 0
     log_start: float = 0.0
-
-    def at(self, samples: Samples) -> NDArray[np.int64]:
-        """Where in ``speed`` each of the samples is (n,)."""
-        place: NDArray[np.int64] = np.rint((samples.t - self.start) / STEP).astype(np.int64)
-        return place
 
     @property
     def known(self) -> frozenset[Quantity]:
@@ -61,17 +51,7 @@ def record(pieces: list[Rows], config: Config) -> Record:
     """The record of a drive from its ``pieces``, each without a gap, in order of time."""
     rejected: Counter[str] = Counter()
     if not pieces:
-        nothing = np.empty(0)
-        smoother = smoothing.smoother_kernels(smoothing.fit_ratio(nothing, STEP), STEP)
-        return Record(
-            samples=Samples.concatenate([]),
-            start=0.0,
-            lag=0.0,
-            rejected=rejected,
-            rests=(),
-            speed=nothing,
-            smoother=smoother,
-        )
+        return Record(samples=Samples.concatenate([]), start=0.0, lag=0.0, rejected=rejected, rests=())
     gap = np.full(round(BREAK / STEP), np.nan)
     speed = np.concatenate([part for piece in pieces for part in (piece.plausible_speed, gap)])
     power = np.concatenate([part for piece in pieces for part in (piece.power, gap)])
@@ -96,16 +76,13 @@ def record(pieces: list[Rows], config: Config) -> Record:
         for values in samples.context.values():
             _bridge(values)
         found.append(maker.admit(samples, piece, rejected))
-    driven, every = Samples.concatenate(found), _whole_speed(pieces)
     strides = _strides(pieces, config, heard, start)
     return Record(
-        samples=driven,
+        samples=Samples.concatenate(found),
         start=start,
         lag=lag,
         rejected=rejected,
         rests=rests(pieces, start),
-        speed=every,
-        smoother=smoother,
         strides=strides,
         log_start=start,
     )
@@ -143,16 +120,6 @@ def _bridge(values: Floats) -> None:
     known = np.isfinite(values)
     if known.any() and not known.all():
         values[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
-
-
-def _whole_speed(pieces: list[Rows]) -> Floats:
-    """Speed [m/s] on the grid from the first row to the last."""
-    first = int(pieces[0].index[0])
-    speed = np.full(int(pieces[-1].index[-1]) - first + 1, np.nan)
-    for piece in pieces:
-        speed[piece.index - first] = piece.plausible_speed
-    _bridge(speed)
-    return speed
 
 
 def _halts(speed: Floats) -> Floats:

@@ -4,18 +4,18 @@ from collections.abc import Sequence
 
 from estimator.answers.diagnosis import Verdict
 from estimator.components.explained import Explained
-from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE, Advice, Doubtful, Finding
+from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE, Advice, Finding
 from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME, Effect
 
 MIN_RIVAL = 0.05  # probability from which an effect is a rival of the likeliest one
 
 
-def doubtful(explained: Explained, verdict: Verdict, named: Sequence[Finding]) -> Doubtful | None:
-    """The likeliest candidate of a "cannot tell" without named effects; else None."""
+def doubtful(explained: Explained, verdict: Verdict, named: Sequence[Finding]) -> str:
+    """The likeliest candidate of a "cannot tell" without named effects; else empty."""
     if verdict is not Verdict.CANNOT_TELL or named or not explained.probability:
-        return None
-    return Doubtful(_likeliest(explained)[0], is_weak=True)
+        return ""
+    return _likeliest(explained)[0]
 
 
 def _likeliest(explained: Explained) -> list[str]:

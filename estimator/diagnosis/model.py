@@ -1,14 +1,13 @@
 """The road load with effects added, fitted to a drive."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.diagnosis.base import Base, Blocks, blocks_of, fit_base
+from estimator.diagnosis.base import Base, blocks_of, fit_base
 from estimator.diagnosis.drive_data import Record
 from estimator.estimation.moments import block_means
-from estimator.model.design_matrix import LAG, MASS, PLAIN, Term, columns, views
-from estimator.model.effects import View
+from estimator.model.design_matrix import LAG, Term, columns
 from estimator.samples import Samples
 from estimator.signals import Floats, Mask
 
@@ -17,7 +16,6 @@ MIN_POWER_SDS = 3.0  # sd of the slow residual that model power must exceed for 
 MAX_POWER_SHARE = 0.25  # of the mean power: a sample above it counts in any case
 BLOCK_SAMPLES = 20  # 2 s: means over them contain no noise of dv/dt
 MIN_SAMPLES = 600  # 1 min, for a fit
-SWITCH_MARGIN = 2.0  # s left out around a change of state: its time is fitted to 2 s, and power is smoothed
 MAD_TO_SD = 1.4826  # of a Gaussian
 
 
@@ -38,17 +36,6 @@ class Model:
         """A [N], C [N s^2/m^2], m [kg] (3,)."""
         return self.base.theta[:3]
 
-    @property
-    def magnitudes(self) -> list[float]:
-        """Of each term, in its own unit."""
-        own = iter(self.base.theta[PLAIN:].tolist())
-        return [float(self.base.theta[MASS]) if term.joins_mass else next(own) for term in self.terms]
-
-    def views(self) -> tuple[View, View]:
-        """The samples as measured, and as their instruments see them."""
-        own, ring = views(self.samples, self.road_load, self.terms)
-        return own, replace(ring, P=self.base.Z @ self.base.theta)
-
 
 @dataclass(frozen=True)
 class Drive:
@@ -65,8 +52,7 @@ class Drive:
 
 def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
     """Samples (n,) whose model power, by their instruments, is clearly above 0; None where there are too few."""
-    away = away_from_changes(samples.t, terms)
-    kept = away
+    kept: Mask = np.ones(len(samples), dtype=np.bool_)
     road_load: Floats = np.zeros(3)
     for _ in range(MAX_PASSES):
         if kept.sum() < MIN_SAMPLES:
@@ -79,21 +65,10 @@ def select(samples: Samples, terms: tuple[Term, ...] = ()) -> Mask | None:
         predicted = Z @ fitted.theta
         slow = MAD_TO_SD * float(np.median(np.abs(block_means(fitted.residual, BLOCK_SAMPLES))))
         pulling = predicted > min(MIN_POWER_SDS * slow, MAX_POWER_SHARE * float(np.abs(samples.P).mean()))
-        previous, kept = kept, pulling & away
+        previous, kept = kept, pulling
         if np.array_equal(kept, previous):
             break
     return kept if kept.sum() >= MIN_SAMPLES else None
-
-
-def away_from_changes(t: Floats, terms: tuple[Term, ...]) -> Mask:
-    """Whether each of the times ``t`` [s] (n,) is more than SWITCH_MARGIN from all switching times of ``terms``."""
-    edges = np.sort([edge for term in terms for span in term.spans or () for edge in span])
-    if not len(edges):
-        return np.ones(len(t), dtype=bool)
-    nearest = np.clip(np.searchsorted(edges, t), 1, len(edges) - 1)
-    away = np.minimum(np.abs(t - edges[nearest]), np.abs(t - edges[nearest - 1]))
-    distant: Mask = away > SWITCH_MARGIN
-    return distant
 
 
 def fit(samples: Samples, terms: tuple[Term, ...] = ()) -> Model | None:
@@ -122,8 +97,4 @@ def _fit(samples: Samples, terms: tuple[Term, ...], road_load: Floats) -> Base |
             return None
         road_load = plain.theta[:3]
     X, Z = columns(samples, terms, road_load)
-    return fit_base(X, Z, samples.P, _blocks(samples))
-
-
-def _blocks(samples: Samples) -> Blocks:
-    return blocks_of(samples.t)
+    return fit_base(X, Z, samples.P, blocks_of(samples.t))

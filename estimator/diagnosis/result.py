@@ -26,7 +26,7 @@ class Magnitude:
 
 @dataclass(frozen=True, slots=True)
 class GapClosed:
-    """Share of the mean squared residual above the noise floor that an effect takes away, on held-out blocks."""
+    """Share of the mean squared residual above the noise floor that an effect takes away, with its 90 % interval."""
 
     fraction: float
     q05: float
@@ -64,7 +64,7 @@ class Finding:
     rms_after: float  # [W]
     shift: Shift | None
     span: tuple[Span, ...] = ()  # when it acts; empty: always
-    detail: str = ""  # shape found, e.g. "from 31 deg", "two levels, 14 % of the time"
+    detail: str = ""  # shape found, e.g. "from 31 deg"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +76,7 @@ class Place:
     end: float
     unit: str
     bias: float  # [W]
-    share: float  # of the squared residual beyond noise
+    share: float  # of the squared residual
     q_value: float  # false discovery rate at which it is found
 
 
@@ -121,14 +121,6 @@ class Described:
     unit: str
     log_bayes_factor: float
     share: float
-
-
-@dataclass(frozen=True, slots=True)
-class Doubtful:
-    """The best candidate where none is named: its evidence is too weak, or it fails on held-out stretches."""
-
-    name: str
-    is_weak: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +183,7 @@ CANDIDATES = (
     Column("effect", "text"),
     Column("status", "text", meaning='"named", or "candidate" for one that the verdict does not rest on'),
     *EVIDENCE,
-    Column("gap_closed", "number", "1", "share of the held-out squared residual beyond noise that it explains"),
+    Column("gap_closed", "number", "1", "share of the squared residual beyond noise that it explains"),
     Column("mass_shift_kg", "number", "kg", "change of the mass with it"),
     Column("A_shift_N", "number", "N", "change of A with it"),
     Column("C_shift_N_s2_m2", "number", "N s2/m2", "change of C with it"),
@@ -204,13 +196,13 @@ class Diagnosis:
 
     verdict: Verdict
     obstacle: str = ""  # to a fit
-    effects: tuple[Finding, ...] = ()  # the chosen set, in order of adding
+    effects: tuple[Finding, ...] = ()  # what is named: the road, effects by their evidence, the lag
     candidates: tuple[Finding, ...] = ()  # the whole ranking against the plain model, best first
     remaining_verdict: Verdict = Verdict.CANNOT_TELL
     remaining_log_bayes_factor: float | None = None
     remainder: Remainder | None = None
     formula: Described | None = None  # of what is left without a name
-    doubtful: Doubtful | None = None
+    doubtful: str = ""  # the likeliest effect of a "cannot tell" that names none
     noise_floor: float | None = None  # [W]
     rms_base: float | None = None  # [W]
     rms_final: float | None = None  # [W]

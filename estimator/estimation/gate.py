@@ -103,7 +103,7 @@ class Gate:
 
 
 def has_news(config: GateConfig, added: int, at_last_estimate: int, held: int) -> bool:
-    """Whether enough rows were ``added`` since the last estimate, relative to those ``held``."""
+    """Whether enough of the rows ``added`` so far came after the last estimate, relative to those ``held``."""
     return added - at_last_estimate >= max(config.new_samples * held, 1)
 
 

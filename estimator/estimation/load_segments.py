@@ -87,7 +87,7 @@ class Loads:
             self._carried = self._before
 
     def forget_vehicle(self) -> None:
-        """Discard all segments: the vehicle may be another one."""
+        """Discard the segments before the present one: they may be another vehicle's."""
         self._before = self._carried = None
 
     def carried_over(self, t: float, load: Load) -> Belief:

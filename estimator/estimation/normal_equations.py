@@ -141,7 +141,7 @@ class NormalEquations:
 def of_first_order(taken: float, coefficient: float) -> float:
     """Share of a correction that ``taken`` away from the ``coefficient`` 1/m is small enough for; both in one unit.
 
-    None where the coefficient is that of no mass.
+    0 where the coefficient is not positive, as of no mass.
     """
     return min(1.0, MAX_ANSWERED * max(coefficient, 0.0) / max(taken, 1e-300))
 

@@ -67,10 +67,6 @@ class RoadScales:
         """The model of strides that these are scales of."""
         return RoadModel(strides, self.alpha, self.wander, self.has_power)
 
-    def named(self, model: RoadModel) -> dict[str, float]:
-        """The scales by name."""
-        return {scale.name: float(value) for scale, value in zip(model.scales, self.values, strict=True)}
-
 
 @dataclass(frozen=True, kw_only=True)
 class RoadFit:
@@ -87,7 +83,6 @@ class RoadFit:
     slope_sd: float  # expected, of the slope along this road; that of the process is among the scales
     slope_doubt: float  # posterior sd of the slope at a place, rms
     climbed: float  # [m], all rises of the road together
-    torque_share: float  # of the information on 1/m that is noise of the torque
     equations: NormalEquations = field(repr=False)
     departures: tuple[float, ...] = ()  # times [s] before which the load may have changed
 
@@ -393,7 +388,7 @@ def _concluded(
     conditioned, _ = likelihood.at(scales.values)
     shapes = shapes_of(model.driven.t >= max(likelihood.departures, default=-np.inf))[:, : None if with_changes else 0]
     equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes, rng)
-    beta, covariance, share = equations.solve()
+    beta, covariance, _ = equations.solve()
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
     for rest in rests:
         beta, covariance, gain = _beside(rest, beta, covariance, likelihood.terms)
@@ -419,7 +414,6 @@ def _concluded(
         slope_sd=slope_sd,
         slope_doubt=slope_doubt,
         climbed=float(rises[model.nodes.joined[1:] & (rises > 0)].sum()),
-        torque_share=share,
         equations=equations,
         departures=likelihood.departures,
     )

@@ -190,7 +190,7 @@ class Window(Generic[C]):
         return np.bincount(places, rows, minlength=self.grid.size).astype(np.int64)
 
     def _keep(self, kept: Mask) -> int:
-        """Forget all blocks but the ``kept`` (blocks,), and return the rows of those."""
+        """Forget all blocks but the ``kept`` (blocks,), and return how many rows were forgotten."""
         if kept.all():
             return 0
         before, cells = len(self), np.repeat(kept, self._cell_lengths)

@@ -23,7 +23,7 @@ REMAINDER_SENTENCES = {
 TERMS = (
     ("residual", "measured power minus the model's; above zero, the vehicle needs more power than the model says"),
     ("noise floor", "residual that no road-load model can take away: noise of torque and speed"),
-    ("gap closed", "share of the mean squared residual above the noise floor that goes away, on held-out stretches"),
+    ("gap closed", "share of the mean squared residual above the noise floor that goes away"),
     (
         "log Bayes factor",
         "natural logarithm of how much more probable the log is with the effect than without; 5 decides",

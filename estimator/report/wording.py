@@ -85,10 +85,7 @@ def _doubt(d: Diagnosis) -> str:
     if d.effects:
         rivals = " or ".join([d.effects[0].name, *d.effects[0].equivalent])
         return f"The drive shows {rivals}, and cannot tell which."
-    if d.doubtful is None:
-        return "Cannot tell."
-    weak, unpredictive = "too weak on this drive to be sure", "but it does not predict stretches kept from the fit"
-    return f"There may be {d.doubtful.name}, {weak if d.doubtful.is_weak else unpredictive}."
+    return f"There may be {d.doubtful}, too weak on this drive to be sure." if d.doubtful else "Cannot tell."
 
 
 def _improvement(d: Diagnosis) -> str:

@@ -34,7 +34,7 @@ from estimator.answers.diagnosis import DiagnosisAnswer, Verdict
 from estimator.config import Config
 from estimator.diagnosis.model import fit, select
 from estimator.diagnosis.result import Diagnosis
-from estimator.model.design_matrix import Term
+from estimator.model.design_matrix import Term, views
 from estimator.model.effects import CATALOGUE
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.streaming.drive_extraction import drives
@@ -67,7 +67,7 @@ def library_of(log: Path) -> Library | None:
         if not effect.absorbed and not effect.is_applied(record.known) and effect.usable_shapes(record.known)
     ]
     terms = [Term(effect, effect.usable_shapes(record.known)[0]) for effect in effects]
-    own, _ = model.views()
+    own, _ = views(model.samples, model.road_load, model.terms)
     X = model.base.X
     raw = np.column_stack([own.P, *(term.column(own) for term in terms)])
     rest = raw - X @ np.linalg.lstsq(X, raw, rcond=None)[0]

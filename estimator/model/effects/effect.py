@@ -141,6 +141,8 @@ class Effect:
         Quantities with which it is applied to the plain columns, so that a diagnosis does not look for it.
     absorbed
         A, C and m fit it completely, so no drive gives evidence of it, whatever its size.
+    equivalent
+        Effects with the same power to first order on any drive.
     sized
         Magnitude from its coefficient, where the column is computed with the acceleration that the force gives the
         vehicle without the effect; None: they are the same.

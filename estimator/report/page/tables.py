@@ -84,7 +84,7 @@ def budget(whole: Budget) -> str:
 
 def where(places: Sequence[Place]) -> str:
     """Parts of the axes where the residual is not zero."""
-    headings = ("along", "from", "to", "mean residual", "share of the gap", "q value")
+    headings = ("along", "from", "to", "mean residual", "share of the squared residual", "q value")
     rows = [
         (
             html.escape(wording.label(p.axis)),
