@@ -106,6 +106,13 @@ class Rows:
         )
 
 
+def over_mean(density: Floats) -> Floats:
+    """A density (n,) over its mean [1]; 1 where it is not known."""
+    known = np.isfinite(density)
+    mean = density[known].mean() if known.any() else 1.0
+    return np.where(known, density / mean, 1.0)
+
+
 def _joined(parts: Sequence[tuple[Mapping[K, Floats], int]]) -> dict[K, Floats]:
     """Columns of parts, each with its length, one after another: NaN in a part that lacks the column."""
     keys = dict.fromkeys(key for columns, _ in parts for key in columns)
@@ -185,9 +192,7 @@ class Samples:
     @property
     def relative_density(self) -> Floats:
         """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
-        known = np.isfinite(self.density)
-        mean = self.density[known].mean() if known.any() else 1.0
-        return np.where(known, self.density / mean, 1.0)
+        return over_mean(self.density)
 
     def __getitem__(self, part: slice | Mask | NDArray[np.intp]) -> "Samples":
         context = {quantity: values[part] for quantity, values in self.context.items()}

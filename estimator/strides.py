@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, array, names, substate, table
 from estimator.errors import StateError
-from estimator.samples import STEP
+from estimator.samples import STEP, over_mean
 from estimator.signals import Floats, Mask, Quantity
 
 ROWS = 10  # of the time grid in a stride: 1 s
@@ -93,9 +93,7 @@ class Strides:
     @property
     def relative_density(self) -> Floats:
         """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
-        there = np.isfinite(self.density)
-        mean = self.density[there].mean() if there.any() else 1.0
-        return np.where(there, self.density / mean, 1.0)
+        return over_mean(self.density)
 
     def __getitem__(self, part: slice | Mask | NDArray[np.intp]) -> "Strides":
         context = {quantity: values[part] for quantity, values in self.context.items()}

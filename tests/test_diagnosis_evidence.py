@@ -11,6 +11,7 @@ from estimator.diagnosis.base import block_sums, fit_base, long_run_variance
 from estimator.diagnosis.described import described
 from estimator.diagnosis.model import Model, fit
 from estimator.diagnosis.surrogates import with_other_phases
+from estimator.false_discovery import false_discovery_rates
 from estimator.samples import STEP, Samples
 from estimator.signals import Floats, Quantity
 
@@ -145,4 +146,4 @@ def test_other_phases_keep_the_spectrum() -> None:
 
 def test_rates_of_false_discoveries_are_those_of_scipy() -> None:
     p = np.random.default_rng(1).uniform(size=40) ** 3
-    np.testing.assert_allclose(localisation.false_discovery_rates(p), false_discovery_control(p))
+    np.testing.assert_allclose(false_discovery_rates(p), false_discovery_control(p))

@@ -7,10 +7,11 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from estimator.estimation.evidence import Coefficients
+from estimator.false_discovery import false_discovery_rates
 from estimator.fleet.grouping import YEAR
 from estimator.fleet.over_time import NOW, PRIOR_SD, TREND, newest, terms, winter, years_since
 from estimator.fleet.pooling import Mixture, pool
-from estimator.fleet.population import population, q_values
+from estimator.fleet.population import population
 from estimator.fleet.vehicles import join
 from estimator.settings import Gate
 
@@ -171,7 +172,8 @@ def test_outliers_are_found_at_the_false_discovery_rate() -> None:
     for _ in range(30):
         values = 4 * (1 + 0.03 * rng.standard_normal(20))
         values[:2] *= 1.25
-        named = q_values(population(values + 0.1 * rng.standard_normal(20), np.full(20, 0.1)).p_values) <= 0.05
+        compared = population(values + 0.1 * rng.standard_normal(20), np.full(20, 0.1))
+        named = false_discovery_rates(compared.p_values) <= 0.05
         found += int(named[:2].sum())
         false_share.append(named[2:].sum() / max(named.sum(), 1))
     assert found >= 54  # of 60

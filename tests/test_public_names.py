@@ -41,12 +41,17 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def long_dataclasses(source: str) -> Iterator[tuple[str, bool]]:
-    """Name of each dataclass with more than MAX_POSITIONAL_FIELDS of its own, and whether it is keyword-only."""
+    """Name of each dataclass with more than MAX_POSITIONAL_FIELDS of its own, and whether it is keyword-only.
+
+    Fields behind a mark KW_ONLY are.
+    """
     nodes = ast.walk(ast.parse(source)) if "@dataclass" in source else ()
     for node in nodes:
         if isinstance(node, ast.ClassDef):
             decorators = [text for each in node.decorator_list if (text := ast.unparse(each)).startswith("dataclass")]
             fields = [each for each in node.body if isinstance(each, ast.AnnAssign)]
+            marks = [i for i, each in enumerate(fields) if ast.unparse(each.annotation) == "KW_ONLY"]
+            fields = fields[: marks[0]] if marks else fields
             if decorators and len(fields) > MAX_POSITIONAL_FIELDS:
                 yield node.name, "kw_only=True" in decorators[0]
 

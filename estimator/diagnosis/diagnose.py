@@ -24,7 +24,7 @@ from estimator.estimation.moments import block_means
 from estimator.estimation.road_fit import fit as fit_road
 from estimator.estimation.shapes import fitted_with_shapes, is_free
 from estimator.model.design_matrix import Term, best_terms, columns
-from estimator.model.effects import CATALOGUE, Effect
+from estimator.model.effects import CATALOGUE, Effect, obstacle
 from estimator.signals import Floats, Quantity
 
 SAMPLES_PER_SECOND = 10
@@ -101,9 +101,8 @@ def _start(record: Record, given: tuple[Effect, ...]) -> Drive | str:
     if len(samples) < MIN_DRIVE * SAMPLES_PER_SECOND:
         minutes, least = len(samples) / SAMPLES_PER_SECOND / 60, MIN_DRIVE / 60
         return f"only {minutes:.1f} minutes of driving can be used; it takes {least:.0f} at least"
-    for effect in given:
-        if not effect.streaming_shapes(record.known):
-            return f"the effect {effect.name} needs {' or '.join(r.value for r in effect.wanted)}, which the bus lacks"
+    if reason := obstacle(given, record.known):
+        return reason
     A, C, m = 1e3, 1.0, 1e4  # rough: used only to compare the shapes of an effect
     terms = _with_shapes(record, best_terms(given, samples, np.array([A, C, m])))
     kept = select(samples, terms)

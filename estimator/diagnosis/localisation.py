@@ -13,6 +13,7 @@ from scipy.special import stdtr
 from estimator.diagnosis.base import block_sums
 from estimator.diagnosis.model import Model
 from estimator.diagnosis.result import GapMap, Place
+from estimator.false_discovery import false_discovery_rates
 from estimator.signals import Floats, Quantity
 
 PARTS = 8
@@ -52,13 +53,6 @@ def places(model: Model) -> list[Place]:
         if value < MAX_FALSE_DISCOVERY_RATE
     ]
     return sorted(chosen, key=lambda place: -place.share)
-
-
-def false_discovery_rates(p: Floats) -> Floats:
-    """The smallest rates at which each of the p-values (n,) is a discovery (Benjamini & Hochberg 1995)."""
-    order, rates = np.argsort(-p), np.empty_like(p)
-    rates[order] = np.minimum.accumulate(p[order] * len(p) / np.arange(len(p), 0, -1))
-    return rates
 
 
 def _axes(model: Model) -> list[tuple[str, str, Floats, Floats]]:

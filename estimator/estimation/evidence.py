@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from estimator.estimation.posterior import Posterior
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.window import Grid
+from estimator.samples import over_mean
 from estimator.signals import Floats
 
 
@@ -29,9 +30,7 @@ class Trace:
     @property
     def relative_density(self) -> Floats:
         """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
-        known = np.isfinite(self.density)
-        mean = self.density[known].mean() if known.any() else 1.0
-        return np.where(known, self.density / mean, 1.0)
+        return over_mean(self.density)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from estimator.estimation.model_check import contradiction, misfit
 from estimator.estimation.moments import SMALL_LAG, Fit
 from estimator.estimation.paper_likelihood import PaperLikelihood
 from estimator.estimation.window import Window
-from estimator.model.effects import named
+from estimator.model.effects import named, obstacle
 from estimator.model.road_load import design
 from estimator.preparation.admission import Reason
 from estimator.samples import STEP, Samples
@@ -99,7 +99,7 @@ class Inference:
         if reason := self._contradicted(samples):
             return Estimate(t=t, status=Status.INVALID, reason=reason, coverage=NOTHING_COVERED, admitted=len(samples))
         belief = self._given + self._loads.carried_over(t, self._config.load)
-        if reason := self._missing(context):
+        if reason := obstacle(self._effects, context):
             return Estimate(
                 t=t, status=Status.UNESTIMATED, reason=reason, coverage=NOTHING_COVERED, admitted=len(samples)
             )
@@ -170,14 +170,6 @@ class Inference:
             effects=effects,
             load=change,
         )
-
-    def _missing(self, context: frozenset[Quantity]) -> str:
-        """Reason why an effect of the configuration cannot be computed; empty where all can."""
-        for effect in self._effects:
-            if not effect.streaming_shapes(context):
-                needs = " or ".join(role.value for role in effect.wanted)
-                return f"the effect {effect.name} needs {needs}, which the bus does not carry"
-        return ""
 
     def _contradicted(self, samples: Samples) -> str:
         """Belief of the configuration that the drive contradicts; empty where there is none."""

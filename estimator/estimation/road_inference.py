@@ -36,7 +36,7 @@ from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.shapes import averaged, best_shapes, fitted_with_shapes
 from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term
-from estimator.model.effects import named
+from estimator.model.effects import named, obstacle
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.signals import Floats, Quantity
@@ -174,10 +174,8 @@ class RoadInference:
         ) -> Estimate:
             return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held)
 
-        for effect in self._effects:
-            if not effect.streaming_shapes(context):
-                needs = " or ".join(role.value for role in effect.wanted)
-                return withheld(f"the effect {effect.name} needs {needs}, which the bus does not carry")
+        if reason := obstacle(self._effects, context):
+            return withheld(reason)
         if held < self._config.gate.minimum_samples:
             others = f"; most others: {rejected.most_common(1)[0][0]}" if rejected else ""
             return withheld(f"{held} usable samples of the {self._config.gate.minimum_samples} needed{others}")

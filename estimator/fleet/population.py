@@ -62,11 +62,3 @@ def _normalised(log_weight: Floats, prior: Floats) -> Floats:
     weights = np.exp(log_weight - log_weight.max()) * prior
     normalised: Floats = weights / weights.sum()
     return normalised
-
-
-def q_values(p_values: Floats) -> Floats:
-    """False-discovery rates (n,) at which each comparison is found."""
-    from scipy.stats import false_discovery_control  # a third of a worker's start, if imported above
-
-    adjusted: Floats = false_discovery_control(np.clip(p_values, 0.0, 1.0), method="bh")
-    return adjusted

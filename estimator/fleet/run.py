@@ -11,12 +11,13 @@ from estimator.can_io.bound_traffic import bound_messages
 from estimator.config import Config
 from estimator.errors import ConfigError
 from estimator.estimation.evidence import Coefficients
+from estimator.false_discovery import false_discovery_rates
 from estimator.fleet.cache import Cache
 from estimator.fleet.drive_result import DriveResult, estimate_drive
 from estimator.fleet.engine import Engine, Failure
 from estimator.fleet.grouping import Drive, Grouped, by_engine, group
 from estimator.fleet.pooling import Mixture
-from estimator.fleet.population import MIN_VEHICLES, population, q_values
+from estimator.fleet.population import MIN_VEHICLES, population
 from estimator.fleet.road import LearnedRoad, learned
 from estimator.fleet.seasons import SeasonResult, by_season
 from estimator.fleet.sources import LogFile
@@ -184,5 +185,5 @@ def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture,
         new.append(compared.new)
     shown = np.isfinite(rates)
     if shown.any():
-        rates[shown] = q_values(rates[shown])
+        rates[shown] = false_discovery_rates(rates[shown])
     return rates, tuple(new) if len(new) == 2 else ()

@@ -5,7 +5,7 @@ whose magnitude is the mass itself adds to the column of m instead.
 """
 
 from collections.abc import Set
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -37,6 +37,7 @@ class Term:
     effect: Effect
     shape: Shape = None
     spans: Spans | None = None
+    _: KW_ONLY
     joins_mass: bool = False  # its magnitude is the mass itself, not a parameter of its own
     usual_sds: float = USUAL_SDS
 

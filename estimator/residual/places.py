@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import false_discovery_control, norm
+from scipy.special import ndtr
 
+from estimator.false_discovery import false_discovery_rates
 from estimator.residual.answer import Disagreement
 from estimator.residual.causes import ResidualLikelihood
 from estimator.residual.inputs import Record
@@ -30,7 +31,7 @@ def disagreements(record: Record, likelihood: ResidualLikelihood) -> tuple[Disag
     products, score = likelihood.projected([], np.column_stack(indicators))
     strength = np.maximum(np.diag(products), 1e-300)
     bias = score / strength
-    q_values = false_discovery_control(2 * norm.sf(np.abs(score) / np.sqrt(strength)))
+    q_values = false_discovery_rates(2 * ndtr(-np.abs(score) / np.sqrt(strength)))
     found = [
         Disagreement(axis=name, start=start, end=end, unit=unit, bias=float(b), q_value=float(q))
         for (name, start, end, unit), b, q in zip(parts, bias, q_values, strict=True)

@@ -1,6 +1,6 @@
 """Effects that the plain road load leaves out, as objects."""
 
 from estimator.model.effects.catalogue import BY_NAME, CATALOGUE, named
-from estimator.model.effects.effect import SOURCES, Context, Effect, Shape, Timing, View
+from estimator.model.effects.effect import SOURCES, Context, Effect, Shape, Timing, View, obstacle
 
-__all__ = ["BY_NAME", "CATALOGUE", "SOURCES", "Context", "Effect", "Shape", "Timing", "View", "named"]
+__all__ = ["BY_NAME", "CATALOGUE", "SOURCES", "Context", "Effect", "Shape", "Timing", "View", "named", "obstacle"]

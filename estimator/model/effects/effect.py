@@ -3,7 +3,7 @@
 One object serves the diagnosis (is it there?), the streaming estimator (add it to the model) and the documentation.
 """
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -204,3 +204,12 @@ class Effect:
         """Whether it can be in the streaming model: its times need no search, and A, C and m do not absorb it."""
         signalled = any(isinstance(shape, Quantity) for shape in self.shapes)
         return not self.absorbed and (self.timing is Timing.ALWAYS or signalled)
+
+
+def obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
+    """Why not all ``effects`` can be in the streaming model with what is ``known``; empty where they can."""
+    for effect in effects:
+        if not effect.streaming_shapes(known):
+            wanted = " or ".join(role.value for role in effect.wanted)
+            return f"the effect {effect.name} needs {wanted}, which the bus does not carry"
+    return ""
