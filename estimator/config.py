@@ -1,12 +1,14 @@
 """The configuration: one TOML file, read and checked as a whole; unknown keys are errors."""
 
+import difflib
 import math
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import reduce
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
@@ -162,7 +164,7 @@ def from_dict(tables: dict[str, Any]) -> Config:
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at `$")
         key = _named(place.rstrip("`").lstrip("."), tables)
-        raise ConfigError(f"{key}: {reason}" if key else reason) from error
+        raise ConfigError(_explained(key, reason, tables)) from error
     check(config)
     return config
 
@@ -177,6 +179,29 @@ def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
             yield from _leaves(inner, f"{place}[{i}]")
     else:
         yield place, value
+
+
+def _explained(place: str, reason: str, tables: dict[str, Any]) -> str:
+    """What is wrong at ``place``, with the keys and the values that there are."""
+    kind: Any = Config
+    value: Any = tables
+    for key in place.split(".") if place else ():
+        kind = next((f.type for f in _fields(kind) if f.encode_name == key), None)
+        value = value.get(key) if isinstance(value, dict) else None
+    if unknown := re.fullmatch(r"Object contains unknown field `(.*)`", reason):
+        there = [f.encode_name for f in _fields(kind)]
+        near = difflib.get_close_matches(unknown[1], there, n=1)
+        own = f"{place}.{unknown[1]}" if place else unknown[1]
+        return f"{own}: no such key; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(there)}")
+    if reason.startswith("Invalid enum value"):
+        return f"{place}: {value!r} is none of {', '.join(map(repr, get_args(kind)))}"
+    found = f", found {value!r}" if isinstance(value, bool | int | float | str) else ""
+    return f"{place}: {reason}{found}" if place else reason
+
+
+def _fields(kind: Any) -> tuple[msgspec.structs.FieldInfo, ...]:
+    """Those of a table of settings; none of anything else."""
+    return msgspec.structs.fields(kind) if isinstance(kind, type) and issubclass(kind, msgspec.Struct) else ()
 
 
 def _named(place: str, tables: dict[str, Any]) -> str:

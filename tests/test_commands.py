@@ -1,6 +1,11 @@
 """The command as a user meets it: exit status, one line of error, JSON and nothing else."""
 
 import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -290,8 +295,9 @@ def test_a_usage_error_shows_no_control_characters(capsys: pytest.CaptureFixture
     assert "\x1b" not in capsys.readouterr().err
 
 
-def test_several_drives_too_short_are_told_their_minutes(cli: Cli, log: Path) -> None:
-    reason = " ".join(cli("diagnose", log, log)[1].split())
+def test_several_drives_too_short_are_told_their_minutes(cli: Cli, log: Path, tmp_path: Path) -> None:
+    other = shutil.copy(log, tmp_path / "other.blf")
+    reason = " ".join(cli("diagnose", log, other)[1].split())
     assert "of 2 drives the longest has 0.3 minutes that can be used, all together 0.6; each is fitted by" in reason
 
 
@@ -376,3 +382,27 @@ def test_each_wheel_is_inspected_on_its_own(cli: Cli, tmp_path: Path, log: Path)
     for name in ("wheel_speeds 1", "wheel_speeds 2"):
         assert inputs[name]["rate_Hz"] == pytest.approx(10, rel=0.05)
         assert inputs[name]["gaps_s"] == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_stopped_says_so_and_leaves_no_file(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+
+    monkeypatch.setattr("estimator.commands.simulate.frames_of", lambda signals: os.kill(os.getpid(), number))
+    assert cli("simulate", tmp_path / "a.log", "--minutes", "0.5") == (1, "", "error: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_outputs_that_are_closed_or_narrow_are_no_error(log: Path) -> None:
+    program = "import sys; sys.stdout = None; from estimator.commands.main import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, "inspect", str(log)]
+    assert subprocess.run(command, capture_output=True).returncode == 0
+    done = subprocess.run(
+        [sys.executable, "-m", "estimator", "inspect", str(log)],
+        capture_output=True,
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+    )
+    assert (done.returncode, done.stderr) == (0, b"")

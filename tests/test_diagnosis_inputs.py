@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_logs import ask, drive, named, written
+from simulated_logs import CLIMB, ask, drive, named, written
 
 from estimator.commands.main import main
 from estimator.signals import Role, Series
@@ -206,6 +206,34 @@ def test_an_event_may_be_in_one_log_only(several, tmp_path):
     assert beside["effects"][0]["span_s"] == alone["effects"][0]["span_s"]
     assert set(alone["effects"][0]["span_log"]) == {0}
     assert beside["effects"][0]["span_log"] == [1] * len(beside["effects"][0]["span_s"])
+
+
+def test_a_log_that_is_given_twice_is_no_more_evidence(urban, log, capsys):
+    path = log(urban)
+    error = fails(capsys, "diagnose", path, path.parent / ".." / path.parent.name / path.name)
+    assert "is given twice" in error
+
+
+def test_logs_with_engines_of_different_torque_may_be_of_two_vehicles(urban, log, tmp_path, capsys):
+    torque = urban.signals[Role.REFERENCE_TORQUE]
+    other = replace(urban, signals=urban.signals | {Role.REFERENCE_TORQUE: Series(torque.t, 0.7 * torque.value)})
+    assert main(["diagnose", str(log(urban)), str(written(other, tmp_path / "other.blf")), "--json"]) == 0
+    captured = capsys.readouterr()
+    (doubt,) = json.loads(captured.out)["doubts"]
+    assert "in log 2: two vehicles?" in doubt
+    assert f"note: {doubt}" in captured.err
+
+
+@pytest.mark.slow
+def test_hills_of_a_shorter_drive_are_hills_beside_a_longer_flat_one(tmp_path):
+    flat = written(drive("highway", 26, 11), tmp_path / "flat.blf")
+    hilly = written(
+        drive("highway", 20, 1, Effect(name="grade", magnitude=0.01), without=CLIMB), tmp_path / "hilly.blf"
+    )
+    alone, both = ask("diagnose", hilly), ask("diagnose", flat, hilly)
+    assert named(alone) == named(both) == ["grade"]
+    expected = alone["effects"][0]["magnitude"]["value"] * np.sqrt(20 / 46)  # along both roads
+    assert both["effects"][0]["magnitude"]["value"] == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import gzip
 import io
 import multiprocessing
+import os
 import resource
 import struct
 import sys
@@ -172,6 +173,35 @@ def test_a_log_of_more_channels_than_any_logger_has(refused: Refused, tmp_path: 
 DBC = 'VERSION ""\nBU_: X\nBO_ 2566844926 M: 8 X\n SG_ S : {}@1+ (1,0) [0|0] "km/h" X\n'
 
 
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [("60|16@1+", "M.S: reaches into byte 10 of a message of 8"), ("59|16@0+", "M.S: reaches into byte 10")],
+)
+def test_a_signal_that_reaches_past_its_message(refused: Refused, tmp_path: Path, layout: str, said: str) -> None:
+    (tmp_path / "a.dbc").write_text(DBC.format(layout[:-3]).replace("@1+", layout[-3:]))
+    (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
+    assert said in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(("(1,0)", "(0,0)"), "M.S: has a factor of 0"), (("", ""), "more than one message 'M'")],
+)
+def test_a_database_that_gives_no_value(refused: Refused, tmp_path: Path, change: tuple[str, str], said: str) -> None:
+    text = DBC.format("0|16")
+    other = text.splitlines(keepends=True)[2:] if not change[0] else []
+    (tmp_path / "a.dbc").write_text(text.replace(*change) + "".join(other).replace("2566844926", "2566844925"))
+    (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
+    assert said in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+
+
+def test_a_log_that_comes_through_a_pipe_or_leads_in_a_circle(refused: Refused, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.blf")
+    assert "is no file but a pipe or a device" in refused("estimate", tmp_path / "a.blf")
+    (tmp_path / "b.blf").symlink_to(tmp_path / "b.blf")
+    assert "b.blf: cannot be read" in refused("estimate", tmp_path / "b.blf")
+
+
 @pytest.mark.parametrize("layout", ["0|2000000000", "2000000000|16", "0|" + "9" * 5000, "0 |\n 2000000000 "])
 def test_a_signal_of_absurd_size(refused: Refused, tmp_path: Path, layout: str) -> None:
     (tmp_path / "a.dbc").write_text(DBC.format(layout))
@@ -243,7 +273,9 @@ def test_a_cycle_of_thirty_million_years(refused: Refused, tmp_path: Path) -> No
 def test_a_signal_that_no_message_can_carry(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "a.dbc").write_text(DBC.format("500000|16"))
     (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
-    assert "M.S: lies beyond byte 1785" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+    assert "M.S: reaches into byte 62502 of a message of " in refused(
+        "estimate", plain(tmp_path), "--config", tmp_path / "a.toml"
+    )
 
 
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/urandom"])

@@ -127,6 +127,9 @@ def test_gzip_and_upper_case(tmp_path: Path, suffix: str) -> None:
     packed.write_bytes(packed.read_bytes()[:-20])
     with pytest.raises(LogError, match="cannot be read on"):
         read(packed)
+    packed.write_bytes((tmp_path / f"drive{suffix}").read_bytes())
+    with pytest.raises(LogError, match="is no gzip file"):
+        read(packed)
 
 
 def test_a_log_can_be_iterated_twice_and_left_half_way(tmp_path: Path) -> None:

@@ -346,6 +346,9 @@ def test_lane_by_lane_the_same_ground_on_the_way_back():
         ("time_lag=-0.1", ("time_lag", "-0.1")),
         ("grade=nan", ("grade", "nan")),
         ("resistance_segment@500-400", ("resistance_segment@500-400",)),
+        ("grade=", ("'grade='", "NAME=NUMBER")),
+        ("headwind@", ("'headwind@'", "NAME=NUMBER")),
+        ("mass_step=0.3@500-", ("'mass_step=0.3@500-'", "NAME=NUMBER")),
     ],
 )
 def test_what_is_not_an_effect_is_refused_in_one_line(text, words):

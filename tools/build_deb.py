@@ -129,12 +129,14 @@ def write_control(tree: Path, maintainer: str) -> None:
 def pack(tree: Path, output: Path, compression: str) -> Path:
     """The package; the same commit and wheels give the same bytes."""
     level = ["-z", LEVELS[compression]] if compression != "none" else []
-    command = ["dpkg-deb", "--root-owner-group", f"-Z{compression}", *level, "--build", str(tree), str(output)]
+    architecture = subprocess.check_output(["dpkg", "--print-architecture"], text=True).strip()
+    package = output / f"roadload_{version()}_{architecture}.deb"
+    unfinished = package.with_name(f".part-{package.name}")
+    command = ["dpkg-deb", "--root-owner-group", f"-Z{compression}", *level, "--build", str(tree), str(unfinished)]
     subprocess.run(
         command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch())}
     )
-    architecture = subprocess.check_output(["dpkg", "--print-architecture"], text=True).strip()
-    return output / f"roadload_{version()}_{architecture}.deb"
+    return unfinished.replace(package)
 
 
 def version() -> str:

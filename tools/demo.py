@@ -47,7 +47,7 @@ def main() -> int:
         return error.exit_status
     print_run(console, run, {"mass": TRUCK.mass, "A": TRUCK.A, "C": TRUCK.C})
     show_last_broadcast(console, run)
-    say(console, f"recorded  {answer}; look into it with: roadload inspect {log}")
+    say(console, f"recorded  {answer}, which dbc/roadload.dbc decodes; the drive: .venv/bin/roadload inspect {log}")
     return 0
 
 

@@ -176,9 +176,10 @@ class Experiment(Struct, frozen=True, kw_only=True):
 
 
 class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
-    """Verdict and evidence; ``effects`` is the chosen set in order of adding, ``candidates`` the whole ranking.
+    """Verdict and evidence; ``effects`` are those that are named, ``candidates`` all of them, each alone.
 
     ``p_value``: share of records of noise alone in which an effect has as much evidence; null unless asked for.
+    ``doubts``: why the logs may not be of one vehicle.
     """
 
     verdict: Verdict
@@ -200,3 +201,4 @@ class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
     experiments: tuple[Experiment, ...] = ()
     p_value: float | None = None
     logs: tuple[str, ...]
+    doubts: tuple[str, ...] = ()

@@ -79,7 +79,7 @@ class LoadChanged(Struct, frozen=True, kw_only=True):
 
 
 class Update(Struct, frozen=True, kw_only=True):
-    """The estimate at a time since the first frame; ``load_changed`` only in the first ones after a long stop."""
+    """The estimate at a time since the first frame; ``load_changed`` only after a long stop."""
 
     t_s: float
     status: Status

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from estimator.commands.arguments import add_output, add_settings, whole_number
+from estimator.commands.complaints import complain
 from estimator.commands.diagnosis_tables import print_diagnosis
 from estimator.commands.log_options import (
     RECORDED,
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     parser.add_argument("log", nargs="+", type=Path, metavar="LOG", help=f"drives of one vehicle; {RECORDED}")
     parser.add_argument("--report", type=Path, metavar="OUT.html", help="one page with figures, opens offline")
-    exact = "look for effects in N records of noise like this one's as well, for a p-value (not on hills)"
+    exact = "look for effects in N records of noise like this one's as well, for a p-value"
     parser.add_argument("--exact", type=whole_number, default=0, metavar="N", help=exact)
     add_effects(parser)
     add_channels(parser)
@@ -41,6 +42,8 @@ def run(options: argparse.Namespace) -> int:
     if options.report is not None:
         diagnosis_page.write_page(diagnosis, options.report)
     complain_of_channels(diagnosis.mixed_channels)
+    for doubt in diagnosis.doubts:
+        complain(f"note: {doubt}")
     if options.json:
         print_json(of_diagnosis(diagnosis))
     else:

@@ -76,7 +76,7 @@ def _found(effect: Finding, several: bool) -> str:
 
 def _ranking(d: Diagnosis) -> Table:
     table = _table("effect", "probability", "log Bayes", "size", "gap closed", right=(1, 2))
-    for f in d.candidates[:RANKING_ROWS]:
+    for f in d.ranking[:RANKING_ROWS]:
         row = (wording.percent(f.probability), wording.bayes(f.log_bayes_factor), wording.size(f.magnitude))
         table.add_row(*map(Text, (wording.label(f.name), *row, wording.interval(f.gap_closed))))
     return table

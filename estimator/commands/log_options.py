@@ -1,6 +1,7 @@
 """Options of the subcommands that read logs."""
 
 import argparse
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -51,11 +52,11 @@ def check_outputs(logs: Sequence[Path], outputs: Mapping[Path | None, tuple[str,
     ConfigError
         The message names the file.
     """
-    inputs = {path.resolve() for path in logs}
+    inputs = {os.path.realpath(path) for path in logs}  # of links that lead in a circle, too
     for path, formats in outputs.items():
         if path is not None:
             check_suffix(path, formats)
-            if path.resolve() in inputs:
+            if os.path.realpath(path) in inputs:
                 raise ConfigError(f"{path}: is a log to be read; write to another file")
 
 

@@ -1,8 +1,14 @@
 """The `roadload` command: what all subcommands share; and how a run ends."""
 
 import argparse
+import io
 import logging
+import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NoReturn
 
 from estimator import __version__
@@ -27,21 +33,25 @@ COMMANDS = {  # module of this package, and its use
 def main(arguments: list[str] | None = None) -> int:
     """Run one subcommand; returns the exit status: 0, 2 for bad input, 1 for a run that could not finish."""
     keep_freed_memory()
-    options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
-    # python-can logs frames that it cannot parse; the log readers raise or count them.
-    logging.getLogger("can").setLevel(logging.CRITICAL)
+    _prepare_output()
+    arguments = sys.argv[1:] if arguments is None else arguments
+    is_debugged = "--debug" in arguments
     try:
-        status: int = options.run(options)
+        options = _parser(arguments).parse_args(arguments)
+        # python-can logs frames that it cannot parse; the log readers raise or count them.
+        logging.getLogger("can").setLevel(logging.CRITICAL)
+        with _terminated_as_interrupted():
+            status: int = options.run(options)
         sys.stdout.flush()
     except RoadloadError as error:
-        show_traceback() if options.debug else complain(f"error: {error}")
+        show_traceback() if is_debugged else complain(f"error: {error}")
         return error.exit_status
     except BrokenPipeError:
         # The reader of the output has closed it; without this the interpreter reports an error at exit.
         sys.stderr.close()
         return 1
     except OSError as error:
-        if options.debug:
+        if is_debugged:
             show_traceback()
         complain(f"error: {error.filename or 'output'}: {error.strerror}")
         return 1
@@ -49,6 +59,28 @@ def main(arguments: list[str] | None = None) -> int:
         complain("error: interrupted")
         return 1
     return status
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """SIGTERM ends the work as SIGINT does, so that no file is left half written."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _prepare_output() -> None:
+    """Where an output is closed, write to none; letters that its encoding lacks become question marks."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  # until the process ends
+        if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 class Parser(argparse.ArgumentParser):

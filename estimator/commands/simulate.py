@@ -12,6 +12,7 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import WRITABLE, write_log
 from estimator.commands.arguments import add_output, not_negative, number, whole_number
 from estimator.commands.terminal import print_json
+from estimator.errors import InputError
 from estimator.output_files import check_suffix
 from estimator.printable import printable
 from estimator.report.simulation_summary import of_recording
@@ -67,12 +68,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Simulate, write the log and print the truth."""
     check_suffix(options.output, WRITABLE)
+    duration = options.minutes * 60
     effects = [parse_effect(text) for text in options.effect]
+    if late := next((effect for effect in effects if effect.start is not None and effect.start >= duration), None):
+        raise InputError(f"effect {late.name}: begins at {late.start:g} s, after a drive of {duration:g} s")
     rng = np.random.default_rng(options.seed)
     drawn = draw_truck(rng)
     chosen = {name: getattr(options, name) for name in ("mass", "A", "C") if getattr(options, name) is not None}
     truck = dataclasses.replace(drawn, **chosen)
-    duration = options.minutes * 60
     length = options.minutes * METRES_PER_MINUTE
     road = cycle_route(options.cycle, length, rng) if options.cycle else generate_route(options.route, length, rng)
     sensors = Sensors(

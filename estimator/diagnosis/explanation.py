@@ -84,8 +84,8 @@ def _on_either_road(
     if level is not None and level.log_posterior > least:
         return Explanation(level, False, slopes, False)
     slopes = min([_slopes(beside.drives), *([beside.log_posterior - level.log_posterior] if level else [])])
-    longest = max(beside.drives, key=lambda drive: len(drive.fit.strides))
-    return Explanation(beside, True, slopes, is_shown is not False and longest.slope_sd > thresholds.min_grade_sd)
+    steepest = max(drive.slope_sd for drive in beside.drives)
+    return Explanation(beside, True, slopes, is_shown is not False and steepest > thresholds.min_grade_sd)
 
 
 def _slopes(drives: Sequence[DriveState], sloping: Sequence[DriveState] = ()) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 
 from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import ROAD, UNKNOWN, WHITE, Part
+from estimator.components.drive_state import DriveState
 from estimator.components.explained import Choice, Ranked
 from estimator.components.processes import SWITCHES
 from estimator.diagnosis.conclusion import Conclusion
@@ -76,16 +77,15 @@ class Findings:
 
     def _hills(self) -> Finding:
         """The finding of a road that no signal shows, with the share of the gap that a signal could close."""
-        drive, budget = self.conclusion.longest, self.conclusion.budget
-        slopes = max(float(np.ptp(drive.strides.s0)) / SLOPE_LENGTH, 1.0)  # that are independent of each other
-        sd = float(np.hypot(drive.fit.slope_doubt / np.sqrt(slopes), EFFECT_DOUBT * drive.slope_sd))
+        budget = self.conclusion.budget
+        slope_sd, sd = _slopes(self.conclusion.explained.drives)
         part = budget.part(ROAD)
         return Finding(
             name="grade",
             probability=1.0,
             log_bayes_factor=self.conclusion.explanation.slopes or 0.0,
             equivalent=(),
-            magnitude=Magnitude(HIDDEN_GRADE, drive.slope_sd, sd, "1"),
+            magnitude=Magnitude(HIDDEN_GRADE, slope_sd, sd, "1"),
             gap_closed=_closed(part),
             rms_before=budget.base,
             rms_after=budget.base if part is None else part.expected,
@@ -195,6 +195,17 @@ class Findings:
         """Times of a drive as its log counts them."""
         record = self.conclusion.plain[which].record
         return tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in spans)
+
+
+def _slopes(drives: Sequence[DriveState]) -> tuple[float, float]:
+    """Standard deviation of the slope along the roads of all drives, and how well it is known."""
+    share = np.array([len(drive.fit.strides) for drive in drives]) / sum(len(drive.fit.strides) for drive in drives)
+    own = np.array([drive.slope_sd for drive in drives])
+    independent = np.array([max(float(np.ptp(drive.strides.s0)) / SLOPE_LENGTH, 1.0) for drive in drives])
+    doubt = np.array([drive.fit.slope_doubt for drive in drives]) / np.sqrt(independent)
+    value = float(np.sqrt(share @ own**2))
+    by_noise = float(np.linalg.norm(share * own * doubt)) / max(value, 1e-12)
+    return value, float(np.hypot(by_noise, EFFECT_DOUBT * value))
 
 
 def _closed(part: Part | None) -> GapClosed | None:

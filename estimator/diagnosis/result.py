@@ -222,7 +222,15 @@ class Diagnosis:
     gap_map: GapMap | None = None
     traces: Traces | None = None
     logs: tuple[str, ...] = field(default=())
+    doubts: tuple[str, ...] = ()  # why the logs may not be of one vehicle
     mixed_channels: Mapping[str, int] = field(default_factory=dict)  # frames by channel, where several are one bus
+
+    @property
+    def ranking(self) -> tuple[Finding, ...]:
+        """All effects, those that are named as they are beside all others, the rest alone; most evidence first."""
+        named = {found.name for found in self.effects}
+        others = [found for found in self.candidates if found.name not in named]
+        return tuple(sorted((*self.effects, *others), key=lambda found: -found.log_bayes_factor))
 
     @property
     def table(self) -> dict[str, Any]:

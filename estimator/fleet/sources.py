@@ -135,7 +135,8 @@ def _listed(path: Path) -> Iterator[LogFile]:
             continue
         place = name if "://" in name else str(path.parent / name)
         if "://" not in name and not (files_of(Path(place)) if is_day(Path(place)) else Path(place).is_file()):
-            raise InputError(f"{path}:{number}: no such log: {place}; correct or delete the line")
+            remedy = f"correct or delete the line, or give {path.name} another suffix if it is a log itself"
+            raise InputError(f"{path}:{number}: no such log: {place}; {remedy}")
         yield LogFile(place, vehicle.strip() or _vehicle(place, place))
 
 

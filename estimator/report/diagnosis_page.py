@@ -79,7 +79,7 @@ def _sections(d: Diagnosis) -> list[Section]:
         Section("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
         Section("power", "Power, measured and modelled", _power(d)),
         Section("where", "Where does it lie?", _where(d)),
-        Section("which", "Which effect?", tables.ranking(d.candidates, len(d.logs) > 1)),
+        Section("which", "Which effect?", tables.ranking(d.ranking, len(d.logs) > 1)),
         Section(
             "apart", "What can be told apart here?", "" if d.isolability is None else tables.isolability(d.isolability)
         ),

@@ -41,6 +41,7 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
         ),
         p_value=d.p_value,
         logs=d.logs,
+        doubts=d.doubts,
     )
 
 

@@ -7,7 +7,10 @@ from estimator.signals import Role
 from estimator.streaming.replay import Run
 
 SHOW_GRADE = (Role.GRADE, Role.ALTITUDE, Role.LONGITUDINAL_ACCELERATION)  # signals that the effect `grade` can use
-DIAGNOSE = "`roadload diagnose` with the same logs names a missing effect and the line to add to the configuration"
+DIAGNOSE = (
+    "`roadload diagnose` with the same logs names a missing effect, and the line for the configuration where the model "
+    "can hold it"
+)
 
 
 def next_step(run: Run) -> str:

@@ -65,6 +65,11 @@ class Aligner:
         self._past, self._frozen = PastSpeed(), FrozenRows()
         self._next: int | None = None
 
+    @property
+    def reference_torque(self) -> float | None:
+        """Of the engine [N m], as the bus sent it last."""
+        return self._engine.reference_torque
+
     def forget(self) -> None:
         """Discard the constants of the engine and the past speeds: the vehicle may be another one."""
         self._engine.forget()

@@ -1,7 +1,8 @@
 """Recorded traffic to a diagnosis: each log is a drive of the same vehicle, or several."""
 
+import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,12 +14,14 @@ from estimator.config import Config
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.drive_data import Record, record
 from estimator.diagnosis.result import Diagnosis
+from estimator.errors import LogError
 from estimator.model.effects import CATALOGUE, Effect, named
 from estimator.samples import Rows
 from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
 from estimator.streaming.row_stream import Block, RowStream
 
 READING_SHARE = 0.9  # of the work
+MAX_TORQUE_DIFFERENCE = 0.01  # of the reference torque of one engine in two logs
 
 
 @one_blas_thread()
@@ -37,7 +40,7 @@ def diagnose_logs(
     Raises
     ------
     LogError
-        A log cannot be read.
+        A log cannot be read, or is given twice.
     MissingInputsError
         A log lacks inputs of the model.
     ConfigError
@@ -47,16 +50,41 @@ def diagnose_logs(
     records: list[Record] = []
     mixed: Counter[str] = Counter()
     given_paths = as_paths(paths)
+    _require_different(given_paths)
+    torques = list[float | None]()
     for i, path in enumerate(given_paths):
-        logs = LogFrames([path], config, partial(_part, progress, i, len(given_paths)))
-        found = [record(pieces, config) for pieces in _pieces(logs, path, config)]
+        logs, stream = LogFrames([path], config, partial(_part, progress, i, len(given_paths))), RowStream(config)
+        found = [record(pieces, config) for pieces in _pieces(logs, path, stream)]
+        torques.append(stream.reference_torque)
         mixed.update(logs.mixed)
         records += [replace(drive, log=i, log_start=found[0].start) for drive in found]
     result = diagnose(
         records, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further), surrogates=surrogates
     )
     progress(1.0)
-    return replace(result, logs=tuple(map(str, given_paths)), mixed_channels=dict(mixed))
+    return replace(
+        result, logs=tuple(map(str, given_paths)), doubts=tuple(_other_engines(torques)), mixed_channels=dict(mixed)
+    )
+
+
+def _require_different(paths: Sequence[Path]) -> None:
+    """Refuse a log that is given twice: each counts as evidence of its own."""
+    places = [os.path.realpath(path) for path in paths]
+    for i, place in enumerate(places):
+        if place in places[:i]:
+            raise LogError(f"{paths[i]}: is given twice, and would count as evidence of its own; take one out")
+
+
+def _other_engines(torques: Sequence[float | None]) -> Iterator[str]:
+    """Why logs with these reference torques [N m] of their engines may not be of one vehicle."""
+    known = [(i, torque) for i, torque in enumerate(torques, start=1) if torque is not None]
+    for i, torque in known[1:]:
+        first, other = known[0]
+        if abs(torque - other) > MAX_TORQUE_DIFFERENCE * other:
+            yield (
+                f"the engine's reference torque is {other:,.0f} N m in log {first} and {torque:,.0f} N m in log {i}: "
+                "two vehicles?"
+            )
 
 
 @one_blas_thread()
@@ -70,7 +98,7 @@ def diagnose_drive(paths: Sequence[Path], config: Config) -> Diagnosis:
     MissingInputsError
         The files lack inputs of the model.
     """
-    pieces = _pieces(LogFrames(list(paths), config, no_progress), paths[0], config)
+    pieces = _pieces(LogFrames(list(paths), config, no_progress), paths[0], RowStream(config))
     rng = np.random.default_rng(config.sampler.seed)
     return diagnose([record(drive, config) for drive in pieces], named(config.effects), rng)
 
@@ -94,11 +122,10 @@ def drives(path: Path, config: Config, progress: Progress = no_progress) -> list
 
 def drive_rows(path: Path, config: Config, progress: Progress = no_progress) -> list[list[Rows]]:
     """Rows of the drives in a log, each drive as its pieces between interruptions; see `drives`."""
-    return _pieces(LogFrames([path], config, progress), path, config)
+    return _pieces(LogFrames([path], config, progress), path, RowStream(config))
 
 
-def _pieces(logs: LogFrames, path: Path, config: Config) -> list[list[Rows]]:
-    stream = RowStream(config)
+def _pieces(logs: LogFrames, path: Path, stream: RowStream) -> list[list[Rows]]:
     found: list[list[list[Rows]]] = [[[]]]
     for item in stream.feed_all(logs):
         if isinstance(item, Block):

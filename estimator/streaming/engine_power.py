@@ -81,12 +81,12 @@ class EnginePower:
 
     def finish(self) -> None:
         """Start a new track at the end of the traffic; the constants of the engine are kept."""
-        self._reference = self._newest_reference()
+        self._reference = self.reference_torque
         self._restart()
 
     def state(self) -> dict[str, Any]:
         """The constants of the engine, without the readings of the last seconds."""
-        return {"friction": self._friction.state(), "reference": self._newest_reference()}
+        return {"friction": self._friction.state(), "reference": self.reference_torque}
 
     def restore(self, state: State) -> None:
         """Take the constants of the engine from another one's state.
@@ -163,7 +163,9 @@ class EnginePower:
             return held
         return np.where(np.isnan(heard.time_of_held(t)), self._reference, held)
 
-    def _newest_reference(self) -> float | None:
+    @property
+    def reference_torque(self) -> float | None:
+        """The newest one that the bus sent [N m]."""
         heard = self._of(Role.REFERENCE_TORQUE).value
         known = heard[np.isfinite(heard)]
         return float(known[-1]) if len(known) else self._reference

@@ -150,6 +150,11 @@ class RowStream:
         return dict(self._decoder.sources)
 
     @property
+    def reference_torque(self) -> float | None:
+        """Of the engine [N m], as the bus sent it last."""
+        return self._aligner.reference_torque
+
+    @property
     def contested(self) -> dict[str, str]:
         """Reason by MESSAGE.signal of the inputs that contradict themselves now."""
         return dict(self._decoder.contested)

@@ -1,5 +1,6 @@
 """A recorded log as an iterable of batches of frames: what all formats have in common."""
 
+import gzip
 import zlib
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -77,6 +78,10 @@ class Log(ABC):
     def _guarded(self) -> Iterator[Frames]:
         try:
             yield from self._read()
+        except gzip.BadGzipFile as error:
+            raise LogError(
+                f"{self.path}: is no gzip file ({error}); take .gz out of its name, or copy it anew"
+            ) from error
         except (OSError, EOFError, zlib.error) as error:  # the disk, or a gzip file that is cut or damaged
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             raise LogError(f"{self.path}: cannot be read on ({reason}); copy or unpack it anew") from error

@@ -53,6 +53,8 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
     """
     path = Path(path)
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise LogError(f"{path}: is no file but a pipe or a device; write the log to a file")
         if path.is_dir():
             next(path.iterdir(), None)  # raises where the folder must not be read
             raise LogError(f"{path}: is a folder; give a log file in it")

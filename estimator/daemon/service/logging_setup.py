@@ -35,7 +35,7 @@ class Once(logging.Filter):
             self._said.clear()
         self._said[key] = (now, 0)
         if held:
-            record.msg = f"{record.msg} (and {held} times before)"
+            record.msg = f"{record.msg} (and {'once' if held == 1 else f'{held} times'} before)"
         return True
 
 

@@ -154,12 +154,12 @@ def parse_effect(text: str) -> Effect:
     name, _, size = what.partition("=")
     kind = kind_of(name)
     try:
-        start, _, end = when.partition("-")
+        start, dash, end = when.partition("-")
         effect = Effect(
             name=name,
-            magnitude=float(size) if size else kind.usual,
-            start=float(start) if start else None,
-            end=float(end) if end else None,
+            magnitude=float(size) if "=" in what else kind.usual,
+            start=float(start) if "@" in text else None,
+            end=float(end) if dash else None,
         )
     except ValueError:
         raise InputError(f"effect {text!r}: write NAME, NAME=NUMBER or NAME=NUMBER@SECONDS-SECONDS") from None
