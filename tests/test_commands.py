@@ -389,9 +389,11 @@ def test_a_command_that_is_stopped_says_so_and_leaves_no_file(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     before = signal.getsignal(signal.SIGTERM)
+    ignored = signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background it is ignored
 
     monkeypatch.setattr("estimator.commands.simulate.frames_of", lambda signals: os.kill(os.getpid(), number))
     assert cli("simulate", tmp_path / "a.log", "--minutes", "0.5") == (1, "", "error: interrupted\n")
+    signal.signal(signal.SIGINT, ignored)
     assert list(tmp_path.iterdir()) == []
     assert signal.getsignal(signal.SIGTERM) == before
 

@@ -174,16 +174,6 @@ DBC = 'VERSION ""\nBU_: X\nBO_ 2566844926 M: 8 X\n SG_ S : {}@1+ (1,0) [0|0] "km
 
 
 @pytest.mark.parametrize(
-    ("layout", "said"),
-    [("60|16@1+", "M.S: reaches into byte 10 of a message of 8"), ("59|16@0+", "M.S: reaches into byte 10")],
-)
-def test_a_signal_that_reaches_past_its_message(refused: Refused, tmp_path: Path, layout: str, said: str) -> None:
-    (tmp_path / "a.dbc").write_text(DBC.format(layout[:-3]).replace("@1+", layout[-3:]))
-    (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
-    assert said in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
-
-
-@pytest.mark.parametrize(
     ("change", "said"),
     [(("(1,0)", "(0,0)"), "M.S: has a factor of 0"), (("", ""), "more than one message 'M'")],
 )
@@ -273,9 +263,7 @@ def test_a_cycle_of_thirty_million_years(refused: Refused, tmp_path: Path) -> No
 def test_a_signal_that_no_message_can_carry(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "a.dbc").write_text(DBC.format("500000|16"))
     (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
-    assert "M.S: reaches into byte 62502 of a message of " in refused(
-        "estimate", plain(tmp_path), "--config", tmp_path / "a.toml"
-    )
+    assert "M.S: lies beyond byte 1785" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
 
 
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/urandom"])

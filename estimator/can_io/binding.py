@@ -109,13 +109,6 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     return [_bound(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()]
 
 
-def _last_byte(signal: Signal) -> int:
-    """The number of the last byte that a signal reaches into, from 1 on."""
-    if signal.byte_order == "little_endian":
-        return (signal.start + signal.length - 1) // 8 + 1
-    return signal.start // 8 + 1 + max(signal.length - signal.start % 8 + 6, 0) // 8
-
-
 def _find(database: Database, message_name: str, signal_name: str, place: str) -> tuple[Message, Signal]:
     try:
         message = database.get_message_by_name(message_name)
@@ -135,8 +128,8 @@ def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSi
     if signal.length > MAX_SIGNAL_BITS or (signal.is_float and signal.length not in FLOATS):
         kind = "floating-point signal" if signal.is_float else "signal"
         raise DatabaseError(f"{path}: a {kind} of {signal.length} bits is no number; correct the DBC")
-    if (last := _last_byte(signal)) > min(message.length or MAX_BYTES, MAX_BYTES):
-        raise DatabaseError(f"{path}: reaches into byte {last} of a message of {message.length}; correct the DBC")
+    if signal.start + signal.length > 8 * MAX_BYTES:
+        raise DatabaseError(f"{path}: lies beyond byte {MAX_BYTES} of its message; correct the DBC")
     if signal.scale == 0:
         raise DatabaseError(f"{path}: has a factor of 0; correct the DBC")
     multiplexers = _multiplexers(signal, message, path)
