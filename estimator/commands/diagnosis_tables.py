@@ -92,7 +92,7 @@ def _budget(budget: Budget) -> Table:
 
 
 def _places(d: Diagnosis) -> Table:
-    table = _table("where", "from", "to", "mean residual", "of the gap", right=(1, 2, 3, 4))
+    table = _table("where", "from", "to", "mean residual", "of the square", right=(1, 2, 3, 4))
     for p in d.where[:PLACE_ROWS]:
         ends = [f"{number_format.number(at)} {p.unit}" for at in (p.start, p.end)]
         row = (wording.label(p.axis), *ends, wording.kilowatts(p.bias), wording.percent(p.share))
