@@ -150,7 +150,9 @@ class Dense:
             places, counts = np.unique(nearest, return_counts=True)
             told = getattr(heard, name) / (STANDARD_GRAVITY if name == "gravity" else 1.0)
             mean = np.array([told[nearest == place].mean() for place in places])
-            R = np.diag(noise**2 / np.minimum(counts, 10))
+            squares = np.array([(heard.speed[nearest == place] ** 2).mean() for place in places])
+            bends = 3.0 / STANDARD_GRAVITY / squares if name == "gravity" else np.zeros(len(places))
+            R = np.diag(noise**2 / np.minimum(counts, 10) + bends**2)
             R = R + wandering(model, wander, memory)[np.ix_(places, places)]
             if name == "altitude":
                 maps.append(rise[places])

@@ -1,15 +1,21 @@
 """The mode of the scales: no other scales near it have more evidence, and a general optimiser finds none better."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dense_road import likelihood_of, scales_of, strides_of
+from made_strides import made_strides
 from numpy.testing import assert_allclose
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
+from estimator.estimation.road_fit import fit
 from estimator.estimation.scale_search import MIN_GAIN, most_probable
 from estimator.model.road import SMOOTH
 from estimator.model.road_scales import POWER, SCALES, SPEED
 from estimator.signals import Floats
+from estimator.units import STANDARD_GRAVITY
 
 
 def likelihood(shown=(), wander=SMOOTH):
@@ -86,3 +92,25 @@ def test_scales_too_far_apart_for_floating_point_are_given_back():
     best, value = most_probable(found, start, [0])
     assert value == -np.inf
     assert_allclose(best, start)
+
+
+def test_what_an_accelerometer_feels_in_slow_bends_is_no_wander_of_it():
+    rng, n, (A, C, m) = np.random.default_rng(7), 1500, (250.0, 0.4, 1600.0)
+    slope, wander = (gaussian_filter1d(rng.standard_normal(n), 30.0) for _ in range(2))
+    slope, wander = 0.01 * slope / slope.std(), 0.002 * wander / wander.std()
+    second = np.arange(n)
+    wanted = np.where(second % 60 < 8, 4.0, 15.0 + 4 * np.sin(second / 21))
+    speed, pull = np.full(n + 1, 15.0), np.zeros(n)
+    for k in range(n):
+        pull[k] = A + m * (0.3 * (wanted[k] - speed[k]) + 0.4 * np.sin(k / 7))
+        speed[k + 1] = speed[k] + (pull[k] - A - C * speed[k] ** 2) / m - STANDARD_GRAVITY * slope[k]
+    v = 0.5 * (speed[1:] + speed[:-1])
+    lateral = np.repeat(np.where(rng.random(n // 4) < 0.5, 1.7, 0.0), 4)  # m/s^2
+    felt = np.where(v < 8.0, 2.0 * (lateral / v) ** 2, 0.0)  # 2 m ahead of the rear axle
+    made = made_strides(speed + rng.normal(0.0, 0.02, n + 1), pull + rng.normal(0.0, 30.0, n), {})
+    shown = STANDARD_GRAVITY * (slope + wander + rng.normal(0.0, 0.003, n))
+    found = fit(replace(made, gravity=shown + felt), rng)
+    noise, slow, memory = found.scales.values[-3:]
+    assert noise == pytest.approx(0.003, rel=0.25)
+    assert slow == pytest.approx(0.002, rel=0.25)  # 0.0048 without the variance of bends
+    assert memory > 30.0  # s, and 5 s

@@ -285,7 +285,7 @@ class RoadModel:
         if self.has_altitude:
             found += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
         for i, reading in enumerate(self.readings):
-            found.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0))
+            found.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0) + reading.bends)
         return found
 
     def variances_by(self, scales: Floats) -> Floats:
@@ -299,8 +299,9 @@ class RoadModel:
             change[:n, at + 1] = scales[at] ** 2 * turned * share**2
         change[:n, DISTURBANCE] = 2 * scales[DISTURBANCE] ** 2
         first = len(self.counts) - len(self.readings)
-        for i in range(len(self.readings)):
-            change[ends[first + i - 1] : ends[first + i], len(SCALES) + 3 * i] = 2 * variances[first + i]
+        for i, reading in enumerate(self.readings):
+            rows = slice(ends[first + i - 1], ends[first + i])
+            change[rows, len(SCALES) + 3 * i] = 2 * (variances[first + i] - reading.bends)
         return change
 
     def precision(self, scales: Floats, variances: Sequence[Floats]) -> tuple[Floats, float]:

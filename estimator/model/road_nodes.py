@@ -16,6 +16,9 @@ MAX_BRIDGE = 1500.0
 MIN_PASSAGE = 0.2  # s from node to node: shorter than that of any vehicle (125 m/s)
 SIGNALS = ("altitude", "grade", "gravity")
 OFFSET_SD = 1.0  # sine, of the prior of the offset of a signal of slope: nothing is known of it
+# m^2/s^2. In a bend at yaw rate r, an accelerometer l ahead of the rear axle feels r^2 l = (v r)^2 l / v^2 besides the
+# slope: l is about 1 m, and (v r)^2 is 3 m^2/s^4 where junctions and straights follow each other.
+BEND = 3.0 / STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -51,15 +54,17 @@ class Nodes:
 class Reading:
     """One signal of the road averaged over the strides near each node: values (k,) at ``nodes`` (k,).
 
-    ``offsets`` (k, c) are the shapes of its lasting errors, and ``offset_sd`` is that of the prior of each: a constant
-    for a signal of slope. The errors of a map were left by drag as well as by rolling resistance, on drives about as
-    fast as this one, so a map has a second one in proportion to the square of the speed.
+    ``bends`` (k,) is the variance that bends add: an accelerometer feels them. ``offsets`` (k, c) are the shapes of its
+    lasting errors, and ``offset_sd`` is that of the prior of each: a constant for a signal of slope. The errors of a
+    map were left by drag as well as by rolling resistance, on drives about as fast as this one, so a map has a second
+    one in proportion to the square of the speed.
     """
 
     name: str
     nodes: NDArray[np.int64]
     values: Floats
     counts: Floats
+    bends: Floats
     offsets: Floats
     offset_sd: float
 
@@ -76,10 +81,10 @@ class Reading:
         count = np.bincount(nearest, minlength=len(nodes.s)).astype(float)
         total = np.bincount(nearest, values, len(nodes.s))
         heard = np.flatnonzero(count)
+        squares = np.bincount(nearest, strides.speed[there] ** 2, len(nodes.s))[heard] / count[heard]
         offsets, offset_sd = np.ones((len(heard), 0 if name == "altitude" else 1)), OFFSET_SD
         known = strides.grade_offset_sd[there]
         if name == "grade" and np.isfinite(known).any():
-            squares = np.bincount(nearest, strides.speed[there] ** 2, len(nodes.s))[heard] / count[heard]
             offsets = np.column_stack([offsets, squares / squares.mean()])
             offset_sd = float(np.sqrt(np.nanmean(known**2)))
         return cls(
@@ -87,6 +92,7 @@ class Reading:
             nodes=heard,
             values=total[heard] / count[heard],
             counts=count[heard],
+            bends=(BEND / squares) ** 2 if name == "gravity" else np.zeros(len(heard)),
             offsets=offsets,
             offset_sd=offset_sd,
         )
