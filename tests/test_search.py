@@ -22,6 +22,7 @@ from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
 from estimator.model.design_matrix import Spans, Term, covered
 from estimator.model.effects import BY_NAME
 from estimator.model.road import LEVEL, RoadModel
+from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.signals import Quantity
 
 Round = tuple[tuple[int, ...], float]  # the best set of a table, and its log evidence with scales of its own
@@ -256,6 +257,23 @@ def test_a_force_that_comes_and_goes_is_unusual_noise_of_a_drive_that_can_start_
     likelihood = Likelihood(RoadModel(noisy.strides, LEVEL), (), quiet.fit.theta[:ROAD_LOAD], quiet.fit.scales.lag)
     assert quiet.fit.log_evidence == pytest.approx(likelihood.log_evidence(quiet.fit.scales.values), rel=0.01)
     assert quiet.fit.log_evidence < noisy.fit.log_evidence
+
+
+def test_a_load_that_comes_and_goes_is_found_though_noise_that_lasts_long_holds_it():
+    n, rng = 1500, np.random.default_rng(4)
+    speed = 15 + 4 * np.sin(np.arange(n + 1) / 15) + np.cumsum(rng.normal(0, 0.02, n + 1))
+    begins = np.cumsum(rng.uniform(45.0, 120.0, 18))
+    spans = tuple(zip(begins.tolist(), (begins + rng.uniform(8.0, 22.0, 18)).tolist(), strict=True))
+    load = 4e3 * covered(np.arange(n) + 0.5, 1.0, spans) / (0.5 * (speed[1:] + speed[:-1]))
+    force = 20e3 * np.diff(speed) + 2e3 + load + rng.normal(0, 60.0, n)
+    noisy = DriveState.of(made_strides(speed + rng.normal(0, 0.01, n + 1), force, {}), is_level=True)
+    assert noisy is not None
+    sizes = noisy.fit.scales.values[[TORQUE, POWER]]
+    assert np.all(sizes < [SCALES[i].centre * np.exp(SCALES[i].spread) for i in (TORQUE, POWER)])
+    assert noisy.has_unusual_noise  # by its time
+    (found,) = Search((noisy,), [BY_NAME["auxiliary_cycling"]]).alone
+    assert [component.name for component in found.chosen] == ["auxiliary_cycling"]
+    assert found.sizes[0] == pytest.approx(4e3, rel=0.15)
 
 
 def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():

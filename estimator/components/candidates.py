@@ -5,8 +5,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+import numpy as np
+
 from estimator.components.component import Component, Frame, of_effect, of_term
-from estimator.components.drive_state import DriveState, has_free_times
+from estimator.components.drive_state import DriveState, has_free_times, slow_noise
 from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
@@ -55,10 +57,10 @@ class FoundForms:
 class Candidates:
     """All that may act on the drives of a vehicle, for ``effects`` of the catalogue, beside those ``given`` for each.
 
-    An effect's times are those proposed beside the effects chosen last, anew once other ones are chosen or their times
-    have changed, and those beside none with times nor stretches of the road. Two effects may share the times that one
-    of them has, so those in the place of all effects with times are proposed too, whenever effects of other names are
-    chosen, or the first stretches of the road.
+    An effect's times are those proposed beside the effects chosen last, anew once other ones are chosen, their times
+    have changed, or the slow noise has halved or doubled, and those beside none with times nor stretches of the road.
+    Two effects may share the times that one of them has, so those in the place of all effects with times are proposed
+    too, whenever effects of other names are chosen, or the first stretches of the road.
 
     Effects that were chosen have shapes near theirs, and so have those ``found`` before: what was chosen first would
     else gain by that alone.
@@ -90,7 +92,8 @@ class Candidates:
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """At which effects may act; what two of those chosen do, one may do."""
         steep = None if drive.stretches is None else drive.stretches.spans
-        beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
+        octaves = np.round(np.log2(slow_noise(drive.fit.scales.values))).tolist()
+        beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep, *octaves)
         if number not in self._latest or self._latest[number][0] != beside:
             switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
             self._latest[number] = beside, set().union(*map(switching.proposed, timed))

@@ -24,6 +24,8 @@ from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
 
 PROBE_SEED = 20_042  # of the simulated noise in the corrections
+# Of the logarithms of the slow noise of torque and power, by the priors of their scales.
+_SPREADS = np.array([np.hypot(SCALES[i].spread, 0.5 * SCALES[i + 1].spread) for i in (TORQUE, POWER)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +114,9 @@ class DriveState:
 
     @property
     def has_unusual_noise(self) -> bool:
-        """Whether noise of torque or power is larger than usual: effects that were not found may be in it."""
-        values = self.fit.scales.values
-        return any(np.log(values[i] / SCALES[i].centre) > SCALES[i].spread for i in (TORQUE, POWER))
+        """Whether slow noise of torque or power is larger than usual: effects that were not found may be in it."""
+        usual = slow_noise(np.array([scale.centre for scale in SCALES]))
+        return bool(np.any(np.log(slow_noise(self.fit.scales.values) / usual) > _SPREADS))
 
     def with_usual_noise(self) -> "DriveState":
         """With no more noise of torque and power, and for no longer, than usual."""
@@ -173,6 +175,11 @@ class DriveState:
             if timed is not None and (effect.name not in found or timed.gain > found[effect.name].gain):
                 found[effect.name] = timed
         return found
+
+
+def slow_noise(scales: Floats) -> Floats:
+    """Square root of the spectral density [m/s^1.5] of noise of torque and power (2,) over times that effects last."""
+    return np.array([scales[i] * np.sqrt(scales[i + 1]) for i in (TORQUE, POWER)])
 
 
 def has_free_times(effect: Effect) -> bool:
