@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.answers.answer import encode
-from estimator.answers.diagnosis import GapClosed, Verdict
+from estimator.answers.diagnosis import GapClosed, Part, Verdict
 from estimator.diagnosis.result import Diagnosis
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Role
@@ -238,6 +238,30 @@ def test_promised_shares_and_places_are_held_against_the_oracle():
     half = truth_of(kind="pair", names=("grade", "drafting"))
     found = measures((half, run_of("effect", "grade", fraction=0.51)))
     assert found["gap closed within 3 points of the oracle"].estimate.value == 1.0
+
+
+def test_a_grade_closes_what_a_known_road_would_close_whatever_its_signals_show():
+    """The oracle knows the road exactly; ``gap_closed`` of the finding is what a poor altimeter closes."""
+    from blind.answer import closed_if_known
+
+    def part(cause, share):
+        return Part(
+            cause=cause,
+            share=share,
+            q05=share - 0.01,
+            q95=share + 0.01,
+            rms_kW=None,
+            reached_kW=None,
+            expected_kW=None,
+        )
+
+    run = run_of("effect", "grade", "drafting", fraction=0.8)
+    (grade, drafting), said = run.named, run.answer
+    shown = replace(run, answer=replace(said, budget=(part("road", 0.9), part("sensor noise", 0.04))))
+    closed = closed_if_known(shown, grade)
+    assert (closed.fraction, closed.q05, closed.q95) == pytest.approx((0.9 / 0.96, 0.89 / 0.96, 0.91 / 0.96))
+    assert closed_if_known(shown, drafting) == drafting.gap_closed
+    assert closed_if_known(run, grade) == grade.gap_closed
 
 
 def test_overlap_counts_only_where_the_truck_is_driven():

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from blind.oracle import log_bayes_factor
 from blind.truth import DETECTABLE
 from rich.console import Console
 from rich.progress import track
@@ -115,12 +114,13 @@ def true_shares(recording: Recording, plain: DriveState, start: float) -> dict[s
 
 
 def visibility(recording: Recording, plain: DriveState, start: float, extra: str) -> float:
-    """Log Bayes factor to expect of an effect with its true course beside the others, A, C, m, lag and the road.
+    """Log Bayes factor of an effect with its true course beside the others, A, C, m, lag and the road.
 
-    The road is known as far as the signals on the bus show it, and times cost what they are improbable by. The scales
-    of road and noise are those beside the truth. The drive begins at ``start`` [s].
+    The road is known as far as the signals on the bus show it, and the scales of road and noise are found with the
+    effect and without it: a wander of the altimeter may hold what a wet road does to the height. Times cost what they
+    are improbable by. The drive begins at ``start`` [s].
     """
-    names = [name for name in recording.truth.effect_power if name != "grade"]
+    names = [name for name in recording.truth.effect_power if name not in ("grade", extra)]
 
     def component(name: str) -> Component:
         def columns(frame: Frame) -> Floats:
@@ -129,14 +129,12 @@ def visibility(recording: Recording, plain: DriveState, start: float, extra: str
 
         return Component(name=name, columns=columns, sd=1.0)  # of its true size, which is 1
 
-    truth = [component(name) for name in names]
-    joint = plain.having((), tuple(truth)).likelihood_of(truth)
-    place = names.index(extra)
-    (sd,) = joint.gains([i for i in range(len(names)) if i != place], [place]).sd.tolist()
+    others = tuple(component(name) for name in names)
+    without, beside = (plain.having((), each).log_evidence for each in (others, (*others, component(extra))))
     spans, effect = recording.truth.active.get(extra, []), BY_NAME[extra]
     times = tuple((start + begin, start + end) for begin, end in spans)
-    cost = prior_cost(times, effect, joint.frame.strides.t) if times and effect.timing is not Timing.STEP else 0.0
-    return log_bayes_factor(max(sd**-2 - 1.0, 0.0)) - cost  # by the precision, less the prior's own
+    cost = prior_cost(times, effect, plain.fit.strides.t) if times and effect.timing is not Timing.STEP else 0.0
+    return beside - without - cost
 
 
 def score(world: World, folder: Path) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from blind.truth import Truth
 from estimator.answers.diagnosis import DiagnosisAnswer, Finding, GapClosed, Magnitude
+from estimator.components.budget import NOISE, ROAD
 
 Spans = tuple[tuple[float, float], ...]  # from, to [s]
 
@@ -66,6 +67,22 @@ def bare(name: str, probability: float | None = None) -> Finding:
 def means(finding: Finding, name: str) -> bool:
     """Whether it is ``name`` or lists it as equivalent."""
     return name == finding.name or name in finding.equivalent or any({name, finding.name} <= one for one in CLASSES)
+
+
+def closed_if_known(run: Run, finding: Finding) -> GapClosed | None:
+    """Share of the gap that is closed where the cause of a finding is known exactly, as the oracle knows it.
+
+    ``gap_closed`` of a grade is what the signals on the bus close. So it is the road's share of what is no noise here.
+    """
+    parts = {} if run.answer is None else {part.cause: part for part in run.answer.budget}
+    if finding.name != "grade" or ROAD not in parts:
+        return finding.gap_closed
+    road, noise = parts[ROAD], parts[NOISE].share if NOISE in parts else None
+    systematic = 1.0 - (noise or 0.0)
+    fraction, q05, q95 = (
+        None if share is None else min(share / systematic, 1.0) for share in (road.share, road.q05, road.q95)
+    )
+    return GapClosed(fraction=fraction, q05=q05, q95=q95)
 
 
 def holds(closed: GapClosed, share: float) -> bool:

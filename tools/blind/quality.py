@@ -72,7 +72,7 @@ def gap_closed_and_times(cases: Sequence[Case]) -> list[Measure]:
         if truth.kind in ("clean", "outside") or not case.has_gap or not run.named or answer.invented(truth, run):
             continue
         hits = [e for e, hit in zip(truth.effects, answer.found(truth, run), strict=True) if hit]
-        closed = [finding.gap_closed for finding in run.named]
+        closed = [answer.closed_if_known(run, finding) for finding in run.named]
         fractions = [c.fraction for c in closed if c is not None and c.fraction is not None]
         if len(fractions) == len(run.named) and truth.stratum == "oracle > 10":
             oracle = truth.gap_closed[key_of(effect.world for effect in hits)]
