@@ -123,7 +123,7 @@ class Dense:
         K = K + power**2 * np.outer(slowness, slowness) * (share**2 * covariance + own * np.eye(n))
         self.sensors = self.sensors + power**2 * np.outer(slowness, slowness) * share**2 * covariance
         # The road, looked up at five points of a stride.
-        theta = dense_field(nodes, model.alpha, sd, length)
+        theta = dense_field(replace(nodes, s=model.along), model.alpha, sd, length)
         identity = np.eye(len(nodes.s))
 
         def at(s: Floats) -> Floats:

@@ -138,10 +138,10 @@ def test_slopes_of_parts_are_those_of_the_dense_gaussian_without_its_prior(shown
 def dense_slopes(strides: Strides, parts: Floats, found) -> tuple[Floats, Floats, Floats]:
     """Slope, own and common sd of each part, with dense matrices."""
     scales = found.scales
-    model = RoadModel(strides, scales.alpha, scales.wander)
+    model = RoadModel(strides, scales.alpha, scales.wander, designed=scales.designed)
     likelihood = Likelihood(model, (), found.road_load, scales.lag, (), found.taken)
     dense, data = Dense(model, scales.values), likelihood.data[observed(model)]
-    theta = dense_field(model.nodes, scales.alpha, scales.values[4], scales.values[5])
+    theta = dense_field(replace(model.nodes, s=model.along), scales.alpha, scales.values[4], scales.values[5])
     identity = np.eye(len(theta))
     seen = [-STANDARD_GRAVITY * dense.hats, *(identity[reading.nodes] for reading in model.readings)]
     gain = np.linalg.solve(dense.K, np.vstack(seen) @ theta).T

@@ -42,6 +42,13 @@ def test_gram_and_determinant_are_those_of_the_dense_covariance(shown, alpha, wa
     assert_has_the_covariance(model, scales, Dense(model, scales))
 
 
+@pytest.mark.parametrize("shown", SHOWN[:2], ids="+".join)
+def test_slopes_of_a_designed_road_change_over_its_own_distance_and_heights_over_metres(shown):
+    model = RoadModel(strides_of(shown=shown), 2, designed=True)
+    scales = scales_of(model, 3)
+    assert_has_the_covariance(model, scales, Dense(model, scales))
+
+
 def assert_has_the_covariance(model, scales, dense):
     keep = observed(model)
     Y = np.zeros((len(keep), 4))
@@ -100,6 +107,21 @@ def test_the_errors_of_the_sensors_are_their_conditional_mean(alpha):
     expected = dense.sensors @ np.linalg.solve(dense.K, residual)
     found = model.sensor_errors(Conditioned.of(model, scales).unknowns(residual))
     assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("speed", "more"), [(40.0, 0.25), (20.0, 1.0), (10.0, 4.0), (3.0, 400 / 9), (0.5, 400 / 9)])
+def test_slopes_of_a_designed_road_change_the_sooner_the_slower_it_is_driven(speed, more):
+    n = 400
+    nodes = Nodes.under(made_strides(np.full(n + 1, speed), np.zeros(n), {}))
+    assert_allclose(np.diff(nodes.designed)[1:-1], SPACING * (1 + more))
+
+
+def test_what_is_bridged_between_strides_is_as_long_on_a_designed_road():
+    made = strides_of(gap=0.8 * MAX_BRIDGE)
+    nodes, far = Nodes.under(made), np.argmax(np.diff(made.s0))
+    between = (nodes.s[1:] > made.s1[far] + SPACING) & (nodes.s[:-1] < made.s0[far + 1] - SPACING)
+    assert between.sum() > 20
+    assert_allclose(np.diff(nodes.designed)[between], SPACING)
 
 
 def test_nodes_bridge_short_gaps_and_end_before_long_ones():

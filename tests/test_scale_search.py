@@ -110,7 +110,26 @@ def test_what_an_accelerometer_feels_in_slow_bends_is_no_wander_of_it():
     made = made_strides(speed + rng.normal(0.0, 0.02, n + 1), pull + rng.normal(0.0, 30.0, n), {})
     shown = STANDARD_GRAVITY * (slope + wander + rng.normal(0.0, 0.003, n))
     found = fit(replace(made, gravity=shown + felt), rng)
+    assert found is not None
     noise, slow, memory = found.scales.values[-3:]
     assert noise == pytest.approx(0.003, rel=0.25)
     assert slow == pytest.approx(0.002, rel=0.25)  # 0.0048 without the variance of bends
     assert memory > 30.0  # s, and 5 s
+
+
+@pytest.mark.parametrize("designed", [True, False])
+def test_a_road_that_is_designed_for_its_speed_is_told_from_one_whose_slopes_change_with_distance_alone(designed):
+    rng, n, (A, C, m) = np.random.default_rng(1), 2400, (1500.0, 3.5, 20e3)
+    profile = gaussian_filter1d(rng.standard_normal(60_000), 60.0)  # every 10 m, over 600 m
+    profile *= 0.01 / profile.std()
+    speed, pull, along = np.full(n + 1, 20.0), np.zeros(n), 0.0
+    for k in range(n):
+        v, wanted = speed[k], 6.0 if k % 300 < 120 else 22.0
+        along += v * (1 + designed * (20.0 / v) ** 2)
+        resistance = A + C * v**2 + m * STANDARD_GRAVITY * np.interp(along, 10.0 * np.arange(len(profile)), profile)
+        pull[k] = A + C * v**2 + m * (0.05 * (wanted - v) + 0.1 * np.sin(k / 7))
+        speed[k + 1] = max(v + (pull[k] - resistance) / m, 3.0)
+    found = fit(made_strides(speed + rng.normal(0.0, 0.01, n + 1), pull + rng.normal(0.0, 60.0, n), {}), rng)
+    assert found is not None
+    assert found.scales.designed is designed
+    assert found.theta[2] == pytest.approx(m, rel=0.02)

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from scipy.ndimage import gaussian_filter1d
 
 from estimator import config
-from estimator.answers.diagnosis import Verdict
+from estimator.answers.diagnosis import Part, Verdict
 from estimator.answers.run import RunAnswer
 from estimator.answers.simulation import SimulationAnswer, Truth
 from estimator.can_io.binding import load_database
@@ -406,9 +406,13 @@ def test_share_reached_is_of_the_mean_square(tools):
     assert tools.recordings.share_removed(said, None) is None
 
 
-def test_a_promise_counts_before_any_signal_can_keep_it(tools):
-    hidden = replace(answer("grade"), rms_final_kW=40.0)
-    assert tools.recordings.rms_promised(hidden) == 10.0
+def test_a_promise_is_what_is_neither_of_the_road_nor_of_what_is_named(tools):
+    def part(cause, rms):
+        return Part(cause=cause, share=None, q05=None, q95=None, rms_kW=rms, reached_kW=None, expected_kW=None)
+
+    parts = (part("road", 30.0), part("brake_use", 20.0), part("sensor noise", 3.0), part("warm_up", 4.0))
+    hidden = replace(answer("grade", "brake_use", final=40.0), budget=parts)
+    assert tools.recordings.rms_promised(hidden) == 5.0
     assert tools.recordings.rms_promised(answer(verdict="no gap", final=40.0)) == 40.0
 
 
@@ -472,7 +476,7 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
         "reached": "91 %",
         "named, accelerometer": "grade (99 %)",
         "kW reached": "12.00",
-        "kW beside": "-",
+        "kW beside": "12.00",
         "named, GPS elevation": "headwind (99 %)",
         "kW elevation": "38.00",
     }

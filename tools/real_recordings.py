@@ -55,18 +55,13 @@ def named(answer: DiagnosisAnswer) -> tuple[str, ...]:
 
 
 def rms_promised(answer: DiagnosisAnswer) -> float | None:
-    """Residual [kW] with all named effects; below that of the final model if an effect has no signal yet."""
-    after = [effect.rms_after_kW for effect in answer.effects if effect.rms_after_kW is not None]
-    return min(after, default=answer.rms_final_kW)
-
-
-def rms_beside(answer: DiagnosisAnswer) -> float | None:
     """Residual [kW] that is neither of the road nor of what is named: what exact signals of these would leave.
 
-    The parts of the budget are taken as independent.
+    The parts of the budget are taken as independent; without one it is the residual of the final model.
     """
     others = [part.rms_kW for part in answer.budget if part.cause not in ("road", *named(answer))]
-    return float(np.hypot.reduce([rms for rms in others if rms is not None])) if others else None
+    known = [rms for rms in others if rms is not None]
+    return float(np.hypot.reduce(known)) if known else answer.rms_final_kW
 
 
 def share_removed(answer: DiagnosisAnswer, rms: float | None) -> float | None:
@@ -177,7 +172,7 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
             "reached": share_text(share_removed(withheld, felt.rms_final_kW)),
             "named, accelerometer": _names(felt),
             "kW reached": _kilowatts(felt.rms_final_kW),
-            "kW beside": _kilowatts(rms_beside(felt)),
+            "kW beside": _kilowatts(rms_promised(felt)),
             "named, GPS elevation": _names(elevation),
             "kW elevation": _kilowatts(elevation.rms_final_kW),
         }

@@ -132,6 +132,7 @@ class RoadInference:
                 "wander": scales.wander,
                 "readings": list(scales.readings),
                 "lag": scales.lag,
+                "designed": scales.designed,
                 "power_chance": scales.power_chance,
             }
         return {
@@ -340,11 +341,19 @@ def _restored_scales(state: State) -> RoadScales:
     values = array(state, "values", (-1,))
     readings = tuple(read(state, "readings", list[str]))
     alpha, wander, lag = read(state, "alpha", int), read(state, "wander", int), read(state, "lag", Count)
-    chance = read(state, "power_chance", float)
+    chance, designed = read(state, "power_chance", float), read(state, "designed", bool)
     whole = len(values) == len(SCALES) + 3 * len(readings) and np.all(values > 0)
     if alpha not in ALPHAS or wander not in (ROUGH, SMOOTH) or lag >= len(LAGS) or not whole or not 0 <= chance <= 1:
         raise StateError("scales: are not those of a road model")
-    return RoadScales(values=values, alpha=alpha, wander=wander, readings=readings, lag=lag, power_chance=chance)
+    return RoadScales(
+        values=values,
+        alpha=alpha,
+        wander=wander,
+        readings=readings,
+        lag=lag,
+        designed=designed,
+        power_chance=chance,
+    )
 
 
 def _misfit(found: RoadFit, maximum_lag: float) -> str:

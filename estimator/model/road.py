@@ -93,9 +93,13 @@ class RoadModel:
         Order of the wander of all signals of the road: ROUGH or SMOOTH.
     power
         Whether noise of the power is among the unknowns.
+    designed
+        Whether the road is designed for the speed it is driven at: slopes change the sooner the slower that is.
     """
 
-    def __init__(self, strides: Strides, alpha: int, wander: int = ROUGH, power: bool = True) -> None:
+    def __init__(
+        self, strides: Strides, alpha: int, wander: int = ROUGH, power: bool = True, designed: bool = False
+    ) -> None:
         self.strides, self.alpha, self.wander = strides, alpha, wander
         self.driven = driven = strides[strides.known]
         gearing = driven.filled_gearing
@@ -105,6 +109,7 @@ class RoadModel:
         self._shares = ((TORQUE, self.weight), (POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
         self.nodes = Nodes.under(strides)
+        self.along = self.nodes.designed if designed else self.nodes.s  # [m], over which slopes change
         readings = [Reading.of(name, strides, self.nodes) for name in SIGNALS]
         self.readings = tuple(reading for reading in readings if reading is not None)
         self.scales = (*SCALES, *(scale for reading in self.readings for scale in SIGNAL_SCALES[reading.name]))
@@ -217,7 +222,7 @@ class RoadModel:
         self._maps = [Observations(p, w, shape) for p, w in maps]
         self._shape = shape
         nodes = self.nodes
-        self._field = None if self.is_level else MaternField(nodes.s, nodes.joined, self.alpha, self._slope, shape)
+        self._field = None if self.is_level else MaternField(self.along, nodes.joined, self.alpha, self._slope, shape)
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
         self._force_noises = [Chain(self._ends_t, error, self._linked) for error in self._force_errors]
         self._wanders = [self._wandering(places) for places in self._wander]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.samples import STEP
 from estimator.signals import Floats
 from estimator.strides import DURATION, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -19,15 +20,24 @@ OFFSET_SD = 1.0  # sine, of the prior of the offset of a signal of slope: nothin
 # m^2/s^2. In a bend at yaw rate r, an accelerometer l ahead of the rear axle feels r^2 l = (v r)^2 l / v^2 besides the
 # slope: l is about 1 m, and (v r)^2 is 3 m^2/s^4 where junctions and straights follow each other.
 BEND = 3.0 / STANDARD_GRAVITY
+# m/s. For the same change of slope a vertical curve is as long as the square of the speed that its road is designed
+# for, by sight distance and comfort: below this one, slopes change the sooner the slower the road is driven.
+DESIGN_SPEED = 20.0
+SLOWEST = 3.0  # m/s: slower is no road, but traffic
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Points of the road [m] (N,), ascending; ``joined`` to the one before; ``t`` [s] when they were passed."""
+    """Points of the road [m] (N,), ascending; ``joined`` to the one before; ``t`` [s] when they were passed.
+
+    ``designed`` (N,) [m]: the distance over which slopes change where the road is designed for the speed v that it is
+    driven at, by (DESIGN_SPEED / v)^2 longer than ``s`` for each metre.
+    """
 
     s: Floats
     joined: NDArray[np.bool_]
     t: Floats
+    designed: Floats
 
     @classmethod
     def under(cls, strides: Strides) -> "Nodes":
@@ -42,7 +52,12 @@ class Nodes:
         times = np.concatenate([strides.t - DURATION / 2, strides.t[-1:] + DURATION / 2])
         joined = np.insert(np.diff(points) == 1, 0, False)
         least = MIN_PASSAGE * np.arange(len(s))
-        return cls(s, joined, np.maximum.accumulate(np.interp(s, along, times) - least) + least)
+        passed = np.maximum.accumulate(np.interp(s, along, times) - least) + least
+        length = strides.s1 - strides.s0
+        speed = np.maximum(length / (strides.rows * STEP), SLOWEST)
+        more = np.concatenate([[0.0], np.cumsum(length * (DESIGN_SPEED / speed) ** 2)])
+        ends = np.column_stack([strides.s0, strides.s1]).ravel()
+        return cls(s, joined, passed, s + np.interp(s, ends, np.column_stack([more[:-1], more[1:]]).ravel()))
 
     def between(self, s: Floats) -> tuple[NDArray[np.int64], Floats]:
         """For each distance ``s`` (n,) [m] the node at or before it (n,), and the share of the way to the next (n,)."""
