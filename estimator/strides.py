@@ -150,6 +150,8 @@ class Strides:
         needed = [strides.v0, strides.v1, strides.a, strides.speed_squared, *strides.force.T]
         if not np.isfinite(np.array(needed)[:, strides.known]).all() or not np.isfinite([strides.s0, strides.s1]).all():
             raise StateError("strides: are not all complete")
+        if not np.isfinite(strides.speed[np.isfinite(strides.gravity)]).all():
+            raise StateError("strides: have an acceleration without a speed")
         if np.any(strides.rows < 0) or np.any(strides.s1 < strides.s0):
             raise StateError("strides: rows or distances run backwards")
         return strides

@@ -257,7 +257,8 @@ def test_a_grade_closes_what_a_known_road_would_close_whatever_its_signals_show(
 
     run = run_of("effect", "grade", "drafting", fraction=0.8)
     (grade, drafting), said = run.named, run.answer
-    shown = replace(run, answer=replace(said, budget=(part("road", 0.9), part("sensor noise", 0.04))))
+    parts = (part("road", 0.9), part("sensor noise", 0.03), part("unknown: white force", 0.01))
+    shown = replace(run, answer=replace(said, budget=parts))
     closed = closed_if_known(shown, grade)
     assert (closed.fraction, closed.q05, closed.q95) == pytest.approx((0.9 / 0.96, 0.89 / 0.96, 0.91 / 0.96))
     assert closed_if_known(shown, drafting) == drafting.gap_closed

@@ -351,8 +351,7 @@ def test_costs_of_an_exchange_are_those_of_the_states_counted_anew():
 def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
     effect, t = BY_NAME["auxiliary_cycling"], np.arange(400) + 0.5
     truth = ((100.4, 140.9), (250.2, 301.7))
-    strides, plain = driven(power=40e3 * covered(t, 1.0, truth)), DriveState.of(driven()).fit.scales
-    joint = DriveState(strides=strides, fit=fit_given(strides, np.random.default_rng(1), plain)).joint
+    joint = DriveState.of(driven(power=40e3 * covered(t, 1.0, truth))).joint
     sd = effect.usual(joint.frame.road_load)
 
     def evidence(spans):

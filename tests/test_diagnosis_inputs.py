@@ -203,7 +203,7 @@ def test_an_event_may_be_in_one_log_only(several, tmp_path):
     alone, beside = ask("diagnose", log), ask("diagnose", several[2], log)
     assert named(alone) == named(beside) == ["resistance_segment"]
     for key in ("value", "sd"):
-        assert beside["effects"][0]["magnitude"][key] == pytest.approx(alone["effects"][0]["magnitude"][key], rel=0.01)
+        assert beside["effects"][0]["magnitude"][key] == pytest.approx(alone["effects"][0]["magnitude"][key], rel=1e-3)
     assert beside["effects"][0]["span_s"] == alone["effects"][0]["span_s"]
     assert set(alone["effects"][0]["span_log"]) == {0}
     assert beside["effects"][0]["span_log"] == [1] * len(beside["effects"][0]["span_s"])

@@ -406,14 +406,23 @@ def test_share_reached_is_of_the_mean_square(tools):
     assert tools.recordings.share_removed(said, None) is None
 
 
-def test_a_promise_is_what_is_neither_of_the_road_nor_of_what_is_named(tools):
-    def part(cause, rms):
-        return Part(cause=cause, share=None, q05=None, q95=None, rms_kW=rms, reached_kW=None, expected_kW=None)
+def part(cause, share, reached=None):
+    return Part(cause=cause, share=share, q05=None, q95=None, rms_kW=None, reached_kW=reached, expected_kW=None)
 
-    parts = (part("road", 30.0), part("brake_use", 20.0), part("sensor noise", 3.0), part("warm_up", 4.0))
-    hidden = replace(answer("grade", "brake_use", final=40.0), budget=parts)
-    assert tools.recordings.rms_promised(hidden) == 5.0
-    assert tools.recordings.rms_promised(answer(verdict="no gap", final=40.0)) == 40.0
+
+def test_a_promise_is_the_share_of_all_that_is_named_in_what_the_configuration_leaves(tools):
+    parts = (
+        part("road", 0.5, 30.0),
+        part("brake_use", 0.22, 30.0),
+        part("torque_bias", 0.2, 36.0),
+        part("warm_up", 0.08),
+    )
+    hidden = replace(answer("grade", "brake_use", final=40.0), budget=parts)  # torque_bias is given
+    assert tools.recordings.share_promised(hidden) == pytest.approx(0.9)
+    assert tools.recordings.rms_promised(hidden) == pytest.approx(40.0 * 0.1**0.5)
+    level = replace(answer(verdict="no gap", final=40.0), budget=(part("warm_up", 0.3), part("sensor noise", 0.7)))
+    assert tools.recordings.rms_promised(level) == 40.0
+    assert tools.recordings.share_promised(answer(verdict="cannot tell")) is None
 
 
 @pytest.mark.parametrize(
@@ -462,8 +471,10 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
         settings = config.load(Path(arguments[1]))
         assert settings.kinematics.acceleration == "wheel_speed"
         if Role.LONGITUDINAL_ACCELERATION in settings.signals:
-            return answer("grade", final=12.0)
-        return answer("headwind", final=38.0) if Role.ALTITUDE in settings.signals else answer("grade", final=20.0)
+            return replace(answer("grade", final=12.0), budget=(part("road", 0.96, 12.0),))
+        if Role.ALTITUDE in settings.signals:
+            return answer("headwind", final=38.0)
+        return replace(answer("grade", final=38.0), budget=(part("road", 0.75, 38.0), part("sensor noise", 0.25)))
 
     monkeypatch.setattr(tools.recordings, "roadload", roadload)
     (row,) = tools.recordings.bmw(tmp_path, tmp_path, [])
@@ -476,7 +487,7 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
         "reached": "91 %",
         "named, accelerometer": "grade (99 %)",
         "kW reached": "12.00",
-        "kW beside": "12.00",
+        "kW beside": "8.00",
         "named, GPS elevation": "headwind (99 %)",
         "kW elevation": "38.00",
     }

@@ -54,14 +54,22 @@ def named(answer: DiagnosisAnswer) -> tuple[str, ...]:
     return tuple(effect.name for effect in answer.effects)
 
 
-def rms_promised(answer: DiagnosisAnswer) -> float | None:
-    """Residual [kW] that is neither of the road nor of what is named: what exact signals of these would leave.
+def share_promised(answer: DiagnosisAnswer) -> float | None:
+    """Share of the squared residual that is of what is named: what exact signals of all that would remove.
 
-    The parts of the budget are taken as independent; without one it is the residual of the final model.
+    Effects of the configuration are in the model already: their parts are left out.
     """
-    others = [part.rms_kW for part in answer.budget if part.cause not in ("road", *named(answer))]
-    known = [rms for rms in others if rms is not None]
-    return float(np.hypot.reduce(known)) if known else answer.rms_final_kW
+    shares = {part.cause: part.share or 0.0 for part in answer.budget}
+    chosen = {part.cause for part in answer.budget if part.reached_kW is not None}
+    told = {"road" if name == "grade" else name for name in named(answer)}
+    given = sum(shares[cause] for cause in chosen - told - {"road"})
+    return sum(shares.get(name, 0.0) for name in told) / (1.0 - given) if shares else None
+
+
+def rms_promised(answer: DiagnosisAnswer) -> float | None:
+    """Residual [kW] that exact signals of all that is named would leave."""
+    share, base = share_promised(answer), answer.rms_base_kW
+    return None if share is None or base is None else base * max(1.0 - share, 0.0) ** 0.5
 
 
 def share_removed(answer: DiagnosisAnswer, rms: float | None) -> float | None:
@@ -168,7 +176,7 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
             "named, withheld": _names(withheld),
             "kW before": _kilowatts(withheld.rms_base_kW),
             "kW promised": _kilowatts(rms_promised(withheld)),
-            "promised": share_text(share_removed(withheld, rms_promised(withheld))),
+            "promised": share_text(share_promised(withheld)),
             "reached": share_text(share_removed(withheld, felt.rms_final_kW)),
             "named, accelerometer": _names(felt),
             "kW reached": _kilowatts(felt.rms_final_kW),
@@ -254,7 +262,7 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
             "min": f"{len(recording) / 60:.0f}",
             "named, withheld": _names(before),
             "kW before": _kilowatts(before.rms_base_kW),
-            "promised": share_text(share_removed(before, rms_promised(before))),
+            "promised": share_text(share_promised(before)),
             "reached": share_text(share_removed(before, after.rms_final_kW)),
             "named, revealed": _names(after),
             "kW revealed": _kilowatts(after.rms_final_kW),

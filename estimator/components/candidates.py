@@ -29,6 +29,20 @@ class Candidate:
     component: Component
 
 
+@dataclass(frozen=True)
+class _Proposed:
+    """Times that effects may have ``beside`` what was chosen, with the slow noise (2,) of that fit."""
+
+    beside: object
+    noise: Floats
+    times: set[Spans]
+
+    def is_outdated(self, beside: object, drive: DriveState) -> bool:
+        """Whether other causes are chosen on the drive, or its slow noise has halved or doubled."""
+        changed = np.abs(np.log2(slow_noise(drive.fit.scales.values) / self.noise))
+        return self.beside != beside or bool(changed.max() >= 1.0)
+
+
 class FoundForms:
     """Times and shapes that searches on the same drives have found, for each drive by its number.
 
@@ -69,8 +83,8 @@ class Candidates:
     def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]], found: FoundForms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
         self._given, self._found = given, found
-        self._latest: dict[int, tuple[object, set[Spans]]] = {}
-        self._untimed: dict[int, set[Spans]] = {}
+        self._latest: dict[int, _Proposed] = {}
+        self._untimed: dict[int, set[Spans]] = defaultdict(set)
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
         self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
@@ -92,20 +106,20 @@ class Candidates:
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """At which effects may act; what two of those chosen do, one may do."""
         steep = None if drive.stretches is None else drive.stretches.spans
-        octaves = np.round(np.log2(slow_noise(drive.fit.scales.values))).tolist()
-        beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep, *octaves)
-        if number not in self._latest or self._latest[number][0] != beside:
+        beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
+        if number not in self._latest or self._latest[number].is_outdated(beside, drive):
             switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
-            self._latest[number] = beside, set().union(*map(switching.proposed, timed))
+            times = set[Spans]().union(*map(switching.proposed, timed))
+            self._latest[number] = _Proposed(beside, slow_noise(drive.fit.scales.values), times)
             if steep is None and not any(component.is_timed for component in drive.chosen):
-                self._untimed[number] = self._latest[number][1]
+                self._untimed[number] |= times
             names = frozenset(component.name for component in drive.chosen), steep is None
             if number not in self._instead or self._instead[number][0] != names:
                 self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
         own = [component.spans for component in drive.chosen if component.is_timed and component.spans]
         own += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(own, 2)}
-        proposed = self._latest[number][1] | self._instead[number][1] | self._untimed.get(number, set())
+        proposed = self._latest[number].times | self._instead[number][1] | self._untimed[number]
         proposed |= self._found.times[number]
         # Times that differ in gaps alone look the same, and would count as many times.
         alike = {seen(spans, drive.fit.strides.t): spans for spans in sorted({*own, *both, *proposed})}
@@ -162,7 +176,7 @@ class Candidates:
         own, changed = None if drive.stretches is None else drive.stretches.spans, set[Spans]()
         if own:
             self._steep[number].add(own)
-            changed = {change(own, new) for new in self._latest[number][1] for change in (union, without, cut)}
+            changed = {change(own, new) for new in self._latest[number].times for change in (union, without, cut)}
         for spans in sorted({*times, *changed, *self._steep[number]}):
             for component in stretches(frame, spans):
                 yield Candidate(cause=component.name, is_event=True, form=spans, component=component)

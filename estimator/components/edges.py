@@ -23,6 +23,7 @@ STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, 
 MOVES = np.concatenate([-STEPS, STEPS])
 MAX_SWEEPS = 60  # over all edges: bounds the cost
 MIN_SWEEP_GAIN = 1e-3  # in log evidence, for one sweep more
+TOGETHER = 100  # moves whose products are computed at once: with many edges those of all would fill memory
 
 
 def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
@@ -35,7 +36,7 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
     half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
     moves = MOVES[np.abs(MOVES) < half]
     leaving = [cost_of_leaving(spans[i][side], side == 1, term.effect, t) for i, side in edges]
-    column = _Column(*_products(joint, chosen, term, edges, moves), term.effect.usual(joint.frame.road_load))
+    column = _Column(*_products(joint, chosen, term, edges, moves), sd=term.effect.usual(joint.frame.road_load))
     found = [list(span) for span in spans]
     for (i, side), move in zip(edges, _best_moves(column, leaving, len(moves)), strict=True):
         if move >= 0:
@@ -45,18 +46,19 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
 
 def _products(
     joint: JointLikelihood, chosen: list[int], term: Term, edges: Sequence[tuple[int, int]], moves: Floats
-) -> tuple[Floats, Floats]:
-    """Products (1 + k, 1 + k) and scores (1 + k,) of a term's column and of what each move of each edge adds to it."""
+) -> tuple[Floats, Floats, sp.csc_array]:
+    """Products (1 + n, 1 + n) and scores (1 + n,) of a term's column and of the strides near its edges.
+
+    And what the column (the first), and what each move of each edge adds to it, are made of: (1 + n, 1 + k).
+    """
     spans, t = term.spans or (), joint.frame.strides.t
     profile, column = joint.frame.column(replace(term, spans=None)), joint.frame.column(term)
     near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
-    each = [profile[near] * _moved(t[near], spans[i][side], moves, side) for i, side in edges]
-    changes = np.concatenate(each) if each else np.empty((0, len(near)))
+    each = [sp.csc_array((profile[near] * _moved(t[near], spans[i][side], moves, side)).T) for i, side in edges]
     single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
     G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
-    made = np.zeros((1 + len(near), 1 + len(changes)))
-    made[0, 0], made[1:, 1:] = 1.0, changes.T
-    return made.T @ G @ made, made.T @ s
+    changes = sp.hstack(each, format="csc") if each else sp.csc_array((len(near), 0))
+    return G, s, sp.block_diag([sp.csc_array([[1.0]]), changes], format="csc")
 
 
 def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.intp]:
@@ -102,20 +104,28 @@ def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> lis
 
 
 class _Column:
-    """A column, the first of ``G`` (1 + k, 1 + k) and ``s`` (1 + k,), to which the others may be added.
+    """A column, the first of those ``made`` (n, 1 + k) of parts, to which the others may be added.
 
-    ``G``: products, ``s``: scores, off everything else; ``sd``: of the prior of its amplitude.
+    ``G`` (n, n): products, ``s`` (n,): scores of the parts, off everything else; ``sd``: of the prior of its amplitude.
     """
 
-    def __init__(self, G: Floats, s: Floats, sd: float) -> None:
-        self._G, self._s, self._sd, self._squares = G, s, sd, np.diag(G)
-        self._score, self._strength, self._cross = float(s[0]), float(G[0, 0]), G[0].copy()
+    def __init__(self, G: Floats, s: Floats, made: sp.csc_array, sd: float) -> None:
+        self._G, self._made, self._sd = G, made, sd
+        self._s: Floats = made.T @ s
+        some = [made[:, at : at + TOGETHER] for at in range(0, made.shape[1], TOGETHER)]
+        self._squares = np.concatenate([part.multiply(G @ part).sum(axis=0) for part in some])
+        self._score, self._strength, self._cross = float(self._s[0]), float(self._squares[0]), self._products_with(0)
+
+    def _products_with(self, k: int) -> Floats:
+        """Products (1 + k,) of one column with all."""
+        products: Floats = self._made.T @ (self._G @ self._made[:, [k]].toarray()[:, 0])
+        return products
 
     def change(self, k: int, sign: float) -> None:
         """Add the column ``k``, or take it away again."""
         self._score += sign * float(self._s[k])
         self._strength += 2 * sign * float(self._cross[k]) + float(self._squares[k])
-        self._cross += sign * self._G[k]
+        self._cross += sign * self._products_with(k)
 
     def evidence(self) -> Floats:
         """Log evidence of its amplitude."""

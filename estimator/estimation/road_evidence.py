@@ -42,4 +42,4 @@ def _log_evidence(strides: Strides, found: RoadFit, start: RoadScales, is_level:
     first = scales.values[: len(model.scales)]  # those of signals come last
     free = [i for i in scales.free if i < len(first)]
     values, _ = most_probable(likelihood, first, free)
-    return likelihood.log_evidence(values)
+    return likelihood.log_evidence(values) - scales.price

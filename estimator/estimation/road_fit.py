@@ -24,6 +24,7 @@ from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import MIN_DRAG, MIN_ROLLING, Term
 from estimator.model.effects.effect import AtRest
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
+from estimator.model.road_nodes import warping
 from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
@@ -46,7 +47,7 @@ LAG_SPACING = float(LAGS[1] - LAGS[0])  # s
 
 @dataclass(frozen=True, kw_only=True)
 class RoadScales:
-    """Scales of road and noise (k,) in the order of `RoadModel.scales`, and the orders of road and wander."""
+    """Scales of road and noise (k,) in the order of `RoadModel.scales`, the orders of road and wander, and design."""
 
     values: Floats
     alpha: int  # of ALPHAS, or LEVEL
@@ -60,6 +61,16 @@ class RoadScales:
     def has_power(self) -> bool:
         """Whether noise of the power is in the model."""
         return bool(self.values[POWER] > SCALES[POWER].low)
+
+    @property
+    def price(self) -> float:
+        """By how much more log evidence these orders need."""
+        designed = self.designed and self.alpha != LEVEL
+        return POWER_PRICE * self.has_power + SMOOTH_PRICE * (self.alpha == ALPHAS[-1]) + DESIGNED_PRICE * designed
+
+    def warping(self, speed: Floats) -> Floats:
+        """By how much (n,) sooner slopes change at a ``speed`` [m/s] (n,) than over the length among the scales."""
+        return warping(speed) if self.designed else np.ones(len(speed))
 
     @property
     def free(self) -> list[int]:
@@ -126,14 +137,15 @@ class RoadFit:
 
     @property
     def slope_length(self) -> float:
-        """Length [m] over which the slope changes.
+        """Length [m] over which the slope changes; where that depends on the speed, at those of the drive.
 
         A drive determines sd^2 / length^(2 nu) of a process of smoothness nu (Zhang 2004), and each of both badly: a
         road of single hills has the slopes of a process with a larger sd and a greater length.
         """
         nu = max(self.scales.alpha, 1) - 0.5
         ratio = self.slope_sd / float(self.scales.values[SLOPE])
-        return float(self.scales.values[LENGTH] * ratio ** (1 / nu))
+        length = self.scales.values[LENGTH] / self.scales.warping(self.strides.speed).mean()
+        return float(length * ratio ** (1 / nu))
 
     @property
     def residual_power(self) -> Floats:
@@ -242,7 +254,7 @@ def fit_given(
 def refit(
     found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term], rests: Sequence[AtRest] = ()
 ) -> RoadFit:
-    """Fit the ``strides`` of a fit with other terms: scales are found again, orders of road and wander are kept.
+    """Fit the ``strides`` of a fit with other terms: scales are found again, orders and the design of the road kept.
 
     Its equations have no changes during the drive. ``rests``: the power while the vehicle stood.
     """
@@ -283,7 +295,7 @@ class _Search:
         for _ in range(PASSES if self._terms else 0):
             self._follow(self.likelihood(scales), scales)
         likelihood = self.likelihood(scales)
-        return likelihood, scales, likelihood.log_evidence(scales.values)
+        return likelihood, scales, likelihood.log_evidence(scales.values) - scales.price
 
     def improved(self, known: RoadScales) -> tuple[Likelihood, RoadScales, float]:
         """The most probable scales from those ``known``, of the same orders; their likelihood and log evidence."""
@@ -328,9 +340,7 @@ class _Search:
         """The most probable scales from those given."""
         likelihood = self.likelihood(scales)
         values, evidence = most_probable(likelihood, scales.values, scales.free)
-        price = POWER_PRICE * scales.has_power + SMOOTH_PRICE * (scales.alpha == ALPHAS[-1])
-        price += DESIGNED_PRICE * (scales.designed and scales.alpha != LEVEL)
-        return replace(scales, values=values), evidence - price
+        return replace(scales, values=values), evidence - scales.price
 
     def _lagged(self, scales: RoadScales) -> tuple[RoadScales, float]:
         """Scales and the nearest lag of LAGS, each given the other; of lags that call for each other the better one."""

@@ -13,7 +13,7 @@ from estimator.road_map import Cells, cells_at, key_of, octant_of, place_of
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 from estimator.streaming.course import Course
-from estimator.strides import Strides
+from estimator.strides import DURATION, Strides
 
 KEPT_ROWS = 5  # one row in so many is kept for the positions of strides: 0.5 s
 MAX_GAP = 10.0  # s between two positions, over which a line joins them
@@ -116,7 +116,8 @@ def passes_of(strides: Strides, found: RoadFit, places: Places, start: float) ->
     shown = mean_slopes(strides, found, parts)
     known = np.isfinite(shown.slope) & np.isfinite(shown.common)
     sd, distance = found.scales.values[[SLOPE, LENGTH]].tolist()
-    gradient = sqrt(3) * sd / distance  # 1/m, sd of that of the Matern process
-    own = np.hypot(shown.own[known], PLACE_DOUBT * gradient)
+    speed = length[long] / np.bincount(number)[long] / DURATION
+    gradient = sqrt(3) * sd / distance * found.scales.warping(speed)  # 1/m, sd of that of the Matern process
+    own = np.hypot(shown.own[known], PLACE_DOUBT * gradient[known])
     run = np.sqrt(1 - np.clip(shown.slope[known], -0.5, 0.5) ** 2)  # sine to rise over run
     return Passes.of(key[there][begins][long][known], shown.slope[known] / run, own, shown.common[known])

@@ -109,7 +109,7 @@ class RoadModel:
         self._shares = ((TORQUE, self.weight), (POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
         self.nodes = Nodes.under(strides)
-        self.along = self.nodes.designed if designed else self.nodes.s  # [m], over which slopes change
+        self.along = self.nodes.warped if designed else self.nodes.s  # [m], over which slopes change
         readings = [Reading.of(name, strides, self.nodes) for name in SIGNALS]
         self.readings = tuple(reading for reading in readings if reading is not None)
         self.scales = (*SCALES, *(scale for reading in self.readings for scale in SIGNAL_SCALES[reading.name]))

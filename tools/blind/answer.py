@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from blind.truth import Truth
 from estimator.answers.diagnosis import DiagnosisAnswer, Finding, GapClosed, Magnitude
-from estimator.components.budget import NOISE, ROAD
+from estimator.components.budget import MIN_SYSTEMATIC, NOISE, ROAD, WHITE
 
 Spans = tuple[tuple[float, float], ...]  # from, to [s]
 
@@ -77,10 +77,10 @@ def closed_if_known(run: Run, finding: Finding) -> GapClosed | None:
     parts = {} if run.answer is None else {part.cause: part for part in run.answer.budget}
     if finding.name != "grade" or ROAD not in parts:
         return finding.gap_closed
-    road, noise = parts[ROAD], parts[NOISE].share if NOISE in parts else None
-    systematic = 1.0 - (noise or 0.0)
+    road, noise = parts[ROAD], sum(parts[cause].share or 0.0 for cause in (NOISE, WHITE) if cause in parts)
     fraction, q05, q95 = (
-        None if share is None else min(share / systematic, 1.0) for share in (road.share, road.q05, road.q95)
+        None if share is None else min(share / max(1.0 - noise, MIN_SYSTEMATIC), 1.0)
+        for share in (road.share, road.q05, road.q95)
     )
     return GapClosed(fraction=fraction, q05=q05, q95=q95)
 
