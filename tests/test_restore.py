@@ -1,5 +1,6 @@
 """A run that was interrupted goes on as if it had met a gap; what does not fit is refused whole."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -269,6 +270,13 @@ def test_a_sender_that_was_exchanged_is_found_on_the_next_drive(drive, state):
 
 def test_restored_and_saved_again_is_the_same(state):
     assert pack(restored(state).state(), "k") == pack(state, "k")
+
+
+@pytest.mark.parametrize("designed", [True, False])
+def test_the_design_of_the_road_comes_back(state, designed):
+    kept = deepcopy(state)
+    kept["estimator"]["inference"]["scales"]["designed"] = designed
+    assert restored(kept).state()["estimator"]["inference"]["scales"]["designed"] is designed
 
 
 @pytest.mark.parametrize("kind", [Estimator, StrideStage, RoadInference, SampleStage, Inference, Pipeline, RowStream])

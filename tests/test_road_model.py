@@ -321,6 +321,9 @@ def test_the_sd_of_the_slopes_is_that_along_the_road_where_that_of_the_process_i
     assert found.slope_sd == pytest.approx(amplitude / np.sqrt(2), rel=0.1)
     assert found.scales.values[SLOPE] > 1.25 * found.slope_sd
     assert found.slope_length < found.scales.values[LENGTH]
+    designed = replace(found, scales=replace(found.scales, designed=True))
+    factor = np.mean(1 + (20.0 / np.maximum(found.strides.speed, 5.0)) ** 2)
+    assert designed.slope_length == pytest.approx(found.slope_length / factor)  # in metres of the road
 
 
 def test_power_that_no_signal_shows_is_told_from_noise_of_the_torque():

@@ -1,6 +1,6 @@
 """Stretches of a hidden road that are steeper than the rest: part of the road, neither an effect nor unknown.
 
-The slopes of the road model are a stationary Gaussian process. Real roads are nearly level for kilometres and steep on
+The slopes of the road model are a Gaussian process of one sd. Real roads are nearly level for kilometres and steep on
 a bridge or a hill: on seven trips of a car whose accelerometer shows the slopes, their kurtosis is 2.5 to 8, where the
 process has 3. The beginning and the end of a steep stretch are then better explained by a load or a brake that
 switches. So the times at which an effect may act are also candidates for stretches of the road, each with a slope of

@@ -37,7 +37,7 @@ POWER_PRICE = 3.0
 # road their masses were too sure (errors of 1.4 to 1.9 standard deviations in the first six minutes, else 1.0 to 1.3).
 SMOOTH_PRICE = 3.0
 # The same for a road that is designed for the speed it is driven at: on level simulated roads it has up to 8 where
-# loads act at low speed. On 21 of 28 trips of the BMW it has more, 15 in the median; with the accelerometer on 24, 38.
+# loads act at low speed. On 21 of 28 trips of the BMW it has more, 16 in the median; with the accelerometer on 25, 38.
 DESIGNED_PRICE = 8.0
 MAX_EXPONENT = 500.0  # of the exponential function in floating point
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit

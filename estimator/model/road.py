@@ -7,7 +7,7 @@ ahead, so force and speed are predetermined while acceleration is not):
 
 with F the engine's force at the wheels and the unknown
 
-    theta(s)   sine of the slope over distance: a Matern process,
+    theta(s)   sine of the slope over distance, in metres or warped by the speed: a Matern process,
     e          errors of the speeds at both ends of the stride: white,
     f          error of the measured force over the mass: Ornstein-Uhlenbeck in time, in proportion to the gearing
                (what is measured is the engine's torque),

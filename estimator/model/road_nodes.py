@@ -16,8 +16,9 @@ MAX_BRIDGE = 1500.0
 MIN_PASSAGE = 0.2  # s from node to node: shorter than that of any vehicle (125 m/s)
 SIGNALS = ("altitude", "grade", "gravity")
 OFFSET_SD = 1.0  # sine, of the prior of the offset of a signal of slope: nothing is known of it
-# m^2/s^2. In a bend at yaw rate r, an accelerometer l ahead of the rear axle feels r^2 l = (v r)^2 l / v^2 besides the
-# slope: l is about 1 m, and (v r)^2 is 3 m^2/s^4 where junctions and straights follow each other.
+# m^2/s^2. In a bend at yaw rate r, an accelerometer l ahead of the rear axle measures the centripetal acceleration
+# r^2 l = (v r)^2 l / v^2 besides: l is about 1 m, and (v r)^2 is 3 m^2/s^4 where junctions and straights follow each
+# other. It is never negative, but is taken as noise of mean 0: the offset has its mean.
 BEND = 3.0 / STANDARD_GRAVITY
 # m/s. For the same change of slope a vertical curve is as long as the square of the speed that its road is designed
 # for, by sight distance and comfort: below this one, slopes change the sooner the slower the road is driven.
@@ -73,7 +74,7 @@ class Nodes:
 class Reading:
     """One signal of the road averaged over the strides near each node: values (k,) at ``nodes`` (k,).
 
-    ``bends`` (k,) is the variance that bends add: an accelerometer feels them. ``offsets`` (k, c) are the shapes of its
+    ``bends`` (k,) is the variance of what bends add to an accelerometer. ``offsets`` (k, c) are the shapes of its
     lasting errors, and ``offset_sd`` is that of the prior of each: a constant for a signal of slope. The errors of a
     map were left by drag as well as by rolling resistance, on drives about as fast as this one, so a map has a second
     one in proportion to the square of the speed.
