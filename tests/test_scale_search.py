@@ -94,7 +94,7 @@ def test_scales_too_far_apart_for_floating_point_are_given_back():
     assert_allclose(best, start)
 
 
-def test_what_an_accelerometer_feels_in_slow_bends_is_no_wander_of_it():
+def test_what_slow_bends_add_to_an_accelerometer_is_no_wander_of_it():
     rng, n, (A, C, m) = np.random.default_rng(7), 1500, (250.0, 0.4, 1600.0)
     slope, wander = (gaussian_filter1d(rng.standard_normal(n), 30.0) for _ in range(2))
     slope, wander = 0.01 * slope / slope.std(), 0.002 * wander / wander.std()
@@ -106,10 +106,10 @@ def test_what_an_accelerometer_feels_in_slow_bends_is_no_wander_of_it():
         speed[k + 1] = speed[k] + (pull[k] - A - C * speed[k] ** 2) / m - STANDARD_GRAVITY * slope[k]
     v = 0.5 * (speed[1:] + speed[:-1])
     lateral = np.repeat(np.where(rng.random(n // 4) < 0.5, 1.7, 0.0), 4)  # m/s^2
-    felt = np.where(v < 8.0, 2.0 * (lateral / v) ** 2, 0.0)  # 2 m ahead of the rear axle
+    centripetal = np.where(v < 8.0, 2.0 * (lateral / v) ** 2, 0.0)  # 2 m ahead of the rear axle
     made = made_strides(speed + rng.normal(0.0, 0.02, n + 1), pull + rng.normal(0.0, 30.0, n), {})
     shown = STANDARD_GRAVITY * (slope + wander + rng.normal(0.0, 0.003, n))
-    found = fit(replace(made, gravity=shown + felt), rng)
+    found = fit(replace(made, gravity=shown + centripetal), rng)
     assert found is not None
     noise, slow, memory = found.scales.values[-3:]
     assert noise == pytest.approx(0.003, rel=0.25)
