@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import EPOCH, frames_of
@@ -277,6 +278,13 @@ def test_the_design_of_the_road_comes_back(state, designed):
     kept = deepcopy(state)
     kept["estimator"]["inference"]["scales"]["designed"] = designed
     assert restored(kept).state()["estimator"]["inference"]["scales"]["designed"] is designed
+
+
+def test_the_turns_of_the_road_come_back(state):
+    kept = deepcopy(state)
+    turns = np.array([[1200.0, 1350.0], [4000.0, 4100.0]])
+    kept["estimator"]["inference"]["scales"]["turns"] = turns
+    assert_array_equal(restored(kept).state()["estimator"]["inference"]["scales"]["turns"], turns)
 
 
 @pytest.mark.parametrize("kind", [Estimator, StrideStage, RoadInference, SampleStage, Inference, Pipeline, RowStream])

@@ -112,14 +112,14 @@ def test_the_errors_of_the_sensors_are_their_conditional_mean(alpha):
 @pytest.mark.parametrize(("speed", "factor"), [(40.0, 1.25), (20.0, 2.0), (10.0, 5.0), (5.0, 17.0), (0.5, 17.0)])
 def test_slopes_of_a_designed_road_change_the_sooner_the_slower_it_is_driven(speed, factor):
     nodes = Nodes.under(made_strides(np.full(401, speed), np.zeros(400), {}))
-    assert_allclose(np.diff(nodes.warped), SPACING * factor)
+    assert_allclose(np.diff(nodes.along(designed=True, turns=())), SPACING * factor)
 
 
 def test_a_gap_of_a_designed_road_is_as_slow_as_the_road_beside_it():
     made = strides_of(gap=0.8 * MAX_BRIDGE)
     nodes, last = Nodes.under(made), int(np.argmax(np.diff(made.s0)))
     between = (nodes.s[1:] > made.s1[last] + SPACING) & (nodes.s[:-1] < made.s0[last + 1] - SPACING)
-    factors = np.diff(nodes.warped)[between] / SPACING
+    factors = np.diff(nodes.along(designed=True, turns=()))[between] / SPACING
     beside = 1 + (20.0 / (made.s1 - made.s0)[[last, last + 1]]) ** 2
     assert between.sum() > 20
     assert np.all((factors >= beside.min()) & (factors <= beside.max()))
@@ -131,7 +131,21 @@ def test_strides_that_overlap_count_once_on_a_designed_road():
     later = np.append(False, np.diff(order) == 0) * 5.0  # m
     twice = whole[order]
     twice = replace(twice, s0=twice.s0 + later, s1=twice.s1 + later)
-    assert_allclose(Nodes.under(twice).warped, Nodes.under(whole).warped)
+    assert_allclose(*(Nodes.under(each).along(designed=True, turns=()) for each in (twice, whole)))
+
+
+def test_slopes_change_at_once_where_the_vehicle_turns():
+    speed = np.interp(np.arange(401), [0, 150, 170, 190, 230, 260, 300, 400], [15, 15, 4, 4, 15, 15, 2, 2])
+    nodes = Nodes.under(made_strides(speed, np.zeros(400), {}))
+    turn, slow_end = nodes.slow_places()
+    driven = np.cumsum(np.append(0.0, 0.5 * (speed[1:] + speed[:-1])))
+    second = np.interp(turn, driven, np.arange(401))
+    assert 164 < second[0] < 170  # 6 m/s are passed at 166.4 s and 197.3 s
+    assert 190 < second[1] < 200
+    assert slow_end[1] == nodes.s[-1]
+    factors = np.diff(nodes.along(designed=False, turns=[turn])) / SPACING
+    middle = 0.5 * (nodes.s[1:] + nodes.s[:-1])
+    assert_allclose(factors, np.where((middle > turn[0]) & (middle < turn[1]), 17.0, 1.0))
 
 
 def test_nodes_bridge_short_gaps_and_end_before_long_ones():

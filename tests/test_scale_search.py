@@ -15,6 +15,7 @@ from estimator.estimation.scale_search import MIN_GAIN, most_probable
 from estimator.model.road import SMOOTH
 from estimator.model.road_scales import POWER, SCALES, SPEED
 from estimator.signals import Floats
+from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
 
 
@@ -133,3 +134,39 @@ def test_a_road_that_is_designed_for_its_speed_is_told_from_one_whose_slopes_cha
     assert found is not None
     assert found.scales.designed is designed
     assert found.theta[2] == pytest.approx(m, rel=0.02)
+
+
+def back_and_forth(turned: bool, seed: int) -> Strides:
+    """Half an hour over hills with a stop half-way, where the vehicle ``turned`` round or went on."""
+    rng, n, (A, C, m) = np.random.default_rng(seed), 1800, (1500.0, 3.5, 20e3)
+    profile = gaussian_filter1d(rng.standard_normal(6_000), 40.0)  # every 10 m, over 400 m
+    profile *= 0.015 / profile.std()
+    speed, pull, place, way = np.full(n + 1, 15.0), np.zeros(n), 0.0, 1.0
+    for k in range(n):
+        v, wanted = speed[k], 4.0 if abs(k - n // 2) < 30 or k % 200 < 20 else 15.0
+        way = -1.0 if turned and k > n // 2 else 1.0
+        place += way * v
+        slope = way * np.interp(place, 10.0 * np.arange(len(profile)), profile)
+        pull[k] = A + C * v**2 + m * STANDARD_GRAVITY * slope + m * (0.1 * (wanted - v) + 0.1 * np.sin(k / 7))
+        speed[k + 1] = max(v + (pull[k] - A - C * v**2) / m - STANDARD_GRAVITY * slope, 3.0)
+    return made_strides(speed + rng.normal(0.0, 0.01, n + 1), pull + rng.normal(0.0, 60.0, n), {})
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("turned", [True, False])
+def test_a_turn_is_told_from_other_slow_places(turned, seed):
+    strides = back_and_forth(turned, seed)
+    found = fit(strides, np.random.default_rng(seed))
+    assert found is not None
+    half_way = float(strides.s1[900])
+    assert [begin < half_way < end for begin, end in found.scales.turns] == [True] * turned
+    assert found.theta[2] == pytest.approx(20e3, rel=0.03)
+
+
+def test_turns_behind_the_window_are_forgotten():
+    strides = back_and_forth(True, 1)
+    whole = fit(strides, np.random.default_rng(1))
+    assert whole is not None
+    later = fit(strides[1000:], np.random.default_rng(1), known=whole.scales)
+    assert later is not None
+    assert later.scales.turns == ()

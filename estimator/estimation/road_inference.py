@@ -133,6 +133,7 @@ class RoadInference:
                 "readings": list(scales.readings),
                 "lag": scales.lag,
                 "designed": scales.designed,
+                "turns": np.array(scales.turns, float).reshape(-1, 2),
                 "power_chance": scales.power_chance,
             }
         return {
@@ -352,6 +353,7 @@ def _restored_scales(state: State) -> RoadScales:
         readings=readings,
         lag=lag,
         designed=designed,
+        turns=tuple((begin, end) for begin, end in array(state, "turns", (-1, 2)).tolist()),
         power_chance=chance,
     )
 

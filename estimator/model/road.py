@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from estimator.model.linear_gaussian import Factor, Observations, Places, bandwidth
 from estimator.model.matern import MaternField
 from estimator.model.ornstein_uhlenbeck import Chain, mean_given_ends, mean_given_ends_by_time
-from estimator.model.road_nodes import SIGNALS, Nodes, Reading
+from estimator.model.road_nodes import SIGNALS, Nodes, Place, Reading
 from estimator.model.road_scales import (
     DISTURBANCE,
     LENGTH,
@@ -95,10 +95,18 @@ class RoadModel:
         Whether noise of the power is among the unknowns.
     designed
         Whether the road is designed for the speed it is driven at: slopes change the sooner the slower that is.
+    turns
+        Places where the vehicle turns, so that slopes change at once.
     """
 
     def __init__(
-        self, strides: Strides, alpha: int, wander: int = ROUGH, power: bool = True, designed: bool = False
+        self,
+        strides: Strides,
+        alpha: int,
+        wander: int = ROUGH,
+        power: bool = True,
+        designed: bool = False,
+        turns: Sequence[Place] = (),
     ) -> None:
         self.strides, self.alpha, self.wander = strides, alpha, wander
         self.driven = driven = strides[strides.known]
@@ -109,7 +117,7 @@ class RoadModel:
         self._shares = ((TORQUE, self.weight), (POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
         self.nodes = Nodes.under(strides)
-        self.along = self.nodes.warped if designed else self.nodes.s  # [m], over which slopes change
+        self.along = self.nodes.along(designed, turns)  # [m], over which slopes change
         readings = [Reading.of(name, strides, self.nodes) for name in SIGNALS]
         self.readings = tuple(reading for reading in readings if reading is not None)
         self.scales = (*SCALES, *(scale for reading in self.readings for scale in SIGNAL_SCALES[reading.name]))

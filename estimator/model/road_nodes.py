@@ -1,5 +1,6 @@
 """Points of the road under a drive, and the signals of the road averaged near each of them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,11 @@ BEND = 3.0 / STANDARD_GRAVITY
 # for, by sight distance and comfort: below this one, slopes change the sooner the slower the road is driven.
 DESIGN_SPEED = 20.0
 SLOWEST = 5.0  # m/s: as slow as this, nodes are a usual slope length of 400 m apart, and their sd is 4 % off
+# m/s. Where a vehicle turns round, or into another road, the slope along its way is another one. It does so slower than
+# this: on the circle of 12.5 m that directive 97/27/EC lets it need, at 3 m/s^2 across.
+TURNING_SPEED = 6.0
+
+Place = tuple[float, float]  # from one distance [m] to another
 
 
 def warping(speed: Floats) -> Floats:
@@ -36,14 +42,13 @@ def warping(speed: Floats) -> Floats:
 class Nodes:
     """Points of the road [m] (N,), ascending; ``joined`` to the one before; ``t`` [s] when they were passed.
 
-    ``warped`` (N,) [m]: the distance over which slopes change where the road is designed for the speed v that it is
-    driven at (`warping`).
+    ``speed`` (N - 1,) [m/s]: driven from each to the next.
     """
 
     s: Floats
     joined: NDArray[np.bool_]
     t: Floats
-    warped: Floats
+    speed: Floats
 
     @classmethod
     def under(cls, strides: Strides) -> "Nodes":
@@ -61,8 +66,25 @@ class Nodes:
         passed = np.maximum.accumulate(np.interp(s, along, times) - least) + least
         middle = np.maximum.accumulate(0.5 * (strides.s0 + strides.s1))
         speed = np.interp(0.5 * (s[1:] + s[:-1]), middle, (strides.s1 - strides.s0) / DURATION)
-        warped = np.cumsum(np.concatenate([s[:1], np.diff(s) * warping(speed)]))
-        return cls(s, joined, passed, warped)
+        return cls(s, joined, passed, speed)
+
+    def along(self, designed: bool, turns: Sequence[Place]) -> Floats:
+        """The distance (N,) [m] over which slopes change.
+
+        It is longer where the road is ``designed`` for the speed that it is driven at, or where the vehicle ``turns``:
+        there as if that were a road for the slowest speed.
+        """
+        factor = warping(self.speed) if designed else np.ones(len(self.speed))
+        middle = 0.5 * (self.s[1:] + self.s[:-1])
+        for begin, end in turns:
+            factor[(middle > begin) & (middle < end)] = warping(np.array(SLOWEST))
+        return np.cumsum(np.concatenate([self.s[:1], np.diff(self.s) * factor]))
+
+    def slow_places(self) -> list[Place]:
+        """Where the vehicle may turn."""
+        slow = np.concatenate([[False], self.joined[1:] & (self.speed < TURNING_SPEED), [False]])
+        edges = self.s[np.flatnonzero(np.diff(slow))]
+        return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
     def between(self, s: Floats) -> tuple[NDArray[np.int64], Floats]:
         """For each distance ``s`` (n,) [m] the node at or before it (n,), and the share of the way to the next (n,)."""
