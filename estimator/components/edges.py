@@ -110,15 +110,16 @@ class _Column:
     """
 
     def __init__(self, G: Floats, s: Floats, made: sp.csc_array, sd: float) -> None:
-        self._G, self._made, self._sd = G, made, sd
-        self._s: Floats = made.T @ s
+        self._G, self._made, self._transposed, self._sd = G, made, made.T, sd
+        self._s: Floats = self._transposed @ s
         some = [made[:, at : at + TOGETHER] for at in range(0, made.shape[1], TOGETHER)]
         self._squares = np.concatenate([part.multiply(G @ part).sum(axis=0) for part in some])
         self._score, self._strength, self._cross = float(self._s[0]), float(self._squares[0]), self._products_with(0)
 
     def _products_with(self, k: int) -> Floats:
         """Products (1 + k,) of one column with all."""
-        products: Floats = self._made.T @ (self._G @ self._made[:, [k]].toarray()[:, 0])
+        own = slice(self._made.indptr[k], self._made.indptr[k + 1])
+        products: Floats = self._transposed @ (self._G[:, self._made.indices[own]] @ self._made.data[own])
         return products
 
     def change(self, k: int, sign: float) -> None:
