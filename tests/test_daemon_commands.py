@@ -17,6 +17,8 @@ import pytest
 from daemon_bench import Bench
 
 from estimator import config
+from estimator.answers.answer import decode
+from estimator.answers.status import NotRunningAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
@@ -170,6 +172,9 @@ def test_status_says_when_no_daemon_runs(cli: Callable[..., Outcome], settings: 
     status, out, err = cli("status", "--config", settings)
     assert (status, out) == (1, "")
     assert "no daemon is running" in err
+    status, out, err = cli("status", "--config", settings, "--json")
+    assert (status, err) == (1, "")
+    assert decode(out, NotRunningAnswer).why_not.startswith("there is no ")
     (tmp_path / "run").mkdir()
     (tmp_path / "run/status.json").write_text("{broken")
     status, _, err = cli("status", "--config", settings)

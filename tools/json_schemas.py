@@ -13,7 +13,7 @@ from estimator.answers.fleet import FleetAnswer
 from estimator.answers.inspection import InspectionAnswer
 from estimator.answers.run import RunAnswer
 from estimator.answers.simulation import SimulationAnswer
-from estimator.answers.status import StatusAnswer
+from estimator.answers.status import NotRunningAnswer, StatusAnswer
 from estimator.answers.vehicle import VehicleAnswer
 
 FOLDER = Path(__file__).parents[1] / "docs" / "schema"
@@ -22,6 +22,7 @@ ANSWERS: dict[str, type[Answer]] = {
     "draws": DrawsAnswer,
     "fleet": FleetAnswer,
     "inspection": InspectionAnswer,
+    "not_running": NotRunningAnswer,
     "run": RunAnswer,
     "simulation": SimulationAnswer,
     "status": StatusAnswer,

@@ -1,6 +1,7 @@
 """The status of a running daemon: its file, and the answer of `status`."""
 
 from enum import StrEnum
+from typing import Literal
 
 from msgspec import UNSET, Struct, UnsetType
 
@@ -118,3 +119,10 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
     refused: dict[str, int]
     samples_rejected: dict[str, int]
     estimate: Estimate | None
+
+
+class NotRunningAnswer(Answer, frozen=True, kw_only=True):
+    """What `roadload status` says where no daemon has left a status file."""
+
+    running: Literal[False] = False
+    why_not: str

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from estimator import config
-from estimator.answers.status import State, StatusAnswer
+from estimator.answers.status import NotRunningAnswer, State, StatusAnswer
 from estimator.commands.arguments import add_output
 from estimator.commands.complaints import complain
 from estimator.commands.terminal import print_json, say, standard_output
@@ -44,7 +44,11 @@ def run(options: argparse.Namespace) -> int:
     places = folders.status_places(config.load(options.config).service)
     path = next((place for place in places if place.is_file()), None)
     if path is None:
-        complain(f"no daemon is running: there is no {' nor '.join(map(str, places))}")
+        missing = f"there is no {' nor '.join(map(str, places))}"
+        if options.json:
+            print_json(NotRunningAnswer(why_not=missing))
+        else:
+            complain(f"no daemon is running: {missing}")
         return 1
     status = status_file.read(path)
     reason = status_file.obstacle_to_status(status)
