@@ -21,7 +21,7 @@ from dense_road import (
 from made_strides import made_strides
 from numpy.testing import assert_allclose
 
-from estimator.estimation import form_doubt, road_fit
+from estimator.estimation import form_doubt, road_fit, road_search
 from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, earlier_loads
 from estimator.model.conditioned import Conditioned
 from estimator.model.road import LEVEL, RoadModel
@@ -64,7 +64,7 @@ def test_a_model_without_noise_of_the_power_is_that_with_none(alpha):
     model = RoadModel(strides_of(shown=("altitude",)), alpha, power=False)
     scales = scales_of(model, 3)
     none = scales.copy()
-    none[road_fit.POWER] = 0.0
+    none[POWER] = 0.0
     assert_has_the_covariance(model, scales, Dense(model, none))
 
 
@@ -394,7 +394,7 @@ def test_an_effect_of_doubtful_form_moves_the_others_as_their_fit_with_another_s
 
 def test_effects_scale_with_a_road_load_that_a_vehicle_can_have():
     beta = np.array([1 / M, A / M, C / M, 0.01])
-    assert_allclose(road_fit.scaled_by(beta), [A, C, M])
-    below = road_fit.scaled_by(beta * [1, -1, -1, 1])
+    assert_allclose(road_search.scaled_by(beta), [A, C, M])
+    below = road_search.scaled_by(beta * [1, -1, -1, 1])
     assert_allclose(below, [0.002 * 9.80665 * M, 2e-5 * M, M])
-    assert_allclose(road_fit.scaled_by(np.zeros(3))[2], 1e6)
+    assert_allclose(road_search.scaled_by(np.zeros(3))[2], 1e6)

@@ -12,8 +12,9 @@ from estimator.components.likelihood import JointLikelihood
 from estimator.components.one_sided import log_evidence_of_sign
 from estimator.components.set_likelihood import Judged
 from estimator.components.switching import Switching
-from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given, refit
+from estimator.estimation.road_fit import RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
+from estimator.estimation.road_search import RoadScales
 from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest, Effect, Timing

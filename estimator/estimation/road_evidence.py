@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.estimation.road_fit import RoadFit, RoadScales
+from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
+from estimator.estimation.road_search import RoadScales
 from estimator.estimation.scale_search import most_probable
 from estimator.model.road import ALPHAS, LEVEL
 from estimator.strides import Strides

@@ -30,9 +30,10 @@ from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.moments import Belief
-from estimator.estimation.road_fit import RoadFit, RoadScales, fit, fit_given
+from estimator.estimation.road_fit import RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
+from estimator.estimation.road_search import RoadScales
 from estimator.estimation.shapes import averaged, best_shapes, fitted_with_shapes
 from estimator.estimation.window import Window
 from estimator.model.design_matrix import Term

@@ -17,8 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.estimation.road_fit import RoadFit, RoadScales
+from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, Likelihood
+from estimator.estimation.road_search import RoadScales
 from estimator.model.conditioned import Conditioned
 from estimator.model.design_matrix import Term
 from estimator.signals import Floats, Quantity
