@@ -13,6 +13,7 @@ from simulated_logs import ask, drive, written
 
 from estimator.answers.answer import Answer, as_text, decode, encode
 from estimator.answers.status import StatusAnswer
+from estimator.commands.main import main
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,15 @@ def test_simulate_prints_its_type(tmp_path: Path) -> None:
 def test_fleet_prints_its_type(log: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     assert ask("fleet", log, "-o", tmp_path / "fleet", "--workers", 1)["drives"] == 1
+
+
+@pytest.mark.slow
+def test_fleet_says_why_a_vehicle_is_not_estimated(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
+    assert main(["fleet", str(log), "-o", str(tmp_path / "fleet"), "--workers", "1"]) == 0
+    assert "1 drive, A/m and C unestimated (no drive with an estimated mass)" in capsys.readouterr().out
 
 
 def test_status_adds_whether_a_daemon_runs(tmp_path: Path) -> None:

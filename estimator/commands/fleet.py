@@ -133,10 +133,17 @@ def _print(drives: Sequence[Row], vehicles: Sequence[Row], out: Path) -> None:
     rows = f"{counted(len(drives), 'row')} of drives, {estimated:,} estimated"
     say(console, f"{rows}; {counted(len(vehicles), 'vehicle')}; written to {out}")
     for row in vehicles:
-        rolling, drag = _value(row, "A_per_mass_N_kg", "N/kg"), _value(row, "C_N_s2_m2", "N/(m/s)^2")
-        line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, A/m {rolling}, C {drag}"
+        line = f"{row['vehicle']}: {counted(row['drives'], 'drive')}, {_road_load(row)}"
         say(console, line + (f"; out of line: {row['outlier']}" if row["outlier"] else ""))
 
 
-def _value(row: Row, name: str, unit: str) -> str:
-    return f"{row[f'{name}_mean']:.4g} +- {row[f'{name}_sd']:.2g} {unit}" if f"{name}_mean" in row else "unestimated"
+def _road_load(row: Row) -> str:
+    rolling, drag = row["A_per_mass_reason"], row["C_reason"]
+    if rolling and rolling == drag:
+        return f"A/m and C unestimated ({rolling})"
+    A, C = _value(row, "A_per_mass_N_kg", "N/kg", rolling), _value(row, "C_N_s2_m2", "N/(m/s)^2", drag)
+    return f"A/m {A}, C {C}"
+
+
+def _value(row: Row, name: str, unit: str, reason: str) -> str:
+    return f"unestimated ({reason})" if reason else f"{row[f'{name}_mean']:.4g} +- {row[f'{name}_sd']:.2g} {unit}"
