@@ -12,6 +12,7 @@ import pytest
 from simulated_logs import CLIMB, ask, drive, named, written
 
 from estimator.commands.main import main
+from estimator.diagnosis import explanation
 from estimator.signals import Role, Series
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.recording import Recording
@@ -251,3 +252,21 @@ def test_the_same_log_gives_the_same_bytes(several, capsys):
     )
     assert other.stdout == capsys.readouterr().out
     assert named(json.loads(other.stdout)) == ["cornering"]
+
+
+@pytest.mark.slow
+def test_of_several_drives_one_that_cannot_be_fitted_is_left_out(urban, tmp_path, monkeypatch):
+    longer = written(drive("urban", 9, 2), tmp_path / "longer.blf")
+    shorter = written(urban, tmp_path / "shorter.blf")
+    alone = ask("diagnose", longer)
+    state = explanation._state
+
+    def of_the_longer(one, is_level):
+        return state(one, is_level) if one.record.strides.t[-1] - one.record.start > 500.0 else None
+
+    monkeypatch.setattr(explanation, "_state", of_the_longer)
+    both = ask("diagnose", longer, shorter)
+    assert both["verdict"] == alone["verdict"]
+    assert both["rms_base_kW"] == pytest.approx(alone["rms_base_kW"], rel=1e-6)
+    monkeypatch.setattr(explanation, "_state", lambda one, is_level: None)
+    assert "less than half a minute" in cannot_tell(longer, shorter)

@@ -66,7 +66,7 @@ def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
     yield "a", Variable(a, "m/s^2")
     yield "F", Variable(A + C * s.relative_density * s.speed_squared + m * a, "N")
     yield "t", Variable(s.t - s.t[0], "s")
-    yield "s", Variable(s.s0, "m")
+    yield "s", Variable(np.cumsum(s.s1 - s.s0), "m")
     turns = s.context.get(Quantity.ENGINE_SPEED)
     if turns is not None and np.isfinite(turns).all():
         yield "n", Variable(turns, "rad/s")

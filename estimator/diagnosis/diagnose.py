@@ -12,7 +12,7 @@ from estimator.diagnosis.conclusion import Conclusion, conclude
 from estimator.diagnosis.described import described
 from estimator.diagnosis.drive_data import Record
 from estimator.diagnosis.experiment import experiments
-from estimator.diagnosis.explanation import explain
+from estimator.diagnosis.explanation import explain, started
 from estimator.diagnosis.findings import Findings
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
 from estimator.diagnosis.localisation import gap_map, places
@@ -72,11 +72,11 @@ def diagnose(
     missing = tuple(not_testable(effects, frozenset().union(*(record.known for record in records))))
     if not plain:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=_obstacle(records, reason), not_testable=missing)
-    explanation = explain(plain, effects, limits)
-    if explanation is None:
+    drives, states = started(plain)
+    if not drives:
         reason = "less than half a minute of the drive shows force and speed without a gap"
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=reason, not_testable=missing)
-    conclusion = conclude(explanation, tuple(plain), limits, rng)
+    conclusion = conclude(explain(drives, states, effects, limits), drives, limits, rng)
     found = _report(conclusion, effects, missing)
     return replace(found, p_value=p_value(conclusion.explained, surrogates, rng)) if surrogates else found
 

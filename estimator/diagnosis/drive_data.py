@@ -9,6 +9,7 @@ from estimator.config import Config
 from estimator.diagnosis.standing import rests
 from estimator.model.effects.effect import AtRest
 from estimator.preparation import kinematics
+from estimator.preparation.past_speed import last_known
 from estimator.preparation.sample_maker import SampleMaker
 from estimator.preparation.striding import Strider
 from estimator.samples import STEP, Rows, Samples
@@ -19,6 +20,7 @@ MAX_STANDING_SPEED = 0.5  # m/s
 MIN_STOP = 10.0  # s, in which a load could change
 BREAK = 10.0  # s of NaN between pieces of a drive, where only their order matters
 MIN_KNOWN_SHARE = 0.5  # of the drive, for which a quantity must be known to be used
+STATES = (Quantity.GEAR, Quantity.BRAKE, Quantity.FROZEN)  # between two of their values there is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +61,7 @@ def record(pieces: list[Rows], config: Config) -> Record:
     smoother, lag = maker.calibrate(speed, power)
     start = float(pieces[0].t[0])
     heard = _heard(pieces, start)
-    found: list[Samples] = []
+    whole, made = list[Rows](), list[Samples]()
     distance, stops = 0.0, 0.0
     margin = maker.margin
     for piece in pieces:
@@ -71,11 +73,10 @@ def record(pieces: list[Rows], config: Config) -> Record:
             continue
         inner = slice(margin, len(piece) - margin)
         samples = maker.samples(piece, smoother, lag, heard, start)
-        whole = {Quantity.DISTANCE: travelled[inner], Quantity.STOPS: halts[inner]}
-        samples = replace(samples, context={**samples.context, **whole})
-        for values in samples.context.values():
-            _bridge(values)
-        found.append(maker.admit(samples, piece, rejected))
+        place = {Quantity.DISTANCE: travelled[inner], Quantity.STOPS: halts[inner]}
+        made.append(replace(samples, context={**samples.context, **place}))
+        whole.append(piece)
+    found = [maker.admit(samples, piece, rejected) for samples, piece in zip(_bridged(made), whole, strict=True)]
     strides = _strides(pieces, config, heard, start)
     return Record(
         samples=Samples.concatenate(found),
@@ -100,10 +101,8 @@ def _strides(pieces: list[Rows], config: Config, heard: frozenset[Quantity], sta
             halted.append(halts[np.clip(np.searchsorted(piece.t, part.t), 0, len(piece) - 1)])
         stops = float(halts[-1])
     strides = Strides.concatenate(found)
-    for values in strides.context.values():
-        _bridge(values)
-    place = {Quantity.DISTANCE: strides.s0, Quantity.STOPS: np.concatenate(halted)}
-    return replace(strides, context={**strides.context, **place})
+    context = {quantity: _bridge(quantity, values) for quantity, values in strides.context.items()}
+    return replace(strides, context={**context, Quantity.STOPS: np.concatenate(halted)})
 
 
 def _heard(pieces: list[Rows], start: float) -> frozenset[Quantity]:
@@ -115,11 +114,25 @@ def _heard(pieces: list[Rows], start: float) -> frozenset[Quantity]:
     return frozenset(q for q, count in known.items() if count > least)
 
 
-def _bridge(values: Floats) -> None:
-    """Fill what is not known by straight lines between what is, in place."""
-    known = np.isfinite(values)
-    if known.any() and not known.all():
-        values[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), values[known])
+def _bridged(parts: list[Samples]) -> list[Samples]:
+    """Parts of a drive, in order, with all of their context known."""
+    if not parts:
+        return []
+    ends = np.cumsum([len(part) for part in parts])[:-1]
+    whole = Samples.concatenate(parts).context
+    context = {quantity: np.split(_bridge(quantity, values), ends) for quantity, values in whole.items()}
+    return [replace(part, context={q: values[i] for q, values in context.items()}) for i, part in enumerate(parts)]
+
+
+def _bridge(quantity: Quantity, values: Floats) -> Floats:
+    """Values (n,) with what is not known on straight lines between what is; of a state, the last known one."""
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) in (0, len(values)):
+        return values
+    if quantity in STATES:
+        return last_known(values, float(values[known[0]]))
+    there = np.unwrap(values[known]) if quantity is Quantity.HEADING else values[known]
+    return np.interp(np.arange(len(values)), known, there)
 
 
 def _halts(speed: Floats) -> Floats:

@@ -40,23 +40,31 @@ class Explanation:
         return self.explained.drives[self.which]
 
 
-def explain(drives: Sequence[Drive], effects: Sequence[Effect], thresholds: Thresholds) -> Explanation | None:
-    """Search for what acts on ``drives``; None where their motion cannot be fitted."""
+def started(drives: Sequence[Drive]) -> tuple[tuple[Drive, ...], tuple[DriveState, ...]]:
+    """The drives whose motion can be fitted, and that fit: on a level road, unless the road is given."""
+    is_given = _is_road_given(drives)
+    found = [(drive, _state(drive, is_level=not is_given)) for drive in drives]
+    states = tuple(state for _, state in found if state is not None)
+    return tuple(drive for drive, state in found if state is not None), states
+
+
+def explain(
+    drives: Sequence[Drive], plain: tuple[DriveState, ...], effects: Sequence[Effect], thresholds: Thresholds
+) -> Explanation:
+    """Search for what acts on ``drives``, ``plain`` being as they are `started`."""
     present = {term.effect.name for drive in drives for term in drive.model.terms}
     candidates = [e for e in effects if not (e.absorbed or e.is_gravity or e.name in present)]
-    if any(term.effect.is_gravity for drive in drives for term in drive.model.terms):
-        given = _states(drives, is_level=False)
-        return None if given is None else Explanation(Search(given, candidates).explained(), True, None, True)
+    if _is_road_given(drives):
+        return Explanation(Search(plain, candidates).explained(), True, None, True)
     forms = FoundForms()
-    plain = _states(drives, is_level=True)
-    if plain is None:
-        return None
-    sloping = _states(drives, is_level=False)
-    level, slopes = None, _slopes(plain, sloping or ())
+    found = [_state(drive, is_level=False) for drive in drives]
+    sloping = tuple(state for state in found if state is not None)
+    sloping = sloping if len(sloping) == len(plain) else ()
+    level, slopes = None, _slopes(plain, sloping)
     if slopes < thresholds.min_log_bf_effect:
         level = Search(plain, candidates, forms).explained()
-        slopes = _slopes(level.drives, sloping or ())
-    if sloping is None or slopes < thresholds.min_log_bf_effect:
+        slopes = _slopes(level.drives, sloping)
+    if not sloping or slopes < thresholds.min_log_bf_effect:
         return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
     return _on_either_road(plain, level, sloping, candidates, forms, thresholds)
 
@@ -104,11 +112,8 @@ def _is_shown(explained: Explained, thresholds: Thresholds) -> bool | None:
     return None if abs(signals) < thresholds.min_log_bf_effect else bool(signals > 0)
 
 
-def _states(drives: Sequence[Drive], is_level: bool) -> tuple[DriveState, ...] | None:
-    """The drives with the effects that are given; None where one cannot be fitted."""
-    found = [_state(drive, is_level) for drive in drives]
-    states = tuple(state for state in found if state is not None)
-    return states if len(states) == len(drives) else None
+def _is_road_given(drives: Sequence[Drive]) -> bool:
+    return any(term.effect.is_gravity for drive in drives for term in drive.model.terms)
 
 
 def _state(drive: Drive, is_level: bool) -> DriveState | None:

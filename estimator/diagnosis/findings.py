@@ -155,9 +155,10 @@ class Findings:
 
     def _alike(self, one: Ranked, ranking: Sequence[Ranked]) -> set[str]:
         """Names that the drives speak for as well, with a column of the same course, and those declared equivalent."""
-        limits, trace = self.conclusion.thresholds, one.best[1].trace
+        limits, (drive, form) = self.conclusion.thresholds, one.best
         others = [other for other in ranking if other is not one and other.gain > limits.min_log_bf_effect]
-        near = [o.name for o in others if _correlation(o.best[1].trace, trace) > limits.min_class_correlation]
+        others = [other for other in others if other.best[0] == drive]
+        near = [o.name for o in others if _correlation(o.best[1].trace, form.trace) > limits.min_class_correlation]
         return {*near, *one.effect.equivalent}
 
     def _left(self) -> Finding:
@@ -201,11 +202,16 @@ def _slopes(drives: Sequence[DriveState]) -> tuple[float, float]:
     """Standard deviation of the slope along the roads of all drives, and how well it is known."""
     share = np.array([len(drive.fit.strides) for drive in drives]) / sum(len(drive.fit.strides) for drive in drives)
     own = np.array([drive.slope_sd for drive in drives])
-    independent = np.array([max(float(np.ptp(drive.strides.s0)) / SLOPE_LENGTH, 1.0) for drive in drives])
+    independent = np.array([max(_length(drive) / SLOPE_LENGTH, 1.0) for drive in drives])
     doubt = np.array([drive.fit.slope_doubt for drive in drives]) / np.sqrt(independent)
     value = float(np.sqrt(share @ own**2))
     by_noise = float(np.linalg.norm(share * own * doubt)) / max(value, 1e-12)
     return value, float(np.hypot(by_noise, EFFECT_DOUBT * value))
+
+
+def _length(drive: DriveState) -> float:
+    """Of the road driven [m], without the gaps in it."""
+    return float((drive.strides.s1 - drive.strides.s0).sum())
 
 
 def _closed(part: Part | None) -> GapClosed | None:
@@ -214,8 +220,8 @@ def _closed(part: Part | None) -> GapClosed | None:
 
 
 def _correlation(one: np.ndarray, other: np.ndarray) -> float:
-    """Of two courses, whatever the sign; 0 where one of them is constant, or of another drive."""
-    if len(one) != len(other) or not (np.ptp(one) and np.ptp(other)):
+    """Of two courses, whatever the sign; 0 where one of them is constant."""
+    if not (np.ptp(one) and np.ptp(other)):
         return 0.0
     return abs(float(np.corrcoef(one, other)[0, 1]))
 
