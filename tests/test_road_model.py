@@ -25,7 +25,7 @@ from estimator.estimation import form_doubt, road_fit, road_search
 from estimator.estimation.road_likelihood import DRAG, LAG, PLAIN, Likelihood, earlier_loads
 from estimator.model.conditioned import Conditioned
 from estimator.model.road import LEVEL, RoadModel
-from estimator.model.road_nodes import MAX_BRIDGE, SPACING, Nodes
+from estimator.model.road_nodes import MAX_BRIDGE, SPACING, Nodes, Reading
 from estimator.model.road_scales import LENGTH, POWER, SLOPE, TORQUE
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -146,6 +146,16 @@ def test_slopes_change_at_once_where_the_vehicle_turns():
     factors = np.diff(nodes.along(designed=False, turns=[turn])) / SPACING
     middle = 0.5 * (nodes.s[1:] + nodes.s[:-1])
     assert_allclose(factors, np.where((middle > turn[0]) & (middle < turn[1]), 17.0, 1.0))
+
+
+def test_a_stride_without_a_speed_takes_no_other_from_a_map():
+    made = made_strides(np.linspace(10, 20, 401), np.zeros(400), {})
+    shown = replace(made, grade=np.full(400, 0.01), grade_offset_sd=np.full(400, 0.002))
+    lost = np.isin(np.arange(400), [100, 101])
+    gone = replace(shown, v0=np.where(lost, np.nan, shown.v0), known=shown.known & ~lost)
+    whole, some = (Reading.of("grade", each, Nodes.under(shown)) for each in (shown, gone))
+    assert np.isfinite(some.offsets).all()
+    assert_allclose(some.offsets, whole.offsets, rtol=0.02)
 
 
 def test_nodes_bridge_short_gaps_and_end_before_long_ones():

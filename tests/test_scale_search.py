@@ -10,8 +10,10 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
-from estimator.estimation.road_fit import fit
+from estimator.estimation.road_fit import fit, fit_given
 from estimator.estimation.scale_search import MIN_GAIN, most_probable
+from estimator.model.conditioned import Conditioned
+from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import SMOOTH
 from estimator.model.road_scales import POWER, SCALES, SPEED
 from estimator.signals import Floats
@@ -161,6 +163,41 @@ def test_a_turn_is_told_from_other_slow_places(turned, seed):
     half_way = float(strides.s1[900])
     assert [begin < half_way < end for begin, end in found.scales.turns] == [True] * turned
     assert found.theta[2] == pytest.approx(20e3, rel=0.03)
+
+
+def test_a_turn_that_gains_nothing_any_more_is_given_up():
+    strides = back_and_forth(False, 1)
+    plain = fit(strides, np.random.default_rng(1))
+    assert plain is not None
+    place = plain.scales.model_of(strides).nodes.slow_places()[1]
+    known = replace(plain.scales, turns=(place,))
+    again = fit(strides, np.random.default_rng(1), known=known)
+    assert again is not None
+    assert again.scales.turns == ()
+
+
+def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
+    """Those of one part of a drive may lie too far apart for floating point on another."""
+    strides, make = back_and_forth(False, 1)[:400], Conditioned.of
+    found = fit(strides, np.random.default_rng(1))
+    assert found is not None
+
+    def fail(model, scales):
+        if scales[SPEED] == 1e-3:
+            raise NotPositiveDefiniteError
+        return make(model, scales)
+
+    monkeypatch.setattr(Conditioned, "of", fail)
+    values = found.scales.values.copy()
+    values[SPEED] = 1e-3
+    known = replace(found.scales, values=values)
+    again, given = (
+        fit(strides, np.random.default_rng(1), known=known),
+        fit_given(strides, np.random.default_rng(1), known),
+    )
+    assert again is not None
+    assert given is not None
+    assert given.theta[2] == pytest.approx(found.theta[2], rel=0.01) == again.theta[2]
 
 
 def test_turns_behind_the_window_are_forgotten():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
-from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
+from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.scale_search import most_probable
 from estimator.model.road import ALPHAS, LEVEL
@@ -39,7 +39,7 @@ def _log_evidence(strides: Strides, found: RoadFit, start: RoadScales, is_level:
     scales = replace(start, alpha=LEVEL if is_level else sloping)
     model = scales.model_of(strides)
     terms = [term for term in found.terms if not (is_level and term.effect.is_gravity)]  # stretches of the road
-    likelihood = Likelihood(model, terms, found.theta[:ROAD_LOAD], scales.lag)
+    likelihood = Likelihood(model, terms, found.road_load, scales.lag, taken=found.taken)
     first = scales.values[: len(model.scales)]  # those of signals come last
     free = [i for i in scales.free if i < len(first)]
     values, _ = most_probable(likelihood, first, free)

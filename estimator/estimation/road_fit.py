@@ -5,6 +5,7 @@ The coefficients beta = [1/m, A/m, C/m, lag/m, drag/m, earlier loads ..., offset
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -16,6 +17,8 @@ from estimator.estimation.road_likelihood import LAG, Likelihood, shapes_of, tak
 from estimator.estimation.road_search import RoadScales, Search, first_guess, scaled_by
 from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest
+from estimator.model.linear_gaussian import NotPositiveDefiniteError
+from estimator.model.road import LEVEL
 from estimator.model.road_scales import LENGTH, SLOPE
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
@@ -166,14 +169,18 @@ def fit_given(
     departures: Sequence[float] = (),
     rests: Sequence[AtRest] = (),
 ) -> RoadFit | None:
-    """Fit strides as `fit` does, with ``scales`` as they are; they are found where other signals show the road."""
+    """Fit strides as `fit` does, with ``scales`` as they are.
+
+    They are found anew where other signals show the road, or where they lie too far apart for floating point.
+    """
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES or not driven.a.any():
         return None
     search = Search(strides, terms, first_guess(driven), longest_lag, departures)
-    if scales.readings != search.model(scales).reading_names:
-        return fit(strides, rng, terms, None, longest_lag, departures, rests=rests)
-    return _concluded(*search.given(scales), rng, rests)
+    if scales.readings == search.model(scales).reading_names:
+        with suppress(NotPositiveDefiniteError):  # on these strides
+            return _concluded(*search.given(scales), rng, rests)
+    return fit(strides, rng, terms, None, longest_lag, departures, scales.alpha == LEVEL, rests)
 
 
 def refit(

@@ -5,7 +5,7 @@ hills that no signal shows the mass is known long before A and C, so each parame
 """
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -108,6 +108,8 @@ class RoadInference:
         Returns the time [s] from which on driving stays in use, None where all of it is discarded.
         """
         kept = departure is not None and self._config.load.stop_s < SHORT_STOP
+        if departure is None and self._scales is not None:
+            self._scales = replace(self._scales, turns=())  # of the road before
         self._loads.start_segment(kept)
         self.evidence = None
         if departure is None or not kept:
@@ -229,7 +231,7 @@ class RoadInference:
 
     def _judge(self, t: float, found: RoadFit, lag: float, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)
-        usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual(found.theta) for term in found.terms]
+        usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual(found.road_load) for term in found.terms]
         lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
         bounds = np.append(lower[:ROAD_LOAD], lowest), np.append(upper[:ROAD_LOAD], usual)
         empty = Belief(np.zeros_like(self._given.precision), np.zeros_like(self._given.moment))

@@ -12,6 +12,7 @@ import numpy as np
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood, columns, taken_by
 from estimator.estimation.scale_search import most_probable
 from estimator.model.design_matrix import MIN_DRAG, MIN_ROLLING, Term
+from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_nodes import Place, warping
 from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
@@ -138,7 +139,12 @@ class Search:
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
         """The same with orders found too; without scales ``known``, from the centres of their priors."""
-        scales, evidence = self._lagged(known or self._central(level))
+        try:
+            scales, evidence = self._lagged(known or self._central(level))
+        except NotPositiveDefiniteError:  # scales of another part of the drive
+            if known is None:
+                raise
+            scales, evidence = self._lagged(self._central(level))
         other, found = self._improved(_other_noise(scales))
         if found > evidence:
             scales, evidence, found = other, found, evidence
@@ -173,19 +179,27 @@ class Search:
 
     def _turned(self, scales: RoadScales, evidence: float) -> tuple[RoadScales, float]:
         """The scales with turns where these add evidence, one after the other; a designed road needs none."""
+        for place in scales.turns:  # of a part of the drive before
+            less = replace(scales, turns=tuple(other for other in scales.turns if other != place))
+            if self._gains(scales, [less])[0] > 0:
+                scales, evidence = self._improved(less)
         while not scales.designed:
-            likelihood = self.likelihood(scales)
-            before = likelihood.log_evidence(scales.values)
-            tried = [replace(scales, turns=(*scales.turns, place)) for place in _sharpest(likelihood, scales)]
-            models = (one.model_of(self._strides) for one in tried)
-            gains = [
-                self._likelihood_of(model, one).log_evidence(scales.values) - before
-                for one, model in zip(tried, models, strict=True)
-            ]
-            if max(gains, default=0.0) <= TURN_PRICE:
+            places = _sharpest(self.likelihood(scales), scales)
+            more = [replace(scales, turns=(*scales.turns, place)) for place in places]
+            gains = self._gains(scales, more)
+            if max(gains, default=0.0) <= 0:
                 break
-            scales, evidence = self._improved(tried[int(np.argmax(gains))])
+            scales, evidence = self._improved(more[int(np.argmax(gains))])
         return scales, evidence
+
+    def _gains(self, scales: RoadScales, others: Sequence[RoadScales]) -> list[float]:
+        """How much more log evidence ``others`` of the same values have; their models are not kept."""
+        before = self.likelihood(scales).log_evidence(scales.values) - scales.price
+        likelihoods = (self._likelihood_of(other.model_of(self._strides), other) for other in others)
+        return [
+            likelihood.log_evidence(scales.values) - other.price - before
+            for likelihood, other in zip(likelihoods, others, strict=True)
+        ]
 
     def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
         """The most probable scales from those given."""
@@ -218,12 +232,13 @@ class Search:
 
 
 def _sharpest(likelihood: Likelihood, scales: RoadScales) -> list[Place]:
-    """Slow places where the change of the slope, by ``scales``, itself changes most; none that is among them."""
+    """Slow places where the change of the slope, by ``scales``, itself changes most; none that a turn is at."""
     nodes = likelihood.model.nodes
     conditioned, gram = likelihood.at(scales.values)
     slope, _ = likelihood.model.road(conditioned.unknowns(likelihood.data @ np.append(1.0, -likelihood.solve(gram)[0])))
     bent = np.abs(np.diff(slope, 2, prepend=slope[0], append=slope[-1]))
-    places = [place for place in nodes.slow_places() if place not in scales.turns]
+    slow = nodes.slow_places()
+    places = [(a, b) for a, b in slow if not any(a < end and begin < b for begin, end in scales.turns)]
     edges = [np.searchsorted(nodes.s, place) for place in places]
     sharpness = np.array([bent[begin : end + 1].max() for begin, end in edges])
     return [places[i] for i in np.argsort(-sharpness, kind="stable")[:TRIED_TURNS]]

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_passes import mean_slopes
+from estimator.model.road import ALPHAS
 from estimator.model.road_scales import LENGTH, SLOPE
 from estimator.road_map import Cells, cells_at, key_of, octant_of, place_of
 from estimator.samples import STEP, Rows
@@ -117,7 +118,8 @@ def passes_of(strides: Strides, found: RoadFit, places: Places, start: float) ->
     known = np.isfinite(shown.slope) & np.isfinite(shown.common)
     sd, distance = found.scales.values[[SLOPE, LENGTH]].tolist()
     speed = length[long] / np.bincount(number)[long] / DURATION
-    gradient = sqrt(3) * sd / distance * found.scales.warping(speed)  # 1/m, sd of that of the Matern process
+    nu = max(found.scales.alpha, ALPHAS[0]) - 0.5
+    gradient = sqrt(nu / (nu - 1)) * sd / distance * found.scales.warping(speed)  # 1/m, sd of that of the process
     own = np.hypot(shown.own[known], PLACE_DOUBT * gradient[known])
     run = np.sqrt(1 - np.clip(shown.slope[known], -0.5, 0.5) ** 2)  # sine to rise over run
     return Passes.of(key[there][begins][long][known], shown.slope[known] / run, own, shown.common[known])

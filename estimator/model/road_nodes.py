@@ -123,7 +123,7 @@ class Reading:
         count = np.bincount(nearest, minlength=len(nodes.s)).astype(float)
         total = np.bincount(nearest, values, len(nodes.s))
         heard = np.flatnonzero(count)
-        squares = np.bincount(nearest, strides.speed[there] ** 2, len(nodes.s))[heard] / count[heard]
+        squares = _means(strides.speed[there] ** 2, nearest, len(nodes.s))[heard]
         offsets, offset_sd = np.ones((len(heard), 0 if name == "altitude" else 1)), OFFSET_SD
         known = strides.grade_offset_sd[there]
         if name == "grade" and np.isfinite(known).any():
@@ -138,3 +138,12 @@ class Reading:
             offsets=offsets,
             offset_sd=offset_sd,
         )
+
+
+def _means(values: Floats, places: NDArray[np.int64], number: int) -> Floats:
+    """Mean (number,) of the ``values`` (n,) at each of the ``places`` (n,); of all where none is known."""
+    known = np.isfinite(values)
+    total, count = (np.bincount(places[known], weights, number) for weights in (values[known], None))
+    means = np.full(number, total.sum() / max(int(count.sum()), 1))
+    means[count > 0] = total[count > 0] / count[count > 0]
+    return means
