@@ -13,7 +13,7 @@ from estimator.model.road_load import power as model
 from estimator.preparation import stage
 from estimator.preparation.admission import Reason
 from estimator.samples import STEP, Rows
-from estimator.signals import Role
+from estimator.signals import Quantity, Role
 
 THETA = np.array([1739.0, 3.74, 27_190.0])
 CHOSEN = (Reason.BELOW_MODEL_POWER, Reason.EVICTED)  # of samples that were admitted before
@@ -137,6 +137,27 @@ def test_the_lag_of_one_vehicle_is_not_that_of_another(is_another):
     assert (samples.lag == 0.0) == is_another
     list(samples.feed(drive(3000, first=50_000)))
     assert (abs(samples.lag) < 0.1) == is_another
+
+
+@pytest.mark.parametrize("kind", [stage.SampleStage, stage.StrideStage])
+def test_each_drive_waits_for_the_signals_of_its_effects(kind):
+    """A heading that comes 15 s after the beginning."""
+
+    def rows(first: int) -> Rows:
+        whole = drive(3000, first=first)
+        heading = np.where(np.arange(3000) < 150, np.nan, 1.0)
+        return replace(whole, context={**whole.context, Role.HEADING: heading})
+
+    stages = kind(from_dict({"effects": ["headwind"]}))
+    wanted = []
+    for first in (0, 50_000):
+        whole = rows(first)
+        for i in range(0, 3000, 50):
+            list(stages.feed(whole[i : i + 50]))
+        wanted.append(stages.wanted)
+        list(stages.finish())
+        stages.forget(False)
+    assert wanted == [frozenset({Quantity.HEADING})] * 2
 
 
 @pytest.mark.slow

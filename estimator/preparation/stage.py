@@ -95,6 +95,7 @@ class SampleStage:
     def __init__(self, config: Config) -> None:
         self.rejected: Counter[str] = Counter()
         self.moving = 0
+        self._heard = 0  # moving rows since the drive began
         self.lag = 0.0
         self.wanted: frozenset[Quantity] | None = None
         self._config = config
@@ -113,8 +114,10 @@ class SampleStage:
     def feed(self, rows: Rows) -> Iterator[Piece[Samples]]:
         """See `Stage`."""
         self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
-        self.moving += int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
-        if self.moving < CALIBRATION_ROWS and len(self._pending) < MAX_WAITING_ROWS:
+        moving = int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
+        self.moving, self._heard = self.moving + moving, self._heard + moving
+        is_unheard = bool(self._effects) and self.wanted is None and self._heard < CALIBRATION_ROWS
+        if (self.moving < CALIBRATION_ROWS or is_unheard) and len(self._pending) < MAX_WAITING_ROWS:
             return
         yield from self._consume(BLOCK_ROWS)
 
@@ -132,7 +135,7 @@ class SampleStage:
 
     def forget(self, vehicle: bool) -> None:
         """See `Stage`; another vehicle has another lag."""
-        self._pending, self.wanted, self._start = None, None, None
+        self._pending, self.wanted, self._start, self._heard = None, None, None, 0
         if vehicle:
             self._smoother, self.lag, self.moving = None, 0.0, 0
 
@@ -171,6 +174,7 @@ class SampleStage:
             "wanted": None if self.wanted is None else sorted(self.wanted),
             "start": self._start,
             "moving": self.moving,
+            "heard": self._heard,
             "standstill": self._standstill.state(),
         }
 
@@ -184,6 +188,7 @@ class SampleStage:
         """
         self.rejected = Counter(read(state, "rejected", dict[str, Count]))
         self._pending = optional(state, "pending", Rows.restore)
+        self._heard = read(state, "heard", Count)
         self._smoother = optional(state, "smoother", smoothing.Kernels.restore)
         self.lag, self.moving = read(state, "lag", float), read(state, "moving", Count)
         wanted = read(state, "wanted", list[Quantity] | None)
@@ -203,6 +208,7 @@ class StrideStage:
     def __init__(self, config: Config) -> None:
         self.rejected: Counter[str] = Counter()
         self.moving = 0
+        self._heard = 0  # moving rows since the drive began
         self.wanted: frozenset[Quantity] | None = None
         self._config = config
         self._effects = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
@@ -220,13 +226,10 @@ class StrideStage:
         """See `Stage`."""
         self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
         self._newest = float(rows.t[-1])
-        self.moving += int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
-        if (
-            self._effects
-            and self.wanted is None
-            and self.moving < CALIBRATION_ROWS
-            and len(self._pending) < MAX_WAITING_ROWS
-        ):
+        moving = int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
+        self.moving, self._heard = self.moving + moving, self._heard + moving
+        is_unheard = bool(self._effects) and self.wanted is None and self._heard < CALIBRATION_ROWS
+        if is_unheard and len(self._pending) < MAX_WAITING_ROWS:
             return
         self._begin()
         while self._pending is not None and len(self._pending) >= BLOCK_ROWS:
@@ -251,7 +254,7 @@ class StrideStage:
 
     def forget(self, vehicle: bool) -> None:
         """See `Stage`."""
-        self._pending, self._strider, self.wanted, self._newest = None, None, None, None
+        self._pending, self._strider, self.wanted, self._newest, self._heard = None, None, None, None, 0
 
     def _begin(self) -> None:
         if self._strider is None:
@@ -285,6 +288,7 @@ class StrideStage:
             "strider": None if self._strider is None else self._strider.state(),
             "newest": self._newest,
             "moving": self.moving,
+            "heard": self._heard,
             "standstill": self._standstill.state(),
         }
 
@@ -302,4 +306,5 @@ class StrideStage:
         self._strider = None if found is None else Strider.restore(self._config.admission, found)
         self.wanted = None if self._strider is None else self._strider.wanted
         self._newest, self.moving = read(state, "newest", float | None), read(state, "moving", Count)
+        self._heard = read(state, "heard", Count)
         self._standstill.restore(substate(state, "standstill"))
