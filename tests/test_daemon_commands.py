@@ -368,6 +368,45 @@ def test_a_pipeline_that_is_still_at_work_is_not_given_to_the_next_daemon(
         finish.set()
 
 
+def test_the_clock_of_a_bus_goes_on_with_the_pipeline(settings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step of the wall clock that was taken out stays out under the next configuration."""
+    served: list[Daemon] = []
+
+    def serve(daemon: Daemon, plan: Plan, make_plan: Callable[[], Plan], *others: object) -> Plan | None:
+        served.append(daemon)
+        return make_plan() if len(served) < 3 else None
+
+    def make_plan() -> Plan:
+        found = plan(settings, None, Namespace())
+        return found if len(served) < 2 else replace(found, key="another vehicle")
+
+    monkeypatch.setattr("estimator.daemon.service.supervision._serve", serve)
+    supervise(make_plan, Signals())
+    first, second, third = (list(daemon.clocks.values()) for daemon in served)
+    assert second[0] is first[0]
+    assert third[0] is not second[0]
+
+
+def test_an_estimator_that_fails_at_the_end_saves_nothing_and_leaves_no_status(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = StateStore(tmp_path)
+    bench = Bench(tmp_path / "run", store=store)
+    (tmp_path / "run").mkdir()
+    bench.turn()
+    assert (tmp_path / "run/metrics.prom").exists()
+
+    def fail(frames: Frames) -> None:
+        raise ZeroDivisionError("broken")
+
+    monkeypatch.setattr(bench.worker.pipeline, "feed", fail)
+    bench.worker.offer(Frames.from_messages([can.Message(timestamp=1.0)]))
+    bench.daemon.close()
+    assert "the estimator failed; what it did since the last save is lost: ZeroDivisionError('broken')" in caplog.text
+    assert not list((tmp_path / "run").iterdir())
+    assert store.load("key")[0] is None
+
+
 def test_signals_are_taken_over_and_given_back() -> None:
     before = signal.getsignal(signal.SIGHUP)
     with Signals().caught() as signals:

@@ -18,7 +18,7 @@ def test_what_does_not_fit_is_dropped_whole_and_counted(offered: list[int], most
     inbox: Inbox[int] = Inbox(most)
     kept: list[int] = []
     for i, frames in enumerate(offered):
-        if sum(offered[k] for k in kept) + frames <= most:
+        if not kept or sum(offered[k] for k in kept) + frames <= most:
             kept.append(i)
         inbox.offer(i, frames)
     assert inbox.waiting == sum(offered[k] for k in kept)
@@ -35,6 +35,14 @@ def test_there_is_room_again_after_taking() -> None:
     inbox.take()
     inbox.offer("c", 10)
     assert inbox.take() == ["c"]
+    assert inbox.dropped == 1
+
+
+def test_a_batch_larger_than_the_queue_is_taken_where_nothing_waits() -> None:
+    inbox: Inbox[str] = Inbox(10)
+    inbox.offer("a", 11)
+    inbox.offer("b", 1)
+    assert inbox.take() == ["a"]
     assert inbox.dropped == 1
 
 

@@ -6,12 +6,14 @@ import can
 import numpy as np
 import pytest
 from daemon_bench import Bench
+from made_estimates import made_estimate
 from played_bus import PlayedBus
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_groups
+from estimator.can_io.time_order import MAX_DELAY
 from estimator.config import Config, from_dict
 from estimator.daemon.reception.reader import Batch
 from estimator.errors import RoadloadError
@@ -118,16 +120,32 @@ def test_it_counts_what_is_no_data_frame() -> None:
 class Recorder:
     """A worker that only keeps the frames of each tick."""
 
-    latest = None
-
     def __init__(self) -> None:
         self.ticks: list[Frames] = []
+        self.latest: Estimate | None = None
+        self.heard: float | None = None
 
     def offer(self, frames: Frames) -> None:
         self.ticks.append(frames)
 
     def close(self) -> None:
         """Nothing waits."""
+
+
+@pytest.mark.parametrize(("silence", "is_stale"), [(600.0, False), (1000.0, True)])
+def test_an_estimate_from_before_a_long_silence_is_not_broadcast(silence: float, is_stale: bool) -> None:
+    """Until the worker has heard as much of the next drive as shows that it is one."""
+    worker, told = Recorder(), list[object]()
+    worker.latest, worker.heard = made_estimate(), 10.0
+    listener = Listener(worker, lambda t, estimate: told.append(estimate))
+    before, after = (Frames.from_messages([can.Message(timestamp=t)]) for t in (10.0, 10.0 + silence))
+    listener.hear(before)
+    listener.turn(10.25)
+    listener.hear(after)
+    listener.turn(10.25 + silence)
+    worker.heard = 10.0 + silence + MAX_DELAY
+    listener.turn(11.0 + silence)
+    assert told == [worker.latest, None if is_stale else worker.latest, worker.latest]
 
 
 def test_daemon_and_replay_broadcast_the_same_bytes(

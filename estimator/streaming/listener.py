@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Protocol
 
 import can
+import numpy as np
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.publisher import Publisher
@@ -16,6 +17,7 @@ from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
 from estimator.settings import Publish
 from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE
 
 TICK = 0.25  # s of traffic taken at a time; well below the shortest period of the broadcasts
 MAX_UPDATES = 10_000  # kept: a week of them
@@ -31,6 +33,10 @@ class Worker(Protocol):
     def latest(self) -> Estimate | None:
         """The newest estimate; None before the first."""
 
+    @property
+    def heard(self) -> float | None:
+        """Message time [s] of the newest frame that `latest` knows."""
+
     def offer(self, frames: Frames) -> None:
         """Take the next frames."""
 
@@ -44,6 +50,7 @@ class InlineWorker:
     def __init__(self, config: Config) -> None:
         self.pipeline = Pipeline(config)
         self.updates: deque[Estimate] = deque(maxlen=MAX_UPDATES)
+        self.heard: float | None = None
 
     @property
     def latest(self) -> Estimate | None:
@@ -53,6 +60,8 @@ class InlineWorker:
     def offer(self, frames: Frames) -> None:
         """Take the next frames, and estimate when it is due."""
         self.updates += self.pipeline.feed(frames)
+        if len(frames):
+            self.heard = float(frames.t[-1])
 
     def close(self) -> None:
         """Use the frames still waiting, at the end of the traffic."""
@@ -99,6 +108,8 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
         self._worker, self._broadcast = worker, broadcast
         self._waiting: list[can.Message] = []
         self._due: float | None = None
+        self._newest: float | None = None  # message time [s] heard
+        self._woken = -np.inf  # the first after a silence in which the load may have changed
 
     @classmethod
     def of(cls, config: Config, send: Send) -> "Listener":
@@ -112,11 +123,18 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
 
     def hear(self, frames: Frames) -> None:
         """Take frames in order of arrival."""
+        if len(frames):
+            silences = np.diff(frames.t, prepend=frames.t[0] if self._newest is None else self._newest)
+            long = np.flatnonzero(silences > MIN_NEW_DRIVE_SILENCE)
+            self._woken = float(frames.t[long[-1]]) if len(long) else self._woken
+            self._newest = float(frames.t[-1])
         self._worker.offer(frames)
 
     def turn(self, t: float) -> None:
-        """Broadcast what is due at message time ``t`` [s]."""
-        self._broadcast(t, self.latest)
+        """Broadcast what is due at message time ``t`` [s]: no estimate until the worker knows of a new drive."""
+        heard = self._worker.heard  # read first: another thread renews both
+        is_aware = self._woken == -np.inf or (heard is not None and heard >= self._woken + MAX_DELAY)
+        self._broadcast(t, self.latest if is_aware else None)
 
     def on_message_received(self, msg: can.Message) -> None:
         """Take one message; every TICK of message time, process those that waited and broadcast."""

@@ -206,8 +206,9 @@ class RowStream:
     def state(self) -> dict[str, Any]:
         """State for `restore`; to be taken between two calls of `feed`, and instead of `finish`.
 
-        It lacks frames and readings that have not become rows yet, up to the last BLOCK + 4 s of traffic, and what
-        traffic shows again in seconds: how often each sender sends. Arrays are not copied, but never changed.
+        It lacks frames and readings that have not become rows yet, up to the last BLOCK + 4 s of traffic and 10 s in
+        which speed and power stood still, and what traffic shows again in seconds: how often each sender sends. Arrays
+        are not copied, but never changed.
         """
         return {
             "decoder": self._decoder.state(),

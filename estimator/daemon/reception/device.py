@@ -56,7 +56,8 @@ class DeviceWatch:
     @property
     def is_up(self) -> bool:
         """Whether the device is up, as far as there is one."""
-        return self.device.is_up if isinstance(self.device, Device) else True
+        device = self.device  # another thread probes it
+        return device.is_up if isinstance(device, Device) else True
 
     def is_due(self, now: float) -> bool:
         """Whether it is time [s] for the next look."""

@@ -8,7 +8,10 @@ T = TypeVar("T")
 
 
 class Inbox(Generic[T]):
-    """A bounded queue of things that hold frames: when it is full the newest are dropped, as the kernel does."""
+    """A bounded queue of things that hold frames: when it is full the newest are dropped, as the kernel does.
+
+    One that holds more frames than fit is taken where nothing waits.
+    """
 
     def __init__(self, most: int) -> None:
         self.waiting = self.dropped = 0  # frames
@@ -20,7 +23,7 @@ class Inbox(Generic[T]):
     def offer(self, item: T, frames: int) -> None:
         """Put in an item that holds so many ``frames``, or drop it whole."""
         with self._condition:
-            if self.waiting + frames > self._most:
+            if self._items and self.waiting + frames > self._most:
                 self.dropped += frames
                 return
             self._items.append(item)

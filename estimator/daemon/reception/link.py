@@ -69,7 +69,8 @@ class Link:
         self._inbox: Inbox[tuple[float, Batch]] = Inbox(settings.queue_frames)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._buffer_told: int | None = None  # bytes of the receive buffer, as logged last
+        self.buffer_bytes: int | None = None  # of the open socket's receive buffer
+        self._buffer_told: int | None = None  # the same, as logged last
         self._drops_before = 0  # of the sockets that were open before this one
         self._wait = MIN_WAIT
         self._next_attempt = -float("inf")
@@ -90,11 +91,6 @@ class Link:
     def is_up(self) -> bool:
         """Whether the network device is up, as far as there is one."""
         return self._watch.is_up
-
-    @property
-    def buffer_bytes(self) -> int | None:
-        """Receive buffer of the open socket."""
-        return None if self._reader is None else self._reader.buffer_bytes()
 
     def start(self) -> None:
         """Drain in a thread from now on."""
@@ -200,6 +196,7 @@ class Link:
                 raise NotThereError("the interface is down")
             self._bus = self._opener(self._spec, self._filters)
             self._reader = self._make_reader(self._bus, self._settings.buffer_bytes)
+            self.buffer_bytes = self._reader.buffer_bytes()
             self._drops_before = self.counts.kernel_drops
         except NotThereError as error:
             self.counts.attempts_failed += 1
@@ -268,7 +265,7 @@ class Link:
         self._shut()
 
     def _shut(self) -> None:
-        bus, self._bus, self._reader = self._bus, None, None
+        bus, self._bus, self._reader, self.buffer_bytes = self._bus, None, None, None
         if bus is not None:
             try:
                 bus.shutdown()

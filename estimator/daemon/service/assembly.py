@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from estimator.config import Config, estimation_key
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
 from estimator.daemon.reception.filters import input_filters, node_filters, of_group
 from estimator.daemon.reception.link import Link
+from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.service import faults, file_permissions, folder_lock, folders
 from estimator.daemon.service.boot_id import boot_id
 from estimator.daemon.service.folder_lock import FolderLock, LockedStore
@@ -136,11 +138,15 @@ def rehearse(following: Plan, running: Plan) -> None:
 
 
 def assemble(
-    plan: Plan, lock: FolderLock, pipeline: Pipeline | None = None, notifier: Notifier | None = None
+    plan: Plan,
+    lock: FolderLock,
+    pipeline: Pipeline | None = None,
+    notifier: Notifier | None = None,
+    clocks: Mapping[str, MessageClock] | None = None,
 ) -> Daemon:
     """A daemon, not yet started; ``lock`` is that of its state folder.
 
-    ``pipeline`` is one that goes on, instead of the saved state.
+    ``pipeline`` is one that goes on, instead of the saved state, with the `Daemon.clocks` of the one before.
 
     Raises
     ------
@@ -184,6 +190,7 @@ def assemble(
         notifier,
         own_faults=faults.Faults(plan.messages, settings.publish.stale_after_s),
         save_codes=save_codes,
+        clocks=clocks,
     )
 
 

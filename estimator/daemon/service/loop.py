@@ -6,7 +6,7 @@ The sampler runs in another thread, so that the loop answers requests on the bus
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -74,6 +74,7 @@ class Daemon:
         wall: Callable[[], float] = time.time,
         own_faults: Faults | None = None,
         save_codes: Callable[[TroubleMemory], None] | None = None,
+        clocks: Mapping[str, MessageClock] | None = None,
     ) -> None:
         self.source, self.target, self.worker, self.transmitter = source, target, worker, transmitter
         self._output = target or source
@@ -87,7 +88,8 @@ class Daemon:
         self._notifier = notifier or Notifier()
         self._is_ready = False
         ahead = wall() - clock()
-        self._times = {id(link): MessageClock(ahead) for link in (source, target) if link is not None}
+        kept = clocks or {}
+        self.clocks = {key: kept.get(key, MessageClock(ahead)) for key in map(self._clock_key, self._links())}
         self._report_due = -float("inf")
         self._last_report: tuple[float, int] | None = None
         self._opened = 0
@@ -109,12 +111,14 @@ class Daemon:
         self._pass_on()
         for link in self._links():
             link.close()
-        self._pass_on()
-        self.worker.close()
-        for file in (self._status_file, self._metrics_file):
-            if file is not None:
-                with suppress(OSError):  # a status that stays is known by the process that has ended
-                    file.unlink()
+        try:
+            self._pass_on()
+            self.worker.close()
+        finally:
+            for file in (self._status_file, self._metrics_file):
+                if file is not None:
+                    with suppress(OSError):  # a status that stays is known by the process that has ended
+                        file.unlink()
 
     def turn(self) -> None:
         """One turn of the loop.
@@ -189,7 +193,10 @@ class Daemon:
         return [self.source, *([self.target] if self.target is not None else [])]
 
     def _time(self, link: Link) -> MessageClock:
-        return self._times[id(link)]
+        return self.clocks[self._clock_key(link)]
+
+    def _clock_key(self, link: Link) -> str:
+        return f"{'input' if link is self.source else 'output'} {link.label}"
 
     def _pass_on(self) -> None:
         """Hand the drained frames to estimator and transmitter."""

@@ -73,7 +73,7 @@ def _give_traffic(out: Exposition, status: StatusAnswer) -> None:
     ages = [(role, signal.age_s) for role, signal in status.signals.items()]
     out.of_label("signal_age_seconds", GAUGE, "Age of the newest valid reading.", "signal", ages)
     counts = [(role, signal.readings) for role, signal in status.signals.items()]
-    out.of_label("readings_total", COUNTER, "Valid readings.", "signal", counts)
+    out.of_label("readings_total", COUNTER, "Readings, valid or not.", "signal", counts)
     out.of_label("refused_total", COUNTER, "Frames and values not used.", "reason", status.refused.items())
     contested: list[Sample] = [({"signal": path, "reason": why}, 1) for path, why in status.contested.items()]
     out.give("contested", GAUGE, "1 for a signal whose readings contradict each other.", contested)

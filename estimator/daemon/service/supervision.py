@@ -3,11 +3,12 @@
 import logging
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 
 from estimator.blas_threads import one_blas_thread
+from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.service import folder_lock, folders
 from estimator.daemon.service.assembly import Plan, assemble, rehearse
 from estimator.daemon.service.loop import PERIOD, Daemon
@@ -58,16 +59,18 @@ def supervise(make_plan: Callable[[], Plan], signals: Signals, notifier: Notifie
     notifier = notifier or Notifier()
     plan = make_plan()
     pipeline: Pipeline | None = None
+    clocks: Mapping[str, MessageClock] | None = None
     while True:
         with folder_lock.alone(folders.state_directory(plan.config.service)) as lock:
-            daemon = assemble(plan, lock, pipeline, notifier)
+            daemon = assemble(plan, lock, pipeline, notifier, clocks)
             following = _serve(daemon, plan, make_plan, signals, notifier)
         if following is None:
             return
         if daemon.worker.is_running:
             raise RoadloadError("the estimator did not finish before the new configuration could be used; start again")
-        # The same vehicle and settings: the pipeline is kept, to the last frame.
-        pipeline = daemon.worker.pipeline if following.key == plan.key else None
+        # The same vehicle and settings: the pipeline is kept, to the last frame, and so is its time.
+        is_same = following.key == plan.key
+        pipeline, clocks = (daemon.worker.pipeline, daemon.clocks) if is_same else (None, None)
         plan = following
 
 

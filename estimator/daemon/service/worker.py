@@ -103,6 +103,11 @@ class Worker:
         return self.knowledge.estimate
 
     @property
+    def heard(self) -> float | None:
+        """Message time [s] of the newest frame that `latest` knows."""
+        return self.knowledge.t
+
+    @property
     def backlog(self) -> int:
         """Frames that wait."""
         return self._inbox.waiting
@@ -140,7 +145,12 @@ class Worker:
                 log.warning("%s", "the estimator did not finish in time; what it did since the last save is lost")
                 return
         if self.failure is None:  # else what there is may be broken, and is not kept
-            self.turn()
+            try:
+                self.turn()
+            except Exception as error:  # of any kind, as in the thread
+                self.failure = error
+                log.error("the estimator failed; what it did since the last save is lost: %r", error)
+                return
             self.save()
 
     def turn(self) -> None:
