@@ -255,14 +255,14 @@ def test_the_same_log_gives_the_same_bytes(several, capsys):
 
 
 @pytest.mark.slow
-def test_of_several_drives_one_that_cannot_be_fitted_is_left_out(urban, tmp_path, monkeypatch):
-    longer = written(drive("urban", 9, 2), tmp_path / "longer.blf")
-    shorter = written(urban, tmp_path / "shorter.blf")
+def test_of_several_drives_one_that_cannot_be_fitted_is_left_out(tmp_path, monkeypatch):
+    longer = written(drive("mixed", 25, 2), tmp_path / "longer.blf")
+    shorter = written(drive("mixed", 20, 2), tmp_path / "shorter.blf")
     alone = ask("diagnose", longer)
     state = explanation._state
 
     def of_the_longer(one, is_level):
-        return state(one, is_level) if one.record.strides.t[-1] - one.record.start > 500.0 else None
+        return state(one, is_level) if one.record.strides.t[-1] - one.record.start > 1300.0 else None
 
     monkeypatch.setattr(explanation, "_state", of_the_longer)
     both = ask("diagnose", longer, shorter)
