@@ -595,7 +595,7 @@ def test_what_a_drive_promises_is_tried_on_another(tools, tmp_path, monkeypatch)
     assert asked[-2] == ("diagnose", str(pair.second), "--effect", "grade")  # what has times cannot be configured
     assert row["promised"] == "90 %"
     assert row["reached on drive 2"] == f"{100 * (1 - (13**2 - 25) / (40**2 - 25)):.0f} %"
-    assert (row["kW before"], row["kW after"], row["left on drive 2"]) == ("40.00", "13.00", "no gap")
+    assert (row["kW before"], row["kW after"], row["named beside it on drive 2"]) == ("40.00", "13.00", "no gap")
 
 
 def test_without_recordings_there_is_one_line(tools, tmp_path, monkeypatch, capsys):

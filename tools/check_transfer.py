@@ -59,8 +59,8 @@ def row(effect: str, pair: Pair) -> dict[str, str]:
         "reached on drive 2": share_text(_reached(plain, extended)) if able else "-",
         "kW before": "-" if plain.rms_base_kW is None else f"{plain.rms_base_kW:.2f}",
         "kW after": "-" if extended.rms_base_kW is None else f"{extended.rms_base_kW:.2f}",
-        "left on drive 2": ", ".join(named(extended)) or extended.verdict,
-        "named on both": ", ".join(named(together)) or together.verdict,
+        "named beside it on drive 2": ", ".join(named(extended)) or extended.verdict,
+        "named from both together": ", ".join(named(together)) or together.verdict,
     }
 
 
