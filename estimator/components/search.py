@@ -25,18 +25,24 @@ ROUNDING = 1e-6  # of log evidence: by less, a round that finds the same set and
 
 
 @dataclass(frozen=True)
-class _Converged:
-    """The last table, the set chosen from it, and the drives fitted beside that set."""
+class _Round:
+    """A table of sets of up to ``room`` causes, the set chosen from it, and the drives fitted beside that set."""
 
+    room: int
     joint: Hypotheses
     table: ModelTable
     chosen: Chosen
     states: tuple[DriveState, ...]
 
-    @property
+    @cached_property
     def log_posterior(self) -> float:
         """Log evidence of the set that was chosen, with its prior odds."""
         return log_evidence(self.states) + self.joint.log_prior(self.chosen, self.joint.causes())
+
+    def expected(self, before: float) -> float:
+        """The log evidence of as many rounds as a set has causes, each with the gain over ``before`` of this one."""
+        value = log_evidence(self.states)
+        return value + MAX_CAUSES * max(value - before, 0.0)
 
     @property
     def as_fitted(self) -> tuple[float, tuple[DriveState, ...]]:
@@ -88,7 +94,7 @@ class Search:
         except _OutOfReachError:
             return None
 
-    def _explained(self, found: _Converged) -> Explained:
+    def _explained(self, found: _Round) -> Explained:
         first = ranked(self._drives, self._effects)
         return explained_by(found.joint, found.table, found.chosen, found.states, first, self._effects)
 
@@ -120,13 +126,24 @@ class Search:
             raise _OutOfReachError
         return max(found, key=lambda one: one[0])[1]
 
+    def _round(self, states: tuple[DriveState, ...], size: int, with_processes: bool, with_stretches: bool) -> _Round:
+        """Sets of up to ``size`` causes, or one more than act already, beside the drives as they are."""
+        candidates = [
+            self._candidates.on(number, state, with_processes, with_stretches) for number, state in enumerate(states)
+        ]
+        joint = Hypotheses(states, self._given, candidates)
+        known = joint.before() if with_processes else ()  # processes come to the effects found without them
+        room = max(size, len(known) + 1)
+        table = weigh(joint, joint.causes(), min(room, MAX_CAUSES), known)
+        return _Round(room, joint, table, table.best, joint.fitted(table.best))
+
     def _converged(
         self,
         states: tuple[DriveState, ...],
         with_processes: bool = False,
         with_stretches: bool = False,
         least: float = -np.inf,
-    ) -> _Converged:
+    ) -> _Round:
         """Tables and scales, each found beside the other while that gains.
 
         A set that is best with the scales found beside another one may have less evidence with its own, and sizes that
@@ -140,29 +157,20 @@ class Search:
         found, last, highest = None, None, log_evidence(states)
         value = highest
         for size in range(2, MAX_ROUNDS + 2):
-            candidates = [
-                self._candidates.on(number, state, with_processes, with_stretches)
-                for number, state in enumerate(states)
-            ]
-            joint = Hypotheses(states, self._given, candidates)
-            causes = joint.causes()
-            known = joint.before() if with_processes else ()  # processes come to the effects found without them
-            room = max(size, len(known) + 1)
-            table = weigh(joint, causes, min(room, MAX_CAUSES), known)
-            fitted = joint.fitted(table.best)
-            if log_evidence(fitted) + MAX_CAUSES * max(log_evidence(fitted) - log_evidence(states), 0.0) < least:
+            latest = self._round(states, size, with_processes, with_stretches)
+            if latest.expected(log_evidence(states)) < least:
                 raise _OutOfReachError
-            before, value = value, log_evidence(fitted) + joint.log_prior(table.best, causes)
+            before, value = value, latest.log_posterior
             if found is not None and value < highest - ROUNDING:
                 break
-            last, states = _Converged(joint, table, table.best, fitted), fitted
-            for number, term, magnitude in joint.rivals(table):
+            last, states = latest, latest.states
+            for number, term, magnitude in latest.joint.rivals(latest.table):
                 self._forms.shape(number, term, magnitude)
-            is_possible = all(s.is_possible(len(given)) for s, given in zip(states, self._given, strict=True))
-            gain = value - highest if is_possible else abs(value - before)  # an impossible set that stays gains nothing
-            if is_possible:
-                found, highest = last, value
-            if len(table.best) < room and gain < MIN_ROUND_GAIN:
+            if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
+                gain, found, highest = value - highest, latest, value
+            else:  # a set that is impossible and stays so gains nothing
+                gain = abs(value - before)
+            if len(latest.chosen) < latest.room and gain < MIN_ROUND_GAIN:
                 break
         found = found or last
         assert found is not None

@@ -150,10 +150,9 @@ def fit(
     rests
         The power while the vehicle stood, as far as it is known.
     """
-    driven = strides[strides.known]
-    if len(driven) < MIN_STRIDES or not driven.a.any():
+    search = _search(strides, terms, longest_lag, departures)
+    if search is None:
         return None
-    search = Search(strides, terms, first_guess(driven), longest_lag, departures)
     if known is not None:
         here = tuple(place for place in known.turns if strides.s0[0] < place[1] and place[0] < strides.s1[-1])
         known = replace(known, turns=here) if known.readings == search.model(known).reading_names else None
@@ -173,14 +172,21 @@ def fit_given(
 
     They are found anew where other signals show the road, or where they lie too far apart for floating point.
     """
-    driven = strides[strides.known]
-    if len(driven) < MIN_STRIDES or not driven.a.any():
+    search = _search(strides, terms, longest_lag, departures)
+    if search is None:
         return None
-    search = Search(strides, terms, first_guess(driven), longest_lag, departures)
     if scales.readings == search.model(scales).reading_names:
         with suppress(NotPositiveDefiniteError):  # on these strides
             return _concluded(*search.given(scales), rng, rests)
     return fit(strides, rng, terms, None, longest_lag, departures, scales.alpha == LEVEL, rests)
+
+
+def _search(strides: Strides, terms: Sequence[Term], longest_lag: float, departures: Sequence[float]) -> Search | None:
+    """None where too few strides have a known force, or none of these accelerates."""
+    driven = strides[strides.known]
+    if len(driven) < MIN_STRIDES or not driven.a.any():
+        return None
+    return Search(strides, terms, first_guess(driven), longest_lag, departures)
 
 
 def refit(
