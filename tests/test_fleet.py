@@ -28,16 +28,18 @@ from estimator.commands.main import main
 from estimator.config import Config
 from estimator.diagnosis.result import Diagnosis, Finding, Magnitude
 from estimator.errors import ConfigError, RoadloadError
-from estimator.fleet import output
+from estimator.fleet import cache, output
 from estimator.fleet.cache import Cache
 from estimator.fleet.drive_result import DriveResult
 from estimator.fleet.engine import Distributed, Failure, Serial, dask_engine
+from estimator.fleet.output import check_names
 from estimator.fleet.rows import drive_rows
 from estimator.fleet.run import run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.output_files import whole
 from estimator.simulation.recording import simulate
 from estimator.simulation.truck import Truck
+from estimator.streaming.row_stream import RowStream
 
 pyarrow = pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 pytestmark = pytest.mark.slow
@@ -190,6 +192,45 @@ def test_only_the_road_likelihood_can_be_joined(fleet: Path) -> None:
     other = configuration.from_dict({"sampler": {"likelihood": "instruments"}})
     with pytest.raises(ConfigError, match=r"sampler\.likelihood"):
         estimate_drives([fleet], other)
+
+
+@pytest.mark.parametrize(
+    ("tables", "key"),
+    [({"load": {"stop_s": 15}}, r"load\.stop_s: loads between shorter stops"), ({"effects": ["foo"]}, "foo")],
+)
+def test_what_no_drive_can_be_joined_with_is_refused_before_the_work(
+    fleet: Path, tables: dict[str, Any], key: str
+) -> None:
+    with pytest.raises(ConfigError, match=key):
+        estimate_drives([fleet], configuration.from_dict(tables))
+
+
+def test_a_drive_with_a_contested_input_is_withheld_as_by_estimate(
+    fleet: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RowStream, "contested", {"EEC1.EngSpeed": "two senders"})
+    found = run_fleet(find_logs([str(fleet / "truck-2/a.blf")]), Config(), Serial())
+    (row,) = drive_rows(found)
+    assert row["status"] == "unestimated"
+    assert "contested" in row["reason"]
+    assert not found.results[0].segments[0].mean
+    assert found.vehicles[0].status == "unestimated"
+
+
+def test_vehicles_whose_files_would_have_one_name_are_refused() -> None:
+    check_names(["a", "b", "a"])
+    for pair in (["a/b", "a:b"], [".x", "x"], ["Red", "red"], ["new-vehicle"], ["n" * 300 + "1", "n" * 300 + "2"]):
+        with pytest.raises(ConfigError, match="would have one file"):
+            check_names(pair)
+
+
+def test_results_of_another_program_are_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Cache.of(tmp_path, Config(), False).settings
+    assert Cache.of(tmp_path, Config(), False).settings == before
+    (tmp_path / "program").mkdir()
+    (tmp_path / "program/module.py").write_text("A = 1\n")
+    monkeypatch.setattr(cache, "PROGRAM", tmp_path / "program")
+    assert Cache.of(tmp_path, Config(), False).settings != before
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from made_fleets import FIRST, WINTER_DRAG, Case, made
 
 from estimator.config import Config
 from estimator.fleet.engine import Serial
-from estimator.fleet.page import Tables, page
+from estimator.fleet.page import Tables, _changes, _in_per_cent, page
 from estimator.fleet.rows import drive_rows, effect_rows, season_rows, vehicle_rows
 from estimator.fleet.run import Fleet, conclude
 from estimator.fleet.seasons import SEASONS, season_of
@@ -60,6 +60,19 @@ def test_seasons_recover_what_winter_does_to_drag(year: Case) -> None:
     above = np.array([(*one.winter[1], one.drag.mean) for one in vehicles])  # mean, sd, C
     assert np.abs((above[:, 0] - first_harmonic * above[:, 2]) / above[:, 1]).max() < 2.5
     assert np.median(above[:, 0]) > 0
+
+
+def test_a_change_by_season_is_of_vehicles_with_several_seasons() -> None:
+    rng = np.random.default_rng(1)
+    values, sds = np.array([110.0, 80.0, 110.0]), np.array([3.0, 5.0, 2.0])
+    found = _in_per_cent(dict(zip("abc", zip(values.tolist(), sds.tolist(), strict=True), strict=True)))
+    assert [change for change, _ in found.values()] == pytest.approx([10.0, -20.0, 10.0])
+    drawn = rng.normal(0.0, sds, (100_000, 3))
+    assert [sd for _, sd in found.values()] == pytest.approx(
+        (drawn - drawn.mean(axis=1)[:, None]).std(axis=0), rel=0.02
+    )
+    both = {"a": {"x": (5.0, 1.0), "y": (-5.0, 1.0)}, "b": {"x": (7.0, 1.0), "y": (-7.0, 1.0)}, "c": {"y": (0.0, 1.0)}}
+    assert "+6.0" in _changes(both, ["x", "y"]).split("</tr>")[1]
 
 
 def test_a_season_of_all_drives_is_the_vehicle_itself() -> None:

@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal, norm
 
 from estimator.estimation.evidence import Coefficients
@@ -12,7 +13,7 @@ from estimator.fleet.grouping import YEAR
 from estimator.fleet.over_time import NOW, PRIOR_SD, TREND, newest, terms, winter, years_since
 from estimator.fleet.pooling import Mixture, pool
 from estimator.fleet.population import population
-from estimator.fleet.vehicles import join
+from estimator.fleet.vehicles import VehicleResult, join
 from estimator.settings import Gate
 
 TRUTH = np.array([0.065, 3.7])  # A/m, C
@@ -158,6 +159,42 @@ def test_a_vehicle_is_known_better_from_ten_drives_than_from_one_and_each_load_k
         alone = join("t", loads[-1:], [0.0], Gate(), 0.1)
         assert ten.masses[-1].sd < alone.masses[0].sd
     assert 0.83 * 200 < inside < 0.97 * 200
+
+
+def test_vehicles_are_compared_at_one_date() -> None:
+    """In July tyres roll more easily: a vehicle that was parked then is not out of line in January."""
+    rng, day = np.random.default_rng(11), 86_400.0
+    january = 1_705_300_000.0
+    starts = january + day * np.arange(0, 365, 5)
+
+    def driven(until: float) -> VehicleResult:
+        kept = [start for start in starts.tolist() if start < until]
+        loads = []
+        for start in kept:
+            swing = 1 + 0.06 * np.cos(2 * np.pi * (start - january) / (365.25 * day))
+            beta = np.array([1 / 20e3, TRUTH[0] * swing, TRUTH[1] / 20e3])
+            sd = beta * [0.003, 0.03, 0.03]
+            loads.append(Coefficients(rng.normal(beta, sd), np.diag(sd**2)))
+        return join("t", loads, kept, Gate(), 0.1, last=float(starts[-1]))
+
+    parked, whole = driven(january + 183 * day), driven(np.inf)
+    assert parked.rolling is not None
+    assert whole.rolling is not None
+    assert parked.rolling.mean < 0.93 * whole.rolling.mean
+    (late, _), (now, _) = parked.compared, whole.compared
+    assert late is not None
+    assert now == whole.rolling
+    assert abs(late.mean - now.mean) < 2 * late.sd
+    assert late.sd > 2 * parked.rolling.sd
+
+
+def test_one_vehicle_that_is_hardly_known_leaves_the_others_their_p_values() -> None:
+    rng = np.random.default_rng(3)
+    values, sd = 4 * (1 + 0.01 * rng.standard_normal(31)), np.full(31, 0.04)
+    values[7] *= 1.03
+    known = population(values[:30], sd[:30]).p_values
+    sd[30], values[30] = 1.8, 5.5
+    assert_allclose(population(values, sd).p_values[:30], known, atol=0.02)
 
 
 def test_a_vehicle_without_a_known_mass_is_unestimated() -> None:

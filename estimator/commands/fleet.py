@@ -16,7 +16,7 @@ from estimator.commands.terminal import print_json, progress_bar, say, standard_
 from estimator.errors import InputError
 from estimator.fleet.cache import Cache
 from estimator.fleet.engine import dask_engine
-from estimator.fleet.output import CACHE, PAGE, left_over, prepare, write_fleet
+from estimator.fleet.output import CACHE, PAGE, check_names, left_over, prepare, write_fleet
 from estimator.fleet.rows import drive_rows, vehicle_rows
 from estimator.fleet.run import Fleet, check, run_fleet
 from estimator.fleet.sources import find_logs
@@ -60,6 +60,8 @@ def run(options: argparse.Namespace) -> int:
     are_named = options.vehicle == BY_ENGINE
     logs = find_logs(options.source, None if are_named else options.vehicle)
     check(config)
+    if not are_named:
+        check_names(log.vehicle for log in logs)
     prepare(options.output)
     cache = Cache.of(options.output / CACHE, config, options.diagnose)
     workers = options.workers or len(os.sched_getaffinity(0))

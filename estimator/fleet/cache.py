@@ -1,19 +1,19 @@
-"""Results of drives on disk, by the contents of their logs, the version of the program and the settings."""
+"""Results of drives on disk, by the contents of their logs, the program itself and the settings."""
 
 from dataclasses import dataclass
 from hashlib import blake2b
+from importlib.resources import files
 from pathlib import Path
 
 import msgspec
 
-from estimator import __version__
 from estimator.config import Config, estimation_key
 from estimator.errors import RoadloadError
 from estimator.fleet.drive_result import DriveResult
 from estimator.fleet.grouping import Drive
 from estimator.output_files import whole
 
-SCHEMA = 2  # of a result; raise it when older results must not be used
+PROGRAM = Path(__file__).parents[1]  # its modules, which the results depend on
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,7 @@ class Cache:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RoadloadError(f"{folder}: {error.strerror}") from error
-        key = f"{SCHEMA} {__version__} {with_diagnosis} {estimation_key(config)}"
-        return cls(folder, key)
+        return cls(folder, f"{_program()} {with_diagnosis} {estimation_key(config)}")
 
     def get(self, drive: Drive) -> DriveResult | None:
         """The result of a drive; None where there is none."""
@@ -60,3 +59,12 @@ class Cache:
     def _path(self, drive: Drive) -> Path:
         key = "\n".join([self.settings, *drive.contents])
         return self.folder / f"{blake2b(key.encode(), digest_size=16).hexdigest()}.json"
+
+
+def _program() -> str:
+    """A digest of the modules of the program and of the databases that it comes with."""
+    digest = blake2b(digest_size=16)
+    databases = sorted((each for each in files("estimator.dbc").iterdir()), key=lambda each: each.name)
+    for one in [*sorted(PROGRAM.rglob("*.py")), *(each for each in databases if each.name.endswith(".dbc"))]:
+        digest.update(blake2b(one.read_bytes()).digest())
+    return digest.hexdigest()

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator.answers.diagnosis import Verdict
 from estimator.blas_threads import one_blas_thread
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.estimate import PARAMETERS, Estimate, Marginal
+from estimator.estimate import PARAMETERS, Estimate, Marginal, Status
 from estimator.estimation.evidence import Coefficients
 from estimator.estimation.road_fit import RoadFit
 from estimator.fleet.grouping import Drive
@@ -18,7 +19,7 @@ from estimator.fleet.sources import local_copy
 from estimator.freed_memory import keep_freed_memory
 from estimator.streaming.log_frames import LogFrames
 from estimator.streaming.pipeline import Pipeline
-from estimator.streaming.row_stream import Block
+from estimator.streaming.row_stream import Block, Interruption
 from estimator.strides import Strides
 
 MINUTE = 60.0  # s
@@ -95,6 +96,7 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
             diagnosis = diagnose_drive(paths, config)
     except (RoadloadError, OSError) as error:
         return DriveResult(fault=" ".join(str(error).split()))
+    named = diagnosis.effects if diagnosis.verdict is Verdict.EFFECT else ()  # else one that may act is among them
     effects = tuple(
         FoundEffect(
             name=found.name,
@@ -105,7 +107,7 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
             sd=float(found.magnitude.sd),
             unit=found.magnitude.unit,
         )
-        for found in diagnosis.effects
+        for found in named
     )
     return DriveResult(segments=segments, passes=passes, verdict=diagnosis.verdict.value, effects=effects)
 
@@ -122,7 +124,7 @@ class _Loads:
     def take(self, update: Estimate) -> None:
         """Note an update, as long as the pipeline has not gone on."""
         estimator = self._pipeline.estimator
-        evidence = estimator.evidence
+        evidence = estimator.evidence if update.status is Status.ESTIMATED else None
         self._updates[estimator.segment] = update, None if evidence is None else evidence.coefficients
         self._roads.pop(estimator.segment, None)
         if (
@@ -131,6 +133,17 @@ class _Loads:
             and isinstance(strides := estimator.window.samples, Strides)
         ):
             self._roads[estimator.segment] = strides, evidence.fit
+
+    def doubt(self, segment: int, reason: str) -> None:
+        """Use nothing of a load."""
+        self._roads.pop(segment, None)
+        if segment in self._updates:
+            found, _ = self._updates[segment]
+            status = Status.UNESTIMATED
+            doubtful = Estimate(
+                t=found.t, status=status, reason=reason, coverage=found.coverage, admitted=found.admitted
+            )
+            self._updates[segment] = doubtful, None
 
     def rows(self, first: float, last: float) -> None:
         """Note the times of the first and last of the rows that have been used [s]."""
@@ -144,10 +157,11 @@ class _Loads:
         return tuple(_segment(*self._updates[i], *self._spans[i]) for i in sorted(self._updates) if i in self._spans)
 
     def passes(self, places: Places) -> Passes:
-        """Passes of places, each by the load that it was driven with."""
+        """Passes of places, each by the load that it was driven with; the roads are forgotten."""
+        roads, self._roads = self._roads, {}
         found = [
             passes_of(strides, fit, places, self._spans[i][0])
-            for i, (strides, fit) in sorted(self._roads.items())
+            for i, (strides, fit) in sorted(roads.items())
             if i in self._spans
         ]
         return Passes.joined(found)
@@ -155,19 +169,25 @@ class _Loads:
 
 def _segments(paths: list[Path], config: Config) -> tuple[tuple[Segment, ...], Passes]:
     pipeline = Pipeline(config)
-    loads, places = _Loads(pipeline), Places()
+    loads, places, passes = _Loads(pipeline), Places(), list[Passes]()
     learns_road = config.road.map is None  # what is found with a map holds what the map knew
     for item in pipeline.traffic.feed_all(LogFrames(paths, config)):
+        segment = pipeline.estimator.segment
         for update in pipeline.take(item):
             loads.take(update)
+        if isinstance(item, Interruption) and item.is_sender_replaced:
+            loads.doubt(segment, "a sender was replaced by another, so what the first sent may be wrong")
+        if isinstance(item, Interruption) and item.is_step_back:  # times come again, at other places
+            passes.append(loads.passes(places))
+            places = Places()
         if isinstance(item, Block) and item.rows:
             loads.rows(float(item.rows[0].t[0]), float(item.rows[-1].t[-1]))
             for rows in item.rows if learns_road else ():
                 places.add(rows)
-    for update in pipeline.estimator.finish():
+    for update in pipeline.finish():
         loads.take(update)
     pipeline.traffic.require_inputs(", ".join(map(str, paths)))
-    return loads.segments, loads.passes(places)
+    return loads.segments, Passes.joined([*passes, loads.passes(places)])
 
 
 def _segment(update: Estimate, coefficients: Coefficients | None, start: float, end: float) -> Segment:

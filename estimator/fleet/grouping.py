@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import accumulate
 from math import inf
 
@@ -46,9 +47,18 @@ class Grouped:
     rejected: tuple[Rejected, ...]
     notes: dict[str, str] = field(default_factory=dict)
 
+    @cached_property
+    def _spans(self) -> dict[str, list[tuple[float, float]]]:
+        """Times [s] of the drives whose clock was set, in order, by vehicle."""
+        spans: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        for start, end, vehicle in sorted((d.start, d.end, d.vehicle) for d in self.drives):
+            if start >= MIN_SET_CLOCK:
+                spans[vehicle].append((start, end))
+        return spans
+
     def overlapping(self, vehicle: str) -> int:
         """The number of drives of a vehicle that begin before another one has ended."""
-        spans = sorted((d.start, d.end) for d in self.drives if d.vehicle == vehicle and d.start >= MIN_SET_CLOCK)
+        spans = self._spans[vehicle]
         ended = accumulate((end for _, end in spans), max)  # the latest so far
         return sum(start < end - OVERLAP for end, (start, _) in zip(ended, spans[1:], strict=False))
 

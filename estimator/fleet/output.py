@@ -1,7 +1,7 @@
 """The folder that a fleet is written to."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from estimator.answers.answer import encode
@@ -20,6 +20,7 @@ EXPORTS = "exports"
 PAGE = "fleet.html"
 ROAD_TABLE, ROAD_MAP = "road.parquet", "road.npy"
 NEW_VEHICLE = "new-vehicle"
+MAX_NAME = 200  # bytes of the name of a vehicle in that of a file, which file systems allow 255 of
 FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
 
 
@@ -40,6 +41,22 @@ def prepare(out: Path) -> None:
             raise ConfigError(f"{folder}: cannot be made ({error.strerror}); give another folder with -o") from error
         if not os.access(folder, os.W_OK | os.X_OK):
             raise ConfigError(f"{folder}: must not be written to; check its permissions, or give another with -o")
+
+
+def check_names(vehicles: Iterable[str]) -> None:
+    """Refuse vehicles whose files would have one name, before the work is done.
+
+    Raises
+    ------
+    ConfigError
+        The message names them.
+    """
+    named = {NEW_VEHICLE: "the belief about a new vehicle"}
+    for vehicle in sorted(set(vehicles)):
+        name = _file_name(vehicle).casefold()
+        if name in named:
+            raise ConfigError(f"vehicles {vehicle!r} and {named[name]!r} would have one file; rename one of them")
+        named[name] = vehicle
 
 
 def write_fleet(
@@ -91,4 +108,4 @@ def left_over(out: Path, written: Sequence[Path]) -> list[Path]:
 
 
 def _file_name(vehicle: str) -> str:
-    return vehicle.translate(FORBIDDEN).lstrip(".") or "_"
+    return vehicle.translate(FORBIDDEN).lstrip(".").encode()[:MAX_NAME].decode(errors="ignore") or "_"

@@ -215,26 +215,29 @@ def _seasons(of: Tables) -> str:
         for row in of.seasons:
             if f"{name}_mean" in row:
                 known[row["vehicle"]][row["season"]] = row[f"{name}_mean"], row[f"{name}_sd"]
-        if known:
-            by_vehicle = {vehicle: _in_per_cent(own) for vehicle, own in known.items()}
+        if by_vehicle := {vehicle: _in_per_cent(own) for vehicle, own in known.items() if len(own) > 1}:
             parts.append(f"<div><h3>{short}</h3>{_changes(by_vehicle, shown)}</div>")
-    note = "Change [%] and its sd in these months of any year, against the mean of the vehicle's seasons."
+    note = (
+        "Change [%] and its sd in these months of any year, against the mean of the vehicle's seasons, of two or more."
+    )
     note += " The values are in seasons.parquet."
     return f'<p class="soft">{note}</p><div class="columns">{"".join(parts)}</div>'
 
 
 def _in_per_cent(own: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """A vehicle's values and sds by season as changes [%] from the mean of the seasons."""
-    middle = float(np.mean([value for value, _ in own.values()])) / 100
-    return {season: (value / middle - 100, sd / middle) for season, (value, sd) in own.items()}
+    """A vehicle's values and sds by season as changes [%] from the mean of its k seasons, of which each is a part."""
+    values, sds = np.array(list(own.values())).T
+    middle, k = values.mean() / 100, len(values)
+    variances = ((1 - 1 / k) ** 2 - 1 / k**2) * sds**2 + (sds**2).sum() / k**2
+    changes = zip((values / middle - 100).tolist(), (np.sqrt(variances) / middle).tolist(), strict=True)
+    return dict(zip(own, changes, strict=True))
 
 
 def _changes(by_vehicle: Mapping[str, Mapping[str, tuple[float, float]]], shown: Sequence[str]) -> str:
-    """The changes [%] of vehicles by season with their sd, below the median over the vehicles."""
-    medians = {}
-    for season in shown:
-        if there := [changes[season][0] for changes in by_vehicle.values() if season in changes]:
-            medians[season] = float(np.median(there)), 0.0
+    """The changes [%] of vehicles by season with their sd, below the median over the vehicles with the same seasons."""
+    usual, _ = Counter(tuple(sorted(changes)) for changes in by_vehicle.values()).most_common(1)[0]
+    alike = [changes for changes in by_vehicle.values() if tuple(sorted(changes)) == usual]
+    medians = {season: (float(np.median([changes[season][0] for changes in alike])), 0.0) for season in usual}
     rows = [_change_row("all, median", medians, shown)]
     rows += [_change_row(html.escape(name), changes, shown) for name, changes in list(by_vehicle.items())[:MAX_ROWS]]
     head = "".join(f'<th scope="col">{season}</th>' for season in shown)
@@ -264,11 +267,11 @@ def _gaps(of: Tables) -> str:
     if not verdicts:
         return "<p>The drives were not diagnosed; <code class='whole'>--diagnose</code> does it.</p>"
     diagnosed = sum(verdicts.values())
-    by_effect: dict[str, list[Row]] = defaultdict(list)
+    by_effect: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
     for row in of.effects:
-        by_effect[row["effect"]].append(row)
+        by_effect[row["effect"], row["magnitude"], row["unit"]].append(row)
     rows: list[tuple[Any, ...]] = []
-    for effect, found in sorted(by_effect.items(), key=lambda item: -len(item[1])):
+    for (effect, _, _), found in sorted(by_effect.items(), key=lambda item: -len(item[1])):
         size = with_sd(float(np.median([abs(row["value"]) for row in found])), np.nan, found[0]["unit"])
         share = 100 * len(found) / diagnosed
         bar = f'<b class="bar"><i class="after" style="width:{min(share, 100):.1f}%"></i></b>'

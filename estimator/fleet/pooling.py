@@ -88,8 +88,8 @@ class Pooled:
         return replace(now, sds=np.hypot(now.sds, self.tau[:, i]))
 
     def scatter(self, i: int) -> float:
-        """Posterior mean of tau of component ``i``."""
-        return float(self.weights @ self.tau[:, i])
+        """Posterior root mean square of tau of component ``i``."""
+        return float(np.sqrt(self.weights @ self.tau[:, i] ** 2))
 
 
 def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:

@@ -17,7 +17,9 @@ from estimator.signals import Floats
 SCALE = 0.05  # sd of the half-normal prior of tau, as a share of the median
 OUTLIERS = 0.1  # prior share of outliers
 OUTLIER_SCALE = 0.5  # sd of outliers, as a share of the median
-MEANS, SPREADS = 161, 24  # nodes of the grids
+SPREADS = 24  # nodes of the grid of tau
+COARSE, FINE = 81, 121  # nodes of the grids of mu: where vehicles may be at all, and where most are
+FINE_REACH = 6.0  # of the fine one, in sds of a usual vehicle about the median
 MAX_SPREAD_SDS = 5.0  # largest node of tau, in sd of its prior
 MIN_VEHICLES = 4  # vehicles: each is compared with at least three others
 
@@ -36,9 +38,11 @@ def population(z: Floats, sd: Floats) -> Population:
     size = abs(middle)
     tau_nodes = SCALE * size * MAX_SPREAD_SDS * np.linspace(0.0, 1.0, SPREADS) ** 2
     reach = 3 * float(np.max(sd)) + SCALE * size
-    mu_nodes = np.linspace(z.min() - reach, z.max() + reach, MEANS)
+    usual = FINE_REACH * (1.5 * float(np.median(np.abs(z - middle))) + float(np.median(sd)))
+    fine = np.linspace(middle - usual, middle + usual, FINE)
+    mu_nodes = np.unique(np.concatenate([np.linspace(z.min() - reach, z.max() + reach, COARSE), fine]))
     mu, tau = (grid.ravel() for grid in np.meshgrid(mu_nodes, tau_nodes, indexing="ij"))
-    prior = np.exp(-0.5 * (tau / (SCALE * size)) ** 2) * np.tile(np.gradient(tau_nodes), MEANS)
+    prior = np.exp(-0.5 * (tau / (SCALE * size)) ** 2) * np.outer(np.gradient(mu_nodes), np.gradient(tau_nodes)).ravel()
     width = np.sqrt(tau[:, None] ** 2 + sd**2)  # (K, n)
     wide = np.sqrt(width**2 + (OUTLIER_SCALE * size) ** 2)
     left = z - mu[:, None]

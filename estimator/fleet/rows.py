@@ -1,12 +1,14 @@
 """A fleet as rows of its tables."""
 
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
 
 from estimator.columns import Row, statistics
 from estimator.estimate import Marginal, Status
-from estimator.fleet.drive_result import Segment
+from estimator.fleet.drive_result import DriveResult, Segment
+from estimator.fleet.grouping import Drive
 from estimator.fleet.road import LearnedRoad
 from estimator.fleet.run import Fleet
 from estimator.fleet.vehicles import DRAG, ROLLING, Normal, VehicleResult
@@ -62,12 +64,11 @@ def _segment_cells(segment: Segment, joint: Marginal | None) -> dict[str, Any]:
 def vehicle_rows(found: Fleet, rate: float) -> list[Row]:
     """Rows of `VEHICLES`; a parameter is out of line where its false-discovery rate is at most ``rate``."""
     rows: list[Row] = []
+    by_vehicle: dict[str, list[tuple[Drive, DriveResult]]] = defaultdict(list)
+    for drive, result in zip(found.grouped.drives, found.results, strict=True):
+        by_vehicle[drive.vehicle].append((drive, result))
     for one, q in zip(found.vehicles, found.q_values, strict=True):
-        drives = [
-            (drive, result)
-            for drive, result in zip(found.grouped.drives, found.results, strict=True)
-            if drive.vehicle == one.vehicle
-        ]
+        drives = by_vehicle[one.vehicle]
         row: dict[str, Any] = {
             "vehicle": one.vehicle,
             "drives": len(drives),
@@ -107,9 +108,9 @@ def _changes(kind: str, found: tuple[Normal, Normal] | None) -> dict[str, float]
 
 def _out_of_line(found: Fleet, one: VehicleResult, q: Floats, rate: float) -> list[str]:
     words = []
-    for i, (name, marginal) in enumerate([("A/m", one.rolling), ("C", one.drag)]):
+    for i, (name, marginal) in enumerate(zip(("A/m", "C"), one.compared, strict=True)):
         if marginal is not None and q[i] <= rate:
-            others = [each for v in found.vehicles if (each := (v.rolling, v.drag)[i]) is not None]
+            others = [each for v in found.vehicles if (each := v.compared[i]) is not None]
             middle = float(np.median([each.mean for each in others]))
             words.append(f"{name} {100 * (marginal.mean / middle - 1):+.0f} %")
     return words

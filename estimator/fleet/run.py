@@ -11,11 +11,13 @@ from estimator.can_io.bound_traffic import bound_messages
 from estimator.config import Config
 from estimator.errors import ConfigError
 from estimator.estimation.evidence import Coefficients
+from estimator.estimation.load_segments import SHORT_STOP
 from estimator.false_discovery import false_discovery_rates
 from estimator.fleet.cache import Cache
 from estimator.fleet.drive_result import DriveResult, estimate_drive
 from estimator.fleet.engine import Engine, Failure
 from estimator.fleet.grouping import Drive, Grouped, by_engine, group
+from estimator.fleet.over_time import newest
 from estimator.fleet.pooling import Mixture
 from estimator.fleet.population import MIN_VEHICLES, population
 from estimator.fleet.road import LearnedRoad, learned
@@ -23,6 +25,7 @@ from estimator.fleet.seasons import SeasonResult, by_season
 from estimator.fleet.sources import LogFile
 from estimator.fleet.survey import Survey, survey
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult, join
+from estimator.model.effects import named
 from estimator.road_map import RoadMap
 from estimator.settings import Gate
 from estimator.signals import Floats
@@ -67,10 +70,17 @@ def check(config: Config) -> None:
     Raises
     ------
     InputError
-        It has another likelihood than "road", or its databases or its map do not fit.
+        It has another likelihood than "road", loads that share their driving or an unknown effect, or its databases or
+        its map do not fit.
     """
     if config.sampler.likelihood != "road":
         raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
+    if config.load.stop_s < SHORT_STOP:
+        least = f"{SHORT_STOP:g} or more"
+        raise ConfigError(
+            f"load.stop_s: loads between shorter stops share their driving; give {least}, or leave it out"
+        )
+    named(config.effects)
     bound_messages(config)
     if config.road.map is not None:
         RoadMap.read(Path(config.road.map))
@@ -152,15 +162,16 @@ def _vehicles(grouped: Grouped, results: Sequence[DriveResult], config: Config, 
                 vehicles[drive.vehicle].starts.append(segment.start)
     gate, scale = config.gate, max(config.load.change_sd, MIN_SCALE)
     found: dict[int, Joined] = {}
-    for i, answer in engine.map(partial(_joined, gate=gate, scale=scale), list(vehicles.values())):
+    last = newest([start for one in vehicles.values() for start in one.starts])
+    for i, answer in engine.map(partial(_joined, gate=gate, scale=scale, last=last), list(vehicles.values())):
         if isinstance(answer, Failure):
             answer = join(names[i], (), (), gate, scale, answer.reason), ()
         found[i] = answer
     return [found[i] for i in range(len(names))]
 
 
-def _joined(vehicle: _Vehicle, gate: Gate, scale: float) -> Joined:
-    whole = join(vehicle.name, vehicle.loads, vehicle.starts, gate, scale, vehicle.doubt)
+def _joined(vehicle: _Vehicle, gate: Gate, scale: float, last: float | None) -> Joined:
+    whole = join(vehicle.name, vehicle.loads, vehicle.starts, gate, scale, vehicle.doubt, last)
     return whole, by_season(whole, vehicle.loads, vehicle.starts, gate, scale)
 
 
@@ -176,7 +187,7 @@ def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture,
     rates = np.full((len(vehicles), 2), np.nan)
     new: list[Mixture] = []
     for i in (ROLLING, DRAG):
-        known = [(v, found) for v, one in enumerate(vehicles) if (found := (one.rolling, one.drag)[i]) is not None]
+        known = [(v, found) for v, one in enumerate(vehicles) if (found := one.compared[i]) is not None]
         if len(known) < MIN_VEHICLES:
             continue
         means, sds = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "sd"))

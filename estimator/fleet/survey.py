@@ -1,5 +1,6 @@
 """Hash and times of a log, read once before the estimates."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -49,8 +50,8 @@ def survey(log: LogFile, config: Config) -> Survey:
             first = True
             logs = LogFrames([path], config)
             for frames in logs:
-                start, first = (float(frames.t[0]) if first else start), False
-                end = float(frames.t[-1])
+                start, first = (float(frames.t[0]) if first else min(start, float(frames.t.min()))), False
+                end = max(end, float(frames.t.max()))
                 engine = engine or _engine(frames)
             content = _content(path)
     except (RoadloadError, OSError) as error:
@@ -78,9 +79,12 @@ def _line(log: LogFile, error: Exception) -> str:
 
 
 def _content(path: Path) -> str:
-    """Hash of the bytes of a file, or of all files of a day of a lake."""
+    """Hash of the bytes of a file, or of all files of a day of a lake with their names, which say what they hold."""
     digest = blake2b(digest_size=16)
-    for one in files_of(path) if is_day(path) else [path]:
+    parts = files_of(path) if is_day(path) else [path]
+    for one in parts:
+        if len(parts) > 1:
+            digest.update(os.fsencode(f"{'/'.join(one.parts[-5:])} {one.stat().st_size} "))
         with one.open("rb") as file:
             while piece := file.read(PIECE):
                 digest.update(piece)

@@ -11,6 +11,7 @@ import numpy as np
 from estimator.columns import EVIDENCE, Column, Row, posterior
 from estimator.errors import RoadloadError
 from estimator.output_files import whole
+from estimator.printable import escaped
 
 UNUSED = ("unreadable", "duplicate", "failed")  # status of a log that gives no estimate, with its reason
 
@@ -159,4 +160,6 @@ def _cell(column: Column, row: Row) -> Any:
     value = row.get(column.name)
     if value is None or (column.kind == "number" and not np.isfinite(value)):
         return None
+    if column.kind == "text":
+        return escaped(value)
     return datetime.fromtimestamp(value, UTC) if column.kind == "time" else value

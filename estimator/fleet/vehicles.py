@@ -7,7 +7,8 @@ import numpy as np
 
 from estimator.estimate import Marginal, Status
 from estimator.estimation.evidence import Coefficients
-from estimator.fleet.over_time import TREND, newest, winter, years_since
+from estimator.fleet.grouping import YEAR
+from estimator.fleet.over_time import NOW, TREND, newest, terms, winter, years_since
 from estimator.fleet.pooling import Mixture, Pooled, pool
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.settings import Gate
@@ -25,9 +26,9 @@ class VehicleResult:
 
     ``rolling`` A/m [N/kg] and ``drag`` C [N s^2/m^2] at the newest drive, None where they are not estimated, with the
     ``reasons``; mean and sd of their ``trend`` [a year] and of what they are in January above July (``winter``), None
-    where no clock was set; their ``scatter`` between drives (2,); ``next_drive`` is what to expect of A/m and C on a
-    drive to come; ``masses`` [kg] of the loads, given all drives, in the order of what was passed in; ``load`` mean and
-    sd [kg] of the mass under a load to come.
+    where no clock was set; both as ``compared`` with other vehicles, at the newest drive of all; their ``scatter``
+    between drives (2,); ``next_drive`` is what to expect of A/m and C on a drive to come; ``masses`` [kg] of the loads,
+    given all drives, in the order of what was passed in; ``load`` mean and sd [kg] of the mass under a load to come.
     """
 
     vehicle: str
@@ -37,6 +38,7 @@ class VehicleResult:
     drag: Marginal | None
     trend: tuple[Normal, Normal] | None
     winter: tuple[Normal, Normal] | None
+    compared: Known
     scatter: tuple[float, float]
     next_drive: tuple[Marginal, Marginal] | None
     masses: tuple[Marginal, ...]
@@ -50,6 +52,7 @@ def join(
     gate: Gate,
     scale: float,
     doubt: str = "",
+    last: float | None = None,
 ) -> VehicleResult:
     """Estimate a vehicle from the likelihoods of its drives.
 
@@ -65,6 +68,8 @@ def join(
         Scale of the prior of the scatter between drives, as a share; see `pool`.
     doubt
         Why the drives must not be joined, or empty.
+    last
+        When the newest drive of all vehicles began [s], if known.
     """
     if doubt or not loads:
         reason = doubt or "no drive with an estimated mass"
@@ -74,6 +79,7 @@ def join(
     pooled = pool(z, V, scale, years_since(now, starts))
     known, reasons = _shared(pooled, gate)
     masses = _masses(m, z, V, with_mass, m_variance, pooled)
+    at = NOW if now is None or last is None else terms(np.array([(last - now) / YEAR]))[0]
     means = np.array([mass.mean for mass in masses])
     mean = float(means.mean())
     # The mean of n known loads is uncertain by NEW_LOAD_SD / sqrt(n).
@@ -86,6 +92,10 @@ def join(
         drag=known[DRAG],
         trend=None if now is None else _pair(pooled, TREND),
         winter=None if now is None else _pair(pooled, winter(now)),
+        compared=(
+            None if reasons[ROLLING] else pooled.combined(ROLLING, at).marginal,
+            None if reasons[DRAG] else pooled.combined(DRAG, at).marginal,
+        ),
         scatter=(pooled.scatter(ROLLING), pooled.scatter(DRAG)),
         next_drive=(pooled.predicted(ROLLING).marginal, pooled.predicted(DRAG).marginal),
         masses=masses,
@@ -115,6 +125,7 @@ def _nothing(vehicle: str, reason: str) -> VehicleResult:
         drag=None,
         trend=None,
         winter=None,
+        compared=(None, None),
         scatter=(0.0, 0.0),
         next_drive=None,
         masses=(),
