@@ -128,6 +128,12 @@ def check(config: Config) -> None:
         raise ConfigError('sampler.likelihood: "paper" has the plain road load only; take the effects out')
     if "grade" in config.effects and config.kinematics.acceleration == "inertial":
         raise ConfigError('kinematics.acceleration: "inertial" contains the grade already; take it out of the effects')
+    if config.gate.minimum_samples > config.window.samples:
+        most = f"window.samples = {config.window.samples}"
+        raise ConfigError(f"gate.minimum_samples: {config.gate.minimum_samples} never fit into {most}; change one")
+    for path, (low, high) in (config.lake.ranges if config.lake else {}).items():
+        if not low < high:
+            raise ConfigError(f"lake.ranges.{path}: {low} is not below {high}")
     known = {role.value for role in Role}
     for role, bound in config.signals.items():
         if role not in known:

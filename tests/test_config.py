@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -159,3 +160,15 @@ def test_a_list_of_wheel_speeds_is_taken() -> None:
     config = from_dict({"signals": {"wheel_speeds": ["A.b", "A.c"]}})
     assert config.binding == {"wheel_speeds": ["A.b", "A.c"]}
     assert math.isfinite(config.window.hours)
+
+
+@pytest.mark.parametrize(
+    ("tables", "complaint"),
+    [
+        ({"gate": {"minimum_samples": 5000}, "window": {"samples": 4000}}, "never fit into window.samples = 4000"),
+        ({"lake": {"ranges": {"CCVS1.WheelBasedVehicleSpeed": [5, 1]}}}, "5.0 is not below 1.0"),
+    ],
+)
+def test_settings_that_leave_nothing_are_refused(tables: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        from_dict(tables)

@@ -43,6 +43,24 @@ def test_effects_come_out_in_the_truth(tmp_path, capsys):
     assert told["effects"][1]["rms_kW"] > 1.0
 
 
+@pytest.mark.parametrize(
+    ("effect", "complaint"),
+    [("grade@100-200", "acts all the time; times can be given to"), ("mass_step@60-90", "lasts to the end")],
+)
+def test_times_of_an_effect_that_has_none_are_refused(tmp_path, capsys, effect, complaint):
+    assert main(["simulate", str(tmp_path / "x.blf"), "--minutes", "5", "--effect", effect]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_table_of_a_cycle_is_not_overwritten(tmp_path, capsys):
+    cycle = tmp_path / "cycle.csv"
+    cycle.write_text(HWFET.read_text())
+    assert main(["simulate", str(cycle), "--minutes", "1", "--cycle", str(cycle)]) == 2
+    assert "is an input" in capsys.readouterr().err
+    assert cycle.read_text() == HWFET.read_text()
+
+
 def test_nuisances_and_missing_signals_reach_the_log(tmp_path, capsys):
     path = tmp_path / "x.blf"
     arguments = ["--without", "heading", "--without", "fan_speed", "--torque-resolution", "1"]

@@ -57,7 +57,7 @@ def check_outputs(logs: Sequence[Path], outputs: Mapping[Path | None, tuple[str,
         if path is not None:
             check_suffix(path, formats)
             if os.path.realpath(path) in inputs:
-                raise ConfigError(f"{path}: is a log to be read; write to another file")
+                raise ConfigError(f"{path}: is an input; write to another file")
 
 
 def settings(options: argparse.Namespace) -> Config:

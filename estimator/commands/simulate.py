@@ -11,9 +11,9 @@ import numpy as np
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import WRITABLE, write_log
 from estimator.commands.arguments import add_output, not_negative, number, whole_number
+from estimator.commands.log_options import check_outputs
 from estimator.commands.terminal import print_json
 from estimator.errors import InputError
-from estimator.output_files import check_suffix
 from estimator.printable import printable
 from estimator.report.simulation_summary import of_recording
 from estimator.signals import Role
@@ -53,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=SIZE][@START[-END]]",
-        help=f"an effect of the drive; may be repeated; sizes in SI, times in s: {', '.join(KINDS)}",
+        help=f"an effect of the drive; may be repeated; sizes in SI; those that come and go have times in s: "
+        f"{', '.join(KINDS)}",
     )
     parser.add_argument(
         "--without",
@@ -67,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, write the log and print the truth."""
-    check_suffix(options.output, WRITABLE)
+    check_outputs([options.cycle] if options.cycle else [], {options.output: WRITABLE})
     duration = options.minutes * 60
     effects = [parse_effect(text) for text in options.effect]
     if late := next((effect for effect in effects if effect.start is not None and effect.start >= duration), None):
@@ -93,7 +94,8 @@ def run(options: argparse.Namespace) -> int:
         print_json(answer)
     else:
         road_name = options.cycle.name if options.cycle else options.route
-        print(f"{printable(answer.log)}: {answer.frames:,} frames, {options.minutes:g} min of {road_name} driving")
+        driving = f"{options.minutes:g} min of {printable(road_name)} driving"
+        print(f"{printable(answer.log)}: {answer.frames:,} frames, {driving}")
         print(f"truth: mass {truck.mass:,.0f} kg, A {truck.A:,.0f} N, C {truck.C:.3f} N s²/m²")
         for effect in answer.effects:
             size = f"{effect.magnitude:g} {effect.unit}".removesuffix(" 1")

@@ -26,7 +26,8 @@ class Kind:
     """A kind of effect.
 
     ``low`` to ``high``: plausible magnitudes in ``unit``; ``known_as``: the name that a right diagnosis gives it,
-    None for an effect in no catalogue, which should be called unknown; ``signed``: the magnitude may be negative.
+    None for an effect in no catalogue, which should be called unknown; ``signed``: the magnitude may be negative;
+    ``begins`` and ``ends`` at times that may be given.
     """
 
     start: Start
@@ -36,6 +37,8 @@ class Kind:
     high: float
     known_as: str | None
     signed: bool = False
+    begins: bool = False
+    ends: bool = False
 
     @property
     def name(self) -> str:
@@ -58,25 +61,84 @@ KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
         Kind(start=roads.grade, unit="1", usual=0.010, low=0.005, high=0.015, known_as="grade"),
-        Kind(start=roads.mass_step, unit="1", usual=0.30, low=0.12, high=0.60, known_as="mass_step", signed=True),
+        Kind(
+            start=roads.mass_step,
+            unit="1",
+            usual=0.30,
+            low=0.12,
+            high=0.60,
+            known_as="mass_step",
+            begins=True,
+            signed=True,
+        ),
         Kind(start=air.headwind, unit="m/s", usual=5.0, low=2.0, high=8.0, known_as="headwind"),
         Kind(start=air.air_density, unit="K", usual=12.0, low=5.0, high=25.0, known_as="air_density", signed=True),
-        Kind(start=air.drafting, unit="1", usual=0.25, low=0.20, high=0.30, known_as="drafting"),
+        Kind(
+            start=air.drafting, unit="1", usual=0.25, low=0.20, high=0.30, known_as="drafting", begins=True, ends=True
+        ),
         Kind(start=rolling.warm_up, unit="1", usual=0.25, low=0.10, high=0.40, known_as="warm_up"),
         Kind(start=rolling.viscous_drag, unit="1", usual=0.40, low=0.20, high=0.80, known_as="viscous_drag"),
         Kind(
-            start=rolling.resistance_segment, unit="1", usual=0.25, low=0.12, high=0.40, known_as="resistance_segment"
+            start=rolling.resistance_segment,
+            unit="1",
+            usual=0.25,
+            low=0.12,
+            high=0.40,
+            known_as="resistance_segment",
+            begins=True,
+            ends=True,
         ),
         Kind(start=rolling.cornering, unit="N/(m/s^2)^2", usual=600.0, low=300.0, high=900.0, known_as="cornering"),
         Kind(start=rolling.load_loss, unit="1", usual=0.02, low=0.01, high=0.03, known_as="load_loss"),
-        Kind(start=rolling.brake_use, unit="N", usual=2500.0, low=700.0, high=12_000.0, known_as="brake_use"),
-        Kind(start=rolling.brake_use_shown, unit="N", usual=2500.0, low=700.0, high=12_000.0, known_as="brake_use"),
-        Kind(start=rolling.retarder_use, unit="N", usual=8000.0, low=3000.0, high=15_000.0, known_as="brake_use"),
+        Kind(
+            start=rolling.brake_use,
+            unit="N",
+            usual=2500.0,
+            low=700.0,
+            high=12_000.0,
+            known_as="brake_use",
+            begins=True,
+            ends=True,
+        ),
+        Kind(
+            start=rolling.brake_use_shown,
+            unit="N",
+            usual=2500.0,
+            low=700.0,
+            high=12_000.0,
+            known_as="brake_use",
+            begins=True,
+            ends=True,
+        ),
+        Kind(
+            start=rolling.retarder_use,
+            unit="N",
+            usual=8000.0,
+            low=3000.0,
+            high=15_000.0,
+            known_as="brake_use",
+        ),
         Kind(start=powertrain.auxiliary_load, unit="W", usual=8e3, low=3e3, high=14e3, known_as="auxiliary_load"),
         Kind(
-            start=powertrain.auxiliary_cycling, unit="W", usual=30e3, low=14e3, high=60e3, known_as="auxiliary_cycling"
+            start=powertrain.auxiliary_cycling,
+            unit="W",
+            usual=30e3,
+            low=14e3,
+            high=60e3,
+            known_as="auxiliary_cycling",
+            begins=True,
+            ends=True,
         ),
-        Kind(start=powertrain.air_compressor, unit="W", usual=5e3, low=3e3, high=8e3, known_as="auxiliary_cycling"),
+        Kind(
+            start=powertrain.air_compressor,
+            unit="W",
+            usual=5e3,
+            low=3e3,
+            high=8e3,
+            known_as="auxiliary_cycling",
+            begins=True,
+            ends=True,
+        ),
         Kind(
             start=powertrain.rotating_inertia, unit="kg.m^2", usual=4.0, low=2.0, high=6.0, known_as="rotating_inertia"
         ),
@@ -110,7 +172,7 @@ KINDS: dict[str, Kind] = {
         Kind(start=readings.torque_ripple, unit="N.m", usual=80.0, low=40.0, high=150.0, known_as=None),
         Kind(start=readings.gain_walk, unit="1", usual=0.05, low=0.03, high=0.08, known_as=None),
         Kind(start=readings.torque_saturation, unit="1", usual=0.06, low=0.03, high=0.10, known_as=None, signed=True),
-        Kind(start=rolling.slow_puncture, unit="1", usual=0.25, low=0.15, high=0.40, known_as=None),
+        Kind(start=rolling.slow_puncture, unit="1", usual=0.25, low=0.15, high=0.40, known_as=None, begins=True),
     )
 }
 
@@ -163,6 +225,11 @@ def parse_effect(text: str) -> Effect:
         )
     except ValueError:
         raise InputError(f"effect {text!r}: write NAME, NAME=NUMBER or NAME=NUMBER@SECONDS-SECONDS") from None
+    if effect.start is not None and not kind.begins:
+        timed = ", ".join(name for name, kind in KINDS.items() if kind.begins)
+        raise InputError(f"effect {text!r}: {name} acts all the time; times can be given to {timed}")
+    if effect.end is not None and not kind.ends:
+        raise InputError(f"effect {text!r}: {name} lasts to the end; give its beginning alone")
     if effect.start is not None and not 0.0 <= effect.start < (np.inf if effect.end is None else effect.end):
         raise InputError(f"effect {text!r}: does not end after it starts")
     return effect
