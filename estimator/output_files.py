@@ -67,7 +67,7 @@ def write(path: Path, content: bytes, mode: int) -> None:
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A temporary name that becomes ``path`` when all went well and vanishes otherwise."""
-    temporary = path.with_name(f"{PART}{path.name}")
+    temporary = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # another process may write the same file
     try:
         yield temporary
         temporary.replace(path)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from simulated_logs import ask, drive, written
 
 from estimator.answers.answer import Answer, as_text, decode, encode
+from estimator.answers.fleet import FleetAnswer
 from estimator.answers.status import StatusAnswer
 from estimator.commands.main import main
 
@@ -65,6 +66,15 @@ class Small(Answer, frozen=True, kw_only=True):
 )
 def test_numbers_are_printed_in_full_or_are_null(value: float, shown: str) -> None:
     assert as_text(Small(x=value)) == f'{{\n  "schema": 1,\n  "x": {shown}\n}}'
+
+
+def test_a_name_of_a_file_that_is_no_text_is_escaped() -> None:
+    answer = FleetAnswer(
+        drives=1, rows={"a\udcff": 1}, vehicles=1, vehicles_estimated=0, outliers={}, files=("\udcff",)
+    )
+    told = json.loads(as_text(answer))
+    assert told["files"] == ["\\udcff"]
+    assert told["rows"] == {"a\\udcff": 1}
 
 
 def test_an_answer_of_another_schema_is_refused() -> None:

@@ -9,12 +9,15 @@ import pytest
 import xarray
 from simulated_logs import ask
 
+from estimator import config
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands.main import main
+from estimator.report.plots import write_plot
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
+from estimator.streaming.replay import estimate_logs
 
 pytestmark = pytest.mark.slow
 
@@ -85,6 +88,18 @@ def test_pictures(outputs: dict[str, Path], suffix: str, start: bytes) -> None:
     assert b"http://" not in content.replace(b"http://www.w3.org", b"").replace(b"http://purl.org", b"").replace(
         b"http://creativecommons.org", b""
     )
+
+
+@pytest.mark.parametrize("suffix", ["svg", "pdf"])
+def test_a_picture_has_no_date_and_any_name(log: Path, once: Path, suffix: str) -> None:
+    found = estimate_logs([log], config.load(once)).pipeline.estimator.evidence
+    assert found is not None
+    pictures = []
+    for number in range(2):
+        path = log.with_name(f"{number}.{suffix}")
+        write_plot(found, "a$b_$ $\\frac$ \udcff", path)
+        pictures.append(path.read_bytes())
+    assert pictures[0] == pictures[1]
 
 
 @pytest.mark.parametrize("option", ["--plot", "--draws"])

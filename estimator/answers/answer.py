@@ -5,6 +5,8 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
+from estimator.printable import escaped
+
 SCHEMA: Literal[1] = 1  # version of the answers that this program writes and reads
 
 
@@ -28,8 +30,11 @@ class _Version(msgspec.Struct, frozen=True):
 
 
 def encode(answer: Answer) -> bytes:
-    """JSON without spaces, for a file; numbers that are not finite are null."""
-    return msgspec.json.encode(answer, enc_hook=_number)
+    """JSON without spaces, for a file; numbers that are not finite are null, bytes that are no text are escaped."""
+    try:
+        return msgspec.json.encode(answer, enc_hook=_number)
+    except UnicodeEncodeError:
+        return msgspec.json.encode(_as_text(msgspec.to_builtins(answer, enc_hook=_number)))
 
 
 def decode(content: bytes | str, kind: type[Kind]) -> Kind:
@@ -51,6 +56,15 @@ def decode(content: bytes | str, kind: type[Kind]) -> Kind:
 def as_text(answer: Answer) -> str:
     """JSON in ASCII with an indent of two, for standard output."""
     return json.dumps(json.loads(encode(answer)), indent=2)
+
+
+def _as_text(value: Any) -> Any:
+    """The same of lists and mappings with texts that UTF-8 can hold."""
+    if isinstance(value, str):
+        return escaped(value)
+    if isinstance(value, dict):
+        return {_as_text(key): _as_text(item) for key, item in value.items()}
+    return [_as_text(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _number(scalar: Any) -> Any:

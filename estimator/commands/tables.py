@@ -124,7 +124,9 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
         gaps = ", ".join(f"{a:.1f}-{b:.1f} s" for a, b in x.gaps_s[:3])
         more = f" (+{len(x.gaps_s) - 3})" if len(x.gaps_s) > 3 else ""
         address = "" if source is None else f"0x{source:02X}"
-        table.add_row(role, x.signal, address, rate, f"{100 * x.not_available:.1f} %", values, gaps + more)
+        table.add_row(
+            role, Text(printable(x.signal)), address, rate, f"{100 * x.not_available:.1f} %", values, gaps + more
+        )
     console.print(table)
     if found.missing:
         missing = ", ".join(f"{role} ({signal})" for role, signal in found.missing.items())

@@ -16,12 +16,13 @@ from matplotlib.ticker import MaxNLocator
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, SPEED_CELLS
 from estimator.output_files import check_suffix, whole
+from estimator.printable import printable
 
 NAMES = ("A [N]", "C [N s²/m²]", "m [kg]")
 INK, FADED, MARK = "#1b3a4b", "#8fa9b8", "#d1495b"
 SHOWN = 600.0  # s of the power trace
 FORMATS = (".png", ".svg", ".pdf", ".html")
-mpl.rcParams["svg.hashsalt"] = "roadload"  # the same picture twice is the same file
+mpl.rcParams["svg.hashsalt"] = "roadload"
 
 
 def write_plot(evidence: Evidence, title: str, path: Path) -> None:
@@ -33,10 +34,12 @@ def write_plot(evidence: Evidence, title: str, path: Path) -> None:
         The file cannot be written.
     """
     check_suffix(path, FORMATS)
+    title = printable(title)
     figure = draw(evidence, title)
     kind = path.suffix.lower().removeprefix(".")
     image = BytesIO()
-    figure.savefig(image, format="png" if kind == "html" else kind, dpi=130)
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)  # the same picture is the same file
+    figure.savefig(image, format="png" if kind == "html" else kind, dpi=130, metadata=undated)
     content = image.getvalue()
     if kind == "html":
         content = _page(title, content).encode()
@@ -48,7 +51,7 @@ def draw(evidence: Evidence, title: str) -> Figure:
     """The whole figure."""
     figure = Figure(figsize=(11, 10), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, color=INK)
+    figure.suptitle(title, color=INK, parse_math=False)  # names of files may have dollar signs
     grid = GridSpec(5, 3, figure=figure, height_ratios=[1, 1, 1, 0.9, 0.9])
     _corner(figure, grid, evidence)
     _power_trace(figure.add_subplot(grid[3, :2]), evidence)
