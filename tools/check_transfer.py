@@ -50,12 +50,16 @@ def row(effect: str, pair: Pair) -> dict[str, str]:
     plain = diagnose(pair.second)
     extended = diagnose(pair.second, *(word for name in able for word in ("--effect", name))) if able else plain
     together = diagnose(pair.first, pair.second)
-    closed = promise.effects[0].gap_closed if promise.effects else None
+    closed = [effect.gap_closed for effect in promise.effects if effect.name in able and effect.gap_closed]
+    promised, low, high = (
+        share_text(min(sum(getattr(each, bound) or 0.0 for each in closed), 1.0) if closed else None)
+        for bound in ("fraction", "q05", "q95")
+    )
     return {
         "effect": effect,
         "named on drive 1": ", ".join(named(promise)) or promise.verdict,
-        "promised": share_text(None if closed is None else closed.fraction),
-        "its interval": "-" if closed is None else f"{share_text(closed.q05)} .. {share_text(closed.q95)}",
+        "promised": promised,
+        "its interval": f"{low} .. {high}" if closed else "-",
         "reached on drive 2": share_text(_reached(plain, extended)) if able else "-",
         "kW before": "-" if plain.rms_base_kW is None else f"{plain.rms_base_kW:.2f}",
         "kW after": "-" if extended.rms_base_kW is None else f"{extended.rms_base_kW:.2f}",

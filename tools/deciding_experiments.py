@@ -107,6 +107,11 @@ def is_right(case: Case, found: Diagnosis) -> bool:
     return case.effect.name in (found.effects[0].name, *found.effects[0].equivalent)
 
 
+def is_settled(case: Case, found: Diagnosis, asked: Experiment) -> bool:
+    """Whether that name is right, and the other one that was ``asked`` about is not given beside it."""
+    return is_right(case, found) and not {asked.a, asked.b} <= {found.effects[0].name, *found.effects[0].equivalent}
+
+
 def main(drives: int, seed: int) -> None:
     """Print a line for each experiment, and the shares."""
     tally: Counter[str] = Counter()
@@ -125,8 +130,10 @@ def main(drives: int, seed: int) -> None:
                 tally["advised, not driven"] += 1
                 continue
             duration = DURATION + SPARE * 60 * advised[0].minutes
-            settled = is_right(case, diagnosed(case, longer, duration, Path(folder)))
-            anyway = is_right(case, diagnosed(case, case.road, duration, Path(folder)))
+            settled, anyway = (
+                is_settled(case, diagnosed(case, road, duration, Path(folder)), advised[0])
+                for road in (longer, case.road)
+            )
             tally["driven"] += 1
             tally["driven: settled"] += settled
             tally["driven: settled by driving on as long"] += anyway

@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from estimator.answers.diagnosis import Verdict
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.components.budget import NOISE, ROAD, WHITE, Projection
@@ -153,7 +154,9 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     found[NOISE] = found.get(NOISE, 0.0) + found.pop(WHITE, 0.0)
     causes = {*truth, *(cause for cause in found if cause in BY_NAME)}
     errors = {cause: found.get(cause, 0.0) - truth.get(cause, 0.0) for cause in sorted(causes)}
-    named = [[effect.name, *effect.equivalent] for effect in diagnosis.effects if effect.name != "grade"]
+    effects = diagnosis.effects if diagnosis.verdict is Verdict.EFFECT else ()
+    named = [[effect.name, *effect.equivalent] for effect in effects if effect.name != "grade"]
+    large = [cause for cause in errors if max(abs(truth.get(cause, 0.0)), found.get(cause, 0.0)) > MIN_SHARE]
     there = {*NATURAL, world.extra, *(("torque_bias",) if "auxiliary_load" in NATURAL else ())}
     road = parts.get(ROAD)  # None: the drive is explained by a level road
     return {
@@ -168,6 +171,8 @@ def score(world: World, folder: Path) -> dict[str, Any]:
         "named": [names[0] for names in named],
         "within": sum(abs(error) < MAX_SHARE_ERROR for error in errors.values()),
         "shares": len(errors),
+        "within_large": sum(abs(errors[cause]) < MAX_SHARE_ERROR for cause in large),
+        "large": len(large),
         "road": [truth[ROAD], *((0.0, 0.0, 0.0) if road is None else (road.share, road.q05, road.q95))],
         "worst": max(errors.items(), key=lambda item: abs(item[1])),
     }
@@ -210,6 +215,8 @@ def main() -> int:
     clear = [row for row in rows if row["extra_log_bayes_factor"] > DETECTABLE]
     holds = sum(row["road"][2] <= row["road"][0] <= row["road"][3] for row in rows)
     print(f"shares within {MAX_SHARE_ERROR:.0%}: {sum(r['within'] for r in rows)} of {sum(r['shares'] for r in rows)}")
+    right, large = (sum(row[key] for row in rows) for key in ("within_large", "large"))
+    print(f"of those above {MIN_SHARE:.0%}, true or found: {right} of {large}")
     print(f"90 % interval of the road's share holds: {holds} of {len(rows)}")
     print(f"extra effect of more than {MIN_SHARE:.0%} named: {sum(r['extra_named'] for r in seen)} of {len(seen)}")
     print(f"extra effect visible to the oracle named: {sum(row['extra_named'] for row in clear)} of {len(clear)}")

@@ -60,5 +60,5 @@ def right_first(case: Case) -> bool:
 
 
 def claimed(case: Case) -> bool:
-    """Whether the answer claims a gap with a cause, known or unknown."""
-    return case.run.verdict in ("effect", "unknown effect")
+    """Whether the answer claims a gap with a cause, known or unknown, or there is none."""
+    return case.run.verdict in ("effect", "unknown effect", "error")

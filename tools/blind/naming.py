@@ -18,8 +18,8 @@ def naming(cases: Sequence[Case]) -> list[Measure]:
     level = [c for c in pairs if all(effect.world != "grade" for effect in c.truth.effects)]
     blind = [c for c in pairs if c not in level and {"grade", "altitude"} <= set(c.truth.without)]
 
-    def wrong(case: Case) -> bool:
-        return bool(answer.invented(case.truth, case.run))
+    def wrong(case: Case) -> bool:  # a diagnosis that failed counts against the program
+        return case.run.answer is None or bool(answer.invented(case.truth, case.run))
 
     return [
         share_of("named first, or its class: oracle > 10", ">= 95 %", clear, right_first),
