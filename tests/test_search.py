@@ -323,8 +323,9 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
             return self.explained() if level > least else None
 
     monkeypatch.setattr(explanation, "Search", Found)
-    monkeypatch.setattr(explanation, "_states", lambda drives, is_level: ("level" if is_level else "sloping",))
+    monkeypatch.setattr(explanation, "_state", lambda drive, is_level: "level" if is_level else "sloping")
     monkeypatch.setattr(explanation, "_slopes", lambda states, sloping=(): 50.0)
     monkeypatch.setattr(explanation, "log_bayes_factor_of_signals", lambda strides, fit: signals)
-    found = explanation.explain([SimpleNamespace(model=SimpleNamespace(terms=()))], [], Thresholds())
+    drives, states = explanation.started([SimpleNamespace(model=SimpleNamespace(terms=()))])
+    found = explanation.explain(drives, states, [], Thresholds())
     assert (found.is_sloping, found.is_hilly) == (is_sloping, is_hilly)

@@ -1,7 +1,7 @@
 """What may act on a drive: effects in all their forms, with signals or with times, and nameless processes."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -121,9 +121,7 @@ class Candidates:
         both = {union(a, b) for a, b in combinations(own, 2)}
         proposed = self._latest[number].times | self._instead[number][1] | self._untimed[number]
         proposed |= self._found.times[number]
-        # Times that differ in gaps alone look the same, and would count as many times.
-        alike = {seen(spans, drive.fit.strides.t): spans for spans in sorted({*own, *both, *proposed})}
-        return sorted(alike.values())
+        return _different({*own, *both, *proposed}, own, drive.fit.strides.t)
 
     def _as_the_bus_tells(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Effects that act always, or when signals show it."""
@@ -147,8 +145,10 @@ class Candidates:
             if not is_free(term) or term.effect not in self._effects:
                 continue
             for finer in near(term, size):
-                component = of_term(frame, finer)
-                yield Candidate(cause=term.effect.name, is_event=False, form=str(finer.shape), component=component)
+                effect, component = term.effect, of_term(frame, finer)
+                # Of several drives each may have a size of its own.
+                shape = finer.shape if finer.shape in effect.shapes else effect.alike(finer.shape)
+                yield Candidate(cause=effect.name, is_event=False, form=str(shape), component=component)
 
     def _at_times(
         self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
@@ -159,7 +159,7 @@ class Candidates:
         for effect in self._timed:
             own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
-            for spans in sorted({*times, *changed}):
+            for spans in _different({*times, *changed}, own, frame.strides.t):
                 key = effect.timing, effect.dwells, spans  # many effects have the same dwells
                 if key not in costs:
                     costs[key] = before[key] if key in before else _cost(spans, effect, frame.strides.t)
@@ -177,9 +177,18 @@ class Candidates:
         if own:
             self._steep[number].add(own)
             changed = {change(own, new) for new in self._latest[number].times for change in (union, without, cut)}
-        for spans in sorted({*times, *changed, *self._steep[number]}):
+        for spans in _different({*times, *changed, *self._steep[number]}, [own] if own else [], frame.strides.t):
             for component in stretches(frame, spans):
                 yield Candidate(cause=component.name, is_event=True, form=spans, component=component)
+
+
+def _different(times: Set[Spans], own: Sequence[Spans], t: Floats) -> list[Spans]:
+    """Times, in order, that do not look the same on a drive with strides at ``t`` (n,) [s]; its ``own`` ones stay.
+
+    What differs in gaps alone looks the same, and would count as many times.
+    """
+    alike = {seen(spans, t): spans for spans in [*sorted(times), *own]}
+    return sorted(alike.values())
 
 
 def _cost(spans: Spans, effect: Effect, t: Floats) -> float | None:

@@ -79,9 +79,9 @@ class Component:
     """One form that a component may take.
 
     ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes, whose prior is
-    N(0, ``sd``^2), or half of it where ``positive``; a size beyond ``largest`` is something else. ``cost`` is the log
-    prior probability of its times, with the sign changed. ``is_noisy``: noise of the measured force is in its columns.
-    ``is_slope``: it is part of the road.
+    N(0, ``sd``^2), or half of it where ``positive``; a size beyond ``largest``, or above ``highest``, is something
+    else. ``cost`` is the log prior probability of its times, with the sign changed. ``is_noisy``: noise of the measured
+    force is in its columns. ``is_slope``: it is part of the road.
     """
 
     name: str
@@ -89,6 +89,7 @@ class Component:
     sd: float
     positive: bool = False
     largest: float = np.inf
+    highest: float = np.inf
     cost: float = 0.0
     is_noisy: bool = False
     is_slope: bool = False
@@ -126,6 +127,7 @@ def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
         sd=effect.usual(frame.road_load),
         positive=effect.positive,
         largest=effect.limit(frame.road_load),
+        highest=effect.highest,
         cost=cost,
         is_noisy=effect.is_noisy,
         term=term,

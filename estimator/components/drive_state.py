@@ -131,8 +131,10 @@ class DriveState:
 
     def is_possible(self, given: int) -> bool:
         """Whether no effect behind the first ``given`` ones is larger than it can be on the vehicle as it is found."""
-        limits = [np.inf if c.term is None else c.term.effect.limit(Frame.of(self.fit).road_load) for c in self.chosen]
-        return bool(np.all(np.abs(self.sizes[given:]) <= np.array(limits[given:])))
+        own = zip(self.chosen[given:], self.sizes[given:].tolist(), strict=True)
+        effects = [(c.term.effect, size) for c, size in own if c.term is not None]
+        load = Frame.of(self.fit).road_load
+        return all(abs(size) <= effect.limit(load) and size <= effect.highest for effect, size in effects)
 
     @cached_property
     def _conditioned(self) -> Conditioned:

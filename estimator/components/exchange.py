@@ -45,8 +45,9 @@ def exchanged(
         scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
         gain = amplitude_evidence(score + switch * scored, strength + 2 * switch * crossed + own[runs], sd, positive)
         gain -= changes.cost(on) + switch * more
-        if single:
-            gain[_count(on) + switch * edges > 2] = -np.inf
+        if single:  # a run at the beginning or the end of the drive has an edge there
+            outer = (begin == 0).astype(float) + (end == b)
+            gain[_count(np.pad(on, 1)) + switch * (edges + outer) > 2] = -np.inf
         k = int(np.argmax(gain))
         if gain[k] <= best + 1e-9:
             break
@@ -91,5 +92,5 @@ def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: boo
 
 
 def _count(on: Mask) -> int:
-    """Changes of state within the drive."""
+    """Changes of state."""
     return int(np.count_nonzero(np.diff(on)))

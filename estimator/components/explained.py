@@ -179,7 +179,7 @@ def _choice(
         rival=rival,
         either=either,
         log_bayes_factor=joint.unlimited(best) - joint.unlimited([i for i in best if i not in own]),
-        drive=max(joint.each[own[0]], key=lambda n: len(joint.drives[n].strides)),
+        drive=max(sorted({n for i in own for n in joint.each[i]}), key=lambda n: len(joint.drives[n].strides)),
     )
 
 

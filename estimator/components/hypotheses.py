@@ -71,7 +71,9 @@ class Hypotheses:
                 found[one.cause, number if one.is_event else None, one.form][number] = one.component
         self.keys, self.each = list(found), list(found.values())
         own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
-        known = [tuple(replace(component, largest=np.inf) for component in each) for each in given]  # of any size
+        known = [
+            tuple(replace(component, largest=np.inf, highest=np.inf) for component in each) for each in given
+        ]  # of any size
         self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, known, own, strict=True)]
         count = [len(start) for start in given]
         self._places: list[dict[int, int]] = []

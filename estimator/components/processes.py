@@ -92,13 +92,14 @@ def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Comp
         for rest in rests:
             frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
             found |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
-        cost = float(np.log(len(frequencies) * len(profiles)))
+        # A form has a share of the process' prior; that is of all frequencies, of which few are tried.
+        cost = float(np.log(len(frequencies) / len(found)))
         for frequency in sorted(found):
             angle = 2 * np.pi * frequency * t
             columns = _along(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
             for strength in STRENGTHS:
                 usual = strength * USUAL_POWER * float(frame.road_load[2])
-                yield Component(name=SWING, columns=columns, sd=usual, cost=cost + float(np.log(len(STRENGTHS))))
+                yield Component(name=SWING, columns=columns, sd=usual, cost=cost)
 
 
 def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:

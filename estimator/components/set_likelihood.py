@@ -24,7 +24,7 @@ from estimator.signals import Floats, Mask
 class Prior(Protocol):
     """Of the amplitudes of a component: N(0, ``sd``^2), or half of it; ``cost``: -log probability of its form.
 
-    Amplitudes beyond ``largest`` are impossible.
+    Amplitudes beyond ``largest``, or above ``highest``, are impossible.
     """
 
     @property
@@ -37,6 +37,10 @@ class Prior(Protocol):
 
     @property
     def largest(self) -> float:
+        """Of its amplitudes, whatever their sign."""
+
+    @property
+    def highest(self) -> float:
         """Of its amplitudes."""
 
     @property
@@ -110,8 +114,8 @@ class SetLikelihood:
         self._total, self._moment = float(products[0, 0]), products[1:, 0]
         self._information = products[1:, 1:]
         self._widths = np.array([len(own) for own in places])
-        self._sds, self._costs, self._largest = (
-            np.array([getattr(prior, name) for prior in priors]) for name in ("sd", "cost", "largest")
+        self._sds, self._costs, self._largest, self._highest = (
+            np.array([getattr(prior, name) for prior in priors]) for name in ("sd", "cost", "largest", "highest")
         )
         self._positive = np.array([prior.positive for prior in priors], dtype=np.bool_)
 
@@ -177,7 +181,7 @@ class SetLikelihood:
     def log_evidence(self, chosen: Sequence[int]) -> float:
         """The same; minus infinity where a size is impossible."""
         posterior = self.posterior(chosen)
-        possible = np.all(np.abs(posterior.mean[self.base_size :]) <= self._limits(chosen))
+        possible = np.all(self._are_possible(chosen, posterior.mean[self.base_size :]))
         return posterior.log_evidence - sum(self.priors[i].cost for i in chosen) if possible else -np.inf
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
@@ -216,9 +220,9 @@ class SetLikelihood:
         signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(before / np.sqrt(variance)))[:, signed].sum(axis=1)
         own = list(others)
         costs = sum(self.priors[i].cost for i in chosen) + self._costs[own]
-        largest = self._largest[own, None] * self.unit[self._places_of(others)]
-        possible = np.all(np.abs(mean / units) <= self._limits(chosen), axis=1)
-        possible &= np.all(np.abs(added.value) <= largest, axis=1)
+        value = added.value / self.unit[self._places_of(others)]
+        possible = np.all(self._are_possible(chosen, mean / units), axis=1)
+        possible &= np.all((np.abs(value) <= self._largest[own, None]) & (value <= self._highest[own, None]), axis=1)
         return posterior.log_evidence + added.gain + signs - costs, possible
 
     def _places_of(self, others: Sequence[int]) -> NDArray[np.int64]:
@@ -244,9 +248,11 @@ class SetLikelihood:
         signs = np.where(positive, log_evidence_of_sign(value[:, 0] / np.sqrt(covariance[:, 0, 0])), 0.0)
         return _Added(0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs, value, covariance, turned)
 
-    def _limits(self, chosen: Sequence[int]) -> Floats:
-        """Of the amplitudes of a set."""
-        return np.concatenate([np.empty(0), *(np.full(len(self.places[i]), self.priors[i].largest) for i in chosen)])
+    def _are_possible(self, chosen: Sequence[int], sizes: Floats) -> Mask:
+        """Whether the amplitudes (..., s) of a set are."""
+        own = [i for i in chosen for _ in self.places[i]]
+        possible: Mask = (np.abs(sizes) <= self._largest[own]) & (sizes <= self._highest[own])
+        return possible
 
     def gains(self, chosen: Sequence[int], candidates: Sequence[int]) -> Judged:
         """What each of ``candidates`` with one column adds to a set, costs not counted."""

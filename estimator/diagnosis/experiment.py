@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.components.component import Component
 from estimator.components.drive_state import DriveState, Form
 from estimator.diagnosis.result import Experiment
 from estimator.diagnosis.standing import IDLE_SD, IDLE_SHARE
 from estimator.model.effects import Effect
-from estimator.model.effects.effect import AtRest
+from estimator.model.effects.effect import AtRest, Timing
 from estimator.preparation.recursion import low_passed
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
@@ -91,12 +92,23 @@ def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Man
     Against nothing, the width of its prior counts as well.
     """
     strides = state.strides if manoeuvre is None else Strides.concatenate([state.strides, driven(state, manoeuvre)])
-    longer = replace(state, strides=strides, fit=replace(state.fit, strides=strides[strides.known]))
-    joint = longer.joint_with([] if other is None else [other.component])
+    fit, end = replace(state.fit, strides=strides[strides.known]), float(strides.t[-1]) + DURATION / 2
+    longer = replace(state, strides=strides, fit=fit, chosen=tuple(_lasting(c, end) for c in state.chosen))
+    joint = longer.joint_with([] if other is None else [_lasting(other.component, end)])
     chosen = range(len(joint.components))
-    strength = max(float(joint.projected(chosen, acting.component.columns(joint.frame))[0][0, 0]), 0.0)
+    column = _lasting(acting.component, end).columns(joint.frame)
+    strength = max(float(joint.projected(chosen, column)[0][0, 0]), 0.0)
     width = np.log1p(strength * acting.component.sd**2) if other is None else 0.0
     return 0.5 * (acting.value**2 * strength - float(width))
+
+
+def _lasting(component: Component, end: float) -> Component:
+    """The component; a load that was taken on stays on until ``end`` [s]."""
+    term = component.term
+    if term is None or term.effect.timing is not Timing.STEP or not term.spans:
+        return component
+    longer = replace(term, spans=((term.spans[0][0], end),))
+    return replace(component, term=longer, spans=longer.spans, columns=lambda frame: frame.column(longer)[:, None])
 
 
 def _at_rest(acting: Form, other: Form | None) -> float:

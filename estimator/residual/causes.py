@@ -29,6 +29,7 @@ class Form:
     sd: float
     positive: bool = False
     largest: float = np.inf
+    highest: float = np.inf
     cost: float = 0.0
 
 

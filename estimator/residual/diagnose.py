@@ -131,12 +131,14 @@ def _verdict(is_named: bool, unknown: float, none: float) -> Verdict:
 
 
 def _between(table: ModelTable, causes: list[Cause]) -> tuple[str, ...]:
-    """The most probable causes, until one of them acts with the probability LEVEL; none where all together do not."""
-    order = sorted(causes, key=lambda cause: -table.holding(cause.forms))
-    for count in range(1, len(order) + 1):
-        if table.holding([form for cause in order[:count] for form in cause.forms]) >= LEVEL:
-            return tuple(cause.name for cause in order[:count])
-    return ()
+    """Few causes of which one acts with the probability LEVEL, each the best beside those before; or none."""
+    found, forms, left = list[str](), list[int](), list(causes)
+    while left and table.holding(forms) < LEVEL:
+        best = max(left, key=lambda cause: table.holding([*forms, *cause.forms]))
+        left.remove(best)
+        found.append(best.name)
+        forms += best.forms
+    return tuple(found) if table.holding(forms) >= LEVEL else ()
 
 
 def _suspects(
@@ -167,9 +169,10 @@ def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, cause: Cause) 
     (form,) = cause.forms
     log: dict[Chosen, float] = {}  # probability of what is beside it, up to a factor
     each = {}
-    for p, own in zip(table.probability.tolist(), table.sets, strict=True):
+    likely = max(int(np.searchsorted(-table.probability, -MIN_PROBABILITY)), 1)  # sets, the most probable first
+    for p, own in zip(table.probability[:likely].tolist(), table.sets, strict=False):
         beside = tuple(other for other in own if other != form)
-        if beside not in log and p > MIN_PROBABILITY:
+        if beside not in log:
             each[beside] = likelihood.gains(beside, [form])
             log[beside] = float(np.log(p)) + (-cause.log_prior if form in own else float(each[beside].gain[0]))
     weight = np.exp(np.array(list(log.values())) - max(log.values()))

@@ -172,6 +172,8 @@ def _base(base: Floats | None, y: Floats) -> Floats:
 
 
 def _array(name: str, values: Floats, dimensions: int = 1) -> Floats:
+    if np.ma.is_masked(values):
+        raise InputError(f"{name}: has masked values; leave such samples out")
     try:
         given = np.asarray(values)
         if given.dtype.kind in "cmM":  # complex numbers, times and dates

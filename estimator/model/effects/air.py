@@ -48,6 +48,7 @@ HEADWIND = Effect(
     needs=(Quantity.HEADING,),
     shapes=WINDS,
     finer=_winds_near,
+    alike=lambda wind: wind[:2],
     describe=lambda wind: f"from {degrees(wind[0]) % 360:.0f} deg",
     breaks="the way back over the same road, with the heading on the bus",
 )

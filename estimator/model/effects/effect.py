@@ -6,6 +6,7 @@ One object serves the diagnosis (is it there?), the streaming estimator (add it 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from enum import StrEnum
+from math import inf
 from typing import Any
 
 from estimator.signals import Floats, Quantity, Role
@@ -116,6 +117,8 @@ class Effect:
         Magnitude that is usual for a vehicle with ``road_load`` = [A, C, m]: scale of its prior.
     largest
         Magnitude beyond which it must be something else, as its coefficient; None: four times the usual one.
+    highest
+        The same of positive ones, where it is less.
     positive
         Whether a negative magnitude makes no sense.
     needs
@@ -158,10 +161,12 @@ class Effect:
     power: Callable[[View, Shape], Floats]
     usual: Usual
     largest: float | None = None
+    highest: float = inf
     positive: bool = True
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
     finer: Callable[[Shape, float], tuple[Shape, ...]] | None = None
+    alike: Callable[[Shape], object] = lambda shape: shape
     describe: Callable[[Shape], str] | None = None
     timing: Timing = Timing.ALWAYS
     at_rest: Callable[[AtRest, Shape], float] | None = None
