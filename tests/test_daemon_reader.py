@@ -164,6 +164,19 @@ def test_filters_let_through_what_is_decoded_and_little_else() -> None:
         assert passes(message, filters) == bool(counted)
 
 
+def test_what_is_wanted_of_the_first_bytes_of_a_broadcast_comes_in_packets_too(tmp_path: Path) -> None:
+    (tmp_path / "long.dbc").write_text(
+        'BO_ 2566841342 LONG: 39 X\n SG_ Speed : 0|16@1+ (0.01,0) [0|300] "km/h" X\n'
+        'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
+        'BA_DEF_DEF_ "VFrameFormat" "J1939PG";\nBA_ "VFrameFormat" BO_ 2566841342 3;\n'
+    )
+    bound = {"bus": {"dbc": [str(tmp_path / "long.dbc")]}}
+    settings = config.from_dict(bound | {"signals": {"speed": "LONG.Speed"}})
+    filters = input_filters(bind(settings, load_database(settings.bus.dbc)))
+    for ident in (0x18FEE300, 0x1CECFF00, 0x1CEBFF00):
+        assert passes(can.Message(arbitration_id=ident, is_extended_id=True), filters)
+
+
 def test_a_car_without_j1939_is_filtered_by_whole_ids(tmp_path: Path) -> None:
     (tmp_path / "car.dbc").write_text(
         'BO_ 291 MOTION: 8 X\n SG_ Speed : 0|16@1+ (0.01,0) [0|300] "km/h" X\n'

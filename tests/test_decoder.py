@@ -414,6 +414,20 @@ def test_a_multi_packet_broadcast_of_any_length_that_carries_the_signal(size: in
         assert_same(result, decode(TORQUE, TRUCK, cut(frames, [k])))
 
 
+def test_a_signal_behind_byte_255_of_a_broadcast_is_decoded() -> None:
+    text = 'BO_ 2566841342 LONG: 400 X\n SG_ Torque : 2032|16@1+ (1,0) [0|0] "Nm" X\n'
+    text += 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
+    text += 'BA_DEF_DEF_ "VFrameFormat" "J1939PG";\nBA_ "VFrameFormat" BO_ 2566841342 3;\n'
+    database = cantools.database.load_string(text, database_format="dbc")
+    payload = bytearray(b"\xff" * 400)
+    payload[254:256] = (2500).to_bytes(2, "little")
+    bound = {"signals": {"reference_torque": "LONG.Torque"}}
+    found = decode(bound, database, [pack(*announced(0, 0, LARGE, bytes(payload)))])
+    assert series(found, "reference_torque") == [2500]
+    short = decode(bound, database, [pack(*announced(0, 0, LARGE, bytes(payload[:255])))])
+    assert short[:2] == ({}, {"LONG: short frame": 1})
+
+
 def test_a_multi_packet_broadcast_too_short_for_the_signal() -> None:
     frames = pack(*announced(0, 0, LARGE, bytes(20)))
     assert decode(TORQUE, TRUCK, [frames])[:2] == ({}, {"LARGE: short frame": 1})

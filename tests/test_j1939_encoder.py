@@ -208,3 +208,11 @@ def test_unknown_log_format_and_missing_folder_are_told(frames, tmp_path):
     with pytest.raises(RoadloadError, match="cannot write"):
         write_log(frames[:10], tmp_path / "nowhere" / "drive.log")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_value_that_is_none_is_sent_as_not_available() -> None:
+    t = np.arange(3) * 0.1
+    frames = frames_of({Role.SPEED: Series(t, np.array([10.0, np.nan, 10.0]))})
+    speed = [bytes(m.data)[1:3] for m in frames.messages() if m.arbitration_id >> 8 & 0xFFFF == 0xFEF1]
+    assert b"\xff\xff" in speed
+    assert b"\x00\x00" not in speed

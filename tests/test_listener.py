@@ -13,7 +13,6 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_groups
-from estimator.can_io.time_order import MAX_DELAY
 from estimator.config import Config, from_dict
 from estimator.daemon.reception.reader import Batch
 from estimator.errors import RoadloadError
@@ -132,20 +131,28 @@ class Recorder:
         """Nothing waits."""
 
 
-@pytest.mark.parametrize(("silence", "is_stale"), [(600.0, False), (1000.0, True)])
-def test_an_estimate_from_before_a_long_silence_is_not_broadcast(silence: float, is_stale: bool) -> None:
-    """Until the worker has heard as much of the next drive as shows that it is one."""
+@pytest.mark.parametrize(("step", "is_stale"), [(600.0, False), (1000.0, True), (-0.5, False), (-50.0, True)])
+@pytest.mark.parametrize("is_new", [False, True])  # a listener after a change of the configuration
+def test_an_estimate_of_before_a_long_silence_or_a_step_back_is_not_broadcast(
+    step: float, is_stale: bool, is_new: bool
+) -> None:
     worker, told = Recorder(), list[object]()
-    worker.latest, worker.heard = made_estimate(), 10.0
-    listener = Listener(worker, lambda t, estimate: told.append(estimate))
-    before, after = (Frames.from_messages([can.Message(timestamp=t)]) for t in (10.0, 10.0 + silence))
+    worker.latest, worker.heard = made_estimate(t=99.0), 100.0
+
+    def listening() -> Listener:
+        return Listener(worker, lambda t, estimate: told.append(estimate))
+
+    listener = listening()
+    before, after = (Frames.from_messages([can.Message(timestamp=t)]) for t in (100.0, 100.0 + step))
     listener.hear(before)
-    listener.turn(10.25)
+    listener.turn(100.25)
+    listener = listening() if is_new else listener
+    assert (listener.fresh(100.0 + step) is None) == is_stale  # before a frame comes, too
     listener.hear(after)
-    listener.turn(10.25 + silence)
-    worker.heard = 10.0 + silence + MAX_DELAY
-    listener.turn(11.0 + silence)
-    assert told == [worker.latest, None if is_stale else worker.latest, worker.latest]
+    listener.turn(100.0 + step)
+    old, worker.latest = worker.latest, made_estimate(t=100.5 + step)
+    listener.turn(101.0 + step)
+    assert told == [old, None if is_stale else old, worker.latest]
 
 
 def test_daemon_and_replay_broadcast_the_same_bytes(

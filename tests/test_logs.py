@@ -409,3 +409,29 @@ def assert_read_or_refused(path: Path, raw: bytes, rng: np.random.Generator, rou
             assert "\n" not in str(error)  # noqa: PT017
         else:
             assert len(frames)
+
+
+def test_a_request_to_transmit_is_no_frame_on_the_bus(tmp_path: Path) -> None:
+    head = "base hex  timestamps absolute\n\n0.1 1  123  Tx   d 2 01 02\n"
+    log = open_log(asc(tmp_path, head + "0.2 1  123  TxRq   d 2 01 02\n0.3 1  123  Tx   d 2 01 02\n"))
+    assert sum(len(frames) for frames in log) == 2
+    assert log.skipped == {"request to transmit": 1}
+
+
+@pytest.mark.parametrize("end", ["", ";"])
+def test_trc_of_version_1_2_is_read(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "drive.trc"
+    lines = "   1)   1059.900 1  Rx        0300 7 00 00 00 00 04 00 00\n   2)   1283.231 1  Rx    18FEF100 1 A5\n"
+    path.write_text(f";$FILEVERSION=1.2\n;$STARTTIME=39878.6772258947{end}\n;\n{lines}")
+    frames = Frames.concatenate(list(open_log(path)))
+    assert [bytes(message.data)[0] for message in frames.messages()] == [0, 0xA5]
+    assert float(np.diff(frames.t)[0]) == pytest.approx(0.223331, abs=1e-5)
+
+
+def test_error_lines_of_trc_1_0_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "drive.trc"
+    lines = "   1)   1841  0001  2  00 01\n   2)   1842  0008  4  ERROR 00 19 08 08\n   3)   1843  0001  1  05\n"
+    path.write_text(f";##########\n{lines}")
+    log = open_log(path)
+    assert sum(len(frames) for frames in log) == 2
+    assert log.skipped == {"error frame": 1}

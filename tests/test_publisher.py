@@ -2,6 +2,7 @@
 
 import logging
 import math
+from dataclasses import replace
 
 import can
 import cantools
@@ -97,9 +98,11 @@ def test_any_estimate_survives_the_wire(given_estimate: Estimate, age: float) ->
     assert_sent("SampleCount", sent["SampleCount"], math.nan if stale else given_estimate.admitted)
     assert_sent("RHat", sent["RHat"], math.nan if stale or chains is None else chains.r_hat)
     for name, marginal in {"Mass": given_estimate.mass, "A": given_estimate.A, "C": given_estimate.C}.items():
+        beyond = marginal and any(getattr(marginal, f) > signal(name + s).maximum for f, s in PUBLISHED.items())
+        withheld = stale or (beyond and given_estimate.status is Status.ESTIMATED)
         for field, suffix in PUBLISHED.items():
             value = sent[name + suffix]
-            if stale or given_estimate.status is Status.UNESTIMATED:
+            if withheld or given_estimate.status is Status.UNESTIMATED:
                 assert value == "not available"
             elif given_estimate.status is Status.INVALID:
                 assert value == "error"
@@ -179,3 +182,14 @@ def test_checksum_detects_every_flipped_bit_and_a_foreign_id(given_estimate: Est
         assert not verify(can.Message(arbitration_id=ident ^ 1 << bit, data=data))
     assert not verify(can.Message(arbitration_id=ident, data=data[:7]))
     assert not verify(can.Message(arbitration_id=ident, is_remote_frame=True, dlc=8))
+
+
+def test_a_parameter_beyond_its_signal_is_not_sent_as_the_limit() -> None:
+    heavy = Marginal(mean=140e3, sd=1e3, q05=138e3, q50=140e3, q95=142e3)
+    usual = Marginal(mean=1700.0, sd=20.0, q05=1660.0, q50=1700.0, q95=1740.0)
+    frames = Publisher(Publish(cvw=True)).poll(0.0, replace(made_estimate(), mass=heavy, A=usual))
+    sent = decoded(frames)
+    assert sent["MassMean"] == sent["MassQ95"] == sent["GrossCombinationVehicleWeight"] == "not available"
+    assert sent["AMean"] == 1700.0
+    (mass,) = [f for f in frames if f.arbitration_id >> 8 & 0xFFFF == 0xFF61]
+    assert bytes(mass.data)[6] >> 4 == 0  # unestimated

@@ -266,6 +266,33 @@ def test_a_reference_torque_stays_known_when_the_senders_are_chosen_anew():
     assert judged.contested[-1] == {"LARGE.Torque": "a constant changed"}
 
 
+def test_the_reference_torque_of_another_vehicle_is_not_that_of_the_last():
+    judged = Judged(**TORQUE).feed(*torque(0, 0))
+    judged.decoder.release(is_other_vehicle=True)
+    judged.feed(*torque(0, 5, value=1500))
+    assert judged.contested[-1] == {}
+    assert judged.known(1) == [1500]
+
+
+# Roles that several nodes serve, and several roles of one signal
+
+
+def test_the_torque_of_every_retarder_counts():
+    """That of the engine does nothing, and the one on the driveline brakes."""
+    rows = [broadcast(0.1 * k, 0x0F + k % 2, 0, fraction=125 if k % 2 else 0) for k in range(50)]
+    judged = Judged(signals={"retarder_fraction": "BROADCAST.Fraction"}).feed(*rows)
+    assert judged.contested == [{}]
+    assert set(judged.values[0]) == {0.0, 1.25}
+    assert judged.decoder.rejected == {}
+
+
+@pytest.mark.parametrize("roles", [("speed", "gps_speed"), ("gps_speed", "speed")])
+def test_a_signal_of_two_roles_is_judged_as_the_stricter_one_is(roles: tuple[str, str]):
+    rows = [broadcast(0.1 * k, 7 * (k % 2), 30 * KMH * (1 + k % 2)) for k in range(300)]
+    judged = Judged(signals=dict.fromkeys(roles, "BROADCAST.Speed")).feed(*rows, blocks=6)
+    assert "BROADCAST.Speed" in judged.contested[-1]
+
+
 # All inputs together
 
 

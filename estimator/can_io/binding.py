@@ -50,6 +50,7 @@ class BoundMessage:
     j1939: bool
     source: int | None  # the only source address that is accepted, if configured
     cycle: float | None  # s between two of them by the database; None if it has none
+    length: int  # bytes by the database
     signals: tuple[BoundSignal, ...]
 
 
@@ -169,7 +170,16 @@ def _bound(message: Message, signals: tuple[BoundSignal, ...], config: Config) -
     key = _pgn(message.frame_id) if by_pgn else message.frame_id | (EXTENDED if extended else 0)
     period: object = message.cycle_time  # [ms]; an attribute of the database may be of any type
     cycle = period / 1000 if isinstance(period, int | float) and period > 0 else None
-    return BoundMessage(name=name, key=key, by_pgn=by_pgn, j1939=j1939, source=source, cycle=cycle, signals=signals)
+    return BoundMessage(
+        name=name,
+        key=key,
+        by_pgn=by_pgn,
+        j1939=j1939,
+        source=source,
+        cycle=cycle,
+        length=message.length,
+        signals=signals,
+    )
 
 
 def _pgn(ident: int) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.can_io.binding import BoundMessage
+from estimator.can_io.binding import BoundMessage, BoundSignal
 from estimator.can_io.carried import CarriedMessage, CarriedSignal, path_of
 from estimator.can_io.contradiction import Contradiction
 from estimator.can_io.frames import EXTENDED, Frames
@@ -26,6 +26,7 @@ from estimator.errors import StateError
 from estimator.settings import Bus
 from estimator.signals import Floats, Mask, Role, Series
 
+STRICTNESS = (Kind.AUXILIARY, Kind.GATE, Kind.CONSTANT, Kind.MEASURED)  # in what is asked of the senders, rising
 NOTHING = Series(np.empty(0), np.empty(0))
 
 
@@ -51,7 +52,9 @@ class Decoder:
         self.contested: dict[str, str] = {}  # reason by MESSAGE.signal, as of the last batch
         self.replaced = False  # in the last batch a sender was replaced because its readings were wrong
         self._messages = messages
-        self._choices = {path_of(m, b): choice(m, b, bus) for m in messages for b in m.signals}
+        # Of two roles of one signal the stricter one counts.
+        each = sorted([(m, b) for m in messages for b in m.signals], key=lambda pair: _strictness(pair[1]))
+        self._choices = {path_of(m, b): choice(m, b, bus) for m, b in each}
         self._by_pgn = {path_of(m, b) for m in messages if m.by_pgn for b in m.signals}
         paths = Counter(path_of(m, b) for m in messages for b in m.signals)
         self._shared = {path for path, count in paths.items() if count > 1}  # by several roles
@@ -70,10 +73,10 @@ class Decoder:
         """Broken multi-packet broadcasts, by reason."""
         return self._transport.rejected
 
-    def release(self) -> None:
-        """Choose the senders again: another node may send now."""
+    def release(self, is_other_vehicle: bool = False) -> None:
+        """Choose the senders again: another node may send now, or that of another vehicle."""
         for each in self._choices.values():
-            each.release()
+            each.release(is_other_vehicle)
         self.contested = {}
 
     def state(self) -> dict[str, Any]:
@@ -127,13 +130,15 @@ class Decoder:
         carried = []
         for message, need in zip(self._messages, self._needs, strict=True):
             chosen = frames[_is_message(message, frames.ident, group)]
-            if message.by_pgn and (broadcasts := [p for p in packets if p.pgn == message.key]):
-                chosen = Frames.concatenate([chosen, _stack(broadcasts, need)])
-                chosen = chosen[np.argsort(chosen.t, kind="stable")]
-            if len(chosen) and chosen.length.min() < need:
-                whole = chosen.length >= need
-                self.rejected[f"{message.name}: short frame"] += int(np.count_nonzero(~whole))
+            whole = chosen.length >= need
+            broadcasts = [packet for packet in packets if message.by_pgn and packet.pgn == message.key]
+            long = [packet for packet in broadcasts if len(packet.payload) >= need]
+            if short := int(np.count_nonzero(~whole)) + len(broadcasts) - len(long):
+                self.rejected[f"{message.name}: short frame"] += short
                 chosen = chosen[whole]
+            if long:
+                chosen = Frames.concatenate([chosen, _stack(long, need)])
+                chosen = chosen[np.argsort(chosen.t, kind="stable")]
             carried.append(CarriedMessage.of(message, chosen, ends))
         return carried
 
@@ -213,6 +218,10 @@ class Decoder:
             if known:
                 self.rejected[f"{role.value}: another input is contested"] += known
             out[role] = [Series(part.t, np.full(len(part.t), np.nan)) for part in parts]
+
+
+def _strictness(bound: BoundSignal) -> int:
+    return STRICTNESS.index(KIND.get(bound.role, Kind.AUXILIARY))
 
 
 def _is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:

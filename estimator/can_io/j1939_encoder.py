@@ -137,7 +137,8 @@ def _raw(signal: Signal, role: Role, value: Floats) -> NDArray[np.int64]:
     physical = value if conversion is None else (value - conversion.offset) / conversion.scale
     raw = np.round((physical - signal.offset) / signal.scale)
     highest = HIGHEST_VALID.get(signal.length, (1 << signal.length) - 1)
-    return np.clip(raw, 0, highest).astype(np.int64)
+    known = np.isfinite(raw)
+    return np.where(known, np.clip(np.where(known, raw, 0), 0, highest), (1 << signal.length) - 1).astype(np.int64)
 
 
 def _place(payload: Payload, signal: Signal, raw: NDArray[np.int64]) -> None:

@@ -14,7 +14,7 @@ import can
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.counter_crc import COUNTS, checksum
-from estimator.estimate import Estimate, Status
+from estimator.estimate import Estimate, Marginal, Status
 from estimator.settings import Publish
 
 STALE = "stale"  # beside the values of `Status` in the signal EstimateStatus
@@ -169,15 +169,30 @@ def _contents(estimate: Estimate | None, status: str, age: float) -> dict[str, f
         "A": usable and usable.A,
         "C": usable and usable.C,
     }.items():
+        marginal = marginal if marginal and _fits(name, marginal) else None
         contents[f"{name}Mean"] = marginal.mean if marginal else withheld
         contents[f"{name}Q05"] = marginal.q05 if marginal else withheld
         contents[f"{name}Q95"] = marginal.q95 if marginal else withheld
         contents[f"{name}Deviation"] = marginal.sd if marginal else withheld
         own, _ = usable.status_of(_PARAMETER[name]) if usable else (status, "")
-        contents[f"Roadload{name}.EstimateStatus"] = str(own)
+        is_lost = own is Status.ESTIMATED and marginal is None  # beyond what the signal can say
+        contents[f"Roadload{name}.EstimateStatus"] = str(Status.UNESTIMATED if is_lost else own)
     contents["GrossCombinationVehicleWeight"] = contents["MassMean"]
     contents["PoweredVehicleWeight"] = _NOT_AVAILABLE
     return contents
+
+
+@cache
+def _most(signal: str) -> float:
+    """The largest value that a signal can say."""
+    found = (s for message in output_database().messages for s in message.signals if s.name == signal)
+    return min(inf if s.maximum is None else float(s.maximum) for s in found)
+
+
+def _fits(name: str, found: Marginal) -> bool:
+    """Whether the signals of a parameter can say its values."""
+    values = {"Mean": found.mean, "Q05": found.q05, "Q95": found.q95, "Deviation": found.sd}
+    return not any(value > _most(f"{name}{part}") for part, value in values.items())
 
 
 def _raw(signal: Signal, value: float | str) -> int:

@@ -82,7 +82,7 @@ class Choice(Protocol):
     def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
         """What judges the next blocks at once, to the same effect; None where each is to be judged by itself."""
 
-    def release(self) -> None:
+    def release(self, is_other_vehicle: bool) -> None:
         """Choose anew: another vehicle, or much time, may lie between the blocks."""
 
     def state(self) -> dict[str, Any]:
@@ -101,6 +101,8 @@ class SenderChoice:
         self._magnitude, self._step, self._configured = MAGNITUDE.get(role, 0.0), step, configured
         self._release, self._patience = settings.release_s, settings.contest_s
         self._rate = OwnRate(highest_rate, follows_value=role is Role.ENGINE_SPEED)
+        # Engine and driveline have a retarder each, and each sends its own torque.
+        self._is_of_all = role is Role.RETARDER_FRACTION and configured is None
         self._is_j1939 = bool(np.isfinite(highest_rate))  # how values alternate is known of its groups alone
         self._is_rated = self._kind is Kind.MEASURED and role is not Role.TORQUE_FRACTION  # comes with the engine speed
         self._contest = Contest(settings.contest_s)
@@ -120,7 +122,7 @@ class SenderChoice:
             replaced |= self._follow(senders, heard.end)
         elif senders and self.source is None:
             self.source = next(iter(senders))
-        return Verdict(self._is_chosen(heard), self._contest.reason, replaced)
+        return Verdict(self._taken(heard), self._contest.reason, replaced)
 
     def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
         """What judges the next blocks at once: the same sender as before in all that hold a value, uncontradicted."""
@@ -135,7 +137,7 @@ class SenderChoice:
         def take() -> Verdict:
             self._last |= last
             self._rate = rate
-            return Verdict(self._is_chosen(heard))
+            return Verdict(self._taken(heard))
 
         return take
 
@@ -150,11 +152,14 @@ class SenderChoice:
             return True
         return not (self._repeating(own) or (self._is_rated and any(rate.exceeding(own, self._step))))
 
+    def _taken(self, heard: Heard) -> Mask:
+        return np.ones(len(heard.t), dtype=np.bool_) if self._is_of_all else self._is_chosen(heard)
+
     def _is_chosen(self, heard: Heard) -> Mask:
         chosen: Mask = heard.source == (-1 if self.source is None else self.source)
         return chosen
 
-    def release(self) -> None:
+    def release(self, is_other_vehicle: bool) -> None:
         """Choose anew: another vehicle, or much time, may lie between the blocks."""
         self.source = self._configured
         self._last, self._agreed = {}, set()
@@ -288,9 +293,10 @@ class ConstantChoice:
 
         return take
 
-    def release(self) -> None:
-        """End a contest; the value stays, for it is a constant of the vehicle, and any address may send it."""
+    def release(self, is_other_vehicle: bool) -> None:
+        """End a contest; the value stays where it is that of the vehicle, and any address may send it."""
         self.source, self._heard = self._configured, {}
+        self._value = None if is_other_vehicle else self._value
         self._contest = Contest(self._patience)
 
     def state(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from estimator.commands.tables import print_inspection
 from estimator.commands.terminal import print_config, print_json, say, standard_output
 from estimator.config import Config
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of
-from estimator.daemon.reception.message_clock import MessageClock
+from estimator.daemon.reception.message_clock import MessageClock, since_start
 from estimator.daemon.reception.reader import reader_of
 from estimator.daemon.service.assembly import settle
 from estimator.streaming import inspection
@@ -69,14 +69,14 @@ def _hear(spec: BusSpec, settings: Config, seconds: float) -> InspectionAnswer:
     except NotThereError as error:
         raise NotThereError(f"{spec.label}: {error}") from error
     found, skipped = inspection.Inspection(settings), Counter[str]()
-    clock = MessageClock(time.time() - time.monotonic())
+    clock = MessageClock(time.time() - since_start())
     try:
         reader = reader_of(bus, settings.reception.buffer_bytes)
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
+        end = since_start() + seconds
+        while (left := end - since_start()) > 0:
             batch = reader.read(min(left, 0.2))
             frames = batch.frames
-            t = clock.correct(frames.t, time.monotonic())
+            t = clock.correct(frames.t, since_start())
             found.add(Frames(t, frames.ident, frames.length, frames.data))
             skipped["error frame"] += batch.errors
             skipped["remote frame"] += batch.remote

@@ -69,7 +69,7 @@ class Transmitter:
         self._bucket = TokenBucket(
             transmit.frames_per_second, max(1, round(BURST_DURATION * transmit.frames_per_second))
         )
-        self._estimate: Estimate | None = None
+        self.estimate: Estimate | None = None
         self._t = 0.0  # message time [s] of the latest turn
         self._foreign: list[int] = []
         self._quiet_until = -np.inf
@@ -150,7 +150,7 @@ class Transmitter:
 
         Unless ``is_receiving``, nothing is sent: a sending node would wake the bus, and the values would be old.
         """
-        self._estimate, self._t = estimate, t
+        self.estimate, self._t = estimate, t
         self._foreign = self._neighbours.senders(CVW, t)
         if now < self._quiet_until or not is_receiving:
             return
@@ -193,7 +193,7 @@ class Transmitter:
             return answer
         if self.node.address is not None:
             self._publisher.source_address = self.node.address
-        message = self._publisher.answer(pgn, self._t, self._estimate)
+        message = self._publisher.answer(pgn, self._t, self.estimate)
         if message is None or self._reason_to_withhold(pgn, message.arbitration_id & 0xFF) is not None:
             return None
         return [message]

@@ -126,6 +126,7 @@ class SampleStage:
         if self._pending is None:
             return
         yield from self._consume(1)
+        self._standstill.pause(len(self._pending))  # neither these nor the first rows were in a piece
         self.rejected[Reason.INCOMPLETE] += len(self._pending)
         self._pending = None
 

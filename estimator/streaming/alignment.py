@@ -40,6 +40,7 @@ AVERAGED = {Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE, Role.LATI
 
 SPEEDS = {Role.SPEED, Role.WHEEL_SPEEDS}
 LONE_ERROR = "contradicted by the readings before and after"
+SAME_TIME = "at the time of another reading, or before it"
 
 Readings = Mapping[Role, list[Series]]
 
@@ -91,7 +92,9 @@ class Aligner:
             return
         for role, parts in readings.items():
             for i, series in enumerate(parts):
-                self._tracks.setdefault((role, i), Track(MEMORY.get(role, 0.0))).add(series)
+                dropped = self._tracks.setdefault((role, i), Track(MEMORY.get(role, 0.0))).add(series)
+                if dropped:
+                    self.refused[f"{role.value}: {SAME_TIME}"] += dropped
         if self._despike:
             self._drop_lone_errors()
         self._engine.extend(ends)

@@ -50,18 +50,20 @@ class InlineWorker:
     def __init__(self, config: Config) -> None:
         self.pipeline = Pipeline(config)
         self.updates: deque[Estimate] = deque(maxlen=MAX_UPDATES)
-        self.heard: float | None = None
 
     @property
     def latest(self) -> Estimate | None:
         """The newest estimate; None before the first."""
         return self.pipeline.latest
 
+    @property
+    def heard(self) -> float | None:
+        """Message time [s] of the newest frame that `latest` knows."""
+        return self.pipeline.traffic.until
+
     def offer(self, frames: Frames) -> None:
         """Take the next frames, and estimate when it is due."""
         self.updates += self.pipeline.feed(frames)
-        if len(frames):
-            self.heard = float(frames.t[-1])
 
     def close(self) -> None:
         """Use the frames still waiting, at the end of the traffic."""
@@ -108,8 +110,8 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
         self._worker, self._broadcast = worker, broadcast
         self._waiting: list[can.Message] = []
         self._due: float | None = None
-        self._newest: float | None = None  # message time [s] heard
-        self._woken = -np.inf  # the first after a silence in which the load may have changed
+        self._newest = worker.heard  # message time [s]
+        self._woken = -np.inf  # message time [s] after which the load is the present one
 
     @classmethod
     def of(cls, config: Config, send: Send) -> "Listener":
@@ -124,17 +126,27 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
     def hear(self, frames: Frames) -> None:
         """Take frames in order of arrival."""
         if len(frames):
-            silences = np.diff(frames.t, prepend=frames.t[0] if self._newest is None else self._newest)
-            long = np.flatnonzero(silences > MIN_NEW_DRIVE_SILENCE)
-            self._woken = float(frames.t[long[-1]]) if len(long) else self._woken
+            steps = np.diff(frames.t, prepend=frames.t[0] if self._newest is None else self._newest)
+            new = np.flatnonzero((steps > MIN_NEW_DRIVE_SILENCE) | (steps < -MAX_DELAY))
+            self._woken = float(frames.t[new[-1]]) if len(new) else self._woken
             self._newest = float(frames.t[-1])
         self._worker.offer(frames)
 
+    def fresh(self, t: float) -> Estimate | None:
+        """The newest estimate at message time ``t`` [s]; None where the load may have changed since it.
+
+        That is in a long silence, or where time has stepped back: another recording, perhaps of another vehicle. The
+        worker hears of either later than this loop.
+        """
+        estimate = self.latest
+        is_silent = self._newest is not None and t - self._newest > MIN_NEW_DRIVE_SILENCE
+        if estimate is None or is_silent or not self._woken <= estimate.t <= t + MAX_DELAY:
+            return None
+        return estimate
+
     def turn(self, t: float) -> None:
-        """Broadcast what is due at message time ``t`` [s]: no estimate until the worker knows of a new drive."""
-        heard = self._worker.heard  # read first: another thread renews both
-        is_aware = self._woken == -np.inf or (heard is not None and heard >= self._woken + MAX_DELAY)
-        self._broadcast(t, self.latest if is_aware else None)
+        """Broadcast what is due at message time ``t`` [s]."""
+        self._broadcast(t, self.fresh(t))
 
     def on_message_received(self, msg: can.Message) -> None:
         """Take one message; every TICK of message time, process those that waited and broadcast."""

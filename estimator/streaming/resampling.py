@@ -27,12 +27,15 @@ class Track:
         self.value: Floats = np.empty(0)
         self.fresh = np.nan
 
-    def add(self, series: Series) -> None:
-        """Add the readings later than all before them; a repeated time or a step back is dropped."""
+    def add(self, series: Series) -> int:
+        """Add the readings later than all before them; returns how many were not: a repeated time or a step back."""
+        before = len(self.t)
         self.t, self.value = self.joined(series)
+        dropped = len(series.t) - (len(self.t) - before)
         if np.isnan(self.fresh) and len(self.t) >= MIN_READINGS_FOR_PERIOD:
             period = float(np.median(np.diff(self.t)))
             self.fresh = min(max(FRESH_PERIODS * period, MIN_FRESH), MAX_FRESH)
+        return dropped
 
     def joined(self, series: Series) -> tuple[Floats, Floats]:
         """Times [s] and values after `add`."""

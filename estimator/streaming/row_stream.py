@@ -134,6 +134,11 @@ class RowStream:
         return Decoder(self._messages, config.bus), aligner
 
     @property
+    def until(self) -> float | None:
+        """Time of the newest frame [s], of a state that was restored, too."""
+        return self._until
+
+    @property
     def used(self) -> int:
         """Frames that gave a signal."""
         return self._decoder.used
@@ -366,7 +371,7 @@ class RowStream:
         interruption = Interruption(last, t, is_new_drive=not 0 <= t - last <= MIN_NEW_DRIVE_SILENCE)
         if interruption.is_step_back:
             self._aligner.forget()
-            self._decoder.release()
+            self._decoder.release(is_other_vehicle=True)
         yield interruption
 
     def _resume(self, t: float) -> Interruption:

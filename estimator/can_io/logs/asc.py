@@ -68,7 +68,10 @@ class AscLog(LineLog):
                 lines.refuse(row, "expected a time from 0 s on, found a negative one")
             else:
                 lines.t[row] = float(match["time"])
-                events.append(row)
+                if b"TxRq" in line.split(maxsplit=4)[:4]:  # sent later, on a line of its own
+                    self.skipped["request to transmit"] += 1
+                else:
+                    events.append(row)
         self._hand_over(lines, events, ended, can.ASCReader)
         if self._relative:
             lines.t[:] = np.cumsum(np.concatenate(([self._clock], lines.t)))[1:]

@@ -50,7 +50,13 @@ class TrcLog(LineLog):
         if self._head is not None:
             lines.t /= MILLISECONDS
             lines.t += self._head.start
-        self._hand_over(lines, sorted(lines.odd), ended, can.TRCReader)
+        others = []
+        for row in sorted(lines.odd):
+            if lines.line(row).split(maxsplit=5)[4:5] == [b"ERROR"]:  # of version 1.0, which python-can refuses
+                self.skipped[ERROR_FRAME] += 1
+            else:
+                others.append(row)
+        self._hand_over(lines, others, ended, can.TRCReader)
 
     def _reader_head(self) -> bytes:
         return b"".join(line + b"\n" for line in self._keys.values())

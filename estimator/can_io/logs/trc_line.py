@@ -26,6 +26,7 @@ _WAY = rb"(?:Tx|Rx)"
 VERSIONS = {
     b"": (_NUMBER + rb"\)", _TIME, _ID, _LENGTH),
     b"1.1": (_NUMBER + rb"\)", _TIME, _WAY, _ID, _LENGTH),
+    b"1.2": (_NUMBER + rb"\)", _TIME, _BUS, _WAY, _ID, _LENGTH),
     b"1.3": (_NUMBER + rb"\)", _TIME, _BUS, _WAY, _ID, rb"\S+", _LENGTH),
 }  # the columns before the data
 COLUMNS = {
@@ -57,7 +58,7 @@ def read_head(version: bytes, start: bytes, columns: bytes) -> Head | None:
     if version == b"":
         return Head(pattern, 0.0)
     try:
-        return Head(pattern, (DAY_ZERO + timedelta(days=float(start))).timestamp())
+        return Head(pattern, (DAY_ZERO + timedelta(days=float(start.rstrip(b";")))).timestamp())
     except (ValueError, OverflowError):
         return None
 

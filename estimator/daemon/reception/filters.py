@@ -55,4 +55,6 @@ def _masked(pgn: int, mask: int) -> CanFilter:
 
 
 def _length(message: BoundMessage) -> int:
-    return max(last_byte(s) for bound in message.signals for s in (bound.signal, *bound.multiplexers))
+    """Bytes that it has: what is wanted of a broadcast may be in its first ones."""
+    wanted = (last_byte(signal) for bound in message.signals for signal in (bound.signal, *bound.multiplexers))
+    return max([message.length, *wanted])

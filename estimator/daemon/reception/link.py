@@ -5,7 +5,6 @@ The thread only drains the bus into an `Inbox`, so no computation delays it unti
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -18,6 +17,7 @@ from estimator.daemon.reception.counts import Counts
 from estimator.daemon.reception.device import Device, DeviceWatch, Probe, probe_of
 from estimator.daemon.reception.echoes import Echoes
 from estimator.daemon.reception.inbox import Inbox
+from estimator.daemon.reception.message_clock import since_start
 from estimator.daemon.reception.reader import Batch, Reader, reader_of
 from estimator.errors import ConfigError
 from estimator.settings import Reception
@@ -50,7 +50,7 @@ class Link:
         spec: BusSpec,
         filters: list[CanFilter] | None,
         settings: Reception,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = since_start,
         opener: Callable[[BusSpec, list[CanFilter] | None], can.BusABC] = open_bus,
         probe: Probe | None = None,
         make_reader: Callable[[can.BusABC, int], Reader] = reader_of,

@@ -15,7 +15,7 @@ from estimator.answers.status import State, StatusAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.trouble_codes import TroubleMemory
 from estimator.daemon.reception.link import Link
-from estimator.daemon.reception.message_clock import MessageClock
+from estimator.daemon.reception.message_clock import MessageClock, since_start
 from estimator.daemon.reception.reader import Batch
 from estimator.daemon.service import metrics, status, status_file
 from estimator.daemon.service.faults import Faults
@@ -70,7 +70,7 @@ class Daemon:
         status_file: Path | None = None,
         metrics_file: Path | None = None,
         notifier: Notifier | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = since_start,
         wall: Callable[[], float] = time.time,
         own_faults: Faults | None = None,
         save_codes: Callable[[TroubleMemory], None] | None = None,
@@ -204,12 +204,13 @@ class Daemon:
             clock = self._time(link)
             for drained_at, batch in link.take():
                 frames = _at(clock, batch, drained_at)
+                if link is self.source and len(frames):
+                    self.listener.hear(frames)
                 if self.transmitter is not None and link is self._output:
+                    self.transmitter.estimate = self.listener.fresh(self._time(self.source).at(drained_at))
                     self.transmitter.hear(frames, batch.own, drained_at)
                 elif self.transmitter is not None:
                     self.transmitter.hear_elsewhere(frames)
-                if link is self.source and len(frames):
-                    self.listener.hear(frames)
 
     def _judge(self, now: float) -> None:
         """Set ``state`` and ``detail`` of the bus."""

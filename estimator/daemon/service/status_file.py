@@ -1,13 +1,13 @@
 """The file in which a running daemon shows its status, written about once a second."""
 
 import os
-import time
 from pathlib import Path
 
 import msgspec
 
 from estimator.answers.answer import decode, encode
 from estimator.answers.status import StatusAnswer
+from estimator.daemon.reception.message_clock import since_start
 from estimator.errors import InputError
 from estimator.input_files import MIB, read_bounded
 from estimator.output_files import write as write_whole
@@ -49,7 +49,7 @@ def read(path: Path) -> StatusAnswer:
 
 def obstacle_to_status(status: StatusAnswer, now: float | None = None) -> str:
     """Reason why a status is not that of a running daemon; empty where it is."""
-    age = (time.monotonic() if now is None else now) - status.written_monotonic_s
+    age = (since_start() if now is None else now) - status.written_monotonic_s
     if not is_alive(status.pid):
         return f"process {status.pid}, which wrote it, has ended"
     if not 0 <= age <= MAX_AGE:

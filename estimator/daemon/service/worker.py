@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from estimator.can_io.frames import Frames
 from estimator.daemon.reception.inbox import Inbox
+from estimator.daemon.reception.message_clock import since_start
 from estimator.daemon.service.boot_id import boot_id
 from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
@@ -74,10 +75,11 @@ class Worker:
         store: Store | None = None,
         key: str = "",
         save_interval: float = 60.0,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = since_start,
     ) -> None:
         self.pipeline = pipeline
         self.knowledge = Knowledge(
+            t=pipeline.traffic.until,
             estimate=pipeline.latest,
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,
@@ -95,7 +97,7 @@ class Worker:
         self._fed = False  # since the last save
         self._kept = pipeline.estimator.progress  # by the last save
         self._thread: threading.Thread | None = None
-        self._t: float | None = None
+        self._t = pipeline.traffic.until
 
     @property
     def latest(self) -> Estimate | None:
