@@ -18,8 +18,9 @@ from estimator.commands.tables import print_inspection
 from estimator.commands.terminal import print_config, print_json, say, standard_output
 from estimator.config import Config
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of
-from estimator.daemon.reception.message_clock import MessageClock, since_start
+from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import reader_of
+from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.assembly import settle
 from estimator.streaming import inspection
 

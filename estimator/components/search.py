@@ -24,7 +24,7 @@ MIN_ROUND_GAIN = 1.0  # in log evidence, for one round more
 ROUNDING = 1e-6  # of log evidence: by less, a round that finds the same set and scales again differs by rounding alone
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Round:
     """A table of sets of up to ``room`` causes, the set chosen from it, and the drives fitted beside that set."""
 
@@ -135,7 +135,7 @@ class Search:
         known = joint.before() if with_processes else ()  # processes come to the effects found without them
         room = max(size, len(known) + 1)
         table = weigh(joint, joint.causes(), min(room, MAX_CAUSES), known)
-        return _Round(room, joint, table, table.best, joint.fitted(table.best))
+        return _Round(room=room, joint=joint, table=table, chosen=table.best, states=joint.fitted(table.best))
 
     def _converged(
         self,

@@ -17,8 +17,8 @@ from estimator.daemon.reception.counts import Counts
 from estimator.daemon.reception.device import Device, DeviceWatch, Probe, probe_of
 from estimator.daemon.reception.echoes import Echoes
 from estimator.daemon.reception.inbox import Inbox
-from estimator.daemon.reception.message_clock import since_start
 from estimator.daemon.reception.reader import Batch, Reader, reader_of
+from estimator.daemon.reception.uptime import since_start
 from estimator.errors import ConfigError
 from estimator.settings import Reception
 

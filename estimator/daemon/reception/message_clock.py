@@ -5,8 +5,6 @@ never early, and stamps ascend. A contradiction of more than `MIN_STEP` is a ste
 from the stamps. Late stamps alone mean a step only if they are late by `MIN_LATENESS` for `MAX_LATE_DURATION`.
 """
 
-import time
-
 import numpy as np
 
 from estimator.signals import Floats, Mask
@@ -17,15 +15,6 @@ MAX_LATE_DURATION = 5.0  # s for which frames may be late one after another; bey
 MAX_STAMP = 1e11  # s; a stamp beyond is none
 DRIFT_RATE = 1e-3  # s per second by which the clocks' difference is followed: they drift by parts per million
 SETTLING = 2.0  # s after the first frame, in which stamps that are early mean that the first came late
-
-
-def since_start() -> float:
-    """Time [s] since the machine was started, on a clock that is never set.
-
-    Suspensions count: `time.monotonic` leaves them out on Linux, so hours asleep would be taken for a step of the wall
-    clock, and the load of before for the present one.
-    """
-    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
 class MessageClock:

@@ -15,8 +15,9 @@ from estimator.answers.status import State, StatusAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.trouble_codes import TroubleMemory
 from estimator.daemon.reception.link import Link
-from estimator.daemon.reception.message_clock import MessageClock, since_start
+from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import Batch
+from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service import metrics, status, status_file
 from estimator.daemon.service.faults import Faults
 from estimator.daemon.service.sd_notify import Notifier

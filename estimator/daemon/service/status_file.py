@@ -7,7 +7,7 @@ import msgspec
 
 from estimator.answers.answer import decode, encode
 from estimator.answers.status import StatusAnswer
-from estimator.daemon.reception.message_clock import since_start
+from estimator.daemon.reception.uptime import since_start
 from estimator.errors import InputError
 from estimator.input_files import MIB, read_bounded
 from estimator.output_files import write as write_whole

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from estimator.can_io.frames import Frames
 from estimator.daemon.reception.inbox import Inbox
-from estimator.daemon.reception.message_clock import since_start
+from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.boot_id import boot_id
 from estimator.errors import RoadloadError
 from estimator.estimate import Estimate
