@@ -48,6 +48,16 @@ FREE_TABLES: dict[str, Any] = {  # keys are the user's
     "lake.ranges": Range,
 }
 
+RETIRED = {  # keys and values of earlier versions, and what became of them
+    "kinematics.acceleration": "is no longer needed: an accelerometer that is bound shows the slope by itself",
+    "admission.margin_s": "belonged to the samples of earlier versions: admission.stride_margin_s is the margin",
+    "admission.power_sigmas": "belonged to the samples of earlier versions: power of any sign is used",
+    "sampler.likelihood = instruments": (
+        "is no longer there: it had no road, and gave wrong masses in hills; "
+        "take the key out for 'road', which has level roads too, or write 'paper'"
+    ),
+}
+
 J1939_BINDING: dict[str, SignalPaths] = {
     Role.SPEED: "CCVS1.WheelBasedVehicleSpeed",
     Role.ENGINE_SPEED: "EEC1.EngSpeed",
@@ -126,8 +136,6 @@ def check(config: Config) -> None:
             raise ConfigError('sampler.likelihood: "paper" has boxes only; take the beliefs out of [prior]')
     if config.effects and config.sampler.likelihood == "paper":
         raise ConfigError('sampler.likelihood: "paper" has the plain road load only; take the effects out')
-    if "grade" in config.effects and config.kinematics.acceleration == "inertial":
-        raise ConfigError('kinematics.acceleration: "inertial" contains the grade already; take it out of the effects')
     if config.gate.minimum_samples > config.window.samples:
         most = f"window.samples = {config.window.samples}"
         raise ConfigError(f"gate.minimum_samples: {config.gate.minimum_samples} never fit into {most}; change one")
@@ -195,11 +203,15 @@ def _explained(place: str, reason: str, tables: dict[str, Any]) -> str:
         kind = next((f.type for f in _fields(kind) if f.encode_name == key), None)
         value = value.get(key) if isinstance(value, dict) else None
     if unknown := re.fullmatch(r"Object contains unknown field `(.*)`", reason):
+        key = f"{place}.{unknown[1]}" if place else unknown[1]
+        if key in RETIRED:
+            return f"{key}: {RETIRED[key]}; take the key out"
         there = [f.encode_name for f in _fields(kind)]
         near = difflib.get_close_matches(unknown[1], there, n=1)
-        own = f"{place}.{unknown[1]}" if place else unknown[1]
-        return f"{own}: no such key; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(there)}")
+        return f"{key}: no such key; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(there)}")
     if reason.startswith("Invalid enum value"):
+        if f"{place} = {value}" in RETIRED:
+            return f"{place}: {value!r} {RETIRED[f'{place} = {value}']}"
         return f"{place}: {value!r} is none of {', '.join(map(repr, get_args(kind)))}"
     found = f", found {value!r}" if isinstance(value, bool | int | float | str) else ""
     return f"{place}: {reason}{found}" if place else reason

@@ -1,7 +1,7 @@
-"""The arrays that the estimator hands on: rows of the time grid, and admitted samples."""
+"""Rows of the time grid: what was on the bus, ten times a second."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -117,97 +117,3 @@ def _joined(parts: Sequence[tuple[Mapping[K, Floats], int]]) -> dict[K, Floats]:
     """Columns of parts, each with its length, one after another: NaN in a part that lacks the column."""
     keys = dict.fromkeys(key for columns, _ in parts for key in columns)
     return {key: np.concatenate([columns.get(key, np.full(n, np.nan)) for columns, n in parts]) for key in keys}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Samples:
-    """Samples that the model is fitted to; all arrays (n,).
-
-    Smoothed speed ``v`` [m/s], acceleration ``a`` [m/s^2] and power ``P`` [W] with its rate ``dP`` [W/s]; and their
-    instruments ``zv``, ``za``, ``zdP``: the same quantities from readings around, but not at, the moment.
-    ``density`` of the air [kg/m^3], NaN where temperature or pressure is not known. ``context`` holds what effects
-    beyond the plain road load are computed from; blocks that are joined have the same.
-    """
-
-    t: Floats
-    v: Floats
-    a: Floats
-    P: Floats
-    dP: Floats
-    zv: Floats
-    za: Floats
-    zdP: Floats
-    density: Floats
-    context: Mapping[Quantity, Floats] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    @property
-    def complete(self) -> Mask:
-        """Whether all quantities of the model are known (n,); the density may be missing."""
-        needed = [values for name, values in self._arrays().items() if name != "density"]
-        known: Mask = np.all(np.isfinite([*needed, *self.context.values()]), axis=0)
-        return known
-
-    @property
-    def cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Speed [m/s], acceleration [m/s^2] and rows (n,) of each sample, by its instruments.
-
-        The window keeps rare accelerations longest. Selected by measured acceleration, it would keep samples with large
-        noise; the noise of the instruments is independent of it.
-        """
-        return self.zv, self.za, np.ones(len(self), dtype=np.int64)
-
-    @property
-    def own_cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Speed [m/s], acceleration [m/s^2] and rows (n,) of each sample, as measured."""
-        return self.v, self.a, np.ones(len(self), dtype=np.int64)
-
-    def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
-        return table(self)
-
-    @classmethod
-    def restore(cls, state: State) -> "Samples":
-        """Samples from their state.
-
-        Raises
-        ------
-        StateError
-            It is not that of samples, or not one that the model could use.
-        """
-        n, context = len(array(state, "t", (-1,))), substate(state, "context")
-        plain = [each.name for each in fields(cls) if each.name != "context"]
-        columns: dict[str, Any] = {name: array(state, name, (n,), finite=False) for name in plain}
-        columns["context"] = {quantity: array(context, quantity, (n,)) for quantity in names(context, Quantity)}
-        samples = cls(**columns)
-        if not samples.complete.all():
-            raise StateError("samples: are not all complete")
-        return samples
-
-    def _arrays(self) -> dict[str, Any]:
-        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "context"}
-
-    @property
-    def relative_density(self) -> Floats:
-        """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
-        return over_mean(self.density)
-
-    def __getitem__(self, part: slice | Mask | NDArray[np.intp]) -> "Samples":
-        context = {quantity: values[part] for quantity, values in self.context.items()}
-        return Samples(**{name: values[part] for name, values in self._arrays().items()}, context=context)
-
-    @classmethod
-    def concatenate(cls, parts: "list[Samples]") -> "Samples":
-        """Join in order; no parts give no samples."""
-        if not parts:
-            blank: dict[str, Any] = {each.name: np.empty(0) for each in fields(cls) if each.name != "context"}
-            return cls(**blank)
-        columns: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in parts[0]._arrays()
-        }
-        context = {
-            quantity: np.concatenate([part.context[quantity] for part in parts]) for quantity in parts[0].context
-        }
-        return cls(**columns, context=context)

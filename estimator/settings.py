@@ -53,20 +53,17 @@ class Lake(Section, frozen=True):
 
 
 class Kinematics(Section, frozen=True):
-    """How speed becomes acceleration."""
+    """How speed and power belong together."""
 
-    acceleration: Literal["wheel_speed", "inertial"] = "wheel_speed"  # inertial: senses gravity, so grade too
     despike: bool = True  # replace lone gross errors of power by the median of their neighbours, drop those of speed
     maximum_lag_s: Annotated[float, Meta(ge=0, le=2)] = 0.6  # of torque against speed, searched on either side
 
 
 class Admission(Section, frozen=True):
-    """Which samples may enter the window."""
+    """Which driving may enter the window."""
 
     minimum_speed_m_s: NotNegative = 1.0
-    margin_s: NotNegative = 1.5  # kept away from brake use, shifts and gaps, on either side
-    stride_margin_s: NotNegative = 0.8  # the same for the road model, whose averages reach less far
-    power_sigmas: NotNegative = 3.0  # model power must exceed this many sd of the residual
+    stride_margin_s: NotNegative = 0.8  # kept away from brake use, shifts and gaps, on either side
 
 
 class Window(Section, frozen=True):
@@ -120,7 +117,7 @@ class Prior(Section, frozen=True):
 class Sampler(Section, frozen=True):
     """Metropolis-Hastings."""
 
-    likelihood: Literal["road", "instruments", "paper"] = "road"
+    likelihood: Literal["road", "paper"] = "road"  # paper: of the power on a level road, as published
     kernel: Literal["independence", "random_walk"] = "independence"
     chains: Annotated[int, Meta(ge=2, le=256)] = 64
     burn_in: Annotated[int, Meta(ge=1, le=20_000)] = 20  # the random walk takes more of both: it moves slowly

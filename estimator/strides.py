@@ -88,8 +88,6 @@ class Strides:
         """Speed [m/s], acceleration [m/s^2] and rows (n,) of each stride whose force is known."""
         return self.speed[self.known], self.a[self.known], self.rows[self.known]
 
-    own_cells = cells
-
     @property
     def relative_density(self) -> Floats:
         """Density (n,) of the air over its mean here [1]; 1 where it is not known."""

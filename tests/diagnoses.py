@@ -59,9 +59,11 @@ def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
         t=t,
         distance=np.cumsum(v),
         speed=v,
+        acceleration=a,
         measured=measured,
         base=base[driving],
         extended=extended,
+        road_known=extended,
         log=np.zeros(len(t)),
     )
     speeds, accelerations = np.linspace(0, 28, 15), np.linspace(-0.6, 0.6, 13)

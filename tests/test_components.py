@@ -44,9 +44,10 @@ from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bay
 from estimator.estimation.road_fit import fit, fit_given
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
 from estimator.model.conditioned import Conditioned
-from estimator.model.design_matrix import USUAL_SDS, Term, covered, union, without
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
+from estimator.model.spans import covered, union, without
+from estimator.model.term import USUAL_SDS, Term
 from estimator.samples import STEP
 from estimator.signals import Quantity
 

@@ -20,9 +20,28 @@ Answer = dict[str, Any]
 @pytest.fixture
 def diagnose(tmp_path):
     def of(recording: Recording, *arguments: object) -> Answer:
-        return ask("diagnose", written(recording, tmp_path / "drive.blf"), *arguments)
+        traces = tmp_path / "traces.csv"
+        answer = ask("diagnose", written(recording, tmp_path / "drive.blf"), "--traces", traces, *arguments)
+        what_is_drawn_is_what_is_stated(answer, traces)
+        return answer
 
     return of
+
+
+def what_is_drawn_is_what_is_stated(answer: Answer, traces: Path) -> None:
+    """The curves of the page, which the file holds, leave the residuals of the headline; places are of the same."""
+    drawn = np.genfromtxt(traces, delimiter=",", names=True)
+
+    def rms(model: str) -> float:
+        return float(np.sqrt(np.mean((drawn["measured_kW"] - drawn[model]) ** 2)))
+
+    assert rms("plain_kW") == pytest.approx(answer["rms_base_kW"], rel=1e-4)
+    assert rms("with_effects_kW") == pytest.approx(answer["rms_final_kW"], rel=1e-4)
+    axes = {"speed": drawn["speed_km_h"] / 3.6, "time": drawn["time_s"] - drawn["time_s"][0]}
+    for place in [place for place in answer["where"] if place["axis"] in axes]:
+        part = (axes[place["axis"]] >= place["from"]) & (axes[place["axis"]] < place["to"])
+        residual = (drawn["measured_kW"] - drawn["plain_kW"])[part]
+        assert place["bias_kW"] == pytest.approx(residual.mean(), rel=0.02, abs=0.02)
 
 
 def only(answer: Answer, name: str) -> Answer:
@@ -101,7 +120,10 @@ def fan(tmp_path_factory):
     """What is said of a fan that no signal shows, and when it ran."""
     recording = drive("highway", 19, 3, Effect(name="auxiliary_cycling", magnitude=30e3), without=[Role.FAN_SPEED])
     log = written(recording, tmp_path_factory.mktemp("fan") / "fan.blf")
-    return ask("diagnose", log), recording.truth.active["auxiliary_cycling"]
+    traces = log.with_name("traces.csv")
+    answer = ask("diagnose", log, "--traces", traces)
+    what_is_drawn_is_what_is_stated(answer, traces)
+    return answer, recording.truth.active["auxiliary_cycling"]
 
 
 def test_a_fan(fan):

@@ -1,4 +1,6 @@
-"""The plain fit, places, formulas and surrogates of the diagnosis against analytic and brute-force values."""
+"""The plain model, places, formulas and surrogates of the diagnosis against analytic and brute-force values."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,45 +8,42 @@ from made_strides import made_strides
 from scipy.stats import false_discovery_control
 
 from estimator.components.drive_state import DriveState
+from estimator.components.plain_model import PlainModel
 from estimator.diagnosis import localisation
-from estimator.diagnosis.base import block_sums, fit_base, long_run_variance
 from estimator.diagnosis.described import described
-from estimator.diagnosis.model import Model, fit
+from estimator.diagnosis.result import Traces
 from estimator.diagnosis.surrogates import with_other_phases
+from estimator.estimation.long_run import long_run_variance
 from estimator.false_discovery import false_discovery_rates
-from estimator.samples import STEP, Samples
 from estimator.signals import Floats, Quantity
 
 THETA = np.array([1739.0, 3.74, 27_190.0])  # A [N], C [N s^2/m^2], m [kg]
-NOISE = 4e3  # W, sd of the power of a sample
+NOISE = 1e3  # W, sd of the power of a row of 2 s
+STEP = 2.0  # s of a row
 
 
-def samples_of(extra: Floats | float = 0.0, minutes: float = 20.0, seed: int = 1, noise: float = NOISE) -> Samples:
+def traces_of(extra: Floats | float = 0.0, minutes: float = 20.0, seed: int = 1) -> Traces:
     """A drive on a flat road with white noise of the power, and ``extra`` power [W]."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 60.0 * minutes, STEP)
     v = 18 + 6 * np.sin(2 * np.pi * t / 190) + 2 * np.sin(2 * np.pi * t / 47)
     a = np.gradient(v, STEP)
-    P = THETA[0] * v + THETA[1] * v**3 + THETA[2] * v * a + extra + rng.normal(0.0, noise, len(t))
-    dP = rng.normal(0.0, 1e3, len(t))
-    nothing = np.full(len(t), np.nan)
-    context = {Quantity.DISTANCE: np.cumsum(v) * STEP, Quantity.STOPS: np.zeros(len(t))}
-    return Samples(t=t, v=v, a=a, P=P, dP=dP, zv=v, za=a, zdP=dP, density=nothing, context=context)
+    base = THETA[0] * v + THETA[1] * v**3 + THETA[2] * v * a
+    measured = base + extra + rng.normal(0.0, NOISE, len(t))
+    return Traces(
+        t=t,
+        distance=np.cumsum(v) * STEP,
+        speed=v,
+        acceleration=a,
+        measured=measured,
+        base=base,
+        extended=base,
+        road_known=base,
+        log=np.zeros(len(t)),
+    )
 
 
-def model_of(samples: Samples) -> Model:
-    model = fit(samples)
-    assert model is not None
-    return model
-
-
-# The plain fit
-
-
-def test_columns_that_depend_on_each_other_have_no_base() -> None:
-    x = np.random.default_rng(1).normal(size=(200, 2))
-    X = np.column_stack([x, x @ [1.0, 2.0]])
-    assert fit_base(X, X, X[:, 0], np.arange(200)) is None
+# The plain model
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.6, 0.9])
@@ -55,14 +54,37 @@ def test_long_run_variance_of_an_autoregression(rho: float) -> None:
     noise = rng.normal(size=(n + 200, k))
     for i in range(1, len(noise)):
         noise[i] += rho * noise[i - 1]
-    variance, dof = long_run_variance(noise[200:])
+    variance, dof = np.transpose([long_run_variance(column) for column in noise[200:].T])
     assert variance.mean() == pytest.approx(n / (1 - rho) ** 2, rel=0.1)
     assert np.var(variance / variance.mean()) == pytest.approx(np.mean(2 / dof), rel=0.6)
 
 
-def test_sums_over_blocks() -> None:
-    values, block = np.arange(12.0).reshape(6, 2), np.array([3, 3, 4, 7, 7, 7])
-    assert block_sums(values, block).tolist() == [[2, 4], [4, 5], [24, 27]]
+def test_the_plain_model_is_least_squares_of_the_power_at_the_strides() -> None:
+    fit = driven().fit
+    plain, s = PlainModel(fit), fit.strides
+    force = s.force[:, 0]  # the same at every lag: the column of the lag is zero
+    X = np.column_stack([s.a, np.ones(len(s)), s.speed_squared, np.minimum(force, 0.0)]) * s.speed[:, None]
+    m, A, C, _ = np.linalg.lstsq(X, plain.power, rcond=None)[0].tolist()
+    road_load, sd = plain.road_load
+    assert road_load.tolist() == pytest.approx([A, C, m], rel=1e-6)
+    assert np.all(np.abs(road_load - THETA) < 5 * sd)
+    left = plain.residual(plain.power)
+    again = plain.residual(plain.power + X @ np.array([1e3, -20.0, 0.3, 0.1]))
+    assert again == pytest.approx(left, abs=1e-4)  # what the columns can imitate is no residual
+
+
+def test_a_plain_model_of_a_steady_drive_is_not_determined() -> None:
+    fit = driven().fit
+    n = len(fit.strides)
+    steady = replace(
+        fit.strides,
+        a=np.full(n, 0.01),
+        v0=np.full(n, 20.0),
+        v1=np.full(n, 20.0),
+        speed_squared=np.full(n, 400.0),
+    )
+    assert PlainModel(fit).is_determined
+    assert not PlainModel(replace(fit, strides=steady)).is_determined
 
 
 # Places
@@ -70,34 +92,41 @@ def test_sums_over_blocks() -> None:
 
 def test_nothing_is_located_where_there_is_only_noise() -> None:
     """False discoveries are held at 5 % over all parts: at most two of 30 clean drives show any."""
-    assert sum(bool(localisation.places(model_of(samples_of(seed=seed)))) for seed in range(30)) <= 2
+    assert sum(bool(localisation.places(traces_of(seed=seed), {})) for seed in range(30)) <= 2
 
 
 def test_a_load_is_located_in_time_with_its_bias_and_share() -> None:
     t = np.arange(0.0, 1200.0, STEP)
     on = (t >= 450.0) & (t < 600.0)  # the fourth of eight parts
-    model = model_of(samples_of(40e3 * on))
-    residual = model.base.residual
-    found = localisation.places(model)
+    traces = traces_of(40e3 * on)
+    residual = traces.measured - traces.base
+    found = localisation.places(traces, {})
     (place,) = [p for p in found if p.axis == "time" and p.bias == max(q.bias for q in found if q.axis == "time")]
-    assert (place.start, place.end) == (pytest.approx(450.0, abs=1.0), pytest.approx(600.0, abs=1.0))
-    assert place.bias == pytest.approx(residual[on].mean(), rel=0.01)
-    assert place.share == pytest.approx(on.sum() * residual[on].mean() ** 2 / (residual @ residual), rel=0.01)
+    assert (place.start, place.end) == (pytest.approx(450.0, abs=STEP), pytest.approx(600.0, abs=STEP))
+    assert place.bias == pytest.approx(residual[on].mean(), rel=0.02)
+    assert place.share == pytest.approx(on.sum() * residual[on].mean() ** 2 / (residual @ residual), rel=0.02)
     assert place.q_value < 1e-3
     shares = [p.share for p in found]
     assert shares == sorted(shares, reverse=True)
 
 
+def test_a_load_is_located_by_what_else_is_known() -> None:
+    t = np.arange(0.0, 1200.0, STEP)
+    gear = np.where((t // 100) % 2 == 0, 9.0, 11.0)
+    found = localisation.places(traces_of(20e3 * (gear == 11.0)), {Quantity.GEAR: gear})
+    assert {(p.start, np.sign(p.bias)) for p in found if p.axis == "gear"} == {(11.0, 1.0)}
+
+
 def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
-    model = model_of(samples_of(20e3, minutes=10.0))
-    found = localisation.gap_map(model, model)
-    s = model.samples
+    traces = traces_of(20e3, minutes=10.0)
+    found = localisation.gap_map(traces, traces.extended)
     i, j = np.unravel_index(int(np.nanargmax(found.samples)), found.samples.shape)
-    cell = (s.zv >= found.speed_edges[i]) & (s.zv < found.speed_edges[i + 1])
-    cell &= (s.za >= found.acceleration_edges[j]) & (s.za < found.acceleration_edges[j + 1])
+    cell = (traces.speed >= found.speed_edges[i]) & (traces.speed < found.speed_edges[i + 1])
+    cell &= traces.acceleration >= found.acceleration_edges[j]
+    cell &= traces.acceleration < found.acceleration_edges[j + 1]
     assert found.samples[i, j] == cell.sum()
-    assert found.before[i, j] == pytest.approx(model.base.residual[cell].mean())
-    assert np.isnan(found.before[found.samples < localisation.MIN_CELL_SAMPLES]).all()
+    assert found.before[i, j] == pytest.approx((traces.measured - traces.base)[cell].mean())
+    assert np.isnan(found.before[found.samples < localisation.MIN_CELL_ROWS]).all()
 
 
 # A formula for what has no name

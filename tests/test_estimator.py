@@ -16,7 +16,6 @@ from estimator.samples import STEP, Rows
 from estimator.signals import Quantity, Role
 
 THETA = np.array([1739.0, 3.74, 27_190.0])
-CHOSEN = (Reason.BELOW_MODEL_POWER, Reason.EVICTED)  # of samples that were admitted before
 
 
 def drive(n: int, seed: int = 1, first: int = 0) -> Rows:
@@ -53,12 +52,12 @@ def run(estimator: Estimator, rows: Rows, piece: int = 50) -> list:
 
 def known(estimator: Estimator) -> np.ndarray:
     """Times of the strides whose force is known [s]."""
-    strides = estimator.window.samples
+    strides = estimator.window.strides
     return strides.t[strides.known]
 
 
 def accounted(estimator: Estimator) -> int:
-    early = {reason: count for reason, count in estimator.rejected.items() if reason not in CHOSEN}
+    early = {reason: count for reason, count in estimator.rejected.items() if reason != Reason.EVICTED}
     return estimator.window.added + sum(early.values())
 
 
@@ -92,7 +91,7 @@ def test_rows_are_accounted_for_over_gaps_and_evictions():
     assert accounted(estimator) == 8030
     assert estimator.rejected[Reason.EVICTED] == estimator.window.added - len(estimator.window) > 0
     latest = estimator.latest
-    assert latest.admitted == len(estimator.window) - estimator.rejected[Reason.BELOW_MODEL_POWER]
+    assert latest.admitted == len(estimator.window)
 
 
 @pytest.mark.slow
@@ -127,20 +126,7 @@ def test_a_new_drive_forgets():
     assert run(estimator, drive(6000, first=-100_000))[-1].status == Status.ESTIMATED
 
 
-@pytest.mark.parametrize("is_another", [False, True])
-def test_the_lag_of_one_vehicle_is_not_that_of_another(is_another):
-    samples = stage.SampleStage(from_dict({}))
-    late = replace(drive(3000), power=np.roll(drive(3000).power, 5))
-    list(samples.feed(late))
-    assert samples.lag > 0.3
-    samples.forget(is_another)
-    assert (samples.lag == 0.0) == is_another
-    list(samples.feed(drive(3000, first=50_000)))
-    assert (abs(samples.lag) < 0.1) == is_another
-
-
-@pytest.mark.parametrize("kind", [stage.SampleStage, stage.StrideStage])
-def test_each_drive_waits_for_the_signals_of_its_effects(kind):
+def test_each_drive_waits_for_the_signals_of_its_effects():
     """A heading that comes 15 s after the beginning."""
 
     def rows(first: int) -> Rows:
@@ -148,7 +134,7 @@ def test_each_drive_waits_for_the_signals_of_its_effects(kind):
         heading = np.where(np.arange(3000) < 150, np.nan, 1.0)
         return replace(whole, context={**whole.context, Role.HEADING: heading})
 
-    stages = kind(from_dict({"effects": ["headwind"]}))
+    stages = stage.StrideStage(from_dict({"effects": ["headwind"]}))
     wanted = []
     for first in (0, 50_000):
         whole = rows(first)
@@ -156,7 +142,7 @@ def test_each_drive_waits_for_the_signals_of_its_effects(kind):
             list(stages.feed(whole[i : i + 50]))
         wanted.append(stages.wanted)
         list(stages.finish())
-        stages.forget(False)
+        stages.forget()
     assert wanted == [frozenset({Quantity.HEADING})] * 2
 
 
@@ -179,17 +165,6 @@ def test_updates_come_at_the_interval_and_only_with_news():
     assert np.all(np.diff(times[times < 600]) > 19)
     assert len(times[times < 600]) >= 12
     assert not np.any(times > 660)
-
-
-def test_a_few_moments_do_not_settle_the_smoother():
-    estimator = new(sampler={"likelihood": "instruments"})
-    run(estimator, drive(300))
-    late = drive(6000, first=1000)
-    late = Rows(
-        index=late.index, speed=late.speed, power=np.roll(late.power, 4), fresh=late.fresh, context=late.context
-    )
-    run(estimator, late)
-    assert estimator._stage.lag == pytest.approx(0.4, abs=0.03)
 
 
 @pytest.mark.slow

@@ -189,7 +189,7 @@ def test_an_error_in_a_task_is_the_reason_of_its_drive(monkeypatch: pytest.Monke
 
 
 def test_only_the_road_likelihood_can_be_joined(fleet: Path) -> None:
-    other = configuration.from_dict({"sampler": {"likelihood": "instruments"}})
+    other = configuration.from_dict({"sampler": {"likelihood": "paper"}})
     with pytest.raises(ConfigError, match=r"sampler\.likelihood"):
         estimate_drives([fleet], other)
 
@@ -430,7 +430,7 @@ def test_a_run_that_can_use_no_log_writes_nothing_and_ends_with_status_2(fleet: 
 
 def test_a_wrong_configuration_is_told_before_a_folder_is_made(fleet: Path, tmp_path: Path) -> None:
     config = tmp_path / "own.toml"
-    config.write_text('[sampler]\nlikelihood = "instruments"\n')
+    config.write_text('[sampler]\nlikelihood = "paper"\n')
     status, _, lines = ask(fleet, "-o", tmp_path / "out", "--config", config)
     assert (status, len(lines)) == (2, 1)
     assert not (tmp_path / "out").exists()

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from estimator.estimation.moments import Fit
 
 from estimator.estimate import Coverage
 from estimator.estimation.gate import MIN_PULLING_ACCELERATION, Gate, has_news, wrong_sign_of
-from estimator.estimation.moments import Fit
 from estimator.estimation.posterior import box
 from estimator.estimation.window import Grid
 from estimator.settings import Gate as GateConfig

@@ -2,16 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from simulated_logs import ask, drive, named, written
 
-from estimator.diagnosis.model import fit
-from estimator.model.design_matrix import Term, settled
-from estimator.model.effects import BY_NAME
-from estimator.model.road_load import design
-from estimator.samples import Samples
-from estimator.signals import Quantity, Role
+from estimator.signals import Role
 from estimator.simulation.effects.effect import Effect
 
 pytestmark = pytest.mark.slow
@@ -45,30 +39,6 @@ def test_a_good_altimeter_names_the_hills_itself(diagnose):
     answer = diagnose("highway", 2, Effect(name="grade", magnitude=0.005), 1.0)
     assert named(answer)[0] == "grade"
     assert answer["effects"][0]["detail"] == "varies with place; shown by altitude"
-
-
-def test_grade_in_the_model_does_no_harm_where_the_road_is_flat():
-    t = np.arange(0.0, 600.0, 0.1)
-    v, a, none = 18 + 5 * np.sin(t / 9), 5 / 9 * np.cos(t / 9), np.zeros(len(t))
-    truth = np.array([1700.0, 3.7, 27e3])
-    P = design(v, a) @ truth
-    slope = np.gradient(P, t)
-    flat = Samples(
-        t=t,
-        v=v,
-        a=a,
-        P=P,
-        dP=slope,
-        zv=v,
-        za=a,
-        zdP=slope,
-        density=none + np.nan,
-        context={Quantity.CLIMB_BY_ALTITUDE: none},
-    )
-    term = settled(Term(BY_NAME["grade"], Quantity.CLIMB_BY_ALTITUDE), flat)
-    model = fit(flat, (term,))
-    assert model is not None
-    assert model.road_load == pytest.approx(truth)
 
 
 def test_a_load_taken_on_is_found_beside_hills_that_a_poor_altimeter_shows(tmp_path, monkeypatch):

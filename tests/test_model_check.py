@@ -6,10 +6,7 @@ import pytest
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict
 from estimator.estimate import Estimate, Status
-from estimator.estimation import moments
-from estimator.estimation.model_check import misfit
-from estimator.samples import STEP, Samples
-from estimator.signals import Floats, Role, Series
+from estimator.signals import Role, Series
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
@@ -18,45 +15,6 @@ from estimator.streaming.pipeline import Pipeline
 
 ONCE = {"interval_s": 3600.0}  # of the gate: only the conclusion at the end of the drive
 WIDE = {"gate": {**ONCE, "relative_sd": [9.0, 9.0, 9.0], "coverage": 0.0}}
-
-
-def samples_of(power, n: int = 6000) -> Samples:
-    rng = np.random.default_rng(1)
-    t = np.arange(n) * STEP
-    v = 15 + 8 * np.sin(0.02 * t) + 2 * np.sin(0.3 * t)
-    a = np.gradient(v, STEP)
-    P = power(v, a) + 3e3 * rng.standard_normal(n)
-    zero = np.gradient(P, STEP)
-    return Samples(t=t, v=v, a=a, P=P, dP=zero, zv=v, za=a, zdP=zero, density=np.full(n, np.nan))
-
-
-def verdict(power, power_sigmas: float = 3.0) -> str:
-    samples = samples_of(power)
-    fit = moments.fit(samples, power_sigmas)
-    assert fit is not None
-    return misfit(samples, fit)
-
-
-def model(v: Floats, a: Floats) -> Floats:
-    return 1700 * v + 3.7 * v**3 + 27_000 * v * a
-
-
-def test_the_model_passes_its_own_data():
-    assert verdict(model) == ""
-
-
-def test_small_imperfections_pass():
-    assert verdict(lambda v, a: model(v, a) + 2e3 * np.sin(v)) == ""
-
-
-def test_power_that_has_little_to_do_with_driving():
-    hills = 4e5 * np.sin(np.arange(6000) * STEP / 40)
-    assert "explains" in verdict(lambda v, a: model(v, a) + hills, power_sigmas=0.2)
-
-
-def test_a_load_that_the_model_lacks_is_located():
-    reason = verdict(lambda v, a: model(v, a) + 9e4 * (v > 20) * (v < 22))
-    assert "is left at speed" in reason
 
 
 @pytest.fixture(scope="module")

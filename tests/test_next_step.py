@@ -7,7 +7,6 @@ import pytest
 from estimator.config import from_dict
 from estimator.estimate import Coverage, Estimate, Status
 from estimator.report.next_step import next_step
-from estimator.signals import Role
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.replay import Run
 
@@ -18,12 +17,8 @@ def run(
     status: Status,
     admitted: int,
     coverage: Coverage,
-    *seen: Role,
-    effects: tuple[str, ...] = (),
-    likelihood: str = "road",
 ) -> Run:
-    pipeline = Pipeline(from_dict({"effects": list(effects), "sampler": {"likelihood": likelihood}}))
-    pipeline.traffic.seen.update(dict.fromkeys(seen, 1000))
+    pipeline = Pipeline(from_dict({}))
     update = Estimate(t=0.0, status=status, reason="a reason", coverage=coverage, admitted=admitted)
     return Run(pipeline=pipeline, updates=[update], skipped=Counter(), mixed_channels=Counter())
 
@@ -36,13 +31,6 @@ def run(
         (run(Status.UNESTIMATED, 5000, UNKNOWN), "the boxes of [prior]"),
         (run(Status.UNESTIMATED, 5000, NARROW), "with more speeds and accelerations"),
         (run(Status.UNESTIMATED, 5000, WIDE), "`roadload diagnose` with the same logs"),
-        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE), "give a longer log"),
-        (run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE, likelihood="instruments"), 'effects = ["grade"]'),
-        (run(Status.UNESTIMATED, 5000, WIDE, likelihood="instruments"), "give a longer log"),
-        (
-            run(Status.UNESTIMATED, 5000, WIDE, Role.ALTITUDE, effects=("grade",), likelihood="instruments"),
-            "give a longer log",
-        ),
         (run(Status.INVALID, 5000, WIDE), "`roadload diagnose` with the same logs"),
     ],
 )

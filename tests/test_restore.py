@@ -15,10 +15,10 @@ from estimator.config import from_dict
 from estimator.errors import StateError
 from estimator.estimate import Status
 from estimator.estimation.estimator import Estimator
-from estimator.estimation.inference import Inference
+from estimator.estimation.paper_inference import PaperInference
 from estimator.estimation.road_inference import RoadInference
 from estimator.model.road_load import design
-from estimator.preparation.stage import SampleStage, StrideStage
+from estimator.preparation.stage import StrideStage
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
 from estimator.simulation.recording import record
@@ -35,9 +35,8 @@ SAVED = 1200.0  # s into the drive
 REBUILT = {  # what traffic or the configuration shows again
     Estimator: {"_config", "_resting", "segment"},
     StrideStage: {"_config", "_effects", "wanted"},
-    SampleStage: {"_config", "_effects", "_maker"},
-    RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "below", "evidence"},
-    Inference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
+    RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
+    PaperInference: {"_config", "_gate", "_rng", "_window", "evidence"},
     Pipeline: {"config", "_is_restored"},
     RowStream: {
         "_config",
@@ -115,10 +114,10 @@ def rows_of(n: int, first: int = 0) -> Rows:
 
 @pytest.mark.parametrize(
     ("n", "likelihood"),
-    [(n, kind) for kind in ("instruments", "road") for n in (0, 50, 2500, 9000)] + [(9000, "paper")],
+    [(n, "road") for n in (0, 50, 2500, 9000)] + [(9000, "paper")],
 )
 def test_an_estimator_goes_on_to_the_bit(n, likelihood):
-    """Also before its smoother is settled, and when nothing has come yet."""
+    """Also when nothing has come yet."""
     config = from_dict({"sampler": {"likelihood": likelihood}, "gate": {"interval_s": 180.0}})
 
     def new() -> Estimator:
@@ -137,7 +136,7 @@ def test_an_estimator_goes_on_to_the_bit(n, likelihood):
     assert list(second.finish()) == list(whole.finish())
     assert second.latest.status == Status.ESTIMATED
     assert second.rejected == whole.rejected
-    assert second.window.samples.t.tolist() == whole.window.samples.t.tolist()
+    assert second.window.strides.t.tolist() == whole.window.strides.t.tolist()
 
 
 # The pipeline
@@ -186,7 +185,7 @@ def test_rows_are_never_joined_over_the_absence(drive, state, away):
 def test_after_a_long_absence_the_load_is_another(drive, state, away):
     pipeline = restored(state)
     list(pipeline.feed(moved(between(drive, SAVED, SAVED + 60), away)))
-    assert len(pipeline.estimator.window) == 0 or pipeline.estimator.window.samples.t[0] > EPOCH + SAVED + away
+    assert len(pipeline.estimator.window) == 0 or pipeline.estimator.window.strides.t[0] > EPOCH + SAVED + away
     assert pipeline.estimator.latest is None
     estimate = run(pipeline, moved(between(drive, SAVED + 60, 1800), away))
     assert estimate.status == Status.ESTIMATED
@@ -287,19 +286,18 @@ def test_the_turns_of_the_road_come_back(state):
     assert_array_equal(restored(kept).state()["estimator"]["inference"]["scales"]["turns"], turns)
 
 
-@pytest.mark.parametrize("kind", [Estimator, StrideStage, RoadInference, SampleStage, Inference, Pipeline, RowStream])
+@pytest.mark.parametrize("kind", [Estimator, StrideStage, RoadInference, PaperInference, Pipeline, RowStream])
 def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
     """A new attribute belongs into the state, or into REBUILT."""
-    samples = kind in (SampleStage, Inference)
-    pipeline = Pipeline(from_dict({"sampler": {"likelihood": "instruments"}} if samples else {}))
-    if samples:
+    is_paper = kind is PaperInference
+    pipeline = Pipeline(from_dict({"sampler": {"likelihood": "paper"}} if is_paper else {}))
+    if is_paper:
         state = pipeline.state()
     one, saved = {
         Estimator: (pipeline.estimator, state["estimator"]),
         StrideStage: (pipeline.estimator._stage, state["estimator"]["stage"]),
-        SampleStage: (pipeline.estimator._stage, state["estimator"]["stage"]),
         RoadInference: (pipeline.estimator._inference, state["estimator"]["inference"]),
-        Inference: (pipeline.estimator._inference, state["estimator"]["inference"]),
+        PaperInference: (pipeline.estimator._inference, state["estimator"]["inference"]),
         Pipeline: (pipeline, {"traffic": None, **state}),
         RowStream: (pipeline.traffic, state),
     }[kind]

@@ -237,7 +237,7 @@ def test_frames_of_a_drive_without_these_signals_carry_none_of_them(drive):
     pipeline = Pipeline(from_dict(ONCE))
     list(pipeline.feed(frames[frames.t < frames.t[0] + 60]))
     list(pipeline.finish())
-    strides = pipeline.estimator.window.samples
+    strides = pipeline.estimator.window.strides
     assert len(strides)
     for values in (strides.altitude, strides.grade, strides.gravity):
         assert np.isnan(values).all()

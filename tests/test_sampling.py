@@ -5,10 +5,11 @@ import pytest
 from arviz_stats.base import array_stats
 from scipy import stats
 from scipy.special import logsumexp
+from student_target import StudentTarget
 
 from estimator.sampling.convergence import diagnose
 from estimator.sampling.identifiability import eigen_metrics
-from estimator.sampling.likelihood import StudentTarget, in_box
+from estimator.sampling.likelihood import in_box
 from estimator.sampling.metropolis import KERNELS
 from estimator.sampling.run import LONGER, MAX_IMPORTANCE_WEIGHT, MAX_R_HAT, overdispersed, run
 

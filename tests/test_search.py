@@ -19,10 +19,11 @@ from estimator.components.switching import Switching
 from estimator.diagnosis import explanation
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
-from estimator.model.design_matrix import Spans, Term, covered
 from estimator.model.effects import BY_NAME
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_scales import POWER, SCALES, TORQUE
+from estimator.model.spans import Spans, covered
+from estimator.model.term import Term
 from estimator.signals import Quantity
 
 Round = tuple[tuple[int, ...], float]  # the best set of a table, and its log evidence with scales of its own

@@ -18,10 +18,10 @@ from estimator.estimation.shapes import (
     nearer_shapes,
 )
 from estimator.model.conditioned import Conditioned
-from estimator.model.design_matrix import Term
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.cold import cold_by_time, excess, excesses, finer_excesses
 from estimator.model.effects.effect import View
+from estimator.model.term import Term
 from estimator.signals import Quantity
 
 M, A, C = 25e3, 1600.0, 3.5
@@ -43,7 +43,7 @@ def at(n=1500):
     """The times of a drive, for what falls with them."""
     t, zero = np.arange(n) + 0.5, np.zeros(n)
     context, road_load = {Quantity.ELAPSED: t}, np.array([A, C, M])
-    return View(t=t, v=zero + 1, a=zero, P=zero, density=zero, context=context, road_load=road_load, climb=zero)
+    return View(t=t, v=zero + 1, a=zero, P=zero, density=zero, context=context, road_load=road_load)
 
 
 def driven(n=1500, size=0.0, term=COLD[0]):
@@ -61,7 +61,6 @@ def driven(n=1500, size=0.0, term=COLD[0]):
         density=np.ones(n),
         context=context,
         road_load=np.array([A, C, M]),
-        climb=unknown,
     )
     force = M * np.diff(speed) + A + C * v**2 + size * term.column(view) / v + M * rng.normal(0, 4e-3, n)
     return made_strides(speed, force, context)

@@ -18,8 +18,8 @@ from estimator.components.search import Search
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.time_prior import CHANGE_COST
 from estimator.estimation.road_evidence import log_bayes_factor_of_road
-from estimator.model.design_matrix import covered, cut, union
 from estimator.model.effects import BY_NAME
+from estimator.model.spans import covered, cut, union
 from estimator.signals import Quantity
 from estimator.units import STANDARD_GRAVITY
 

@@ -23,8 +23,8 @@ from estimator.components.time_prior import (
     rate_cost,
     seen,
 )
-from estimator.model.design_matrix import covered
 from estimator.model.effects import BY_NAME
+from estimator.model.spans import covered
 
 FAN, WET, BRAKE = (BY_NAME[name] for name in ("auxiliary_cycling", "resistance_segment", "brake_use"))
 

@@ -566,8 +566,8 @@ def test_errors_of_an_accelerometer_are_not_in_the_noise_beside_the_road(tools):
 @pytest.mark.slow
 def test_a_surrogate_drive_obeys_the_road_load(tools, original, tmp_path):
     (tmp_path / "motor.dbc").write_text(MOTOR_CAR)
-    # The residual that was drawn is one of the power, beside a speed without any noise: as the moments see it.
-    (tmp_path / "motor.toml").write_text(MOTOR_BINDING + '[sampler]\nlikelihood = "instruments"\n')
+    # The residual that was drawn is one of the power, beside a speed without any noise: as the paper sees it.
+    (tmp_path / "motor.toml").write_text(MOTOR_BINDING + '[sampler]\nlikelihood = "paper"\n')
     log = tmp_path / "drive.blf"
     tools.surrogates.write_surrogate(original, tmp_path / "motor.dbc", log, np.random.default_rng(6))
     final = estimate_logs([log], config.load(tmp_path / "motor.toml"), lambda share: None).final

@@ -7,29 +7,32 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_strides import made_strides
 
 from estimator.config import from_dict
 from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, SPEED_CELLS, Grid, Window
-from estimator.preparation.admission import ADMITTED, Reason, admit, row_reasons
-from estimator.samples import STEP, Rows, Samples
+from estimator.preparation.admission import ADMITTED, Reason, count_reasons, row_reasons
+from estimator.samples import STEP, Rows
 from estimator.settings import Admission
 from estimator.signals import Role
+from estimator.strides import Strides
 
 
-def block(n: int, start: float = 0.0, v=20.0, a=0.0) -> Samples:
-    t = start + STEP * np.arange(n)
+def block(n: int, start: float = 0.0, v=20.0, a=0.0) -> Strides:
+    """Short strides, of one row each."""
     one = np.ones(n)
-    v, a = v * one, a * one
-    return Samples(t=t, v=v, a=a, P=0 * one, dP=one, zv=v, za=a, zdP=one, density=one)
+    made = made_strides(np.zeros(n + 1), np.zeros(n), {})
+    t = start + STEP * np.arange(n)
+    return replace(made, t=t, rows=one.astype(np.int64), v0=v * one, v1=v * one, a=a * one)
 
 
 def window(samples: int = 600, hours: float = 24.0) -> Window:
-    return Window(from_dict({"window": {"samples": samples, "hours": hours}}), Samples)
+    return Window(from_dict({"window": {"samples": samples, "hours": hours}}))
 
 
 def consistent(w: Window) -> bool:
-    held = w.samples
-    counts = np.bincount(w.grid.cell(held.v, held.a), minlength=w.grid.size)
+    held = w.strides
+    counts = np.bincount(w.grid.cell(held.speed, held.a), minlength=w.grid.size)
     return len(held) == len(w) and np.array_equal(counts, w.counts) and bool(np.all(np.diff(held.t) > 0))
 
 
@@ -46,20 +49,20 @@ def test_the_window_is_bounded_whatever_comes(sequence, capacity, hours):
         w.add(block(n, t, v, a))
         t += n * STEP + pause
         added += n
-        held = w.samples
+        held = w.strides
         assert len(w) <= capacity
         assert not len(held) or held.t[-1] - held.t[0] <= hours * 3600
         assert consistent(w)
         assert w.added == added == len(w) + w.evicted
     w.clear()
-    assert len(w) == len(w.samples) == w.counts.sum() == 0
+    assert len(w) == len(w.strides) == w.counts.sum() == 0
     assert w.added == added
 
 
 @settings(max_examples=50)
 @given(blocks, st.integers(600, 1200))
 def test_the_fullest_block_goes_first(sequence, capacity):
-    """Fullness: the mean number of rows in the cells of a block's rows. Numbers of blocks stay."""
+    """Fullness: the mean number of rows in the cells of a block's rows."""
     w, t, held, number = window(capacity), 0.0, {}, 0
     for n, pause, v, a in sequence:
         added = block(n, t, v, a)
@@ -68,13 +71,13 @@ def test_the_fullest_block_goes_first(sequence, capacity):
             held[number] = added
         t, number = t + n * STEP + pause, number + n
         while sum(map(len, held.values())) > capacity:
-            cells = {key: w.grid.cell(one.zv, one.za) for key, one in held.items()}
+            cells = {key: w.grid.cell(one.speed, one.a) for key, one in held.items()}
             counts = np.bincount(np.concatenate([*cells.values()]))
             held.pop(max(held, key=lambda key: counts[cells[key]].mean()))
-    assert {key: one.t.tolist() for key, one in w.blocks.items()} == {key: one.t.tolist() for key, one in held.items()}
+    assert w.strides.t.tolist() == [t for one in held.values() for t in one.t.tolist()]
     again = window(capacity)
     again.restore(w.state())
-    assert list(again.blocks) == list(held)
+    assert again.strides.t.tolist() == w.strides.t.tolist()
     assert consistent(again)
 
 
@@ -83,7 +86,7 @@ def test_what_is_older_than_a_time_can_be_forgotten():
     for start in (0.0, 100.0, 200.0):
         w.add(block(50, start))
     w.forget_before(100.0)
-    assert w.samples.t[0] == 100.0
+    assert w.strides.t[0] == 100.0
     assert consistent(w)
     assert (w.added, w.evicted) == (150, 0)
 
@@ -97,24 +100,10 @@ def test_rare_driving_survives_a_flood_of_cruising():
         else:
             w.add(block(200, t, rng.normal(24, 0.3, 200), rng.normal(0, 0.02, 200)))
         t += 30.0
-    held = w.samples
+    held = w.strides
     assert len(w) > 5700
     assert np.count_nonzero(held.a > 0.15) == 10 * 100
     assert consistent(w)
-
-
-@pytest.mark.slow
-def test_what_stays_is_not_chosen_by_its_noise():
-    """In a day the rarest twentieth is left; it is rare driving, not readings that noise made look rare."""
-    w, rng, n = window(2000), np.random.default_rng(3), 10
-    for i in range(4000):
-        a, noise, other_noise = rng.normal(0, 0.15), rng.normal(0, 0.1), rng.normal(0, 0.1)
-        driven = block(n, 2.0 * i, a=a)
-        w.add(replace(driven, a=driven.a + noise, za=driven.a + other_noise, P=driven.a))
-    held = w.samples[::n]
-    assert np.abs(held.P).mean() > 1.4 * 0.12  # of all driving: 0.15 sqrt(2 / pi)
-    moment = (held.a - held.P) * held.za
-    assert abs(moment.mean()) < 3 * moment.std() / np.sqrt(len(moment))
 
 
 def test_a_constant_stream_keeps_the_window_full():
@@ -222,7 +211,7 @@ def test_standing_is_a_setting():
 def test_a_margin_is_kept_on_either_side(role, value, margin):
     r = rows(**{role: 0})
     r.context[Role(role)][100:110] = value
-    found = np.array(reasons(r, margin_s=margin))
+    found = np.array(reasons(r, stride_margin_s=margin))
     reach = round(margin / STEP)
     near = np.flatnonzero(found == Reason.NEAR_EXCLUDED)
     np.testing.assert_array_equal(near, [*range(100 - reach, 100), *range(110, 110 + reach)])
@@ -235,14 +224,10 @@ def test_standing_comes_before_braking():
     assert set(reasons(r)) == {Reason.STANDING}
 
 
-def test_admit_counts_each_row_once():
+def test_each_row_is_counted_once():
     r = rows(brake_switch=0)
     r.context[Role.BRAKE_SWITCH][50:60] = 1
-    samples = block(200)
-    samples.dP[150:160] = np.nan
-    samples.zv[55:58] = np.nan
     rejected: Counter[str] = Counter()
-    admitted = admit(samples, row_reasons(r, Admission(margin_s=0.5)), rejected)
-    assert rejected == {Reason.BRAKING: 10, Reason.NEAR_EXCLUDED: 10, Reason.INCOMPLETE: 10}
-    assert len(admitted) + rejected.total() == 200
-    assert np.isfinite(admitted.dP).all()
+    codes = row_reasons(r, Admission(stride_margin_s=0.5))
+    count_reasons(codes[40:80], rejected)
+    assert rejected == {Reason.BRAKING: 10, Reason.NEAR_EXCLUDED: 10, Reason.INCOMPLETE: 20}

@@ -20,13 +20,9 @@ import numpy as np
 from arviz_stats.base.array import array_stats
 from rich.console import Console
 from rich.table import Table
-from sampler_peers import BOX, Problem, blackjax_nuts, drive, emcee_stretch, paper, pymcmcstat_dram, samples
+from sampler_peers import BOX, Problem, blackjax_nuts, emcee_stretch, paper, pymcmcstat_dram, samples
 
-from estimator.config import Config, from_dict
-from estimator.estimation.paper_likelihood import PaperLikelihood
-from estimator.estimation.window import Window
-from estimator.preparation.stage import BLOCK_ROWS
-from estimator.samples import STEP, Samples
+from estimator.config import Config
 from estimator.sampling.clipped import ClippedGaussianTarget
 from estimator.sampling.likelihood import in_box
 from estimator.sampling.metropolis import KERNELS
@@ -72,7 +68,7 @@ ROWS: dict[str, Callable[[Problem], Floats]] = {
 def compare(n: int, table: Table) -> None:
     """Add the rows for ``n`` samples."""
     X, P = samples(n, np.random.default_rng(n))
-    target = ClippedGaussianTarget.of(X, P, *BOX)
+    target = ClippedGaussianTarget(X, P, *BOX)
     rates, moments = {}, {}
     for name, work in ROWS.items():
         problem = Problem(X=X, P=P, target=target, rng=np.random.default_rng(1))
@@ -97,33 +93,13 @@ def whole_answer(n: int) -> str:
     settings, durations = Config().sampler, []
     for seed in range(31):
         rng, start = np.random.default_rng(seed), time.process_time()
-        target = ClippedGaussianTarget.of(X, P, *BOX)
+        target = ClippedGaussianTarget(X, P, *BOX)
         result = run(target, settings.kernel, settings.chains, settings.burn_in, settings.draws, rng)
         durations.append(1e3 * (time.process_time() - start))
     r_hat, bulk, tail = np.transpose([(d.r_hat, d.ess_bulk, d.ess_tail) for d in result.diagnoses])
     return (
         f"Whole answer from {n:,} samples: {np.median(durations):.1f} ms CPU; R-hat {r_hat.max():.4f}, ESS "
         f"{bulk.min():,.0f} bulk, {tail.min():,.0f} tail; correlation of A and C {result.correlation[0, 1]:.2f}"
-    )
-
-
-def updates(n: int) -> str:
-    """Cost of one update of a full window of ``n`` samples when a block arrives."""
-    window, follower = Window(from_dict({"window": {"samples": n}}), Samples), PaperLikelihood()
-    kept: list[float] = []
-    rebuilt: list[float] = []
-    v, a, P = drive(2 * n, np.random.default_rng(0))
-    unknown = np.full(len(v), np.nan)
-    whole = Samples(t=STEP * np.arange(len(v)), v=v, a=a, P=P, dP=unknown, zv=v, za=a, zdP=unknown, density=unknown)
-    for i in range(0, len(v), BLOCK_ROWS):
-        window.add(whole[i : i + BLOCK_ROWS])
-        for likelihood, durations in ((follower, kept), (PaperLikelihood(), rebuilt)):
-            start = time.process_time()
-            likelihood.target(window.blocks, *BOX)
-            durations.extend([1e3 * (time.process_time() - start)] * (window.evicted > 0))
-    return (
-        f"Update of a full window of {n:,} samples by another {BLOCK_ROWS}: {np.median(kept):.2f} ms CPU, "
-        f"{np.mean(kept):.2f} on average; from all samples {np.median(rebuilt):.1f} ms"
     )
 
 
@@ -138,7 +114,7 @@ def main() -> int:
     table = Table("samples", "sampler", "ESS/s", "/ best peer", "/ floor", "A [N]", "C [N s²/m²]", "m [kg]")
     for n in options.samples:
         compare(n, table)
-    Console(width=160).print(table, whole_answer(36_000), updates(36_000), sep="\n")
+    Console(width=160).print(table, whole_answer(36_000), sep="\n")
     return 0
 
 

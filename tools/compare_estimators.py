@@ -31,8 +31,7 @@ from rich.table import Table
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config
-from estimator.preparation.lag import fit_lag
-from estimator.samples import STEP, Rows
+from estimator.samples import Rows
 from estimator.signals import Floats, Mask
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
@@ -73,7 +72,7 @@ class Drive:
         rows = Rows.concatenate(*(rows for item in items if isinstance(item, Block) for rows in item.rows))
         updates = [update for item in items for update in pipeline.take(item)]
         final = [*updates, *pipeline.finish()][-1]
-        lag = fit_lag(rows.speed, rows.power, STEP, config.kinematics.maximum_lag_s)
+        lag = 0.0 if pipeline.estimator.evidence is None else pipeline.estimator.evidence.lag
         truth = np.array([getattr(truck, name) for name in NAMES])
         marginals = [x for x in (getattr(final, name) for name in NAMES) if x is not None]
         return cls(

@@ -69,12 +69,11 @@ Effect(
 )
 ```
 
-`power` is called with a `View` of the samples as measured, and again with a `View` of their instruments (the same
-quantities from readings around each sample), so it must read all quantities from its argument. Required quantities are
-declared in `needs`, or in `shapes` where one of several sources is enough; an effect without its signals is reported
-as not testable. Set `is_noisy=True` where `power` uses `view.P` or `view.a`, or the noise of force or acceleration
-counts as evidence. `positive=False` allows either sign, `largest` bounds the size, `timing` and `dwells` say when an
-effect acts that no signal shows.
+`power` is called with a `View` of the strides, and again with the measured force disturbed, so it must read all
+quantities from its argument. Required quantities are declared in `needs`, or in `shapes` where one of several sources
+is enough; an effect without its signals is reported as not testable. Set `is_noisy=True` where `power` uses `view.P` or
+`view.a`, or the noise of force or acceleration counts as evidence. `positive=False` allows either sign, `largest`
+bounds the size, `timing` and `dwells` say when an effect acts that no signal shows.
 """
 
 

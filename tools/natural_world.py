@@ -26,14 +26,15 @@ from rich.table import Table
 from estimator.answers.diagnosis import Verdict
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
-from estimator.components.budget import NOISE, ROAD, WHITE, Projection
+from estimator.components.budget import NOISE, ROAD, WHITE
 from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
+from estimator.components.plain_model import PlainModel
 from estimator.components.time_prior import prior_cost
 from estimator.config import Config
-from estimator.diagnosis.drive_data import Record
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import Timing
+from estimator.preparation.drive import Drive
 from estimator.signals import Floats, Role
 from estimator.simulation.effects.catalogue import effects_from, kind_of
 from estimator.simulation.recording import Recording, record
@@ -91,7 +92,7 @@ def mean_power(truth: Truth, name: str, t: Floats) -> Floats:
     return over
 
 
-def fitted(drive: Record) -> DriveState:
+def fitted(drive: Drive) -> DriveState:
     """The drive with the road as a state and without effects."""
     plain = DriveState.of(drive.strides)
     assert plain is not None
@@ -103,13 +104,13 @@ def true_shares(recording: Recording, plain: DriveState, start: float) -> dict[s
 
     The drive begins at ``start`` [s].
     """
-    off = Projection(plain)
+    model = PlainModel(plain.fit)
     t = plain.fit.strides.t - start
-    residual = off(off.power)
+    residual = model.residual(model.power)
     shares: dict[str, float] = {}
     for name in recording.truth.effect_power:
         known = ROAD if name == "grade" else kind_of(name).known_as or name
-        power = off(mean_power(recording.truth, name, t))
+        power = model.residual(mean_power(recording.truth, name, t))
         shares[known] = shares.get(known, 0.0) + float(residual @ power / (residual @ residual))
     return shares
 

@@ -13,26 +13,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import welch
+from scipy.signal import savgol_filter, welch
 from table import Table
 from table_to_log import frames_of_table
 
 from estimator.can_io.binding import load_database
 from estimator.can_io.log_writer import write_log
 from estimator.config import Config
-from estimator.diagnosis.model import select
 from estimator.estimation.road_fit import RoadFit, fit
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.model.road_load import design
-from estimator.preparation import smoothing
-from estimator.preparation.sample_maker import SampleMaker
+from estimator.preparation.admission import ADMITTED, row_reasons
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
-from estimator.streaming.drive_extraction import drive_rows, drives
+from estimator.streaming.drive_extraction import drives
 from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
 
 SEGMENT = 4096  # samples, 7 min: spectra are means over stretches of this length
+WINDOW = 21  # rows, 2.1 s, of the polynomials that smooth the speed
 TURNING = 10.0  # rad/s, of the motor, below which its torque is taken as zero
 MAP = ["MOTION.VehicleSpeed=m/s*3.6", "MOTOR.MotorTorque=Nm", f"MOTOR.MotorSpeed=rad/s*{30 / np.pi:.6f}"]
 
@@ -58,18 +57,16 @@ class Original:
 
 def original(log: Path, config: Config, rng: np.random.Generator) -> Original | None:
     """The drive in ``log`` and the residual beside a draw of its road; None where it cannot be fitted."""
-    record = drives(log, config)[0]
-    kept, found = select(record.samples), fit(record.strides, rng)
-    if kept is None or found is None:
+    drive = drives(log, config)[0]
+    found = fit(drive.strides, rng)
+    if found is None:
         return None
-    rows = Rows.concatenate(*(piece for pieces in drive_rows(log, config) for piece in pieces))
-    speed = rows.plausible_speed
-    smoother, _ = SampleMaker(config.kinematics, config.admission).calibrate(speed, rows.power)
-    v, a = smoothing.convolve(speed, smoother.value), smoothing.convolve(speed, smoother.slope)
-    felt = a + STANDARD_GRAVITY * np.interp(rows.t, found.strides.t, drawn_slope(record.strides, found, rng))
-    samples = record.samples[kept]
-    at = np.searchsorted(rows.t, samples.t - STEP / 2)
-    residual = samples.P - design(v[at], felt[at]) @ found.theta[:3]
+    rows = Rows.concatenate(*drive.pieces)
+    v, a = (savgol_filter(rows.plausible_speed, WINDOW, 3, deriv=n, delta=STEP) for n in (0, 1))
+    felt = a + STANDARD_GRAVITY * np.interp(rows.t, found.strides.t, drawn_slope(drive.strides, found, rng))
+    power = design(v, felt) @ found.theta[:3]
+    pulling = (row_reasons(rows, config.admission) == ADMITTED) & (power > 0) & np.isfinite(power)
+    residual = (rows.power - power)[pulling]
     frequency, spectrum = welch(residual, 1 / STEP, nperseg=min(SEGMENT, len(residual)), detrend="constant")
     return Original(
         speed=rows.speed,

@@ -14,7 +14,7 @@ mean(r part) / mean(r^2), over means of 2 s, and shares sum to one. Effects that
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.folds import left_out
 from estimator.components.likelihood import JointLikelihood
-from estimator.estimation.road_likelihood import PLAIN, columns
+from estimator.components.plain_model import PlainModel
 from estimator.model.road_scales import DISTURBANCE
 from estimator.signals import Floats
 from estimator.units import STANDARD_GRAVITY
@@ -60,14 +60,30 @@ class Part:
     closed: tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Residuals:
+    """Residuals [W] (k,) of one drive over means of 2 s: measured power less that of a model.
+
+    ``plain``: of the road load on a level road; ``given``: with what is given; ``reached``: with all that was chosen,
+    on stretches left out of the fit; ``road_known``: the same with the slopes that the state has, in place of those
+    that the signals of the road show on such stretches.
+    """
+
+    plain: Floats
+    given: Floats
+    reached: Floats
+    road_known: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """The gap of all drives: the residuals [W] of three models on stretches left out of the fit, and the parts."""
+    """The gap of all drives: root mean squares [W] of `Residuals`, the parts, and the residuals of each drive."""
 
     total: float  # of the plain road load
     base: float  # with what is given
     reached: float  # with all that was chosen
     parts: tuple[Part, ...]
+    residuals: tuple[Residuals, ...] = field(default=(), repr=False)
 
     def part(self, cause: str) -> Part | None:
         """The part of one cause, None where it has none."""
@@ -107,8 +123,9 @@ def budget(
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
     ]
+    residuals = tuple(_residuals(each, given) for each in powers)
     residual = np.concatenate([each.residual for each in powers])
-    total = float(np.sqrt(np.mean(residual**2)))
+    total = _rms(residual)
     drawn = _joined([each.draws for each in powers], [np.zeros((len(each.residual), DRAWS)) for each in powers])
     held_out = _joined([each.held_out for each in powers], [np.zeros(len(each.residual)) for each in powers])
     chosen = {component.name for drive in drives for component in drive.chosen}
@@ -122,8 +139,14 @@ def budget(
     all_but_noise = 1 - sum(share for cause, share in shares.items() if cause in (NOISE, WHITE, *given))
     found = all_but_noise - sum((shares[cause] for cause in (*weak, OTHERS) if cause in shares), np.zeros(DRAWS))
     parts = [_part(cause, residual, drawn, held_out, given, (found, all_but_noise)) for cause in drawn]
-    base, reached = _rms_without(residual, held_out, given), _rms_without(residual, held_out, held_out)
-    return Budget(total, base, reached, tuple(sorted(parts, key=lambda part: -part.share)))
+    base, reached = _rms(_without(residual, held_out, given)), _rms(_without(residual, held_out, held_out))
+    return Budget(
+        total=total,
+        base=base,
+        reached=reached,
+        parts=tuple(sorted(parts, key=lambda part: -part.share)),
+        residuals=residuals,
+    )
 
 
 def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
@@ -137,13 +160,32 @@ def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dic
     }
 
 
-def _rms_without(residual: Floats, powers: Mapping[str, Floats], causes: Collection[str]) -> float:
-    """Root mean square of a residual (n,) less the powers (n,) or (n, d) of causes, where they have any."""
-    left = residual.reshape(len(residual), -1)
+def _residuals(drive: _Powers, given: Collection[str]) -> Residuals:
+    """The residuals of one drive."""
+    with_road = dict(drive.held_out)
+    reached = _without(drive.residual, drive.held_out, drive.held_out)
+    if ROAD in drive.draws:
+        with_road[ROAD] = drive.draws[ROAD].mean(axis=1)
+    return Residuals(
+        plain=drive.residual,
+        given=_without(drive.residual, drive.held_out, given),
+        reached=reached,
+        road_known=_without(drive.residual, with_road, with_road),
+    )
+
+
+def _without(residual: Floats, powers: Mapping[str, Floats], causes: Collection[str]) -> Floats:
+    """A residual (n,) less the powers (n,) or (n, d) of causes, where they have any: (n,) or (n, d)."""
+    left = residual
     for cause, power in powers.items():  # in this order on every run, which a set has not
         if cause in causes:
-            left = left - power.reshape(len(residual), -1)
-    return float(np.sqrt(np.mean(left**2)))
+            left = (left if left.ndim == power.ndim else left[:, None]) - power
+    return left
+
+
+def _rms(values: Floats) -> float:
+    """Root mean square of all values."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _part(
@@ -168,9 +210,9 @@ def _part(
         share=mean,
         q05=mean - float(np.hypot(low, form)),
         q95=mean + float(np.hypot(high, form)),
-        rms=float(np.sqrt(np.mean(draws**2))),
-        reached=_rms_without(residual, held_out, added) if cause in held_out else None,
-        expected=_rms_without(residual, drawn, added),
+        rms=_rms(draws),
+        reached=_rms(_without(residual, held_out, added)) if cause in held_out else None,
+        expected=_rms(_without(residual, drawn, added)),
     )
 
 
@@ -179,20 +221,23 @@ def _powers(
 ) -> _Powers:
     added = (*others, *unnamed)
     joint, components = drive.joint_with(added), [*drive.chosen, *added]
-    off = Projection(drive)
+    plain = PlainModel(drive.fit)
     amplitudes = _amplitudes(joint, components, rng)
     masses = joint.unit[0] / amplitudes[0]
     draws = {
-        _name(component): off(off.as_power(joint.acceleration(joint.places[i], amplitudes[joint.places[i]]), masses))
+        _name(component): plain.residual(
+            plain.as_power(joint.acceleration(joint.places[i], amplitudes[joint.places[i]]), masses)
+        )
         for i, component in enumerate(components)
     }
     for cause, part in _rest(drive, joint, amplitudes, rng):
-        draws[cause] = off(off.as_power(part, masses))
+        draws[cause] = plain.residual(plain.as_power(part, masses))
     held_out = _held_out(drive, [_name(component) for component in drive.chosen])
+    mass = 1 / drive.fit.beta[:1]
     return _Powers(
-        off(off.power),
+        plain.residual(plain.power),
         draws,
-        {cause: off(off.as_power(part, 1 / drive.fit.beta[:1])[:, 0]) for cause, part in held_out.items()},
+        {cause: plain.residual(plain.as_power(part, mass)[:, 0]) for cause, part in held_out.items()},
     )
 
 
@@ -236,34 +281,6 @@ def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np
 
 def _name(component: Component) -> str:
     return component.name if component.term is not None else f"{UNKNOWN}{component.name}"
-
-
-class Projection:
-    """Means over 2 s of powers (n, ...) at the driven strides, off the columns of the plain road load."""
-
-    def __init__(self, drive: DriveState) -> None:
-        s, lag = drive.fit.strides, drive.fit.scales.lag
-        frame = Frame.of(drive.fit)
-        plain = columns(s, lag, (), frame.road_load)[:, 1:PLAIN]
-        self._columns = np.column_stack([s.a, plain]) * s.speed[:, None]
-        self._columns /= np.sqrt((self._columns**2).mean(axis=0)) + 1e-12
-        self._speed = s.speed
-        self.power = frame.force * s.speed
-        follows = s.joined
-        run = np.cumsum(~follows)
-        place = np.arange(len(s)) - np.searchsorted(run, run)
-        self._second = np.flatnonzero((place % 2 == 1) & follows)
-
-    def as_power(self, acceleration: Floats, masses: Floats) -> Floats:
-        """Power [W] (n, d) that takes an acceleration [m/s^2] (n,) or (n, d) from vehicles of ``masses`` [kg] (d,)."""
-        power: Floats = -acceleration.reshape(len(self._speed), -1) * self._speed[:, None] * masses
-        return power
-
-    def __call__(self, power: Floats) -> Floats:
-        """Of ``power`` (n, ...)."""
-        rest = power - self._columns @ np.linalg.lstsq(self._columns, power, rcond=None)[0]
-        paired: Floats = 0.5 * (rest[self._second] + rest[self._second - 1])
-        return paired
 
 
 def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:

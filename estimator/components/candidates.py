@@ -14,8 +14,9 @@ from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
 from estimator.components.time_prior import is_usual, prior_cost, seen
 from estimator.estimation.shapes import is_free, near
-from estimator.model.design_matrix import Spans, Term, cut, union, without
 from estimator.model.effects.effect import Effect, Timing
+from estimator.model.spans import Spans, cut, union, without
+from estimator.model.term import Term
 from estimator.signals import Floats
 
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import view_of
-from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects.effect import Effect, Timing, View
+from estimator.model.spans import Spans
+from estimator.model.term import Term
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, Strides
 

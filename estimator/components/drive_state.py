@@ -12,19 +12,18 @@ from estimator.components.likelihood import JointLikelihood
 from estimator.components.one_sided import log_evidence_of_sign
 from estimator.components.set_likelihood import Judged
 from estimator.components.switching import Switching
-from estimator.estimation.road_fit import RoadFit, fit, fit_given, refit
+from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
 from estimator.estimation.road_search import RoadScales
 from estimator.model.conditioned import Conditioned
-from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest, Effect, Timing
 from estimator.model.road import LEVEL
 from estimator.model.road_scales import POWER, SCALES, TORQUE
+from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
 
-PROBE_SEED = 20_042  # of the simulated noise in the corrections
 # Of the logarithms of the slow noise of torque and power, by the priors of their scales.
 _SPREADS = np.array([np.hypot(SCALES[i].spread, 0.5 * SCALES[i + 1].spread) for i in (TORQUE, POWER)])
 

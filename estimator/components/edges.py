@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from estimator.components.exchange import amplitude_evidence
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import cost_of_leaving
-from estimator.model.design_matrix import Spans, Term
+from estimator.model.spans import Spans
+from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import DURATION
 

@@ -16,7 +16,7 @@ from estimator.components.drive_state import DriveState
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import Cause, Chosen, ModelTable
 from estimator.estimation.shapes import is_free
-from estimator.model.design_matrix import Term
+from estimator.model.term import Term
 from estimator.signals import Floats
 
 ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e times as probable

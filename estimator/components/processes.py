@@ -11,7 +11,7 @@ import numpy as np
 from estimator.components.component import Columns, Component, Frame
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import MAX_ON_SHARE, cost_without_dwell
-from estimator.model.design_matrix import Spans, covered
+from estimator.model.spans import Spans, covered
 from estimator.preparation.recursion import recursive
 from estimator.samples import STEP
 from estimator.signals import Floats, Quantity

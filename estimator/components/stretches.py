@@ -14,8 +14,8 @@ import numpy as np
 
 from estimator.components.component import Component, Frame
 from estimator.components.time_prior import MAX_ON_SHARE, cost_apart
-from estimator.model.design_matrix import Spans, covered
 from estimator.model.effects.effect import Effect, Timing, always
+from estimator.model.spans import Spans, covered
 from estimator.signals import Floats
 from estimator.strides import DURATION
 from estimator.units import STANDARD_GRAVITY

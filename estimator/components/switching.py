@@ -16,8 +16,9 @@ from estimator.components.edges import with_refined_edges
 from estimator.components.exchange import exchanged
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import MAX_ON_SHARE, least_costs, prior_cost
-from estimator.model.design_matrix import Spans, Term
 from estimator.model.effects.effect import Effect, Timing
+from estimator.model.spans import Spans
+from estimator.model.term import Term
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
 

@@ -14,8 +14,8 @@ from math import exp, inf, lgamma, log
 
 import numpy as np
 
-from estimator.model.design_matrix import Spans, covered
 from estimator.model.effects.effect import Effect, Timing
+from estimator.model.spans import Spans, covered
 from estimator.signals import Floats
 from estimator.strides import DURATION
 

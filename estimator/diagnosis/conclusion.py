@@ -10,10 +10,11 @@ from estimator.components.budget import ROAD, UNKNOWN, Budget, budget
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
 from estimator.components.explained import Choice, Explained, Nameless
+from estimator.components.plain_model import PlainModel
 from estimator.components.processes import LOW_PASS
+from estimator.diagnosis.case import Case
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.lag import effect_of, evidence_of_lag, lag_finding, low_pass_gain
-from estimator.diagnosis.model import Drive
 from estimator.diagnosis.result import Finding, Shift
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_likelihood import ROAD_LOAD
@@ -26,17 +27,12 @@ MAX_FORM_SHARE = 0.05  # of the evidence of a lag: errors of its form give as mu
 
 @dataclass(frozen=True, kw_only=True)
 class Conclusion:
-    """An explanation of drives, their ``plain`` models, and the budget of the gap."""
+    """An explanation of ``cases``, and the budget of the gap."""
 
     explanation: Explanation
     budget: Budget
-    plain: tuple[Drive, ...]
+    cases: tuple[Case, ...]
     thresholds: Thresholds
-
-    @cached_property
-    def with_choices(self) -> tuple[Drive, ...]:
-        """The drives with the effects that were chosen in their plain models."""
-        return tuple(map(_with_choices, self.plain, self.explained.drives))
 
     @property
     def explained(self) -> Explained:
@@ -78,17 +74,22 @@ class Conclusion:
         dA, dC, dm = np.sqrt(np.diag(fit.theta_covariance()))[:ROAD_LOAD].tolist()
         return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
 
+    @cached_property
+    def plain(self) -> tuple[Shift, Shift]:
+        """A, C, m of the plain model, which the budget splits the residual of, and their sd; of the longest drive."""
+        (A, C, m), (dA, dC, dm) = (values.tolist() for values in PlainModel(self.longest.fit).road_load)
+        return Shift(mass=m, A=A, C=C), Shift(mass=dm, A=dA, C=dC)
+
     @property
     def shift(self) -> Shift:
         """Of the parameters, from the plain model to the one with the road and all chosen effects."""
-        A, C, m = self.plain[self.explanation.which].model.road_load.tolist()
-        final, _ = self.road_load
-        return Shift(mass=final.mass - m, A=final.A - A, C=final.C - C)
+        (base, _), (final, _) = self.plain, self.road_load
+        return Shift(mass=final.mass - base.mass, A=final.A - base.A, C=final.C - base.C)
 
     @property
     def is_road_given(self) -> bool:
         """Whether the road is part of the model from the start."""
-        return any(term.effect.is_gravity for drive in self.plain for term in drive.model.terms)
+        return self.cases[0].is_road_given
 
     @property
     def is_road_found(self) -> bool:
@@ -140,7 +141,7 @@ class Conclusion:
     @cached_property
     def lag(self) -> Finding | None:
         """The lag between power and speed, where it is beyond usual delays; the likelihood has it in its columns."""
-        return lag_finding(self.explanation, self.plain, self.budget.reached)
+        return lag_finding(self.explanation, self.budget)
 
 
 def _evidence_by_error_of(lag: float | None) -> float:
@@ -149,7 +150,7 @@ def _evidence_by_error_of(lag: float | None) -> float:
 
 
 def conclude(
-    explanation: Explanation, plain: tuple[Drive, ...], thresholds: Thresholds, rng: np.random.Generator
+    explanation: Explanation, cases: tuple[Case, ...], thresholds: Thresholds, rng: np.random.Generator
 ) -> Conclusion:
     """Split the gap between what was found; ``rng`` draws from the posterior."""
     drives, explained = explanation.explained.drives, explanation.explained
@@ -162,20 +163,13 @@ def conclude(
     counted = [one.processes for one in unnamed if one.log_bayes_factor > least]
     processes = [[own[i] for own in counted if i in own] for i in range(len(drives))]
     possible = [_possible(explanation.explained, i) for i in range(len(drives))]
-    terms = [term.effect for drive in plain for term in drive.model.terms]
-    given = {ROAD if effect.is_gravity else effect.name for effect in terms}
+    given = {term.effect.name for case in cases for term in case.terms} | ({ROAD} if cases[0].is_road_given else set())
     split = budget(drives, possible, processes, rng, given)
     if explanation.is_sloping and not explanation.is_hilly:
         split = split.renamed(ROAD, UNKNOWN + FORCE_BY_PLACE)
     if late is not None:
         split = split.renamed(UNKNOWN + LOW_PASS, effect_of(explanation).name)
-    return Conclusion(explanation=explanation, budget=split, plain=plain, thresholds=thresholds)
-
-
-def _with_choices(drive: Drive, state: DriveState) -> Drive:
-    present = {term.effect.name for term in drive.model.terms}
-    chosen = [one.term for one in state.chosen if one.term is not None and one.term.effect.name not in present]
-    return drive.having((*drive.model.terms, *chosen)) if chosen else drive
+    return Conclusion(explanation=explanation, budget=split, cases=cases, thresholds=thresholds)
 
 
 def _possible(explained: Explained, drive: int) -> list[Component]:

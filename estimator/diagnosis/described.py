@@ -8,11 +8,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from estimator.components.budget import Projection
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
 from estimator.components.folds import left_out
 from estimator.components.formula import Variable, best_formula, judged
+from estimator.components.plain_model import PlainModel
 from estimator.diagnosis.result import Described
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.signals import Floats, Quantity
@@ -74,16 +74,16 @@ def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
 
 def _held_out_share(drive: DriveState, column: Floats) -> float:
     """Share of the squared residual, over means of 2 s, that ``column`` (n,) takes away on stretches left out."""
-    off = Projection(drive)
+    plain = PlainModel(drive.fit)
     taken = [component.columns(drive.joint.frame)[:, 0] for component in drive.chosen]
-    effects = [off(off.as_power(each, 1 / drive.fit.beta[:1])[:, 0]) for each in taken]
-    y, extra = off(off.power), off(column)
+    effects = [plain.residual(plain.as_power(each, 1 / drive.fit.beta[:1])[:, 0]) for each in taken]
+    y, extra = plain.residual(plain.power), plain.residual(column)
     n = len(y)
-    plain = np.column_stack([np.ones(n), *effects])
-    wide = np.column_stack([plain, extra / np.sqrt(np.mean(extra**2))])
+    narrow = np.column_stack([np.ones(n), *effects])
+    wide = np.column_stack([narrow, extra / np.sqrt(np.mean(extra**2))])
     left = {False: 0.0, True: 0.0}
     for out in left_out(n, FOLDS, n // STRETCHES):
-        for with_column, X in ((False, plain), (True, wide)):
+        for with_column, X in ((False, narrow), (True, wide)):
             amplitudes = np.linalg.lstsq(X[~out], y[~out], rcond=None)[0]
             left[with_column] += float(np.sum((y[out] - X[out] @ amplitudes) ** 2))
     return 1 - left[True] / left[False]

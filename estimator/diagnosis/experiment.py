@@ -16,10 +16,10 @@ import numpy as np
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState, Form
 from estimator.diagnosis.result import Experiment
-from estimator.diagnosis.standing import IDLE_SD, IDLE_SHARE
 from estimator.model.effects import Effect
 from estimator.model.effects.effect import AtRest, Timing
 from estimator.preparation.recursion import low_passed
+from estimator.preparation.standing import IDLE_SD, IDLE_SHARE
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, ROWS, Strides
@@ -192,7 +192,6 @@ def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int)
     own = {
         Quantity.ENGINE_SPEED: gearing * v,
         Quantity.STOPS: np.full(n, _last(before, Quantity.STOPS) + manoeuvre.from_rest),
-        Quantity.DISTANCE: ends[:-1],
         Quantity.ELAPSED: _last(before, Quantity.ELAPSED) + times - float(before.t[-1]),
         Quantity.HEADING: np.full(n, _last(state.strides, Quantity.HEADING) + np.pi * manoeuvre.turned),
         Quantity.LATERAL_ACCELERATION: np.zeros(n),

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from estimator.components.candidates import FoundForms
-from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.explained import Explained
 from estimator.components.search import Search
-from estimator.diagnosis.model import Drive
+from estimator.diagnosis.case import Case
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bayes_factor_of_signals
 from estimator.model.effects import Effect
@@ -40,25 +39,23 @@ class Explanation:
         return self.explained.drives[self.which]
 
 
-def started(drives: Sequence[Drive]) -> tuple[tuple[Drive, ...], tuple[DriveState, ...]]:
-    """The drives whose motion can be fitted, and that fit: on a level road, unless the road is given."""
-    is_given = _is_road_given(drives)
-    found = [(drive, _state(drive, is_level=not is_given)) for drive in drives]
-    states = tuple(state for _, state in found if state is not None)
-    return tuple(drive for drive, state in found if state is not None), states
+def started(cases: Sequence[Case]) -> tuple[tuple[Case, ...], tuple[DriveState, ...]]:
+    """The cases whose motion can be fitted, and that fit: on a level road, unless the road is given."""
+    fitted = [(case, case.state(is_level=not case.is_road_given)) for case in cases]
+    states = tuple(state for _, state in fitted if state is not None)
+    return tuple(case for case, state in fitted if state is not None), states
 
 
 def explain(
-    drives: Sequence[Drive], plain: tuple[DriveState, ...], effects: Sequence[Effect], thresholds: Thresholds
+    cases: Sequence[Case], plain: tuple[DriveState, ...], effects: Sequence[Effect], thresholds: Thresholds
 ) -> Explanation:
-    """Search for what acts on ``drives``, ``plain`` being as they are `started`."""
-    present = {term.effect.name for drive in drives for term in drive.model.terms}
+    """Search for what acts on the drives of ``cases``, ``plain`` being as they are `started`."""
+    present = {term.effect.name for case in cases for term in case.terms}
     candidates = [e for e in effects if not (e.absorbed or e.is_gravity or e.name in present)]
-    if _is_road_given(drives):
+    if cases[0].is_road_given:
         return Explanation(Search(plain, candidates).explained(), True, None, True)
     forms = FoundForms()
-    found = [_state(drive, is_level=False) for drive in drives]
-    sloping = tuple(state for state in found if state is not None)
+    sloping = tuple(state for case in cases if (state := case.state(is_level=False)) is not None)
     sloping = sloping if len(sloping) == len(plain) else ()
     level, slopes = None, _slopes(plain, sloping)
     if slopes < thresholds.min_log_bf_effect:
@@ -110,16 +107,3 @@ def _is_shown(explained: Explained, thresholds: Thresholds) -> bool | None:
     """Whether signals of the road confirm the slopes that the force shows or deny them; None: they tell neither."""
     signals = sum(log_bayes_factor_of_signals(d.strides, d.fit) for d in explained.drives if d.fit.scales.readings)
     return None if abs(signals) < thresholds.min_log_bf_effect else bool(signals > 0)
-
-
-def _is_road_given(drives: Sequence[Drive]) -> bool:
-    return any(term.effect.is_gravity for drive in drives for term in drive.model.terms)
-
-
-def _state(drive: Drive, is_level: bool) -> DriveState | None:
-    state = DriveState.of(drive.record.strides, drive.record.rests, is_level)
-    if state is None:
-        return None
-    frame = Frame.of(state.fit)
-    terms = [term for term in drive.model.terms if not (term.effect.is_gravity or term.effect.absorbed)]
-    return state.having(tuple(of_term(frame, term) for term in terms)) if terms else state

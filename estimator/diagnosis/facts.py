@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 from estimator.answers.diagnosis import Verdict
 from estimator.components.explained import Explained
-from estimator.diagnosis.result import HIDDEN_GRADE, SHOWN_SLOPE, Advice, Finding
-from estimator.model.design_matrix import Term
+from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Finding
 from estimator.model.effects import BY_NAME, Effect
 
 MIN_RIVAL = 0.05  # probability from which an effect is a rival of the likeliest one
@@ -52,9 +51,13 @@ def unsettled(
     return [(by_name[best], rival) for rival in rivals] or [(by_name[best], None)]
 
 
-def streaming_effects(named: Sequence[Finding], given: Sequence[Term]) -> tuple[str, ...]:
-    """The ``given`` effects of the streaming model and those found that it can take; empty if it can take none."""
-    sizes = {SHOWN_SLOPE, *(effect.symbol for effect in BY_NAME.values())}  # those that a configuration can hold
-    found = [f.name for f in named if f.name in BY_NAME and f.magnitude.name in sizes and not f.span]
-    names = dict.fromkeys([*(term.effect.name for term in given), *(n for n in found if BY_NAME[n].is_streaming)])
-    return tuple(names) if found else ()
+def streaming_effects(named: Sequence[Finding], given: Sequence[Effect]) -> tuple[str, ...]:
+    """The ``given`` effects of the streaming model and those found that it can take; empty if it can take none.
+
+    The road is in that model without being asked for.
+    """
+    sizes = {effect.symbol for effect in BY_NAME.values()}  # those that a configuration can hold
+    effects = [BY_NAME[f.name] for f in named if f.name in BY_NAME and f.magnitude.name in sizes and not f.span]
+    added = [effect for effect in effects if effect.is_streaming and not effect.is_gravity]
+    kept = [effect for effect in given if not effect.is_gravity]
+    return tuple(dict.fromkeys(effect.name for effect in (*kept, *added))) if added else ()

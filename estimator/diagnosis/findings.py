@@ -22,8 +22,8 @@ from estimator.diagnosis.result import (
     Span,
 )
 from estimator.estimation.form_doubt import EFFECT_DOUBT
-from estimator.model.design_matrix import Spans
 from estimator.model.effects import Effect
+from estimator.model.spans import Spans
 from estimator.signals import Quantity
 
 SLOPE_LENGTH = 300.0  # m, after which a road has another slope
@@ -194,8 +194,8 @@ class Findings:
 
     def _clock(self, which: int, spans: Spans) -> tuple[Span, ...]:
         """Times of a drive as its log counts them."""
-        record = self.conclusion.plain[which].record
-        return tuple(Span(a - record.log_start, b - record.log_start, record.log) for a, b in spans)
+        drive = self.conclusion.cases[which].drive
+        return tuple(Span(a - drive.log_start, b - drive.log_start, drive.log) for a, b in spans)
 
 
 def _slopes(drives: Sequence[DriveState]) -> tuple[float, float]:

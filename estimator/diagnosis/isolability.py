@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.components.budget import Projection
 from estimator.components.component import Frame, of_effect
 from estimator.components.drive_state import DriveState, Form
+from estimator.components.plain_model import PlainModel
 from estimator.diagnosis.result import Invisible, Isolability, NotTestable, Shift
 from estimator.estimation.road_fit import theta_jacobian
 from estimator.model.effects import Effect, Timing
@@ -16,8 +16,8 @@ from estimator.signals import Quantity
 def isolability(drive: DriveState, forms: Sequence[Form]) -> Isolability:
     """Correlation of the power of all effects on a drive, off the plain road load, and the evidence to expect."""
     ordered = sorted(forms, key=lambda form: form.component.name)
-    off = Projection(drive)
-    traces = [off(off.as_power(form.trace, 1 / drive.fit.beta[:1])[:, 0]) for form in ordered]
+    plain = PlainModel(drive.fit)
+    traces = [plain.residual(plain.as_power(form.trace, 1 / drive.fit.beta[:1])[:, 0]) for form in ordered]
     unit = np.array([trace / max(float(np.linalg.norm(trace)), np.finfo(float).tiny) for trace in traces])
     unit = unit.reshape(len(ordered), -1 if ordered else 0)
     expected = np.array([expected_evidence(form) for form in ordered])

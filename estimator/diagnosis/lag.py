@@ -1,15 +1,13 @@
 """The lag between power and speed as a finding: it is in every model, and named where it is beyond usual delays."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from estimator.components.budget import SDS_OF_90_PERCENT
+from estimator.components.budget import SDS_OF_90_PERCENT, Budget, Residuals
+from estimator.components.drive_state import DriveState
+from estimator.components.plain_model import PlainModel
 from estimator.components.processes import LOW_PASS, USUAL_LAG
 from estimator.diagnosis.explanation import Explanation
-from estimator.diagnosis.model import BLOCK_SAMPLES, Drive, unaligned_residual
 from estimator.diagnosis.result import EARLY, LATE, Finding, GapClosed, Magnitude
-from estimator.estimation.moments import block_means
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.effects import BY_NAME, Effect
 from estimator.signals import Floats
@@ -39,30 +37,34 @@ def low_pass_gain(explanation: Explanation) -> float:
     return nameless.log_bayes_factor if is_low_pass else 0.0
 
 
-def lag_finding(explanation: Explanation, plain: Sequence[Drive], reached: float) -> Finding | None:
-    """The lag, where it is beyond usual delays.
-
-    ``plain``: the drives in their plain models; ``reached``: rms of the residual [W] with all that was found, the lag
-    taken out.
-    """
-    found = evidence_of_lag(explanation)
-    if found is None:
+def lag_finding(explanation: Explanation, budget: Budget) -> Finding | None:
+    """The lag, where it is beyond usual delays: the plain model on power as it was measured, and on aligned power."""
+    evidence = evidence_of_lag(explanation)
+    if evidence is None:
         return None
     value, sd = _lag(explanation)
     effect = effect_of(explanation)
-    before, after = _unaligned(plain[explanation.which])
+    drives = zip(explanation.explained.drives, budget.residuals, strict=True)
+    unaligned = np.concatenate([unaligned_residual(drive, residuals) for drive, residuals in drives])
+    aligned = np.concatenate([residuals.given for residuals in budget.residuals])
     return Finding(
         name=effect.name,
         probability=1.0,
-        log_bayes_factor=found,
+        log_bayes_factor=evidence,
         equivalent=effect.equivalent,
         magnitude=Magnitude(effect.symbol, value, sd, effect.unit),
-        gap_closed=_closed_by_alignment(before, after),
-        rms_before=reached * float(np.sqrt(before.mean() / after.mean())),
-        rms_after=reached,
+        gap_closed=_closed_by_alignment(unaligned**2, aligned**2),
+        rms_before=float(np.sqrt(np.mean(unaligned**2))),
+        rms_after=budget.base,
         shift=None,
         detail="taken out by the alignment",
     )
+
+
+def unaligned_residual(drive: DriveState, residuals: Residuals) -> Floats:
+    """Residual [W] (k,) of the plain model with what is given, over means of 2 s, on power as it was measured."""
+    plain = PlainModel(drive.fit, is_aligned=False)
+    return plain.residual(plain.power) - (residuals.plain - residuals.given)
 
 
 def effect_of(explanation: Explanation) -> Effect:
@@ -76,20 +78,11 @@ def _lag(explanation: Explanation) -> tuple[float, float]:
     return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG] + LAG_DOUBT**2))
 
 
-def _unaligned(drive: Drive) -> tuple[Floats, Floats]:
-    """Squared residuals [W^2] (n,) over 2 s of the plain model, without and with the alignment of the power."""
-    before, after = (
-        block_means(residual, BLOCK_SAMPLES) ** 2
-        for residual in (unaligned_residual(drive.model, drive.record.lag), drive.model.base.residual)
-    )
-    return before, after
-
-
 def _closed_by_alignment(before: Floats, after: Floats) -> GapClosed:
     """Share of the squared residual beyond noise that the alignment takes away: all, if it takes any.
 
     The interval is that of the reduction over stretches of the drive, in shares of its mean.
     """
-    gains = block_means(before - after, max(len(before) // STRETCHES, 1))
+    gains = np.array([stretch.mean() for stretch in np.array_split(before - after, STRETCHES)])
     doubt = SDS_OF_90_PERCENT * float(gains.std() / np.sqrt(len(gains)) / max(gains.mean(), 1e-9))
     return GapClosed(1.0, float(np.clip(1 - doubt, 0.0, 1.0)), 1.0)

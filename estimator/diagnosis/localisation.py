@@ -1,75 +1,77 @@
-"""Where the model and the vehicle disagree: the residual by parts of each axis.
+"""Where the model and the vehicle disagree: the residual of the plain model by parts of each axis.
 
 The mean of a part is judged against the long-run noise of its own stretches: residuals that stay on one side for
 seconds count once. The rate of false discoveries over all parts of all axes is at most MAX_FALSE_DISCOVERY_RATE
 (Benjamini & Hochberg 1995).
 """
 
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from estimator.diagnosis.base import block_sums
-from estimator.diagnosis.model import Model
-from estimator.diagnosis.result import GapMap, Place
+from estimator.diagnosis.result import GapMap, Place, Traces
 from estimator.false_discovery import false_discovery_rates
 from estimator.signals import Floats, Quantity
 
 PARTS = 8
 MAX_FALSE_DISCOVERY_RATE = 0.05  # usual; 1 in 20 of the places listed is expected to be false
-MIN_SAMPLES = 200  # samples in a part
+BLOCK = 6.0  # s of rows whose residuals are summed before their spread is taken
+MIN_ROWS = 10  # rows of 2 s in a part
 MIN_BLOCKS = 8  # independent blocks of a part: with fewer, their variance is too uncertain for a test
 SPEED_CELL, ACCELERATION_CELL = 2.5, 0.1  # m/s, m/s^2
-MIN_CELL_SAMPLES = 30  # 3 s, in a cell of the map
+MIN_CELL_ROWS = 2  # rows of 2 s in a cell of the map
 
 
-def places(model: Model) -> list[Place]:
-    """Parts of all axes where the residual is not zero, largest share of it first."""
-    residual, block = model.base.residual, model.base.block
+def places(traces: Traces, context: Mapping[Quantity, Floats]) -> list[Place]:
+    """Parts of all axes, some of which are the ``context``, where the residual is not zero; largest share first."""
+    residual, block = traces.measured - traces.base, _blocks(traces)
     total = float(residual @ residual)
-    found: list[tuple[str, str, float, float, float, float, float]] = []
-    for name, unit, values, edges in _axes(model):
-        for start, end in pairwise(edges):
+    judged: list[tuple[str, str, float, float, float, float, float]] = []
+    for name, unit, values, edges in _axes(traces, context):
+        for start, end in pairwise(edges.tolist()):
             part = (values >= start) & (values < end)
-            if part.sum() < MIN_SAMPLES:
-                continue
-            sums = block_sums((residual * part)[:, None], block)[:, 0]
-            used = sums[sums != 0]
-            if len(used) < MIN_BLOCKS:
-                continue
             count = int(part.sum())
+            if count < MIN_ROWS:
+                continue
+            sums, counts = (np.bincount(block, weights) for weights in (residual * part, part.astype(float)))
+            used = counts > 0
+            if used.sum() < MIN_BLOCKS:
+                continue
             bias = float(sums.sum()) / count
-            each = block_sums(part.astype(float)[:, None], block)[:, 0]
-            spread = float(np.sqrt(((sums - bias * each) ** 2).sum()))
-            p = 2 * float(stdtr(len(used) - 1, -abs(sums.sum()) / spread))  # Student
-            found.append((name, unit, float(start), float(end), bias, count * bias**2 / total, p))
-    if not found:
+            spread = float(np.sqrt(((sums - bias * counts) ** 2).sum()))
+            p = 2 * float(stdtr(used.sum() - 1, -abs(sums.sum()) / max(spread, np.finfo(float).tiny)))  # Student
+            judged.append((name, unit, start, end, bias, count * bias**2 / total, p))
+    if not judged:
         return []
-    q = false_discovery_rates(np.array([row[-1] for row in found]))
-    chosen = [
+    q = false_discovery_rates(np.array([row[-1] for row in judged]))
+    listed = [
         Place(axis=name, start=start, end=end, unit=unit, bias=bias, share=share, q_value=float(value))
-        for (name, unit, start, end, bias, share, _), value in zip(found, q, strict=True)
+        for (name, unit, start, end, bias, share, _), value in zip(judged, q, strict=True)
         if value < MAX_FALSE_DISCOVERY_RATE
     ]
-    return sorted(chosen, key=lambda place: -place.share)
+    return sorted(listed, key=lambda place: -place.share)
 
 
-def _axes(model: Model) -> list[tuple[str, str, Floats, Floats]]:
-    """Name, unit, value of each sample and edges of the parts."""
-    s = model.samples
-    context = s.context
-    power = model.base.Z @ model.base.theta
+def _blocks(traces: Traces) -> NDArray[np.int64]:
+    """Number of the block of BLOCK that each row falls into (n,); none holds rows of two logs."""
+    number = np.floor(traces.t / BLOCK) + traces.log * (np.floor(traces.t.max() / BLOCK) + 1)
+    return np.unique(number, return_inverse=True)[1].astype(np.int64)
+
+
+def _axes(traces: Traces, context: Mapping[Quantity, Floats]) -> list[tuple[str, str, Floats, Floats]]:
+    """Name, unit, value of each row and edges of the parts; time and distance are those of a single drive."""
+    power = traces.base / 1e3
     axes = [
-        ("speed", "m/s", s.zv, _quantiles(s.zv)),
-        ("acceleration", "m/s^2", s.za, _quantiles(s.za)),
-        ("power", "kW", power / 1e3, _quantiles(power / 1e3)),
+        ("speed", "m/s", traces.speed, _quantiles(traces.speed)),
+        ("acceleration", "m/s^2", traces.acceleration, _quantiles(traces.acceleration)),
+        ("power", "kW", power, _quantiles(power)),
     ]
-    elapsed = s.t - s.t[0]
-    axes.append(("time", "s", elapsed, _equal(elapsed)))
-    if Quantity.DISTANCE in context:
-        distance = context[Quantity.DISTANCE] / 1e3
-        axes.append(("distance", "km", distance, _equal(distance)))
+    if np.all(np.diff(traces.t) > 0):
+        elapsed, distance = traces.t - traces.t[0], traces.distance / 1e3
+        axes += [("time", "s", elapsed, _equal(elapsed)), ("distance", "km", distance, _equal(distance))]
     if Quantity.GEAR in context:
         gear = np.round(context[Quantity.GEAR])
         axes.append(("gear", "", gear, np.arange(gear.min(), gear.max() + 2)))
@@ -94,21 +96,24 @@ def _equal(x: Floats) -> Floats:
     return edges
 
 
-def gap_map(before: Model, after: Model) -> GapMap:
-    """Mean residual in cells of speed and acceleration, of the plain and of the extended model."""
-    s = before.samples
-    speed = np.arange(0.0, float(s.zv.max()) + SPEED_CELL, SPEED_CELL)
-    low, high = np.quantile(s.za, [0.001, 0.999])
+def gap_map(traces: Traces, after: Floats) -> GapMap:
+    """Mean residual in cells of speed and acceleration: of the plain model, and of one of power ``after`` [W] (n,)."""
+    speed = np.arange(0.0, float(traces.speed.max()) + SPEED_CELL, SPEED_CELL)
+    low, high = np.quantile(traces.acceleration, [0.001, 0.999])
     acceleration = np.arange(
         np.floor(low / ACCELERATION_CELL) * ACCELERATION_CELL, high + ACCELERATION_CELL, ACCELERATION_CELL
     )
-    bins = [speed, acceleration]
+    count = np.histogram2d(traces.speed, traces.acceleration, [speed, acceleration])[0]
 
-    def mean(model: Model) -> tuple[Floats, Floats]:
-        samples = model.samples
-        count = np.histogram2d(samples.zv, samples.za, bins)[0]
-        total = np.histogram2d(samples.zv, samples.za, bins, weights=model.base.residual)[0]
-        return np.where(count >= MIN_CELL_SAMPLES, total / np.maximum(count, 1), np.nan), count
+    def mean(power: Floats) -> Floats:
+        residual = traces.measured - power
+        total = np.histogram2d(traces.speed, traces.acceleration, [speed, acceleration], weights=residual)[0]
+        return np.where(count >= MIN_CELL_ROWS, total / np.maximum(count, 1), np.nan)
 
-    (first, count), (second, _) = mean(before), mean(after)
-    return GapMap(speed_edges=speed, acceleration_edges=acceleration, before=first, after=second, samples=count)
+    return GapMap(
+        speed_edges=speed,
+        acceleration_edges=acceleration,
+        before=mean(traces.base),
+        after=mean(after),
+        samples=count,
+    )

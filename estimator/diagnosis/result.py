@@ -168,14 +168,19 @@ class GapMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traces:
-    """Seconds of admitted driving, log by log; all arrays (n,)."""
+    """Means over 2 s of the driving whose force is known, log by log; all arrays (n,).
+
+    Their root mean squares of `measured` less a model are those that the diagnosis states.
+    """
 
     t: Floats  # [s] since the first row of the log
     distance: Floats  # [m], of the drive
     speed: Floats  # [m/s]
+    acceleration: Floats  # [m/s^2]
     measured: Floats  # [W]
-    base: Floats  # [W], model without effects
-    extended: Floats  # [W], model with the chosen effects
+    base: Floats  # [W], plain model, with what is given
+    extended: Floats  # [W], with all that was found, on stretches that its fit has not seen
+    road_known: Floats  # [W], the same with the slopes of the state: what a signal of the road could show
     log: Floats  # which of the logs
 
 
@@ -204,8 +209,8 @@ class Diagnosis:
     formula: Described | None = None  # of what is left without a name
     doubtful: str = ""  # the likeliest effect of a "cannot tell" that names none
     noise_floor: float | None = None  # [W]
-    rms_base: float | None = None  # [W]
-    rms_final: float | None = None  # [W]
+    rms_base: float | None = None  # [W], of the plain model
+    rms_final: float | None = None  # [W], with all that was found
     base: Shift | None = None  # A, C, m of the plain model
     base_deviation: Shift | None = None  # and their sd
     final: Shift | None = None  # with the effects

@@ -17,14 +17,13 @@ from estimator.errors import StateError
 from estimator.estimate import Estimate, Status
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.gate import has_news
-from estimator.estimation.inference import Inference
 from estimator.estimation.model_check import SpeedScale
+from estimator.estimation.paper_inference import PaperInference
 from estimator.estimation.road_inference import RoadInference
 from estimator.estimation.window import Window
 from estimator.preparation.admission import Reason
-from estimator.preparation.stage import Piece, SampleStage, StrideStage
-from estimator.samples import STEP, Rows, Samples
-from estimator.strides import Strides
+from estimator.preparation.stage import Piece, StrideStage
+from estimator.samples import STEP, Rows
 
 
 class Estimator:
@@ -33,23 +32,18 @@ class Estimator:
     Parameters
     ----------
     config
-        All settings; ``sampler.likelihood`` selects the stage (samples or strides) and the inference.
+        All settings; ``sampler.likelihood`` selects the inference.
     rng
         Source of all randomness.
     """
 
     def __init__(self, config: Config, rng: np.random.Generator) -> None:
-        self.window: Window[Strides] | Window[Samples]
+        self.window = Window(config)
         self.segment = 0  # number of the load, counted since the start of this process
         self._config = config
-        if config.sampler.likelihood == "road":
-            self.window = window = Window(config, Strides)
-            self._stage: StrideStage | SampleStage = StrideStage(config)
-            self._inference: RoadInference | Inference = RoadInference(config, window, rng)
-        else:
-            self.window = samples = Window(config, Samples)
-            self._stage = SampleStage(config)
-            self._inference = Inference(config, samples, rng)
+        self._stage = StrideStage(config)
+        inference = RoadInference if config.sampler.likelihood == "road" else PaperInference
+        self._inference: RoadInference | PaperInference = inference(config, self.window, rng)
         self._next: int | None = None  # index of the row that would follow without a gap
         self._due: int | None = None
         self._at_last = 0
@@ -74,9 +68,8 @@ class Estimator:
 
     @property
     def rejected(self) -> Counter[str]:
-        """Rows not used, by reason; those below model power are of the newest update."""
-        own = {Reason.BELOW_MODEL_POWER: self._inference.below, Reason.EVICTED: self.window.evicted}
-        return self._stage.rejected + Counter({reason.value: count for reason, count in own.items()})
+        """Rows not used, by reason."""
+        return self._stage.rejected + Counter({Reason.EVICTED.value: self.window.evicted})
 
     def feed(self, rows: Rows) -> Iterator[Estimate]:
         """Take the next rows of the grid; yields an estimate whenever one falls due."""
@@ -102,7 +95,7 @@ class Estimator:
         With ``vehicle``, also discard the parameters of the vehicle: the next drive may be of another vehicle, or the
         same drive again.
         """
-        self._stage.forget(vehicle)
+        self._stage.forget()
         self._due, self._next = None, None
         self._start_segment()
         if vehicle:
@@ -142,7 +135,7 @@ class Estimator:
         self._inference.restore(substate(state, "inference"))
         if self._at_last > self.window.added:
             raise StateError("counts: are out of range")
-        if len(self.window) and frozenset(self.window.samples.context) != self._stage.wanted:
+        if len(self.window) and frozenset(self.window.strides.context) != self._stage.wanted:
             raise StateError("window: has other columns than are wanted")
         self._resting = True
 
@@ -153,11 +146,11 @@ class Estimator:
         if not same_load:
             self.forget()
 
-    def _take(self, piece: Piece[Strides] | Piece[Samples]) -> Iterator[Estimate]:
+    def _take(self, piece: Piece) -> Iterator[Estimate]:
         if piece.departs:
             self._start_segment(float(piece.rows.t[0]))
         self._scale.add(piece.rows)
-        self.window.add(piece.block)  # type: ignore[arg-type]  # stage and window were chosen together
+        self.window.add(piece.strides)
         if not len(piece.rows):
             return
         newest = int(piece.rows.index[-1])
@@ -181,9 +174,8 @@ class Estimator:
         self._at_last = self.window.added
 
     def _conclude(self, t: float) -> Estimate:
-        rejected = self._stage.rejected + Counter({Reason.EVICTED.value: self.window.evicted})
         context, doubt = self._stage.wanted or frozenset(), self._scale.verdict()
-        self._latest = self._inference.conclude(t, context, self._stage.lag, doubt, rejected)
+        self._latest = self._inference.conclude(t, context, doubt, self.rejected)
         if self._latest.status == Status.ESTIMATED:
             self._at_last = self.window.added
         return self._latest

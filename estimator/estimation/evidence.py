@@ -16,10 +16,11 @@ from estimator.signals import Floats
 class Trace:
     """The data that the model was fitted to; all arrays (n,).
 
-    ``v`` [m/s], ``a`` [m/s^2], ``P`` [W] measured and ``fitted`` [W], ``density`` of the air [kg/m^3], NaN where it is
-    not known; ``spacing`` [s] of consecutive elements.
+    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` [W] measured and ``fitted`` [W], ``density`` of the air [kg/m^3], NaN
+    where it is not known; ``spacing`` [s] of consecutive elements.
     """
 
+    t: Floats
     v: Floats
     a: Floats
     P: Floats

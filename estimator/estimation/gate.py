@@ -1,12 +1,13 @@
 """The coverage gate: whether a window is enough for an estimate, and whether a new one is due.
 
-`obstacle_to_fit`: do the moments determine the parameters; `obstacle_to_estimate`: were enough of the reachable
+`missing_rows`: is there enough driving for a fit; `obstacle_to_estimate`: were enough of the reachable
 speed-acceleration cells driven, and is the predicted standard deviation small enough. Both return the reason why not,
 empty where there is none. `has_news`: was enough added since the last estimate. `wrong_sign_of`: does the vehicle
 accelerate without power.
 """
 
-from typing import Protocol
+from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,18 +22,12 @@ MIN_PULLING_ACCELERATION = 0.1  # m/s^2, where most power must be positive: grav
 NAMES = ("A", "C", "mass")
 
 
-class Fitted(Protocol):
-    """A fit, as a gate needs it."""
+@dataclass(frozen=True)
+class Judged:
+    """Parameters [A, C, m, ...] (p,) and their standard deviations (p,), as a gate judges them."""
 
-    @property
-    def theta(self) -> Floats:
-        """A [N], C [N s^2/m^2], m [kg], then further parameters (p,)."""
-        ...
-
-    @property
-    def sd(self) -> Floats:
-        """Their standard deviations (p,)."""
-        ...
+    theta: Floats
+    sd: Floats
 
 
 class Gate:
@@ -60,22 +55,14 @@ class Gate:
         reachable &= self._acceleration <= self._acceleration[seen].max()
         return Coverage(int((occupied & reachable).sum()), int(reachable.sum()))
 
-    def obstacle_to_fit(self, fit: Fitted | None, usable: int, box: tuple[Floats, Floats]) -> str:
-        """Reason why the parameters cannot be computed from ``usable`` samples; empty where they can.
+    def missing_rows(self, held: int, rejected: Counter[str]) -> str:
+        """Reason why ``held`` rows are too few for a fit, with the commonest of those that were ``rejected``."""
+        if held >= self._config.minimum_samples:
+            return ""
+        others = f"; most others: {rejected.most_common(1)[0][0]}" if rejected else ""
+        return f"{held} usable samples of the {self._config.minimum_samples} needed{others}"
 
-        ``box`` holds lower and upper bounds (p,) of the parameters.
-        """
-        if usable < self._config.minimum_samples:
-            return f"{usable} usable samples of the {self._config.minimum_samples} needed"
-        if fit is None:
-            return "speed and acceleration varied too little to tell A, C and m apart"
-        lower, upper = box
-        for name, value, sd, low, high in zip(NAMES, fit.theta, fit.sd, lower, upper, strict=False):
-            if value + 5 * sd < low or value - 5 * sd > high:
-                return f"{name} {value:.4g} +- {sd:.2g} lies outside its prior [{low:g}, {high:g}]"
-        return ""
-
-    def obstacle_to_estimate(self, fit: Fitted, coverage: Coverage) -> str:
+    def obstacle_to_estimate(self, fit: Judged, coverage: Coverage) -> str:
         """Reason why a fit is no estimate yet: coverage, or a predicted sd; empty where it is one."""
         if reason := self.missing_coverage(coverage):
             return reason

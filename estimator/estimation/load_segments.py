@@ -17,7 +17,7 @@ import numpy as np
 from estimator.checkpoint.validation import State, array, optional, read
 from estimator.errors import StateError
 from estimator.estimate import LoadChange
-from estimator.estimation.moments import PARAMETERS, ROAD_LOAD, Belief
+from estimator.estimation.belief import PARAMETERS, Belief
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.settings import Load
 from estimator.signals import Floats
@@ -49,7 +49,7 @@ class Segment:
         StateError
             It is not that of a segment.
         """
-        mean, covariance = array(state, "mean", (ROAD_LOAD,)), array(state, "covariance", (ROAD_LOAD, ROAD_LOAD))
+        mean, covariance = array(state, "mean", (PARAMETERS,)), array(state, "covariance", (PARAMETERS, PARAMETERS))
         variance = np.diag(covariance)
         if mean[2] <= 0 or np.any(variance <= 0) or np.any(covariance**2 > 1.001 * np.outer(variance, variance)):
             raise StateError("segment: no mass, or no covariance")
@@ -93,7 +93,7 @@ class Loads:
     def carried_over(self, t: float, load: Load) -> Belief:
         """Belief at time ``t`` [s] from driving that is used no longer; empty where there was none."""
         if self._carried is None:
-            return Belief(np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS))
+            return Belief.none()
         return self._carried.carry_over(t, load)
 
     def show(self, segment: Segment) -> LoadChange | None:

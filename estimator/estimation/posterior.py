@@ -6,15 +6,13 @@ import numpy as np
 
 from estimator.config import Config
 from estimator.estimate import Convergence, Marginal
-from estimator.estimation.moments import SMALL_LAG, Belief, Fit
-from estimator.sampling.likelihood import StudentTarget, Target
+from estimator.sampling.likelihood import Target
 from estimator.sampling.run import MAX_R_HAT, run
 from estimator.settings import Prior
 from estimator.signals import Floats
 
 MIN_ESS = 100.0  # effective draws: the mean is then known to a tenth of the sd
 MAX_USUAL_MAGNITUDES = 20.0  # bound of an effect's magnitude, over its usual one
-LAG_BOX = (-1.0, 1.0)  # s, far wider than the prior of the lag
 
 
 @dataclass(frozen=True)
@@ -30,6 +28,11 @@ class Posterior:
         c = self.convergence
         return c.r_hat < MAX_R_HAT and c.ess_bulk > MIN_ESS
 
+    @property
+    def complaint(self) -> str:
+        """That the chains have not converged, in words."""
+        return f"chains did not converge: R-hat {self.convergence.r_hat:.3f}, ESS {self.convergence.ess_bulk:.0f}"
+
     def marginal(self, i: int) -> Marginal:
         """Summary of parameter ``i``."""
         x = self.draws[:, :, i]
@@ -38,27 +41,9 @@ class Posterior:
 
 
 def box(prior: Prior) -> tuple[Floats, Floats]:
-    """Lower and upper bounds (4,) of A [N], C [N s^2/m^2], m [kg] and the lag [s]."""
-    ranges = (prior.A_N, prior.C_N_s2_m2, prior.mass_kg, LAG_BOX)
+    """Lower and upper bounds (3,) of A [N], C [N s^2/m^2] and m [kg]."""
+    ranges = (prior.A_N, prior.C_N_s2_m2, prior.mass_kg)
     return np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
-
-
-def belief_of(prior: Prior) -> Belief:
-    """The beliefs of the configuration as one Gaussian; parameters in the order A, C, m, lag."""
-    belief = SMALL_LAG
-    for i, known in enumerate((prior.A_belief_N, prior.C_belief_N_s2_m2, prior.mass_belief_kg)):
-        if known is not None:
-            belief = belief + Belief.about(i, *known)
-    return belief
-
-
-def target_of(fit: Fit, config: Config) -> Target:
-    """The moment objective of a fit, in the box of the configuration and of what its effects can be."""
-    lower, upper = box(config.prior)
-    widest = [MAX_USUAL_MAGNITUDES * term.effect.usual(fit.theta) for term in fit.own_terms]
-    lowest = [0.0 if term.effect.positive else -size for term, size in zip(fit.own_terms, widest, strict=True)]
-    lower, upper = np.append(lower, lowest), np.append(upper, widest)
-    return StudentTarget(fitted=fit.theta, covariance=fit.covariance, dof=fit.dof, lower=lower, upper=upper)
 
 
 def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterior:

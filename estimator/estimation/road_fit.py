@@ -15,15 +15,16 @@ from estimator.estimation.form_doubt import with_doubt_of_effects, with_doubt_of
 from estimator.estimation.normal_equations import NormalEquations
 from estimator.estimation.road_likelihood import LAG, Likelihood, shapes_of, taken_by
 from estimator.estimation.road_search import RoadScales, Search, first_guess, scaled_by
-from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import AtRest
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import LEVEL
 from estimator.model.road_scales import LENGTH, SLOPE
+from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
+PROBE_SEED = 20_041  # of the simulated noise in the correction of every fit: the same strides give the same numbers
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 
 

@@ -5,7 +5,7 @@ hills that no signal shows the mass is known long before A and C, so each parame
 """
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,26 +24,25 @@ from estimator.config import Config
 from estimator.errors import StateError
 from estimator.estimate import PARAMETERS, Coverage, Estimate, Road, Status
 from estimator.estimation import posterior
+from estimator.estimation.belief import Belief
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
 from estimator.estimation.gain_changes import gain_changes
-from estimator.estimation.gate import NAMES, Gate, wrong_sign_of
+from estimator.estimation.gate import NAMES, Gate, Judged, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
-from estimator.estimation.moments import Belief
-from estimator.estimation.road_fit import RoadFit, fit, fit_given
+from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
-from estimator.estimation.shapes import averaged, best_shapes, fitted_with_shapes
+from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
 from estimator.estimation.window import Window
-from estimator.model.design_matrix import Term
 from estimator.model.effects import named, obstacle
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_scales import POWER, SCALES, TORQUE
+from estimator.model.term import Term
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
-PROBE_SEED = 20_041  # of the simulated noise in the correction: the same in every update
 # Factor by which the window must grow before the scales of road and noise are searched again. Searched in every update,
 # three drives of 40 min took 1.6 times as much processor time, and their masses moved by at most 0.14 sd.
 MIN_GROWTH = 1.5
@@ -67,14 +66,6 @@ class Withheld(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """Parameters [A, C, m] and their sd (3,) with the beliefs, without the box, for the gate."""
-
-    theta: Floats
-    sd: Floats
-
-
 class RoadInference:
     """Makes estimates from a window of strides, and keeps the segments of the loads.
 
@@ -88,14 +79,13 @@ class RoadInference:
         Source of all randomness.
     """
 
-    def __init__(self, config: Config, window: Window[Strides], rng: np.random.Generator) -> None:
+    def __init__(self, config: Config, window: Window, rng: np.random.Generator) -> None:
         self.evidence: Evidence | None = None  # of the newest estimate
-        self.below = 0  # no sample is left out for its model power here
         self._config = config
         self._window = window
         self._gate = Gate(config.gate, window.grid)
         self._effects = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
-        self._given = posterior.belief_of(config.prior)
+        self._given = Belief.configured(config.prior)
         self._rng = rng
         self._loads = Loads()
         self._scales: RoadScales | None = None
@@ -163,16 +153,13 @@ class RoadInference:
         if np.any(np.diff(self._departures) <= 0):
             raise StateError("departures: do not rise")
 
-    def conclude(
-        self, t: float, context: frozenset[Quantity], lag: float, doubt: str, rejected: Counter[str]
-    ) -> Estimate:
+    def conclude(self, t: float, context: frozenset[Quantity], doubt: str, rejected: Counter[str]) -> Estimate:
         """The estimate at time ``t`` [s].
 
-        ``context`` that the strides carry; ``lag`` [s] by which power was moved before; ``doubt`` about the signals,
-        or empty; rows ``rejected`` before, by reason.
+        ``context`` that the strides carry; ``doubt`` about the signals, or empty; rows ``rejected`` before, by reason.
         """
         self.evidence = None
-        strides, held = self._window.samples, len(self._window)
+        strides, held = self._window.strides, len(self._window)
 
         def withheld(
             reason: str, coverage: Coverage = NOTHING_COVERED, status: Status = Status.UNESTIMATED
@@ -181,9 +168,8 @@ class RoadInference:
 
         if reason := obstacle(self._effects, context):
             return withheld(reason)
-        if held < self._config.gate.minimum_samples:
-            others = f"; most others: {rejected.most_common(1)[0][0]}" if rejected else ""
-            return withheld(f"{held} usable samples of the {self._config.gate.minimum_samples} needed{others}")
+        if reason := self._gate.missing_rows(held, rejected):
+            return withheld(reason)
         driven = strides[strides.known]
         if reason := wrong_sign_of(driven.power, driven.a):
             return withheld(reason)
@@ -194,11 +180,13 @@ class RoadInference:
             return withheld(doubt, status=Status.INVALID)
         if reason := self._undetermined(found):
             return withheld(reason)
-        return self._judge(t, found, lag, withheld)
+        return self._judge(t, found, withheld)
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
-        terms = self._terms(strides)
+        terms = terms_of(
+            strides, self._effects, lambda: self._fitted_beside(strides, (), self._scales, is_search=False)
+        )
         found = fitted_with_shapes(
             strides, terms, lambda terms, known: self._fitted_beside(strides, terms, known or self._scales, grown)
         )
@@ -218,31 +206,19 @@ class RoadInference:
             return fit(strides, rng, terms, scales, limit, self._departures)
         return fit_given(strides, rng, scales, terms, limit, self._departures)
 
-    def _terms(self, strides: Strides) -> tuple[Term, ...]:
-        """Each effect with the shape of most evidence, given the scales of road and noise."""
-        known = frozenset(strides.context)
-        shapes = [[Term(effect, shape) for shape in effect.streaming_shapes(known)] for effect in self._effects]
-        # Of several signals of one quantity the first one is taken.
-        shapes = [each[:1] if isinstance(each[0].shape, Quantity) else each for each in shapes if each]
-        if all(len(each) == 1 for each in shapes):
-            return tuple(each[0] for each in shapes)
-        plain = self._fitted_beside(strides, (), self._scales, is_search=False)
-        return () if plain is None else best_shapes(strides, plain, shapes)
-
-    def _judge(self, t: float, found: RoadFit, lag: float, withheld: Withheld) -> Estimate:
+    def _judge(self, t: float, found: RoadFit, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)
         usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual(found.road_load) for term in found.terms]
         lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
-        bounds = np.append(lower[:ROAD_LOAD], lowest), np.append(upper[:ROAD_LOAD], usual)
-        empty = Belief(np.zeros_like(self._given.precision), np.zeros_like(self._given.moment))
-        drive = RoadTarget.of(found, empty, *bounds)
-        if reason := contradiction(self._config.prior, _Judged(drive.free_mode, drive.free_sd)):
+        bounds = np.append(lower, lowest), np.append(upper, usual)
+        drive = RoadTarget.of(found, Belief.none(), *bounds)
+        if reason := contradiction(self._config.prior, Judged(drive.free_mode, drive.free_sd)):
             return withheld(reason, status=Status.INVALID)
         changes = gain_changes(found)
         contradicted, found = changes.contradiction(found), changes.averaged(found)
         belief = self._given + self._loads.carried_over(t, self._config.load)
         target = RoadTarget.of(found, belief, *bounds)
-        judged = _Judged(target.free_mode, target.free_sd)
+        judged = Judged(target.free_mode, target.free_sd)
         driven = found.strides
         coverage = self._gate.coverage(
             self._window.counts, np.maximum(judged.theta[:ROAD_LOAD], 0.0), driven.power[driven.power > 0]
@@ -258,9 +234,8 @@ class RoadInference:
             return withheld(reason, coverage, Status.INVALID)
         draws = posterior.sample(target, self._config, self._rng)
         if not draws.has_converged:
-            c = draws.convergence
-            return withheld(f"chains did not converge: R-hat {c.r_hat:.3f}, ESS {c.ess_bulk:.0f}", coverage)
-        return self._published(t, found, draws, coverage, reasons, lag)
+            return withheld(draws.complaint, coverage)
+        return self._published(t, found, draws, coverage, reasons)
 
     def _undetermined(self, found: RoadFit) -> str:
         """Reason why the drive does not determine the mass; empty where it does."""
@@ -271,7 +246,7 @@ class RoadInference:
             return f"sd of mass is {100 * sd / inverse:.0f} % of its value" + _advice("m", found)
         return ""
 
-    def _reasons(self, judged: _Judged, found: RoadFit, lower: Floats, upper: Floats) -> dict[str, str]:
+    def _reasons(self, judged: Judged, found: RoadFit, lower: Floats, upper: Floats) -> dict[str, str]:
         """Reason for each of PARAMETERS that is not known well enough."""
         reasons = {}
         for i, name in enumerate(PARAMETERS):
@@ -293,11 +268,11 @@ class RoadInference:
         draws: posterior.Posterior,
         coverage: Coverage,
         reasons: dict[str, str],
-        lag: float,
     ) -> Estimate:
         driven, window = found.strides, self._window
         rms = float(np.sqrt(np.mean(found.residual_power**2)))
         trace = Trace(
+            t=driven.t,
             v=driven.speed,
             a=driven.a,
             P=driven.power,
@@ -308,7 +283,7 @@ class RoadInference:
         self.evidence = Evidence(
             trace=trace,
             posterior=draws,
-            lag=lag + found.lag,
+            lag=found.lag,
             grid=window.grid,
             counts=window.counts,
             rms=rms,
@@ -379,7 +354,7 @@ def _misfit(found: RoadFit, maximum_lag: float) -> str:
     return ""
 
 
-def _outside(judged: _Judged, lower: Floats, upper: Floats) -> str:
+def _outside(judged: Judged, lower: Floats, upper: Floats) -> str:
     """Reason why a parameter is outside its box, which withholds all of them; empty where none is."""
     for i, name in enumerate(NAMES):
         value, sd = float(judged.theta[i]), float(judged.sd[i])

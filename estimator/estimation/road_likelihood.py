@@ -16,7 +16,6 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from estimator.model.conditioned import Conditioned
-from estimator.model.design_matrix import Term
 from estimator.model.effects.effect import View
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
@@ -24,6 +23,7 @@ from estimator.model.road import RoadModel
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.model.road_scales import TORQUE
 from estimator.model.road_score import Score, score
+from estimator.model.term import Term
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -69,7 +69,6 @@ def view_of(strides: Strides, force: Floats, road_load: Floats, taken: Floats | 
         density=density,
         context=strides.context,
         road_load=road_load,
-        climb=np.zeros(len(strides)),
         duration=DURATION,
     )
 

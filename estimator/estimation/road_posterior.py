@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from estimator.estimation.moments import Belief
+from estimator.estimation.belief import Belief
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import PLAIN, ROAD_LOAD
 from estimator.sampling.likelihood import bound_precision, factor, highest_in_box, in_box
@@ -27,7 +27,7 @@ class RoadTarget:
     mean, precision
         Of the coefficients [1/m, A/m, C/m, -b/m ...] by the drive.
     belief
-        About theta, in information form.
+        About all of theta, in information form.
     lower, upper
         Bounds of the box prior.
     """
@@ -40,15 +40,15 @@ class RoadTarget:
 
     @classmethod
     def of(cls, fit: RoadFit, belief: Belief, lower: Floats, upper: Floats) -> "RoadTarget":
-        """From a fit, a ``belief`` about [A, C, m, lag], whose lag is dropped, and bounds (p,) of the box."""
+        """From a fit, a ``belief`` about [A, C, m], and bounds (p,) of the box."""
         effects = len(fit.terms)
         places = [*range(ROAD_LOAD), *range(len(fit.beta) - effects, len(fit.beta))]
         assert len(fit.beta) - effects >= PLAIN
         covariance = fit.covariance[np.ix_(places, places)]
         size = ROAD_LOAD + effects
         precision, moment = np.zeros((size, size)), np.zeros(size)
-        precision[:ROAD_LOAD, :ROAD_LOAD] = belief.precision[:ROAD_LOAD, :ROAD_LOAD]
-        moment[:ROAD_LOAD] = belief.moment[:ROAD_LOAD]
+        precision[:ROAD_LOAD, :ROAD_LOAD] = belief.precision
+        moment[:ROAD_LOAD] = belief.moment
         unit = np.sqrt(np.diag(covariance))
         inverse = np.linalg.inv(covariance / np.outer(unit, unit)) / np.outer(unit, unit)
         return cls(mean=fit.beta[places], precision=inverse, belief=Belief(precision, moment), lower=lower, upper=upper)

@@ -11,11 +11,11 @@ import numpy as np
 
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood, columns, taken_by
 from estimator.estimation.scale_search import most_probable
-from estimator.model.design_matrix import MIN_DRAG, MIN_ROLLING, Term
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_nodes import Place, warping
 from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
+from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -33,6 +33,7 @@ DESIGNED_PRICE = 8.0
 # 3.4, and the turns of these routes there and back have 43 to 213.
 TURN_PRICE = 8.0
 TRIED_TURNS = 3  # slow places where the slope bends most, for each one that is found: bounds the cost
+MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
 MAX_EXPONENT = 500.0  # of the exponential function in floating point
 PASSES = 2  # of the coefficients, given the scales, that effects scale with
 LAG_SPACING = float(LAGS[1] - LAGS[0])  # s

@@ -21,7 +21,8 @@ from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, Likelihood
 from estimator.estimation.road_search import RoadScales
 from estimator.model.conditioned import Conditioned
-from estimator.model.design_matrix import Term
+from estimator.model.effects import Effect
+from estimator.model.term import Term
 from estimator.signals import Floats, Quantity
 from estimator.strides import Strides
 
@@ -43,6 +44,20 @@ def fitted_with_shapes(strides: Strides, terms: tuple[Term, ...], fitted: FitBes
             break
         found = again
     return found
+
+
+def terms_of(strides: Strides, effects: Sequence[Effect], plain: Callable[[], RoadFit | None]) -> tuple[Term, ...]:
+    """Each effect with the shape of most evidence beside the ``plain`` fit, which is made where there is a choice.
+
+    Of several signals of one quantity the first one is taken.
+    """
+    known = frozenset(strides.context)
+    shapes = [[Term(effect, shape) for shape in effect.streaming_shapes(known)] for effect in effects]
+    shapes = [terms[:1] if isinstance(terms[0].shape, Quantity) else terms for terms in shapes if terms]
+    if all(len(terms) == 1 for terms in shapes):
+        return tuple(terms[0] for terms in shapes)
+    fit = plain()
+    return () if fit is None else best_shapes(strides, fit, shapes)
 
 
 def is_free(term: Term) -> bool:

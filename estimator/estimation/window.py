@@ -1,8 +1,7 @@
-"""A bounded window of admitted samples: blocks of consecutive driving; those in rare cells are kept longest."""
+"""A bounded window of strides: blocks of consecutive driving; those in rare cells are kept longest."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from estimator.checkpoint.validation import Count, State, array, read, substate
 from estimator.config import Config
 from estimator.errors import StateError
 from estimator.signals import Floats, Mask
+from estimator.strides import Strides
 
 MIN_ACCELERATION = -1.0  # m/s^2, where the grid of cells begins; lower values fall into its first cells
 SPEED_CELLS = 64  # of `gate.speed_step_m_s`: up to 160 m/s by default
@@ -44,65 +44,7 @@ class Grid:
 Cells = tuple[NDArray[np.int64], NDArray[np.int64]]  # places on the grid, and how many rows each stands for
 
 
-class Content(Protocol):
-    """What a window can hold: `Samples` or `Strides`."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, part: slice | Mask) -> Self: ...
-
-    @property
-    def t(self) -> Floats:
-        """Times [s] (n,), ascending."""
-        ...
-
-    @property
-    def cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Speed [m/s], acceleration [m/s^2] and number of rows (n,) of each element, by which cells are counted."""
-        ...
-
-    @property
-    def own_cells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """The same by measured values, for plots."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
-        ...
-
-    @classmethod
-    def restore(cls, state: State) -> Self:
-        """Content from its state."""
-        ...
-
-    @classmethod
-    def concatenate(cls, parts: list[Self]) -> Self:
-        """Join in order."""
-        ...
-
-
-C = TypeVar("C", bound=Content)
-
-
-class Blocks(Mapping[int, C]):
-    """The blocks (b,) of a window by their numbers, each cut out when it is asked for."""
-
-    def __init__(self, content: C, numbers: NDArray[np.int64], lengths: NDArray[np.int64]) -> None:
-        ends = np.cumsum(lengths)
-        self._content = content
-        self._parts = dict(zip(numbers.tolist(), map(slice, (ends - lengths).tolist(), ends.tolist()), strict=True))
-
-    def __getitem__(self, number: int) -> C:
-        return self._content[self._parts[number]]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._parts)
-
-    def __len__(self) -> int:
-        return len(self._parts)
-
-
-class Window(Generic[C]):
+class Window:
     """Holds at most ``config.window.samples`` rows, none older than ``config.window.hours``.
 
     When it is full, the block whose rows lie in the fullest cells goes first, so hours of cruising do not push out
@@ -112,23 +54,19 @@ class Window(Generic[C]):
     ----------
     config
         All settings.
-    kind
-        Class of its content.
     """
 
-    def __init__(self, config: Config, kind: type[C]) -> None:
+    def __init__(self, config: Config) -> None:
         self.grid = Grid(config.gate.speed_step_m_s, config.gate.acceleration_step_m_s2)
         self.evicted = 0  # rows
         self.added = 0  # rows ever admitted
-        self._kind = kind
         self._capacity = config.window.samples
         self._longest = config.window.hours * 3600.0
-        self._numbered = 0
         self._empty()
 
     def _empty(self) -> None:
-        self._content = self._kind.concatenate([])  # of all blocks: hundreds of small ones are mostly overhead
-        self._numbers, self._lengths, self._cell_lengths = np.zeros((3, 0), dtype=np.int64)  # of each block
+        self._content = Strides.none()  # of all blocks: hundreds of small ones are mostly overhead
+        self._lengths, self._cell_lengths = np.zeros((2, 0), dtype=np.int64)  # of each block
         self._places, self._rows = np.zeros((2, 0), dtype=np.int64)  # cells, and how many rows each stands for
         self._counts = np.zeros(self.grid.size, dtype=np.int64)  # rows
 
@@ -136,29 +74,22 @@ class Window(Generic[C]):
         return int(self._counts.sum())
 
     @property
-    def samples(self) -> C:
+    def strides(self) -> Strides:
         """Everything in the window, oldest first."""
         return self._content
 
     @property
-    def blocks(self) -> Mapping[int, C]:
-        """The same in blocks, each under a number that no other block ever has."""
-        return Blocks(self._content, self._numbers, self._lengths)
-
-    @property
     def counts(self) -> NDArray[np.int64]:
-        """Rows per cell of their own speed and acceleration (grid.size,)."""
-        return self._counted(*self._place(self._content.own_cells))
+        """Rows per cell of speed and acceleration (grid.size,)."""
+        return self._counts.copy()
 
-    def add(self, block: C) -> None:
+    def add(self, block: Strides) -> None:
         """Add a block of consecutive driving, and evict blocks beyond the capacity or the age limit."""
         if not len(block):
             return
-        self._content = self._kind.concatenate([self._content, block]) if len(self._content) else block
-        self._numbers = np.append(self._numbers, self._numbered)
+        self._content = Strides.concatenate([self._content, block]) if len(self._content) else block
         self._lengths = np.append(self._lengths, len(block))
         self._count(self._place(block.cells))
-        self._numbered += len(block)
         self._evict(float(block.t[-1]))
 
     def _count(self, cells: Cells) -> None:
@@ -172,11 +103,11 @@ class Window(Generic[C]):
         first = np.cumsum(self._lengths) - self._lengths
         self.evicted += self._keep(newest - self._content.t[first] <= self._longest)
         while len(self) > self._capacity:
-            self.evicted += self._keep(np.arange(len(self._numbers)) != np.argmax(self._fullness()))
+            self.evicted += self._keep(np.arange(len(self._lengths)) != np.argmax(self._fullness()))
 
     def _fullness(self) -> Floats:
         """Mean count of the cells of each block's rows (blocks,); 0 for one without cells, which is evicted last."""
-        count = len(self._numbers)
+        count = len(self._lengths)
         block = np.repeat(np.arange(count), self._cell_lengths)
         total = np.bincount(block, self._rows, count)
         filled = np.bincount(block, self._counts[self._places] * self._rows, count)
@@ -196,8 +127,7 @@ class Window(Generic[C]):
         before, cells = len(self), np.repeat(kept, self._cell_lengths)
         self._content = self._content[np.repeat(kept, self._lengths)]
         self._places, self._rows = self._places[cells], self._rows[cells]
-        self._numbers, self._lengths = self._numbers[kept], self._lengths[kept]
-        self._cell_lengths = self._cell_lengths[kept]
+        self._lengths, self._cell_lengths = self._lengths[kept], self._cell_lengths[kept]
         self._counts = self._counted(self._places, self._rows)
         return before - len(self)
 
@@ -212,10 +142,8 @@ class Window(Generic[C]):
     def state(self) -> dict[str, Any]:
         """The state that `restore` reads."""
         return {
-            "samples": self._content.state(),
+            "strides": self._content.state(),
             "lengths": self._lengths,
-            "numbers": self._numbers,
-            "numbered": self._numbered,
             "added": self.added,
             "evicted": self.evicted,
         }
@@ -228,18 +156,14 @@ class Window(Generic[C]):
         StateError
             The state is not one that a window with this configuration can have.
         """
-        content, lengths = self._kind.restore(substate(state, "samples")), array(state, "lengths", (-1,), np.int64)
-        numbers = array(state, "numbers", (len(lengths),), np.int64)
+        content, lengths = Strides.restore(substate(state, "strides")), array(state, "lengths", (-1,), np.int64)
         ends = np.cumsum(lengths)
-        if np.any(lengths <= 0) or len(content) != lengths.sum() or np.any(np.diff(numbers) < lengths[:-1]):
-            raise StateError(f"window: {len(content)} samples in {len(lengths)} blocks cannot be")
-        numbered = read(state, "numbered", Count)
-        if len(numbers) and (numbers[0] < 0 or numbers[-1] + lengths[-1] > numbered):
-            raise StateError("window: numbers of blocks are out of range")
+        if np.any(lengths <= 0) or len(content) != lengths.sum():
+            raise StateError(f"window: {len(content)} strides in {len(lengths)} blocks cannot be")
         self._empty()
         for start, end in zip((ends - lengths).tolist(), ends.tolist(), strict=True):
             self._count(self._place(content[start:end].cells))
-        self._content, self._numbers, self._lengths, self._numbered = content, numbers, lengths, numbered
+        self._content, self._lengths = content, lengths
         self.added, self.evicted = read(state, "added", Count), read(state, "evicted", Count)
         if len(self) > self._capacity:
             raise StateError(f"window: {len(self)} rows where {self._capacity} are the most")

@@ -127,12 +127,8 @@ class _Loads:
         evidence = estimator.evidence if update.status is Status.ESTIMATED else None
         self._updates[estimator.segment] = update, None if evidence is None else evidence.coefficients
         self._roads.pop(estimator.segment, None)
-        if (
-            evidence is not None
-            and evidence.fit is not None
-            and isinstance(strides := estimator.window.samples, Strides)
-        ):
-            self._roads[estimator.segment] = strides, evidence.fit
+        if evidence is not None and evidence.fit is not None:
+            self._roads[estimator.segment] = estimator.window.strides, evidence.fit
 
     def doubt(self, segment: int, reason: str) -> None:
         """Use nothing of a load."""

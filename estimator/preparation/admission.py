@@ -1,4 +1,4 @@
-"""Admission of rows as samples; each row that is not admitted has one named reason."""
+"""Admission of rows to strides; each row that is not admitted has one named reason."""
 
 from collections import Counter
 from enum import StrEnum
@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.samples import STEP, Rows, Samples
+from estimator.samples import STEP, Rows
 from estimator.settings import Admission
 from estimator.signals import Floats, Mask, Role
 
@@ -28,7 +28,6 @@ class Reason(StrEnum):
     NEAR_EXCLUDED = "near an excluded moment"
     MAY_BRAKE = "no power, and brakes are not on the bus"
     INCOMPLETE = "surroundings incomplete"
-    BELOW_MODEL_POWER = "below model power"
     EVICTED = "evicted from the window"
 
 
@@ -50,6 +49,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
         return rows.context.get(role, blank)
 
     shifting, braking = is_shifting(rows), is_braking(rows)
+    margin = round(admission.stride_margin_s / STEP)
     retarding = context(Role.RETARDER_FRACTION) < RETARDER_TORQUE
     with np.errstate(invalid="ignore"):
         standing = rows.speed < admission.minimum_speed_m_s
@@ -65,7 +65,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
         Reason.SHIFTING: shifting,
         Reason.POWER_STALE: ~rows.fresh[:, 1],
         Reason.POWER_NOT_AVAILABLE: np.isnan(rows.power),
-        Reason.NEAR_EXCLUDED: near(braking | retarding | shifting | rows.frozen, round(admission.margin_s / STEP)),
+        Reason.NEAR_EXCLUDED: near(braking | retarding | shifting | rows.frozen, margin),
     }
     codes = np.full(len(rows), ADMITTED, dtype=np.int8)
     for reason, mask in reversed(masks.items()):
@@ -106,13 +106,6 @@ def is_coasting(rows: Rows, margin: int) -> Mask:
     open_ = (shift == 0) & (engaged == 0) & (gear == 0)
     coasting: Mask = open_ & ~near(~open_ | is_braking(rows), margin)
     return coasting
-
-
-def admit(samples: Samples, codes: NDArray[np.int8], rejected: Counter[str]) -> Samples:
-    """Samples whose rows have no reason (``codes`` (n,)) and whose surroundings are complete; counts the others."""
-    codes = np.where((codes == ADMITTED) & ~samples.complete, _ORDER.index(Reason.INCOMPLETE), codes)
-    count_reasons(codes[codes != ADMITTED], rejected)
-    return samples[codes == ADMITTED]
 
 
 def count_reasons(codes: NDArray[np.int8], rejected: Counter[str]) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimator.checkpoint.validation import State, optional, read
 from estimator.errors import StateError
 from estimator.preparation.admission import ADMITTED, MAY_BRAKE, count_reasons, is_coasting, row_reasons
-from estimator.preparation.kinematics import air_density, measured
+from estimator.preparation.context import air_density, measured
 from estimator.preparation.past_speed import last_known
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission
@@ -45,7 +45,6 @@ class Strider:
         self._admission = msgspec.structs.replace(
             admission,
             minimum_speed_m_s=max(admission.minimum_speed_m_s, MIN_SPEED),
-            margin_s=admission.stride_margin_s,
         )
         self.wanted, self._start = wanted, start
         self._margin = max(round(admission.stride_margin_s / STEP), _REACH) + 1

@@ -3,10 +3,8 @@
 from estimator.estimate import Estimate, Status
 from estimator.samples import STEP
 from estimator.settings import Gate
-from estimator.signals import Role
 from estimator.streaming.replay import Run
 
-SHOW_GRADE = (Role.GRADE, Role.ALTITUDE, Role.LONGITUDINAL_ACCELERATION)  # signals that the effect `grade` can use
 DIAGNOSE = (
     "`roadload diagnose` with the same logs names a missing effect, and the line for the configuration where the model "
     "can hold it"
@@ -34,10 +32,6 @@ def next_step(run: Run) -> str:
         )
     if _is_coverage_low(final, gate):
         return "give a longer log, or several of one load in their order, with more speeds and accelerations"
-    shown = [role.value for role in SHOW_GRADE if pipeline.traffic.seen[role]]
-    has_road = pipeline.config.sampler.likelihood == "road"  # which has the grade without being asked
-    if shown and not has_road and "grade" not in pipeline.effects:
-        return f'in hills add effects = ["grade"] to the configuration: the bus carries {shown[0]}; else {DIAGNOSE}'
     return f"give a longer log, or several of one load in their order; where another effect acts, {DIAGNOSE}"
 
 

@@ -142,7 +142,7 @@ def is_hidden(effect: Finding) -> bool:
 def ladder(d: Diagnosis) -> list[tuple[str, float]]:
     """The residual [W] of the plain model and after each effect that can be added to it.
 
-    A lag comes first: the others are judged, and the residual of the plain model is computed, on aligned power.
+    A lag comes first: the others are judged on aligned power.
     """
     if d.rms_base is None:
         return []
@@ -154,8 +154,7 @@ def ladder(d: Diagnosis) -> list[tuple[str, float]]:
     steps = [(f"+ {label(f.name)}", rms) for f, rms in zip(others, after, strict=True)]
     if late is None:
         return [("plain model", d.rms_base), *steps]
-    unaligned = d.rms_base * late.rms_before / late.rms_after
-    return [("plain model", unaligned), (f"+ {label(late.name)}", d.rms_base), *steps]
+    return [("plain model", d.rms_base), (f"+ {label(late.name)}", late.rms_after), *steps]
 
 
 def percent(fraction: float) -> str:

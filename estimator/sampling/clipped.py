@@ -15,14 +15,12 @@ the residual e = P - max(u, 0), a sample whose power changes by h = max(w . z + 
 Source: Miller, Konan, Duran, "Bayesian Parameter Estimation for Heavy-Duty Vehicles", NREL.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.sampling.condensed import Condensed, Sums
 from estimator.sampling.likelihood import bound_precision, factor, highest_in_box, in_box
 from estimator.signals import Floats
 
@@ -32,15 +30,53 @@ MIN_RESIDUAL_SHARE = 1e-9  # sd of the residual over the root mean square of the
 BATCH = 2**15  # numbers evaluated at once, to fit the cache
 
 
-def clipped_least_squares(samples: Condensed, M: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Sums]:
-    """Least squares (p,) of P on ``max(X M theta, 0)`` inside the box, and the sums of P on X M where it is active.
+@dataclass(frozen=True)
+class Sums:
+    """Sufficient statistics of least squares of ``y`` (n,) on ``X`` (n, p): G = X' X, b = X' y, s = y' y, and n."""
+
+    G: Floats
+    b: Floats
+    s: float
+    n: int
+
+    @classmethod
+    def of(cls, X: Floats, y: Floats) -> "Sums":
+        """Of samples ``X`` (n, p), ``y`` (n,)."""
+        return cls(X.T @ X, X.T @ y, float(y @ y), len(y))
+
+    @classmethod
+    def empty(cls, p: int) -> "Sums":
+        """Of no samples."""
+        return cls(np.zeros((p, p)), np.zeros(p), 0.0, 0)
+
+    def __add__(self, other: "Sums") -> "Sums":
+        return Sums(self.G + other.G, self.b + other.b, self.s + other.s, self.n + other.n)
+
+    def __sub__(self, other: "Sums") -> "Sums":
+        return Sums(self.G - other.G, self.b - other.b, self.s - other.s, self.n - other.n)
+
+    def through(self, M: Floats, unit: float = 1.0) -> "Sums":
+        """With X M in place of X, for ``M`` (p, q), and y in another unit."""
+        return Sums(M.T @ self.G @ M, M.T @ self.b / unit, self.s / unit**2, self.n)
+
+    @cached_property
+    def _form(self) -> Floats:
+        return np.block([[self.G, -self.b[:, None]], [-self.b, np.zeros(1)]])
+
+    def excess(self, theta: Floats) -> Floats:
+        """What the columns [theta, 1] (p + 1, k) add to the sum of squares that zero has (k,)."""
+        total: Floats = np.einsum("ij,ij->j", self._form @ theta, theta)
+        return total
+
+
+def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Sums]:
+    """Least squares (p,) of P on ``max(X theta, 0)`` inside the box, and the sums of P on X where it is active.
 
     Gauss-Newton; it settles in a few steps because the model is linear where it is not cut. From step to step only
     the samples that changed sign are touched.
     """
-    X, P = samples.X @ M, samples.P
     active = np.ones(len(P), dtype=bool)
-    sums = samples.active.about(-samples.region.origin).through(M) + Sums.of(X, P)
+    sums = Sums.of(X, P)
     weak = (upper - lower) ** -2.0
     for _ in range(MAX_ITERATIONS):
         # A weak prior determines the directions that the active samples do not.
@@ -89,56 +125,31 @@ class _Ellipsoid:
 
 
 class ClippedGaussianTarget:
-    """The paper's likelihood of all samples, and a flat prior in a finite box.
+    """The paper's likelihood of samples, and a flat prior in a finite box.
 
-    ``samples`` condensed for a region of coefficients phi = ``M`` theta, M (q, p); ``everything`` gives X (n, q) and
-    P (n,) [W] of all of them, for what lies outside that region; ``lower`` and ``upper`` (p,) the box. The paper
+    ``X`` (n, p), as from `road_load.design`; ``P`` (n,) [W]; ``lower`` and ``upper`` (p,) the box. The paper
     re-estimates sigma^2 = chi2 / (n - p) along the chain; fixed at the least-squares point, to which that settles,
     the chain has one invariant distribution from its first iteration on.
     """
 
-    def __init__(
-        self,
-        samples: Condensed,
-        M: Floats,
-        everything: Callable[[], tuple[Floats, Floats]],
-        lower: Floats,
-        upper: Floats,
-    ) -> None:
+    def __init__(self, X: Floats, P: Floats, lower: Floats, upper: Floats) -> None:
         self.lower, self.upper = lower, upper
-        self.centre, sums = clipped_least_squares(samples, M, lower, upper)
-        self._phi, self._everything = M @ self.centre, everything
-        u = samples.X @ self._phi
-        e = samples.P - np.maximum(u, 0.0)
-        sure = samples.active.about(self._phi - samples.region.origin)
-        finest = MIN_RESIDUAL_SHARE**2 * samples.squares / max(samples.n, 1)
-        chi2 = sure.s + samples.clipped + float(e @ e)
-        self.variance = max(chi2 / max(samples.n - len(lower), 1), finest, np.finfo(float).tiny)  # W^2
-        self._sigma = self.variance**0.5
+        self.centre, sums = clipped_least_squares(X, P, lower, upper)
+        u = X @ self.centre
+        e = P - np.maximum(u, 0.0)
+        finest = MIN_RESIDUAL_SHARE**2 * float(P @ P) / max(len(P), 1)
+        self.variance = max(float(e @ e) / max(len(P) - len(lower), 1), finest, np.finfo(float).tiny)  # W^2
+        sigma = self.variance**0.5
         wide = np.diag((upper - lower) ** -2.0)  # as wide as the box where the data do not determine a parameter
         self._whiten = factor(sums.G / self.variance + wide)  # z = whiten' (theta - centre)
         self._colour = np.linalg.inv(self._whiten).T  # L
-        self.root = M @ self._colour  # (q, p), of phi: phi = M centre + root z
-        self.reach = samples.region.reach(self._phi, self.root)  # sd, up to which ``samples`` are enough
-        L = self.root / self._sigma
-        radii = np.array([radius for radius in RADII if radius <= self.reach])
-        self._squared_radii = radii**2
-        self._nest = _nest(samples.X @ L, u / self._sigma, e / self._sigma, sure.through(L, self._sigma), radii)
-        slope = M.T @ (sure.b + samples.X.T @ np.where(u > 0, e, 0.0)) / self.variance
+        w = X @ (self._colour / sigma)
+        self._endless = _Ellipsoid(Sums.empty(len(self.centre)), w, u / sigma, e / sigma)
+        self._squared_radii = np.array(RADII) ** 2
+        self._nest = _nest(self._endless)
+        slope = X.T @ np.where(u > 0, e, 0.0) / self.variance
         beyond_data = wide + bound_precision(self.centre, slope, lower, upper)
         self._beyond_data = self._colour.T @ beyond_data @ self._colour
-
-    @classmethod
-    def of(cls, X: Floats, P: Floats, lower: Floats, upper: Floats) -> "ClippedGaussianTarget":
-        """Of samples ``X`` (n, p), as from `road_load.design`, and ``P`` (n,)."""
-        return cls(Condensed.of(X, P), np.eye(X.shape[1]), lambda: (X, P), lower, upper)
-
-    @cached_property
-    def _endless(self) -> _Ellipsoid:
-        X, P = self._everything()
-        u = X @ self._phi
-        e = (P - np.maximum(u, 0.0)) / self._sigma
-        return _Ellipsoid(Sums.empty(len(self.centre)), X @ (self.root / self._sigma), u / self._sigma, e)
 
     def _ellipsoid(self, i: int) -> _Ellipsoid:
         return self._nest[i] if i < len(self._nest) else self._endless
@@ -172,12 +183,12 @@ class ClippedGaussianTarget:
         return covariance
 
 
-def _nest(w: Floats, u: Floats, e: Floats, sure: Sums, radii: Floats) -> list[_Ellipsoid]:
-    """Ellipsoids of the ``radii``, for undecided samples ``w`` (n, p), ``u``, ``e`` (n,) beside the ``sure`` ones."""
-    nest = []
+def _nest(endless: _Ellipsoid) -> list[_Ellipsoid]:
+    """Ellipsoids of RADII, from the outermost, in which all samples are undecided."""
+    nest, sure, w, u, e = list[_Ellipsoid](), endless.sure, endless.w, endless.u, endless.e
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = np.abs(u) / np.sqrt(np.einsum("ij,ij->i", w, w))  # |z| where the sample can change sign first
-    for radius in radii[::-1]:
+    for radius in RADII[::-1]:
         decided = turn > radius
         active = np.flatnonzero(decided & (u > 0))
         sure = sure + Sums.of(w[active], e[active])

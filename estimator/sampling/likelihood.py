@@ -1,7 +1,5 @@
 """Log densities of the parameters inside a box prior, evaluated for a batch of them at once."""
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -74,50 +72,3 @@ def bound_precision(centre: Floats, slope: Floats, lower: Floats, upper: Floats)
     """
     at_bound = (centre <= lower) | (centre >= upper)
     return np.diag(np.where(at_bound, (slope / 2) ** 2, 0.0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class StudentTarget:
-    """Multivariate t around a fitted point: a moment objective whose covariance had to be estimated.
-
-    log p = -(dof + p) / 2 log(1 + d' V^-1 d / dof),  d = theta - fitted
-
-    With the covariance of the moments known it would be Gaussian (Chernozhukov & Hong 2003); estimating it from
-    ``dof`` independent parts of the spectrum makes it t. ``fitted`` (p,) may lie outside the box.
-    """
-
-    fitted: Floats
-    covariance: Floats
-    dof: float
-    lower: Floats
-    upper: Floats
-
-    @cached_property
-    def _whiten(self) -> Floats:
-        """W (p, p) with W' W = V^-1."""
-        return np.linalg.inv(factor(self.covariance))
-
-    @cached_property
-    def centre(self) -> Floats:
-        """See `Target.centre`."""
-        return highest_in_box(self._whiten.T @ self._whiten, self.fitted, self.lower, self.upper)
-
-    @cached_property
-    def _curvature(self) -> Floats:
-        precision = self._whiten.T @ self._whiten
-        away = self.centre - self.fitted
-        slope = -(self.dof + len(away)) / (self.dof + away @ precision @ away) * (precision @ away)
-        precision = precision + bound_precision(self.centre, slope, self.lower, self.upper)
-        root = np.linalg.inv(factor(precision))
-        return root.T @ root
-
-    def log_density(self, theta: Floats) -> Floats:
-        """See `Target.log_density`."""
-        scaled = (theta - self.fitted) @ self._whiten.T
-        distance = np.einsum("ij,ij->i", scaled, scaled)
-        density = -0.5 * (self.dof + len(self.fitted)) * np.log1p(distance / self.dof)
-        return np.where(in_box(theta, self.lower, self.upper), density, -np.inf)
-
-    def curvature(self, theta: Floats) -> Floats:
-        """See `Target.curvature`; the same everywhere."""
-        return np.broadcast_to(self._curvature, (len(theta), *self._curvature.shape))

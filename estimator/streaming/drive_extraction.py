@@ -12,10 +12,10 @@ import numpy as np
 from estimator.blas_threads import one_blas_thread
 from estimator.config import Config
 from estimator.diagnosis.diagnose import diagnose
-from estimator.diagnosis.drive_data import Record, record
 from estimator.diagnosis.result import Diagnosis
 from estimator.errors import LogError
 from estimator.model.effects import CATALOGUE, Effect, named
+from estimator.preparation.drive import Drive
 from estimator.samples import Rows
 from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
 from estimator.streaming.row_stream import Block, RowStream
@@ -47,19 +47,19 @@ def diagnose_logs(
         The configuration names an effect that is not known.
     """
     given = named(config.effects)
-    records: list[Record] = []
+    drives = list[Drive]()
     mixed: Counter[str] = Counter()
     given_paths = as_paths(paths)
     _require_different(given_paths)
     torques = list[float | None]()
     for i, path in enumerate(given_paths):
         logs, stream = LogFrames([path], config, partial(_part, progress, i, len(given_paths))), RowStream(config)
-        found = [record(pieces, config) for pieces in _pieces(logs, path, stream)]
+        in_log = [Drive.of(pieces, config) for pieces in _pieces(logs, path, stream)]
         torques.append(stream.reference_torque)
         mixed.update(logs.mixed)
-        records += [replace(drive, log=i, log_start=found[0].start) for drive in found]
+        drives += [replace(drive, log=i, log_start=in_log[0].start) for drive in in_log]
     result = diagnose(
-        records, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further), surrogates=surrogates
+        drives, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further), surrogates=surrogates
     )
     progress(1.0)
     return replace(
@@ -100,14 +100,14 @@ def diagnose_drive(paths: Sequence[Path], config: Config) -> Diagnosis:
     """
     pieces = _pieces(LogFrames(list(paths), config, no_progress), paths[0], RowStream(config))
     rng = np.random.default_rng(config.sampler.seed)
-    return diagnose([record(drive, config) for drive in pieces], named(config.effects), rng)
+    return diagnose([Drive.of(drive, config) for drive in pieces], named(config.effects), rng)
 
 
 def _part(progress: Progress, done: int, of: int, share: float) -> None:
     progress((done + READING_SHARE * share) / of)
 
 
-def drives(path: Path, config: Config, progress: Progress = no_progress) -> list[Record]:
+def drives(path: Path, config: Config, progress: Progress = no_progress) -> list[Drive]:
     """The drives in a log, prepared for the diagnosis.
 
     Raises
@@ -117,7 +117,7 @@ def drives(path: Path, config: Config, progress: Progress = no_progress) -> list
     MissingInputsError
         The log lacks inputs of the model.
     """
-    return [record(pieces, config) for pieces in drive_rows(path, config, progress)]
+    return [Drive.of(pieces, config) for pieces in drive_rows(path, config, progress)]
 
 
 def drive_rows(path: Path, config: Config, progress: Progress = no_progress) -> list[list[Rows]]:

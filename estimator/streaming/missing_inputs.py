@@ -10,7 +10,6 @@ UNKNOWN = "MESSAGE.signal"
 SETTINGS = {  # that do instead of a signal
     Role.REFERENCE_TORQUE: "vehicle.reference_torque_Nm = ... (reference torque of the engine, SPN 544)",
     Role.PARASITIC_FRACTION: "vehicle.subtract_parasitic_losses = false",
-    Role.LONGITUDINAL_ACCELERATION: 'kinematics.acceleration = "wheel_speed"',
 }
 
 
@@ -39,7 +38,7 @@ def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[s
 
 def _is_needed(role: Role, chosen: list[Role]) -> bool:
     """Whether a setting instead of ``role`` is needed where the ``chosen`` roles are bound."""
-    return role == Role.LONGITUDINAL_ACCELERATION or role in chosen or Role.TORQUE_FRACTION in chosen
+    return role in chosen or Role.TORQUE_FRACTION in chosen
 
 
 def _shortest(seen: Collection[Role]) -> list[Role]:

@@ -254,8 +254,6 @@ class RowStream:
 
     def _needed(self) -> list[Role]:
         needed = [Role.SPEED if Role.SPEED in self._names else Role.WHEEL_SPEEDS]
-        if self._config.kinematics.acceleration == "inertial":
-            needed.append(Role.LONGITUDINAL_ACCELERATION)
         return [*needed, *engine_power.needed(self._config.vehicle, self._names.keys())]
 
     def _take(self, frames: Frames) -> Iterator[Block | Interruption]:

@@ -31,11 +31,13 @@ from blind.naming import naming
 from blind.tables import as_row
 from blind.truth import Truth
 from estimator.answers.diagnosis import DiagnosisAnswer, Verdict
+from estimator.components.component import Frame
+from estimator.components.drive_state import DriveState
+from estimator.components.plain_model import PlainModel
 from estimator.config import Config
-from estimator.diagnosis.model import fit, select
 from estimator.diagnosis.result import Diagnosis
-from estimator.model.design_matrix import Term, views
 from estimator.model.effects import CATALOGUE
+from estimator.model.term import Term
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.streaming.drive_extraction import drives
 
@@ -56,21 +58,21 @@ class Library:
 
 def library_of(log: Path) -> Library | None:
     """Samples and candidate columns of one log; None where the road load cannot be fitted."""
-    record = max(drives(log, Config(), lambda share: None), key=lambda record: len(record.samples))
-    kept = select(record.samples)
-    model = None if kept is None else fit(record.samples[kept])
-    if model is None:
+    drive = max(drives(log, Config(), lambda share: None), key=lambda drive: drive.minutes_known)
+    state = DriveState.of(drive.strides, drive.rests, is_level=True)
+    if state is None:
         return None
     effects = [
         effect
         for effect in CATALOGUE
-        if not effect.absorbed and not effect.is_applied(record.known) and effect.usable_shapes(record.known)
+        if not (effect.absorbed or effect.is_gravity or effect.is_applied(drive.known))
+        and effect.usable_shapes(drive.known)
     ]
-    terms = [Term(effect, effect.usable_shapes(record.known)[0]) for effect in effects]
-    own, _ = views(model.samples, model.road_load, model.terms)
-    X = model.base.X
-    raw = np.column_stack([own.P, *(term.column(own) for term in terms)])
-    rest = raw - X @ np.linalg.lstsq(X, raw, rcond=None)[0]
+    terms = [Term(effect, effect.usable_shapes(drive.known)[0]) for effect in effects]
+    plain, frame = PlainModel(state.fit), Frame.of(state.fit)
+    raw = np.column_stack([plain.power, *(term.column(frame.view) for term in terms)])
+    rest = plain.residual(raw)
+    raw = plain.paired(raw)
     spread = rest.std(axis=0)
     usable = spread > 1e-9 * raw.std(axis=0)
     scaled = rest[:, usable] / spread[usable]

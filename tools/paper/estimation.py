@@ -47,7 +47,7 @@ class Drive:
 
     def target(self) -> ClippedGaussianTarget:
         """The paper's likelihood of these samples, in the paper's box."""
-        return ClippedGaussianTarget.of(design(self.v, self.a), self.P, LOWER, UPPER)
+        return ClippedGaussianTarget(design(self.v, self.a), self.P, LOWER, UPPER)
 
     def _where(self, mask: Mask) -> "Drive":
         return Drive(self.v[mask], self.a[mask], self.P[mask])

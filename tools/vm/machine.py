@@ -29,7 +29,7 @@ CONSOLE = "console.txt"  # in the shared folder
 # Settings of roadload for an emulated processor, a tenth as fast as a gateway's.
 QUICK_SAMPLER = """
 [sampler]
-likelihood = "instruments" # it takes a minute for the first search of the road's scales
+likelihood = "paper" # it takes a minute for the first search of the road's scales
 """
 EARLY_GATE = """
 [gate] # an estimate after a few minutes of driving

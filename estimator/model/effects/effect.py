@@ -35,10 +35,10 @@ Context = Mapping[Quantity, Floats]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """One side of the samples, as measured or as instruments see them; all arrays (n,).
+    """The quantities that effects are computed from; all arrays (n,).
 
-    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` [W], ``density`` relative to its mean [1]; ``road_load`` = [A, C, m]
-    as far as it is known, for effects that scale with it.
+    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2] as on level ground, ``P`` [W], ``density`` relative to its mean [1];
+    ``road_load`` = [A, C, m] as far as it is known, for effects that scale with it.
     """
 
     t: Floats
@@ -48,7 +48,6 @@ class View:
     density: Floats
     context: Context
     road_load: Floats
-    climb: Floats  # [m/s], vertical speed by a signal in the model; 0 without one
     duration: float = 0.0  # [s] that each of them is the mean of; 0: values at a time
 
     @property
@@ -136,8 +135,7 @@ class Effect:
     dwells
         How long [s] it usually stays on, or off, where it switches.
     is_noisy
-        Its power is computed from acceleration or power, so that their noise is in it: evidence has to come from
-        instruments.
+        Its power is computed from acceleration or power, so that their noise is in it.
     is_gravity
         Its magnitude is the mass: in the model it joins m instead of adding a parameter.
     applied_with

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from estimator.config import Config
-from estimator.diagnosis.drive_data import record
+from estimator.preparation.drive import Drive
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Quantity, Role
 
@@ -41,29 +41,29 @@ def constant() -> Callable[[float], Floats]:
 
 
 def test_rows_stay_as_they_were(constant: Callable[[float], Floats]) -> None:
-    """What is filled in for the samples is no measurement: strides and admission see the gaps."""
+    """What is filled in for the context is no measurement: admission sees the gaps."""
     engine = without(constant(120.0), slice(500, 800))
     pieces = [piece(0, engine_speed=engine)]
-    record(pieces, Config())
+    Drive.of(pieces, Config())
     assert_array_equal(pieces[0].context[Role.ENGINE_SPEED], engine)
 
 
-def test_a_quantity_that_one_piece_lacks_takes_no_sample_of_it(constant: Callable[[float], Floats]) -> None:
+def test_a_quantity_that_one_piece_lacks_takes_no_stride_of_it(constant: Callable[[float], Floats]) -> None:
     heading, nothing = constant(1.0), constant(np.nan)
-    whole = record([piece(first, heading=heading) for first in (0, 5000, 10_000)], Config())
+    whole = Drive.of([piece(first, heading=heading) for first in (0, 5000, 10_000)], Config())
     parts = [piece(first, heading=known) for first, known in ((0, heading), (5000, nothing), (10_000, heading))]
-    parted = record(parts, Config())
-    assert len(parted.samples) == len(whole.samples) > LENGTH
-    assert_array_equal(parted.samples.context[Quantity.HEADING], whole.samples.context[Quantity.HEADING])
+    parted = Drive.of(parts, Config())
+    assert len(parted.strides) == len(whole.strides) > LENGTH / 10
+    assert_array_equal(parted.strides.context[Quantity.HEADING], whole.strides.context[Quantity.HEADING])
 
 
 def test_a_heading_is_bridged_the_short_way_through_north(constant: Callable[[float], Floats]) -> None:
     east_of_north, gap = np.where(np.arange(LENGTH) < 800, np.radians(358), np.radians(2)), slice(700, 900)
-    made = record([piece(0, heading=without(east_of_north, gap))], Config())
-    assert np.all(np.cos(made.samples.context[Quantity.HEADING]) > np.cos(np.radians(2.01)))
+    made = Drive.of([piece(0, heading=without(east_of_north, gap))], Config())
+    assert np.all(np.cos(made.strides.context[Quantity.HEADING]) > np.cos(np.radians(2.01)))
 
 
 def test_a_state_is_held_until_the_next(constant: Callable[[float], Floats]) -> None:
     gear = np.where(np.arange(LENGTH) < 800, 8.0, 10.0)
-    made = record([piece(0, gear=without(gear, slice(700, 900)))], Config())
-    assert set(made.samples.context[Quantity.GEAR]) == {8.0, 10.0}
+    made = Drive.of([piece(0, gear=without(gear, slice(700, 900)))], Config())
+    assert set(made.strides.context[Quantity.GEAR]) == {8.0, 10.0}

@@ -4,6 +4,8 @@ Of an engine it is one figure for the drive: torque is coarse at idle, by the sa
 power is exact, and what it feeds may decay, so there is one figure for every minute of the drive with a stop in it.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from estimator.model.effects.effect import AtRest
@@ -18,7 +20,7 @@ INTERVAL, MIN_REST = 60.0, 5.0  # s, of a figure of a battery's power, and at re
 REST_SD, REST_SHARE = 200.0, 0.1
 
 
-def rests(pieces: list[Rows], start: float) -> tuple[AtRest, ...]:
+def rests(pieces: Sequence[Rows], start: float) -> tuple[AtRest, ...]:
     """The power at rest in the ``pieces`` of a drive that began at ``start`` [s]; none where it stood too shortly."""
     standing = [_standing(piece, start) for piece in pieces]
     power, engine, elapsed = (np.concatenate(parts) for parts in zip(*standing, strict=True))

@@ -1,0 +1,72 @@
+"""A drive with the effects that its model has from the start, and the reasons why a drive cannot be diagnosed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.components.component import Frame, of_term
+from estimator.components.drive_state import DriveState
+from estimator.components.plain_model import PlainModel
+from estimator.estimation.gate import wrong_sign_of
+from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit
+from estimator.estimation.road_search import RoadScales
+from estimator.estimation.shapes import fitted_with_shapes, terms_of
+from estimator.model.effects import Effect, obstacle
+from estimator.model.term import Term
+from estimator.preparation.drive import Drive
+
+UNIFORM = "speed and acceleration vary too little, or power is not positive, so A, C and m cannot be told apart"
+MIN_MINUTES = 5.0  # of driving whose force is known: shorter drives seldom determine A, C and m
+
+
+@dataclass(frozen=True)
+class Case:
+    """A ``drive``, the effects that are ``given``, and the ``terms`` of those that have columns: slopes are a state."""
+
+    drive: Drive
+    given: tuple[Effect, ...]
+    terms: tuple[Term, ...]
+
+    @property
+    def is_road_given(self) -> bool:
+        """Whether slopes of the road are part of the model from the start."""
+        return any(effect.is_gravity for effect in self.given)
+
+    @classmethod
+    def of(cls, drive: Drive, given: Sequence[Effect]) -> "Case | str":
+        """The case of a drive, or why it cannot be diagnosed."""
+        minutes = drive.minutes_known
+        if minutes < MIN_MINUTES:
+            common = drive.rejected.most_common(1)
+            amount = f"only {minutes:.1f} minutes" if minutes >= 1 else "less than a minute"
+            most = f"; most is: {common[0][0]}" if common and minutes < 1 else ""
+            return f"{amount} of driving can be used; it takes {MIN_MINUTES:.0f} at least{most}"
+        if reason := obstacle(tuple(given), drive.known):
+            return reason
+        driven = drive.strides[drive.strides.known]
+        if reason := wrong_sign_of(driven.power, driven.a):
+            return reason
+        moving = [effect for effect in given if not (effect.is_gravity or effect.absorbed)]
+        terms = _terms(drive, moving) if moving else ()
+        return cls(drive, tuple(given), terms)
+
+    def state(self, is_level: bool) -> DriveState | None:
+        """The drive as it is started, beside what is given; None where its motion cannot be fitted."""
+        state = DriveState.of(self.drive.strides, self.drive.rests, is_level)
+        if state is None or not PlainModel(state.fit).is_determined:
+            return None
+        frame = Frame.of(state.fit)
+        return state.having(tuple(of_term(frame, term) for term in self.terms)) if self.terms else state
+
+
+def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[Term, ...]:
+    """Each effect with the shape of most evidence of the motion, where no signal tells it."""
+    strides = drive.strides
+
+    def fitted(terms: tuple[Term, ...], known: RoadScales | None) -> RoadFit | None:
+        return fit(strides, np.random.default_rng(PROBE_SEED), terms, known)
+
+    terms = terms_of(strides, effects, lambda: fitted((), None))
+    found = fitted_with_shapes(strides, terms, fitted)
+    return terms if found is None else found.terms

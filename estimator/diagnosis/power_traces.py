@@ -1,0 +1,59 @@
+"""Power of the drives, measured and modelled, as every figure, table and file of a diagnosis shows it.
+
+The rows are the means over 2 s that the budget is of, so that the root mean square of a residual here is the one
+stated.
+"""
+
+from dataclasses import fields
+
+import numpy as np
+
+from estimator.components.budget import Residuals
+from estimator.components.drive_state import DriveState
+from estimator.components.plain_model import PlainModel
+from estimator.diagnosis.conclusion import Conclusion
+from estimator.diagnosis.lag import unaligned_residual
+from estimator.diagnosis.result import Traces
+from estimator.preparation.drive import Drive
+from estimator.signals import Floats, Quantity
+
+CONTEXT = (Quantity.GEAR, Quantity.HEADING, Quantity.TEMPERATURE)  # that a residual is listed along
+
+
+def traces_of(conclusion: Conclusion) -> Traces:
+    """The traces of all drives, one after another."""
+    is_late = conclusion.lag is not None
+    states = zip(conclusion.cases, conclusion.explained.drives, conclusion.budget.residuals, strict=True)
+    drives = [_traces(case.drive, state, residuals, is_late) for case, state, residuals in states]
+    names = [field.name for field in fields(Traces)]
+    return Traces(**{name: np.concatenate([getattr(drive, name) for drive in drives]) for name in names})
+
+
+def context_of(conclusion: Conclusion) -> dict[Quantity, Floats]:
+    """Quantities (n,) at the rows of the traces, as far as all drives have them."""
+    drives = conclusion.explained.drives
+    parts = {q: [drive.fit.strides.context.get(q, np.empty(0)) for drive in drives] for q in CONTEXT}
+    later = [PlainModel(drive.fit).second for drive in drives]
+    known = [q for q, values in parts.items() if all(len(x) and np.isfinite(x).all() for x in values)]
+    return {q: np.concatenate([x[at] for x, at in zip(parts[q], later, strict=True)]) for q in known}
+
+
+def _traces(drive: Drive, state: DriveState, residuals: Residuals, is_late: bool) -> Traces:
+    """The traces of one drive; where power ``is_late``, the plain model has the power as it was measured."""
+    plain = PlainModel(state.fit, is_aligned=not is_late)
+    driven = state.fit.strides
+    measured = plain.paired(plain.power)
+    base = unaligned_residual(state, residuals) if is_late else residuals.given
+    later = plain.second
+    travelled = np.cumsum(drive.strides.s1 - drive.strides.s0)[drive.strides.known]
+    return Traces(
+        t=plain.paired(driven.t) - drive.log_start,
+        distance=travelled[later] - (driven.s1 - driven.s0)[later],
+        speed=plain.paired(driven.speed),
+        acceleration=plain.paired(driven.a),
+        measured=measured,
+        base=measured - base,
+        extended=measured - residuals.reached,
+        road_known=measured - residuals.road_known,
+        log=np.full(len(measured), float(drive.log)),
+    )

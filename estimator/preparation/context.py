@@ -1,0 +1,36 @@
+"""What rows of the time grid hold besides speed and power: quantities that effects are computed from, and the air."""
+
+import numpy as np
+
+from estimator.samples import Rows
+from estimator.signals import Floats, Quantity, Role
+
+GAS_CONSTANT = 287.05  # J/(kg K), of dry air
+SAME = {
+    Quantity.ENGINE_SPEED: Role.ENGINE_SPEED,
+    Quantity.GEAR: Role.GEAR,
+    Quantity.HEADING: Role.HEADING,
+    Quantity.LATERAL_ACCELERATION: Role.LATERAL_ACCELERATION,
+    Quantity.FAN_SPEED: Role.FAN_SPEED,
+    Quantity.BATTERY_CURRENT: Role.BATTERY_CURRENT,
+    Quantity.TEMPERATURE: Role.AMBIENT_TEMPERATURE,
+}
+
+
+def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
+    """Quantities of rows, each (n,); time elapsed counts from ``start`` [s]."""
+    quantities = {Quantity.ELAPSED: rows.t - start, **rows.derived}
+    quantities |= {quantity: rows.context[role] for quantity, role in SAME.items() if role in rows.context}
+    for role in (Role.BRAKE_PEDAL, Role.BRAKE_SWITCH):
+        if role in rows.context:
+            quantities[Quantity.BRAKE] = rows.context[role]
+    if Role.YAW_RATE in rows.context and Quantity.LATERAL_ACCELERATION not in quantities:
+        quantities[Quantity.LATERAL_ACCELERATION] = rows.context[Role.YAW_RATE] * rows.plausible_speed
+    return quantities
+
+
+def air_density(rows: Rows) -> Floats:
+    """Density of dry air [kg/m^3] (n,) from temperature and pressure, NaN where either is not known."""
+    blank = np.full(len(rows), np.nan)
+    temperature = rows.context.get(Role.AMBIENT_TEMPERATURE, blank)
+    return rows.context.get(Role.AIR_PRESSURE, blank) / (GAS_CONSTANT * temperature)

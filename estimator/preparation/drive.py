@@ -1,0 +1,124 @@
+"""One drive: rows of the time grid and strides of one second, with what was measured, stops, power at rest, counts.
+
+A drive is read from frames or from a table, and is all that a fit needs: `estimate` takes its rows one after another,
+as they came from the bus, `diagnose` its strides.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.config import Config
+from estimator.model.effects.effect import AtRest
+from estimator.preparation.context import measured
+from estimator.preparation.past_speed import last_known
+from estimator.preparation.standing import rests
+from estimator.preparation.striding import Strider
+from estimator.samples import STEP, Rows
+from estimator.signals import Floats, Quantity
+from estimator.strides import DURATION, Strides
+
+MAX_STANDING_SPEED = 0.5  # m/s
+MIN_STOP = 10.0  # s, in which a load could change
+MIN_KNOWN_SHARE = 0.5  # of the drive, for which a quantity must be known to be used
+STATES = (Quantity.GEAR, Quantity.BRAKE, Quantity.FROZEN)  # between two of their values there is none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """One drive of a vehicle.
+
+    ``pieces`` of rows without a gap, in order of time; ``strides`` of all of them, with the whole context that was
+    heard; ``rests``: the power while the vehicle stood; ``rejected``: rows that are in no stride of known force, by
+    reason. It is the whole of a log, or one of several drives in it: ``log`` says which, ``log_start`` when that began
+    [s].
+    """
+
+    pieces: tuple[Rows, ...]
+    strides: Strides
+    rests: tuple[AtRest, ...]
+    rejected: Counter[str]
+    start: float  # [s] time of the first row
+    log: int = 0
+    log_start: float = 0.0
+
+    @classmethod
+    def of(cls, pieces: Sequence[Rows], config: Config) -> "Drive":
+        """The drive of ``pieces`` of rows, each without a gap, in order of time; none of them make an empty drive."""
+        rejected: Counter[str] = Counter()
+        start = float(pieces[0].t[0]) if pieces else 0.0
+        return cls(
+            pieces=tuple(pieces),
+            strides=_strides(pieces, config, start, rejected),
+            rests=rests(pieces, start) if pieces else (),
+            rejected=rejected,
+            start=start,
+            log_start=start,
+        )
+
+    @property
+    def minutes_known(self) -> float:
+        """Driving whose force is known [min]."""
+        return float(self.strides.known.sum()) * DURATION / 60.0
+
+    @property
+    def known(self) -> frozenset[Quantity]:
+        """Quantities that are known for most of the drive."""
+        columns = {
+            Quantity.AIR_DENSITY: self.strides.density,
+            Quantity.CLIMB_BY_GRADE: self.strides.grade,
+            Quantity.CLIMB_BY_ALTITUDE: self.strides.altitude,
+            Quantity.CLIMB_BY_ACCELEROMETER: self.strides.gravity[self.strides.known],
+        }
+        heard = {q for q, values in columns.items() if np.isfinite(values).sum() > MIN_KNOWN_SHARE * len(values)}
+        return frozenset(self.strides.context) | heard
+
+
+def _strides(pieces: Sequence[Rows], config: Config, start: float, rejected: Counter[str]) -> Strides:
+    """Strides of all pieces, with the whole context that was heard; gaps in it are bridged."""
+    if not pieces:
+        return Strides.none()
+    strider = Strider(config.admission, _heard(pieces, start), start)
+    parts, stops, stops_before = list[Strides](), list[Floats](), 0.0
+    for piece in pieces:
+        halts = stops_before + _halts(piece.speed)
+        for part in (strider.feed(piece, rejected), strider.finish(rejected)):
+            parts.append(part)
+            stops.append(halts[np.clip(np.searchsorted(piece.t, part.t), 0, len(piece) - 1)])
+        strider.pause()
+        stops_before = float(halts[-1])
+    strides = Strides.concatenate(parts)
+    context = {quantity: _bridged(quantity, values) for quantity, values in strides.context.items()}
+    return replace(strides, context={**context, Quantity.STOPS: np.concatenate(stops)})
+
+
+def _heard(pieces: Sequence[Rows], start: float) -> frozenset[Quantity]:
+    """Quantities that are known for most of the drive."""
+    rows_known: Counter[Quantity] = Counter()
+    for piece in pieces:
+        rows_known.update({q: int(np.isfinite(values).sum()) for q, values in measured(piece, start).items()})
+    least = MIN_KNOWN_SHARE * sum(len(piece) for piece in pieces)
+    return frozenset(quantity for quantity, count in rows_known.items() if count > least)
+
+
+def _bridged(quantity: Quantity, values: Floats) -> Floats:
+    """Values (n,) with what is not known on straight lines between what is; of a state, the last known one."""
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) in (0, len(values)):
+        return values
+    if quantity in STATES:
+        return last_known(values, float(values[known[0]]))
+    measured_values = np.unwrap(values[known]) if quantity is Quantity.HEADING else values[known]
+    return np.interp(np.arange(len(values)), known, measured_values)
+
+
+def _halts(speed: Floats) -> Floats:
+    """How many standstills of at least MIN_STOP have ended before or at each row (n,)."""
+    standing = np.concatenate([[False], speed < MAX_STANDING_SPEED, [False]])
+    changes = np.diff(standing.astype(int))
+    starts, ends = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1)
+    long = ends[(ends - starts) >= MIN_STOP / STEP]
+    count: Floats = np.searchsorted(long, np.arange(len(speed)), side="right").astype(float)
+    return count
