@@ -85,6 +85,11 @@ class Inference:
         self._paper.restore(substate(state, "paper"))
         self._loads.restore(substate(state, "loads"))
 
+    def recover(self, state: State) -> None:
+        """Return to the ``state`` before an update that failed."""
+        self.restore(state)
+        self.evidence = None
+
     def conclude(
         self, t: float, context: frozenset[Quantity], lag: float, doubt: str, rejected: Counter[str]
     ) -> Estimate:

@@ -62,9 +62,17 @@ def target_of(fit: Fit, config: Config) -> Target:
 
 
 def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterior:
-    """Run the configured kernel from random starting points inside the box."""
+    """Run the configured kernel from random starting points inside the box.
+
+    Raises
+    ------
+    FloatingPointError
+        The draws are not finite.
+    """
     settings = config.sampler
     result = run(target, settings.kernel, settings.chains, settings.burn_in, settings.draws, rng)
+    if not np.isfinite(result.draws).all():
+        raise FloatingPointError("the draws are not finite")
     road_load = result.diagnoses[:3]
     return Posterior(
         result.draws,

@@ -25,6 +25,7 @@ from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
+MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +45,18 @@ class RoadFit:
     climbed: float  # [m], all rises of the road together
     equations: NormalEquations = field(repr=False)
     departures: tuple[float, ...] = ()  # times [s] before which the load may have changed
+
+    def checked(self) -> "RoadFit":
+        """The fit itself.
+
+        Raises
+        ------
+        FloatingPointError
+            Its coefficients or their covariance are not finite.
+        """
+        if not (np.isfinite(self.beta).all() and np.isfinite(self.covariance).all()):
+            raise FloatingPointError("the coefficients of the fit are not finite")
+        return self
 
     @property
     def theta(self) -> Floats:

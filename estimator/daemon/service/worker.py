@@ -47,6 +47,7 @@ class Knowledge:
     missing: tuple[str, ...] = ()  # inputs that the model needs and that never came
     refused: Mapping[str, int] = field(default_factory=dict)  # frames and values, by message, signal and reason
     rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by reason
+    failed_updates: int = 0  # numerically
     sources: Mapping[str, int] = field(default_factory=dict)
     contested: Mapping[str, str] = field(default_factory=dict)  # reason, by message and signal
     replacements: int = 0  # senders given up for others
@@ -233,6 +234,7 @@ class Worker:
             missing=tuple(pipeline.traffic.missing),
             refused=dict(pipeline.traffic.errors),
             rejected=dict(pipeline.estimator.rejected),
+            failed_updates=pipeline.estimator.failed_updates,
             sources=pipeline.traffic.sources,
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,
