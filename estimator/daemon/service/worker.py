@@ -212,9 +212,9 @@ class Worker:
     def _report_contests(self) -> None:
         """Log what has become, or is no longer, contested; the loop is to know at once."""
         before, contested = self.knowledge.contested, self.pipeline.traffic.contested
-        for path in contested.keys() - before.keys():
+        for path in sorted(contested.keys() - before.keys()):
             log.warning("%s is contested: %s; no estimate until it is not", path, contested[path])
-        for path in before.keys() - contested.keys():
+        for path in sorted(before.keys() - contested.keys()):
             log.info("%s is no longer contested", path)
         if self.pipeline.traffic.replacements != self.knowledge.replacements:
             log.warning("%s", "a sender was replaced by another: what was learnt from the first is forgotten")
