@@ -32,9 +32,10 @@ from estimator.diagnosis.result import (
     Shift,
     Traces,
 )
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.errors import ConfigError, RoadloadError
 from estimator.report import number_format, wording
-from estimator.report.diagnosis_page import page, write_page
+from estimator.report.diagnosis_page import page, terms, write_page
 from estimator.report.diagnosis_summary import of_diagnosis
 
 DIAGNOSES = {"rich": rich, "several": several, "unknown": unknown, "empty": empty}
@@ -101,6 +102,17 @@ def test_json_says_which_log_a_time_belongs_to() -> None:
 
 
 # page
+
+
+def test_the_terms_say_the_rules_that_the_diagnosis_is_made_by() -> None:
+    said = terms(Thresholds(min_probability=0.75, min_class_correlation=0.88, min_expected_log_bf=7.5))
+    assert "named from 75 % on" in said["probability"]
+    assert "named by its probability" in said["log Bayes factor"]
+    assert "from 88 on they cannot be told apart" in said["isolability"]
+    assert "below 7.5 it would go unnoticed" in said["visible?"]
+    shown = page(rich())
+    for meaning in terms(Thresholds()).values():
+        assert f"<dd>{meaning}</dd>" in shown
 
 
 class Skeleton(HTMLParser):

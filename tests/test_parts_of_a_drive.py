@@ -149,6 +149,13 @@ def test_the_masses_of_a_contradiction_are_those_before_and_after(scales):
     assert after == pytest.approx(1.2 * M, rel=0.02)
 
 
+def test_a_part_without_a_mass_is_said_to_have_none(scales):
+    """A torque that reads the opposite of what it is in the second half."""
+    found = fitted(driven(gain=step(900, -1.5, PARTS // 2)), scales)
+    reason = gain_changes(found).contradiction(found)
+    assert reason == "two parts of the drive contradict each other: in one of them speed does not change with force"
+
+
 def test_a_small_drift_widens_the_mass_by_half_of_what_it_changes(scales):
     strides = driven(gain=ramp(900, 0.03))
     found = fitted(strides, scales)

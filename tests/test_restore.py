@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 SAVED = 1200.0  # s into the drive
 REBUILT = {  # what traffic or the configuration shows again
-    Estimator: {"_config", "_resting", "segment"},
+    Estimator: {"_config", "_resting", "failed_updates", "segment"},
     StrideStage: {"_config", "_effects", "wanted"},
     RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
     PaperInference: {"_config", "_gate", "_rng", "_window", "evidence"},

@@ -88,7 +88,7 @@ class Update(Struct, frozen=True, kw_only=True):
 
 
 class RunAnswer(Answer, frozen=True, kw_only=True):
-    """The final estimate, what went in, and every update before it."""
+    """The final estimate, what went in, and every update before it; ``failed_updates``: numerically."""
 
     status: Status
     reason: str
@@ -100,6 +100,7 @@ class RunAnswer(Answer, frozen=True, kw_only=True):
     rms_kW: float | None
     samples: Samples
     frames: Frames
+    failed_updates: int
     effects: tuple[str, ...]
     magnitudes: dict[str, Marginal]
     updates: tuple[Update, ...]

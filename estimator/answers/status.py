@@ -92,7 +92,7 @@ class Estimate(Struct, frozen=True, kw_only=True):
 class StatusAnswer(Answer, frozen=True, kw_only=True):
     """Buses, signals, estimate and transmission; times of day are seconds since 1970.
 
-    ``running`` and ``why_not`` are what `roadload status` adds to the file.
+    ``running`` and ``why_not`` are what `roadload status` adds to the file; ``failed_updates``: numerically.
     """
 
     running: bool | UnsetType = UNSET
@@ -118,6 +118,7 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
     frames_used: int
     refused: dict[str, int]
     samples_rejected: dict[str, int]
+    failed_updates: int
     estimate: Estimate | None
 
 

@@ -68,7 +68,7 @@ def load_database(paths: list[str]) -> Database:
     database = _parse(*next(texts))
     for path, text in texts:
         more = _parse(path, text).messages
-        for name in {m.name for m in more} & {m.name for m in database.messages}:
+        for name in sorted({m.name for m in more} & {m.name for m in database.messages}):
             raise DatabaseError(f"{path}: message {name!r} is in another of the databases too; give one of them")
         database.messages.extend(more)
     database.refresh()

@@ -94,6 +94,8 @@ def _print_status(console: Console, status: StatusAnswer) -> None:
             else:
                 say(console, f"  {name:24} {x.mean:,.4g} ({x.q05:,.4g} .. {x.q95:,.4g})")
         say(console, f"coverage  {100 * estimate.coverage.fraction:.0f} %, {estimate.samples:,} samples")
+    if status.failed_updates:
+        say(console, f"failed    {status.failed_updates:,} updates, numerically")
     worker = status.estimator
     say(console, f"sampler   {worker.conclusion_s:.2f} s, at most {worker.longest_conclusion_s:.2f} s")
     transmit = status.transmit

@@ -64,6 +64,8 @@ def _print_fit(console: Console, run: Run) -> None:
         sure = max(change.probability, 1 - change.probability)
         masses = f"{change.before:,.0f} kg before, {change.after:,.0f} kg after"
         say(console, f"stop      {load}, probability {sure:.3f}: {masses}")
+    if estimator.failed_updates:
+        say(console, f"failed    {estimator.failed_updates:,} of {len(run.updates):,} updates, numerically")
     rejected = ", ".join(f"{reason} {count:,}" for reason, count in estimator.rejected.most_common())
     say(console, f"samples   {final.admitted:,} used; not used: {rejected or 'none'}")
 

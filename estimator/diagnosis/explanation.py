@@ -58,10 +58,10 @@ def explain(
     sloping = tuple(state for case in cases if (state := case.state(is_level=False)) is not None)
     sloping = sloping if len(sloping) == len(plain) else ()
     level, slopes = None, _slopes(plain, sloping)
-    if slopes < thresholds.min_log_bf_effect:
+    if slopes < thresholds.min_log_bf_slopes_tried:
         level = Search(plain, candidates, forms).explained()
         slopes = _slopes(level.drives, sloping)
-    if not sloping or slopes < thresholds.min_log_bf_effect:
+    if not sloping or slopes < thresholds.min_log_bf_slopes_tried:
         return Explanation(level or Search(plain, candidates).explained(), False, slopes, False)
     return _on_either_road(plain, level, sloping, candidates, forms, thresholds)
 
@@ -106,4 +106,4 @@ def _slopes(drives: Sequence[DriveState], sloping: Sequence[DriveState] = ()) ->
 def _is_shown(explained: Explained, thresholds: Thresholds) -> bool | None:
     """Whether signals of the road confirm the slopes that the force shows or deny them; None: they tell neither."""
     signals = sum(log_bayes_factor_of_signals(d.strides, d.fit) for d in explained.drives if d.fit.scales.readings)
-    return None if abs(signals) < thresholds.min_log_bf_effect else bool(signals > 0)
+    return None if abs(signals) < thresholds.min_log_bf_signals else bool(signals > 0)

@@ -156,7 +156,7 @@ class Findings:
     def _alike(self, one: Ranked, ranking: Sequence[Ranked]) -> set[str]:
         """Names that the drives speak for as well, with a column of the same course, and those declared equivalent."""
         limits, (drive, form) = self.conclusion.thresholds, one.best
-        others = [other for other in ranking if other is not one and other.gain > limits.min_log_bf_effect]
+        others = [other for other in ranking if other is not one and other.gain > limits.min_log_bf_alike]
         others = [other for other in others if other.best[0] == drive]
         near = [o.name for o in others if _correlation(o.best[1].trace, form.trace) > limits.min_class_correlation]
         return {*near, *one.effect.equivalent}

@@ -12,8 +12,9 @@ class Thresholds:
     min_log_bf_unknown: float = 10.0  # of a process: an unknown effect acts
     min_log_bf_left: float = 20.0  # of a process beside effects that are named
     min_log_bf_slopes: float = 15.0  # of a road with slopes over a level one
-    # Of signals of the road, of slopes that are looked at, and of an effect as likely as a named one.
-    min_log_bf_effect: float = 5.0
+    min_log_bf_slopes_tried: float = 5.0  # of slopes on a plain drive, which are then looked at
+    min_log_bf_signals: float = 5.0  # of signals of the road that confirm slopes; below its negative they deny them
+    min_log_bf_alike: float = 5.0  # of an effect that is listed beside one of the same course
     min_class_correlation: float = 0.95  # |correlation| of columns above which two effects are one class
     min_grade_sd: float = 0.002  # of hills [1]: level ones without other effects come out at 0.0001 .. 0.0009
     min_expected_log_bf: float = 5.0  # of an effect of usual size: the drive would show it

@@ -14,7 +14,7 @@ import numpy as np
 from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.config import Config
 from estimator.errors import StateError
-from estimator.estimate import Estimate, Status
+from estimator.estimate import Coverage, Estimate, Status
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.gate import has_news
 from estimator.estimation.model_check import SpeedScale
@@ -24,6 +24,9 @@ from estimator.estimation.window import Window
 from estimator.preparation.admission import Reason
 from estimator.preparation.stage import Piece, StrideStage
 from estimator.samples import STEP, Rows
+
+# What an update may raise where floating point does not reach; one that is not positive definite is an ArithmeticError.
+NUMERICAL_ERRORS = (np.linalg.LinAlgError, ArithmeticError)
 
 
 class Estimator:
@@ -40,6 +43,7 @@ class Estimator:
     def __init__(self, config: Config, rng: np.random.Generator) -> None:
         self.window = Window(config)
         self.segment = 0  # number of the load, counted since the start of this process
+        self.failed_updates = 0  # those that failed numerically, since the start of this process
         self._config = config
         self._stage = StrideStage(config)
         inference = RoadInference if config.sampler.likelihood == "road" else PaperInference
@@ -175,7 +179,19 @@ class Estimator:
 
     def _conclude(self, t: float) -> Estimate:
         context, doubt = self._stage.wanted or frozenset(), self._scale.verdict()
-        self._latest = self._inference.conclude(t, context, doubt, self.rejected)
+        before = self._inference.state()
+        try:
+            self._latest = self._inference.conclude(t, context, doubt, self.rejected)
+        except NUMERICAL_ERRORS as error:
+            self._inference.recover(before)
+            self.failed_updates += 1
+            self._latest = Estimate(
+                t=t,
+                status=Status.UNESTIMATED,
+                reason=f"this update failed numerically ({error}); the next one starts anew",
+                coverage=Coverage(0, 0),
+                admitted=len(self.window),
+            )
         if self._latest.status == Status.ESTIMATED:
             self._at_last = self.window.added
         return self._latest

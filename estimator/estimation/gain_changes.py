@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.estimation.road_fit import RoadFit
+from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit
 from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
 from estimator.signals import Floats
 from estimator.strides import DURATION
@@ -66,8 +66,11 @@ class GainChanges:
         if probability < MIN_PROBABILITY or self.probability @ np.abs(self.size) < MIN_SHARE * probability:
             return ""
         middle, change = found.beta[0] + self.shift[k, 0], found.beta[0] * self.size[k]
-        before, after = 1 / (middle - change / 2), 1 / (middle + change / 2)
-        return f"two parts of the drive contradict each other: mass {before:.4g} and {after:.4g} kg"
+        before, after = middle - change / 2, middle + change / 2
+        contradiction = "two parts of the drive contradict each other"
+        if min(before, after) <= MIN_INVERSE_MASS:
+            return f"{contradiction}: in one of them speed does not change with force"
+        return f"{contradiction}: mass {1 / before:.4g} and {1 / after:.4g} kg"
 
 
 def gain_changes(found: RoadFit) -> GainChanges:

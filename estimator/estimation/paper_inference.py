@@ -74,6 +74,11 @@ class PaperInference:
         set_generator(self._rng, state, "generator")
         self._loads.restore(substate(state, "loads"))
 
+    def recover(self, state: State) -> None:
+        """Return to the ``state`` before an update that failed."""
+        self.restore(state)
+        self.evidence = None
+
     def conclude(self, t: float, context: frozenset[Quantity], doubt: str, rejected: Counter[str]) -> Estimate:
         """The estimate at time ``t`` [s]; ``doubt`` about the signals, or empty; rows ``rejected``, by reason."""
         self.evidence = None

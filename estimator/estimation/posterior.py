@@ -47,9 +47,17 @@ def box(prior: Prior) -> tuple[Floats, Floats]:
 
 
 def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterior:
-    """Run the configured kernel from random starting points inside the box."""
+    """Run the configured kernel from random starting points inside the box.
+
+    Raises
+    ------
+    FloatingPointError
+        The draws are not finite.
+    """
     settings = config.sampler
     result = run(target, settings.kernel, settings.chains, settings.burn_in, settings.draws, rng)
+    if not np.isfinite(result.draws).all():
+        raise FloatingPointError("the draws are not finite")
     road_load = result.diagnoses[:3]
     return Posterior(
         result.draws,

@@ -26,6 +26,7 @@ from estimator.units import STANDARD_GRAVITY
 
 PROBE_SEED = 20_041  # of the simulated noise in the correction of every fit: the same strides give the same numbers
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
+MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,18 @@ class RoadFit:
     climbed: float  # [m], all rises of the road together
     equations: NormalEquations = field(repr=False)
     departures: tuple[float, ...] = ()  # times [s] before which the load may have changed
+
+    def checked(self) -> "RoadFit":
+        """The fit itself.
+
+        Raises
+        ------
+        FloatingPointError
+            Its coefficients or their covariance are not finite.
+        """
+        if not (np.isfinite(self.beta).all() and np.isfinite(self.covariance).all()):
+            raise FloatingPointError("the coefficients of the fit are not finite")
+        return self
 
     @property
     def theta(self) -> Floats:

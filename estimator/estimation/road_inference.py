@@ -30,7 +30,7 @@ from estimator.estimation.gain_changes import gain_changes
 from estimator.estimation.gate import NAMES, Gate, Judged, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
-from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit, fit_given
+from estimator.estimation.road_fit import MIN_INVERSE_MASS, PROBE_SEED, RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
@@ -53,7 +53,6 @@ MAX_NOISE = 0.3  # m/s^2 of noise of torque or power over mass (0.02, 0.09)
 USUAL_LAG = 0.5  # s, between power and speed, may be more only where `kinematics.maximum_lag_s` is above its default
 LONGEST_LAG = float(LAGS.max()) + LAG_SD  # s, that the model can describe
 EDGE_SDS = 2.0  # sd outside its box at which a fit contradicts the box; inside by less, the parameter is withheld
-MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
 MAX_RELATIVE_SD = 0.4  # of 1/m by the drive alone, up to which its posterior is near a Gaussian
 NOTHING_COVERED = Coverage(0, 0)
 
@@ -153,6 +152,14 @@ class RoadInference:
         if np.any(np.diff(self._departures) <= 0):
             raise StateError("departures: do not rise")
 
+    def recover(self, state: State) -> None:
+        """Return to the ``state`` before an update that failed.
+
+        The scales of road and noise may be why, so the next update finds them from the centres of their priors.
+        """
+        self.restore({**state, "scales": None, "fitted": 0})
+        self.evidence = None
+
     def conclude(self, t: float, context: frozenset[Quantity], doubt: str, rejected: Counter[str]) -> Estimate:
         """The estimate at time ``t`` [s].
 
@@ -180,7 +187,11 @@ class RoadInference:
             return withheld(doubt, status=Status.INVALID)
         if reason := self._undetermined(found):
             return withheld(reason)
-        return self._judge(t, found, withheld)
+        changes = gain_changes(found)
+        contradicted, found = changes.contradiction(found), changes.averaged(found).checked()
+        if reason := self._undetermined(found):
+            return withheld(contradicted or reason)
+        return self._judge(t, found, contradicted, withheld)
 
     def _fit(self, strides: Strides, held: int) -> RoadFit | None:
         grown = _has_changed(held, self._fitted, MIN_GROWTH)
@@ -195,7 +206,7 @@ class RoadInference:
         if grown or self._scales is None or found.scales.readings != self._scales.readings:
             self._fitted = held
         self._scales = found.scales
-        return averaged(strides, found)
+        return averaged(strides, found).checked()
 
     def _fitted_beside(
         self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None, is_search: bool
@@ -206,7 +217,7 @@ class RoadInference:
             return fit(strides, rng, terms, scales, limit, self._departures)
         return fit_given(strides, rng, scales, terms, limit, self._departures)
 
-    def _judge(self, t: float, found: RoadFit, withheld: Withheld) -> Estimate:
+    def _judge(self, t: float, found: RoadFit, contradicted: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)
         usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual(found.road_load) for term in found.terms]
         lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
@@ -214,8 +225,6 @@ class RoadInference:
         drive = RoadTarget.of(found, Belief.none(), *bounds)
         if reason := contradiction(self._config.prior, Judged(drive.free_mode, drive.free_sd)):
             return withheld(reason, status=Status.INVALID)
-        changes = gain_changes(found)
-        contradicted, found = changes.contradiction(found), changes.averaged(found)
         belief = self._given + self._loads.carried_over(t, self._config.load)
         target = RoadTarget.of(found, belief, *bounds)
         judged = Judged(target.free_mode, target.free_sd)

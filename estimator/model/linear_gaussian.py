@@ -158,7 +158,7 @@ class Factor:
         """
         lower, failed = dpbtrf(precision, lower=1, overwrite_ab=1)
         if failed:
-            raise NotPositiveDefiniteError
+            raise NotPositiveDefiniteError("a precision is not positive definite")
         return cls(lower)
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.result import Diagnosis, Traces
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.output_files import check_suffix, whole
 from estimator.report import wording
 from estimator.report.page import figures, tables
@@ -20,21 +21,6 @@ REMAINDER_SENTENCES = {
     Verdict.UNKNOWN: "Something is left that no effect of the catalogue explains.",
     Verdict.CANNOT_TELL: "Whether anything is left cannot be told.",
 }
-TERMS = (
-    ("residual", "measured power minus the model's; above zero, the vehicle needs more power than the model says"),
-    ("noise floor", "residual that no road-load model can take away: noise of torque and speed"),
-    ("gap closed", "share of the mean squared residual above the noise floor that goes away"),
-    (
-        "log Bayes factor",
-        "natural logarithm of how much more probable the log is with the effect than without; 5 decides",
-    ),
-    ("q value", "share of false places to be expected among those listed down to this one"),
-    (
-        "isolability",
-        "how alike the traces of two effects are on this log, in per cent: at 95 they cannot be told apart",
-    ),
-    ("visible?", "log Bayes factor expected of the effect at its usual size; below 5 it would go unnoticed"),
-)
 
 
 def write_page(diagnosis: Diagnosis, path: Path) -> None:
@@ -85,7 +71,7 @@ def _sections(d: Diagnosis) -> list[Section]:
         ),
         Section("unseen", "What this log cannot say", _unseen(d)),
         Section("left", "What is left?", _left(d)),
-        Section("terms", "Terms", _terms() if d.rms_base is not None else ""),
+        Section("terms", "Terms", _terms(wording.THRESHOLDS) if d.rms_base is not None else ""),
     ]
 
 
@@ -166,5 +152,32 @@ def _left(d: Diagnosis) -> str:
     )
 
 
-def _terms() -> str:
-    return "<dl>" + "".join(f"<dt>{name}</dt><dd>{meaning}</dd>" for name, meaning in TERMS) + "</dl>"
+def terms(limits: Thresholds) -> dict[str, str]:
+    """What the words and figures of the page mean, by the ``limits`` of the diagnosis."""
+    return {
+        "residual": "measured power minus the model's; above zero, the vehicle needs more power than the model says",
+        "noise floor": "residual that no road-load model can take away: noise of torque and speed",
+        "gap closed": "share of the mean squared residual above the noise floor that goes away",
+        "probability": (
+            "that the effect acts, among all causes that the log may have; an effect is named from "
+            f"{wording.percent(limits.min_probability)} on, alone or together with one that may act in its place"
+        ),
+        "log Bayes factor": (
+            "natural logarithm of how much more probable the log is with the effect than without; an effect is named "
+            "by its probability, which also counts what else may act"
+        ),
+        "q value": "share of false places to be expected among those listed down to this one",
+        "isolability": (
+            "how alike the traces of two effects are on this log, in per cent: from "
+            f"{100 * limits.min_class_correlation:.0f} on they cannot be told apart"
+        ),
+        "visible?": (
+            "log Bayes factor expected of the effect at its usual size; below "
+            f"{limits.min_expected_log_bf:g} it would go unnoticed"
+        ),
+    }
+
+
+def _terms(limits: Thresholds) -> str:
+    listed = "".join(f"<dt>{name}</dt><dd>{meaning}</dd>" for name, meaning in terms(limits).items())
+    return f"<dl>{listed}</dl>"

@@ -49,7 +49,9 @@ def write_plot(evidence: Evidence, title: str, path: Path) -> None:
 
 def draw(evidence: Evidence, title: str) -> Figure:
     """The whole figure."""
-    figure = Figure(figsize=(11, 10), layout="constrained")
+    # The solver of the layout "constrained" goes by the addresses of its variables, so its last bits are not the same
+    # in two drawings.
+    figure = Figure(figsize=(11, 10), layout="tight")
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, parse_math=False)  # names of files may have dollar signs
     grid = GridSpec(5, 3, figure=figure, height_ratios=[1, 1, 1, 0.9, 0.9])

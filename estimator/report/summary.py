@@ -32,6 +32,7 @@ def of_run(run: Run) -> RunAnswer:
             steps_back=traffic.order.steps_back,
             errors=dict(run.skipped + traffic.errors),
         ),
+        failed_updates=pipeline.estimator.failed_updates,
         effects=tuple(pipeline.effects),
         magnitudes=final.effects,
         updates=tuple(_update(update, run.start) for update in run.updates),

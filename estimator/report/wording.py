@@ -15,12 +15,13 @@ from estimator.diagnosis.result import (
     Shift,
     Span,
 )
+from estimator.diagnosis.thresholds import Thresholds
 from estimator.report import number_format
 from estimator.report.number_format import NOTHING, exponent, signed
 
 MAX_SPANS = 3  # spans that are listed
 MIN_GAIN = 3.0  # in log Bayes factor, from which an experiment is worth its while: 20 to 1
-SETTLED = 5.0  # log Bayes factor to expect, from which two effects count as told apart: that of naming one
+THRESHOLDS = Thresholds()  # by which a diagnosis is made, unless it is given others
 PARAMETERS = (("mass", "kg", 1), ("A", "N", 1), ("C", "N s²/m²", 0.001))  # name, unit, step worth showing
 
 
@@ -112,9 +113,10 @@ def advice(d: Diagnosis) -> list[str]:
 
 
 def is_worthwhile(d: Diagnosis, e: Experiment) -> bool:
-    """Whether an experiment is likely to settle something that is open."""
-    is_open = d.verdict is Verdict.CANNOT_TELL or e.now < SETTLED
-    return is_open and e.expected > max(SETTLED, e.now + MIN_GAIN)
+    """Whether an experiment is likely to settle something that is open: to show what the drive alone does not."""
+    least = THRESHOLDS.min_expected_log_bf
+    is_open = d.verdict is Verdict.CANNOT_TELL or e.now < least
+    return is_open and e.expected > max(least, e.now + MIN_GAIN)
 
 
 def _experiment(e: Experiment) -> str:
@@ -188,7 +190,7 @@ def size(magnitude: Magnitude) -> str:
 
 
 def bayes(x: float | None) -> str:
-    """A log Bayes factor: one decimal where it decides, none where it is large."""
+    """A log Bayes factor: one decimal, none where it is large."""
     if x is None or not math.isfinite(x):
         return NOTHING
     return signed(f"{x:+.1f}" if abs(x) < 10 else f"{x:+,.0f}")

@@ -102,7 +102,7 @@ def checked(
         raise InputError("residual: the base explains all of it; nothing is to be explained")
     axes = {TIME: Axis(t - t[0], "s")} | {name: _axis(name, axis, y) for name, axis in (along or {}).items()}
     found = {name: _candidate(name, candidate, columns) for name, candidate in candidates.items()}
-    for name in found.keys() & {NOISE, *(PROCESS + axis for axis in axes)}:
+    for name in sorted(found.keys() & {NOISE, *(PROCESS + axis for axis in axes)}):
         raise InputError(f"column {name!r}: the answer uses this name; choose another one")
     return Record(t=t, residual=rest, base=columns, candidates=found, axes=axes)
 

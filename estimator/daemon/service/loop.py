@@ -178,6 +178,7 @@ class Daemon:
             frames_used=knowledge.used,
             refused=dict(knowledge.refused),
             samples_rejected=dict(knowledge.rejected),
+            failed_updates=knowledge.failed_updates,
             estimate=status.of_estimate(knowledge.estimate, t),
         )
 

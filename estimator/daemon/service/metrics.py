@@ -84,6 +84,7 @@ def _give_estimator(out: Exposition, status: StatusAnswer) -> None:
     worker, rejected = status.estimator, status.samples_rejected.items()
     out.of_label("samples_rejected_total", COUNTER, "Samples kept out of the window.", "reason", rejected)
     out.give("estimator_queue_drops_total", COUNTER, "Frames that the estimator had no room for.", worker.queue_drops)
+    out.give("failed_updates_total", COUNTER, "Updates that failed numerically.", status.failed_updates)
     out.give("conclusion_seconds", GAUGE, "Duration of the latest update.", worker.conclusion_s)
     out.give("longest_conclusion_seconds", GAUGE, "Duration of the longest update.", worker.longest_conclusion_s)
     out.of_label("state_saves_total", COUNTER, "Attempts to save the state.", "result", worker.state_saves.items())

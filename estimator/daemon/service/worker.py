@@ -47,6 +47,7 @@ class Knowledge:
     missing: tuple[str, ...] = ()  # inputs that the model needs and that never came
     refused: Mapping[str, int] = field(default_factory=dict)  # frames and values, by message, signal and reason
     rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by reason
+    failed_updates: int = 0  # numerically
     sources: Mapping[str, int] = field(default_factory=dict)
     contested: Mapping[str, str] = field(default_factory=dict)  # reason, by message and signal
     replacements: int = 0  # senders given up for others
@@ -211,9 +212,9 @@ class Worker:
     def _report_contests(self) -> None:
         """Log what has become, or is no longer, contested; the loop is to know at once."""
         before, contested = self.knowledge.contested, self.pipeline.traffic.contested
-        for path in contested.keys() - before.keys():
+        for path in sorted(contested.keys() - before.keys()):
             log.warning("%s is contested: %s; no estimate until it is not", path, contested[path])
-        for path in before.keys() - contested.keys():
+        for path in sorted(before.keys() - contested.keys()):
             log.info("%s is no longer contested", path)
         if self.pipeline.traffic.replacements != self.knowledge.replacements:
             log.warning("%s", "a sender was replaced by another: what was learnt from the first is forgotten")
@@ -233,6 +234,7 @@ class Worker:
             missing=tuple(pipeline.traffic.missing),
             refused=dict(pipeline.traffic.errors),
             rejected=dict(pipeline.estimator.rejected),
+            failed_updates=pipeline.estimator.failed_updates,
             sources=pipeline.traffic.sources,
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 from estimator.components.budget import Budget
 from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Invisible, Isolability, NotTestable, Place
-from estimator.diagnosis.thresholds import Thresholds
 from estimator.report import number_format, wording
 
 MAX_ROWS = 8  # candidates; the others are folded away
-THRESHOLDS = Thresholds()
 
 
 def ranking(candidates: Sequence[Finding], several: bool) -> str:
@@ -126,7 +124,7 @@ def isolability(of: Isolability) -> str:
     for i, name in enumerate(of.names):
         cells = "".join(_correlation(of, i, j) for j in range(len(of.names)))
         expected = float(of.expected_log_bayes_factor[i])
-        seen = "seen" if expected >= THRESHOLDS.min_expected_log_bf else "unseen"
+        seen = "seen" if expected >= wording.THRESHOLDS.min_expected_log_bf else "unseen"
         rows.append(
             f'<tr><th scope="row"><small>{i + 1}</small> {_name(name)}</th>'
             f'<td class="{seen}">{wording.bayes(expected)}</td>{cells}</tr>'
@@ -140,7 +138,7 @@ def isolability(of: Isolability) -> str:
         f"{wording.label(of.names[i])} and {wording.label(of.names[j])}"
         for i in range(len(of.names))
         for j in range(i)
-        if abs(of.correlation[i, j]) >= THRESHOLDS.min_class_correlation
+        if abs(of.correlation[i, j]) >= wording.THRESHOLDS.min_class_correlation
     ]
     words = f"Cannot be told apart: {'; '.join(pairs)}." if pairs else "No two effects look alike on this log."
     return f"{matrix}<p>{html.escape(words)}</p>"
@@ -168,7 +166,7 @@ def _correlation(of: Isolability, i: int, j: int) -> str:
     if i == j or not math.isfinite(r):
         return '<td class="self"></td>'
     words = html.escape(f"{wording.label(of.names[i])} and {wording.label(of.names[j])}: {r:.2f}")
-    alike = " alike" if r >= THRESHOLDS.min_class_correlation else ""
+    alike = " alike" if r >= wording.THRESHOLDS.min_class_correlation else ""
     text = f"<span>{100 * r:.0f}</span>"
     return f'<td class="r{alike}" style="--r:{100 * min(r, 1) ** 2:.0f}%" title="{words}">{text}</td>'
 
