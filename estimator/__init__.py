@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from estimator.config import load as load_config
     from estimator.fleet.library import estimate_drives
+    from estimator.library.diagnosis import diagnose
+    from estimator.library.estimation import estimate
+    from estimator.library.reading import from_table, read, read_drives
     from estimator.model.effects import Effect
     from estimator.residual.diagnose import diagnose_residual
     from estimator.residual.inputs import Axis, Candidate
@@ -23,11 +26,16 @@ __all__ = [
     "Candidate",
     "Effect",
     "Listener",
+    "diagnose",
     "diagnose_logs",
     "diagnose_residual",
+    "estimate",
     "estimate_drives",
     "estimate_logs",
+    "from_table",
     "load_config",
+    "read",
+    "read_drives",
 ]
 
 _HOMES = {  # module and name there
@@ -35,11 +43,16 @@ _HOMES = {  # module and name there
     "Candidate": ("estimator.residual.inputs", "Candidate"),
     "Effect": ("estimator.model.effects", "Effect"),
     "Listener": ("estimator.streaming.listener", "Listener"),
+    "diagnose": ("estimator.library.diagnosis", "diagnose"),
     "diagnose_logs": ("estimator.streaming.drive_extraction", "diagnose_logs"),
     "diagnose_residual": ("estimator.residual.diagnose", "diagnose_residual"),
+    "estimate": ("estimator.library.estimation", "estimate"),
     "estimate_drives": ("estimator.fleet.library", "estimate_drives"),
     "estimate_logs": ("estimator.streaming.replay", "estimate_logs"),
+    "from_table": ("estimator.library.reading", "from_table"),
     "load_config": ("estimator.config", "load"),
+    "read": ("estimator.library.reading", "read"),
+    "read_drives": ("estimator.library.reading", "read_drives"),
 }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.estimate import Marginal
+from estimator.estimates import Marginal
 
 Row = Mapping[str, Any]
 STATISTICS = ("mean", "sd", "q05", "q95")

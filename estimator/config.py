@@ -32,6 +32,7 @@ from estimator.settings import (
     Section,
     Service,
     SignalPaths,
+    Table,
     Transmit,
     Vehicle,
     Window,
@@ -46,6 +47,7 @@ FREE_TABLES: dict[str, Any] = {  # keys are the user's
     "bus.source_addresses": Address,
     "lake.units": str,
     "lake.ranges": Range,
+    "table.columns": str,
 }
 
 RETIRED = {  # keys and values of earlier versions, and what became of them
@@ -94,6 +96,7 @@ class Config(Section, frozen=True):
     vehicle: Vehicle = Vehicle()
     bus: Bus = Bus()
     lake: Lake | None = None  # logs hold decoded signals instead of frames
+    table: Table | None = None  # logs are tables of measurements
     signals: dict[str, SignalPaths] = msgspec.field(default_factory=dict)
     kinematics: Kinematics = Kinematics()
     admission: Admission = Admission()

@@ -52,6 +52,13 @@ class Lake(Section, frozen=True):
     ranges: dict[str, Range] = {}  # in that unit: what lies outside is no value, as "not available" of J1939
 
 
+class Table(Section, frozen=True):
+    """A table of measurements, CSV or Parquet, instead of frames; units are in brackets behind the names of columns."""
+
+    time: str | None = None  # "COLUMN [s]"; default: the column that is called time, t, timestamp, ...
+    columns: dict[str, str] = {}  # role = "COLUMN [unit]"; also power or force at the wheels
+
+
 class Kinematics(Section, frozen=True):
     """How speed and power belong together."""
 

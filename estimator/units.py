@@ -22,6 +22,7 @@ _SPELLINGS: list[tuple[str, Conversion]] = [
     ("m/s mps", Conversion("m/s", 1.0)),
     ("km/h kph kmh kmph", Conversion("m/s", 1 / 3.6)),
     ("mph mi/h", Conversion("m/s", 0.44704)),
+    ("kt kts knot knots", Conversion("m/s", 1852 / 3600)),
     ("m/s^2 m/s2 m/s² mps2 m/s/s", Conversion("m/s^2", 1.0)),
     ("g gn", Conversion("m/s^2", STANDARD_GRAVITY)),
     ("rad/s", Conversion("rad/s", 1.0)),

@@ -1,6 +1,6 @@
 """An estimate with everything in it, for the tests of what is sent and written."""
 
-from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
+from estimator.estimates import Convergence, Coverage, Estimate, Marginal, Status
 
 MARGINAL = Marginal(mean=27190.0, sd=310.0, q05=26700.0, q50=27180.0, q95=27700.0)
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from estimator.config import Config
-from estimator.estimate import Marginal
+from estimator.estimates import Marginal
 from estimator.fleet.drive_result import DriveResult, FoundEffect, Parameter, Segment
 from estimator.fleet.engine import Serial
 from estimator.fleet.grouping import Drive, Grouped, Rejected

@@ -9,7 +9,7 @@ from diagnoses import rich, several, unknown
 from made_fleets import made
 from test_fleet_page import page_of
 
-from estimator.estimate import Convergence
+from estimator.estimates import Convergence
 from estimator.estimation.evidence import Evidence, Trace
 from estimator.estimation.posterior import Posterior
 from estimator.estimation.window import Grid

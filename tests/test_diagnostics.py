@@ -37,7 +37,7 @@ from estimator.daemon.service import faults
 from estimator.daemon.service.faults import ESTIMATE, FIRST_ROLE, FRAMES_LOST, STATE_NOT_SAVED, Faults
 from estimator.daemon.service.worker import Knowledge
 from estimator.errors import InputError
-from estimator.estimate import Coverage, Estimate, Status
+from estimator.estimates import Coverage, Estimate, Status
 from estimator.input_files import MIB
 from estimator.signals import Role
 

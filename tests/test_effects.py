@@ -18,7 +18,7 @@ from estimator.model.effects.effect import AtRest
 from estimator.model.road_load import design
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity, Role, Series
-from estimator.streaming.drive_extraction import drives
+from estimator.streaming.drive_extraction import drives_of
 from estimator.units import STANDARD_GRAVITY
 
 PAGE = Path(__file__).parents[1] / "docs" / "effects.md"
@@ -323,7 +323,7 @@ def test_one_object_more_is_one_effect_more(tmp_path):
     more = np.interp(torque.t, truth.t, power / truth.engine_speed) / TRUCK.reference_torque
     signals = {**recording.signals, Role.TORQUE_FRACTION: Series(torque.t, torque.value + more)}
     log = written(replace(recording, signals=signals), tmp_path / "shimmy.blf")
-    records = drives(log, Config(), lambda share: None)
+    records = drives_of(log, Config(), lambda share: None)
 
     before = diagnose(records, (), np.random.default_rng(1))
     assert before.verdict is Verdict.UNKNOWN

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.config import Config, from_dict
-from estimator.estimate import Status
+from estimator.estimates import Status
 from estimator.estimation.estimator import Estimator
 from estimator.model.road_load import design
 from estimator.model.road_load import power as model

@@ -16,7 +16,7 @@ from estimator.checkpoint.store import pack, unpack
 from estimator.commands.main import main
 from estimator.config import from_dict
 from estimator.daemon.service import metrics
-from estimator.estimate import Coverage, Estimate, Status
+from estimator.estimates import Coverage, Estimate, Status
 from estimator.estimation import paper_inference, posterior, road_inference
 from estimator.estimation.estimator import Estimator
 from estimator.estimation.gain_changes import GainChanges

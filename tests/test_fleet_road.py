@@ -20,7 +20,7 @@ from estimator.can_io.log_writer import write_log
 from estimator.commands.main import main
 from estimator.config import Config, estimation_key, from_dict, load
 from estimator.errors import ConfigError
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.estimation.road_fit import fit
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.road_passes import MAX_SHARE, mean_slopes

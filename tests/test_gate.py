@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from estimator.estimation.moments import Fit
 
-from estimator.estimate import Coverage
+from estimator.estimates import Coverage
 from estimator.estimation.gate import MIN_PULLING_ACCELERATION, Gate, has_news, wrong_sign_of
 from estimator.estimation.posterior import box
 from estimator.estimation.window import Grid

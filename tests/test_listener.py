@@ -16,7 +16,7 @@ from estimator.can_io.publisher import output_groups
 from estimator.config import Config, from_dict
 from estimator.daemon.reception.reader import Batch
 from estimator.errors import RoadloadError
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck

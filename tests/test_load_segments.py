@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict, replace
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.estimation.load_segments import Loads, Segment, load_change
 from estimator.preparation.standstill import Standstill
 from estimator.settings import Load, Prior

@@ -5,7 +5,7 @@ import pytest
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import from_dict
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.signals import Role, Series
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from estimator.config import from_dict
-from estimator.estimate import Coverage, Estimate, Status
+from estimator.estimates import Coverage, Estimate, Status
 from estimator.report.next_step import next_step
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.replay import Run

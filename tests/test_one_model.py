@@ -10,7 +10,7 @@ from estimator.components.drive_state import DriveState
 from estimator.config import from_dict
 from estimator.diagnosis.result import Diagnosis
 from estimator.simulation.effects.effect import Effect
-from estimator.streaming.drive_extraction import diagnose_logs, drives
+from estimator.streaming.drive_extraction import diagnose_logs, drives_of
 from estimator.streaming.replay import estimate_logs
 
 pytestmark = pytest.mark.slow
@@ -76,7 +76,7 @@ def test_the_plain_model_is_the_one_whose_parameters_are_given(shown):
 def test_estimate_and_diagnosis_fit_a_drive_alike(kind, request):
     log = request.getfixturevalue(kind)
     evidence = estimate_logs(log, from_dict(ONCE)).pipeline.estimator.evidence
-    (made,) = drives(log, from_dict({}))
+    (made,) = drives_of(log, from_dict({}))
     state = DriveState.of(made.strides, made.rests)
     fit = evidence.fit
     assert len(state.fit.strides) == len(fit.strides)

@@ -11,7 +11,7 @@ from estimator.can_io.j1939_encoder import EPOCH, frames_of
 from estimator.can_io.time_order import NO_TIME
 from estimator.config import J1939_BINDING, from_dict
 from estimator.errors import MissingInputsError
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.preparation.admission import Reason
 from estimator.signals import Role
 from estimator.simulation.recording import Recording, record

@@ -15,7 +15,7 @@ from estimator.can_io.counter_crc import crc8, verify
 from estimator.can_io.publisher import Publisher, output_database
 from estimator.config import from_dict
 from estimator.errors import ConfigError
-from estimator.estimate import Convergence, Coverage, Estimate, Marginal, Status
+from estimator.estimates import Convergence, Coverage, Estimate, Marginal, Status
 from estimator.settings import Publish
 
 PUBLISHED = {"mean": "Mean", "q05": "Q05", "q95": "Q95", "sd": "Deviation"}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from made_estimates import made_estimate
 
 from estimator.can_io.publisher import Publisher, output_database
-from estimator.estimate import Status
+from estimator.estimates import Status
 from estimator.settings import Publish
 
 STATUS, MASS = 0x18FF60FB, 0x18FF61FB

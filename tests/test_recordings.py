@@ -7,7 +7,7 @@ import pytest
 
 from estimator import config
 from estimator.config import Config
-from estimator.estimate import Status
+from estimator.estimates import Status
 from estimator.settings import Bus
 from estimator.streaming import inspection
 from estimator.streaming.replay import Run, estimate_logs, replay

@@ -13,7 +13,7 @@ from estimator.can_io.time_order import MAX_DELAY
 from estimator.checkpoint.store import pack, unpack
 from estimator.config import from_dict
 from estimator.errors import StateError
-from estimator.estimate import Status
+from estimator.estimates import Status
 from estimator.estimation.estimator import Estimator
 from estimator.estimation.paper_inference import PaperInference
 from estimator.estimation.road_inference import RoadInference

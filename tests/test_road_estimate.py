@@ -9,7 +9,7 @@ import pytest
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import J1939_BINDING, from_dict
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.report import summary
 from estimator.signals import Role, Series, Signals
 from estimator.simulation.recording import Recording, record

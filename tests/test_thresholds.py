@@ -10,13 +10,13 @@ from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import BY_NAME
 from estimator.simulation.effects.effect import Effect
-from estimator.streaming.drive_extraction import drives
+from estimator.streaming.drive_extraction import drives_of
 
 
 @pytest.mark.slow
 def test_an_effect_is_named_where_its_probability_exceeds_the_threshold(tmp_path):
     recording = drive("mixed", 25, 1, Effect(name="cornering", magnitude=900.0))
-    records = drives(written(recording, tmp_path / "log.blf"), Config(), lambda share: None)
+    records = drives_of(written(recording, tmp_path / "log.blf"), Config(), lambda share: None)
     effects = [BY_NAME["cornering"], BY_NAME["viscous_drag"]]
 
     named = diagnose(records, (), np.random.default_rng(1), effects)

@@ -34,7 +34,7 @@ from rich.progress import track
 from rich.table import Table
 
 from estimator.config import from_dict
-from estimator.estimate import Marginal
+from estimator.estimates import Marginal
 from estimator.samples import Rows
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block

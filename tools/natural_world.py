@@ -42,7 +42,7 @@ from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
 from estimator.simulation.truth import Truth
-from estimator.streaming.drive_extraction import diagnose_logs, drives
+from estimator.streaming.drive_extraction import diagnose_logs, drives_of
 
 # Smallest and largest size, in the units of the simulation (`simulation/effects/catalogue.py`).
 NATURAL = {"headwind": (1.0, 5.0), "warm_up": (0.1, 0.3), "auxiliary_load": (2e3, 8e3)}
@@ -145,7 +145,7 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     write_log(frames_of(world.recording.signals), log)
     diagnosis = diagnose_logs([log], Config())
     assert diagnosis.budget is not None
-    driven = drives(log, Config())[0]
+    driven = drives_of(log, Config())[0]
     plain = fitted(driven)
     truth = true_shares(world.recording, plain, driven.start)
     parts = {part.cause: part for part in diagnosis.budget.parts}

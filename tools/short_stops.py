@@ -22,7 +22,7 @@ from rich.table import Table
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config, from_dict
-from estimator.estimate import Estimate, Marginal
+from estimator.estimates import Estimate, Marginal
 from estimator.simulation.noise import smooth
 from estimator.simulation.recording import record
 from estimator.simulation.route import GRADE_SPACING, HILL_LENGTH, KMH, Route

@@ -32,7 +32,7 @@ from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import GRADE_SPACING, generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
-from estimator.streaming.drive_extraction import diagnose_logs, drives
+from estimator.streaming.drive_extraction import diagnose_logs, drives_of
 from estimator.streaming.pipeline import Pipeline
 
 LOADS = (18e3, 36e3)  # kg, of the whole truck
@@ -70,7 +70,7 @@ def score(world: World, recording: Recording, folder: Path) -> dict[str, Any]:
     write_log(frames, log)
     pipeline = Pipeline(config)
     last = [*pipeline.feed(frames), *pipeline.finish()][-1]
-    diagnosis, driven = diagnose_logs([log], config), drives(log, config)[0]
+    diagnosis, driven = diagnose_logs([log], config), drives_of(log, config)[0]
     part = None if diagnosis.budget is None else diagnosis.budget.part(ROAD)
     found = last.mass
     return {

@@ -26,7 +26,7 @@ from estimator.model.road_load import design
 from estimator.preparation.admission import ADMITTED, row_reasons
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
-from estimator.streaming.drive_extraction import drives
+from estimator.streaming.drive_extraction import drives_of
 from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
 
@@ -57,7 +57,7 @@ class Original:
 
 def original(log: Path, config: Config, rng: np.random.Generator) -> Original | None:
     """The drive in ``log`` and the residual beside a draw of its road; None where it cannot be fitted."""
-    drive = drives(log, config)[0]
+    drive = drives_of(log, config)[0]
     found = fit(drive.strides, rng)
     if found is None:
         return None

@@ -24,7 +24,7 @@ from rich.table import Table
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config
-from estimator.estimate import Marginal
+from estimator.estimates import Marginal
 from estimator.simulation.recording import record
 from estimator.simulation.route import RoadKind, generate_route
 from estimator.simulation.sensors import Sensors

@@ -3,7 +3,7 @@
 from msgspec import Struct
 
 from estimator.answers.answer import Answer
-from estimator.estimate import Status
+from estimator.estimates import Status
 
 
 class Frames(Struct, frozen=True, kw_only=True):

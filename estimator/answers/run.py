@@ -3,7 +3,7 @@
 from msgspec import UNSET, Struct, UnsetType
 
 from estimator.answers.answer import Answer
-from estimator.estimate import Marginal, Status
+from estimator.estimates import Marginal, Status
 
 
 class Parameter(Struct, frozen=True, kw_only=True):

@@ -7,7 +7,7 @@ from msgspec import UNSET, Struct, UnsetType
 
 from estimator.answers.answer import Answer
 from estimator.answers.run import Convergence, Coverage, Parameters
-from estimator.estimate import Status
+from estimator.estimates import Status
 
 
 class State(StrEnum):

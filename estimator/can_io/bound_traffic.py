@@ -1,4 +1,4 @@
-"""The messages that the configuration binds: those of databases, or of a lake of decoded signals.
+"""The messages that the configuration binds: those of databases, of a table, or of a lake of decoded signals.
 
 Decoded signals take the way of frames: each row of a lake is a frame of numbers of 64 bits, so that senders, times and
 values are judged as those of a bus are. What is known of raw values, resolution and rates is not known of them.
@@ -6,17 +6,17 @@ values are judged as those of a bus are. What is known of raw values, resolution
 
 from dataclasses import replace
 
+import msgspec
 from cantools.database import Message as AnyMessage
 from cantools.database.can import Database, Message, Signal
 from cantools.database.conversion import BaseConversion
 
 from estimator.can_io.binding import BoundMessage, bind, load_database
 from estimator.can_io.frames import FD_BYTES
+from estimator.can_io.table_columns import FIRST_IDENT, NUMBER_BYTES, binding_of, database_of
 from estimator.config import Config
 from estimator.errors import ConfigError
 
-NUMBER_BYTES = 8  # of a value in a frame
-FIRST_IDENT = 0x18FF0000  # of groups without a meaning of their own (J1939 proprietary B)
 MAX_MESSAGES = 256  # of these groups
 
 
@@ -30,6 +30,10 @@ def bound_messages(config: Config) -> list[BoundMessage]:
     ConfigError
         ``bus.match`` or ``bus.source_addresses`` does not fit a message, or a lake's signals are too many.
     """
+    if config.table is not None:
+        signals = dict(binding_of(config.table))
+        bound = bind(msgspec.structs.replace(config, signals=signals), database_of(config.table))
+        return [replace(message, j1939=False, cycle=None) for message in bound]
     database = load_database(config.bus.dbc)
     if config.lake is None:
         return bind(config, database)

@@ -14,7 +14,7 @@ import can
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.counter_crc import COUNTS, checksum
-from estimator.estimate import Estimate, Marginal, Status
+from estimator.estimates import Estimate, Marginal, Status
 from estimator.settings import Publish
 
 STALE = "stale"  # beside the values of `Status` in the signal EstimateStatus

@@ -10,6 +10,7 @@ from estimator.commands.log_options import (
     RECORDED,
     add_channels,
     add_effects,
+    add_map,
     add_seed,
     check_outputs,
     complain_of_channels,
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--exact", type=whole_number, default=0, metavar="N", help=exact)
     add_effects(parser)
     add_channels(parser)
+    add_map(parser)
     add_seed(parser, "bootstrap")
 
 

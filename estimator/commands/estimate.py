@@ -11,6 +11,7 @@ from estimator.commands.log_options import (
     RECORDED,
     add_channels,
     add_effects,
+    add_map,
     add_seed,
     check_outputs,
     complain_of_channels,
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     parser.add_argument("log", nargs="+", type=Path, metavar="LOG", help=RECORDED)
     add_channels(parser)
+    add_map(parser)
     add_seed(parser, "sampler")
     parser.add_argument("--draws", type=Path, metavar="OUT.csv|.json|.nc", help="draws of the posterior")
     parser.add_argument("--plot", type=Path, metavar="OUT.png|.svg|.pdf|.html", help="posterior, fit, coverage, chains")

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from estimator.commands.arguments import add_output, add_settings
-from estimator.commands.log_options import RECORDED, add_channels, complain_of_channels, settings
+from estimator.commands.log_options import RECORDED, add_channels, add_map, complain_of_channels, settings
 from estimator.commands.tables import print_inspection
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.streaming import inspection
@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     parser.add_argument("log", type=Path, metavar="LOG", help=RECORDED)
     add_channels(parser)
+    add_map(parser)
 
 
 def run(options: argparse.Namespace) -> int:

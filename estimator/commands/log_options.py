@@ -16,6 +16,7 @@ from estimator.config import Config
 from estimator.errors import ConfigError
 from estimator.model.effects import CATALOGUE
 from estimator.output_files import check_suffix
+from estimator.settings import Table
 
 RECORDED = f"recorded traffic: {' '.join(FORMATS)}"
 
@@ -35,6 +36,28 @@ def complain_of_channels(counts: Mapping[str, int]) -> None:
     """A note on logs whose channels were read as one bus, with their frames by channel, if there are such."""
     if counts:
         complain(f"note: {described(counts)} are read as one bus; choose with --channel")
+
+
+def add_map(parser: argparse.ArgumentParser) -> None:
+    """Add --map."""
+    text = 'a column of a table, for tables instead of logs: speed="v [km/h]", power="P [kW]", time="t [s]"; repeated'
+    parser.add_argument("--map", action="append", default=[], metavar='ROLE="COLUMN [unit]"', help=text)
+
+
+def _table(given: Table | None, mappings: Sequence[str]) -> Table | None:
+    """The table of the configuration, with the columns of --map."""
+    if not mappings:
+        return given
+    columns, time = dict(given.columns) if given else {}, given.time if given else None
+    for mapping in mappings:
+        role, sign, column = mapping.partition("=")
+        if not sign:
+            raise ConfigError(f'--map {mapping}: write ROLE="COLUMN [unit]", as in --map speed="v [km/h]"')
+        if role == "time":
+            time = column
+        else:
+            columns[role] = column
+    return Table(time=time, columns=columns)
 
 
 def add_effects(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +96,8 @@ def settings(options: argparse.Namespace) -> Config:
         found = config.replace(found, bus=msgspec.structs.replace(found.bus, dbc=options.dbc))
     if getattr(options, "channels", None):
         found = config.replace(found, bus=msgspec.structs.replace(found.bus, channels=options.channels))
+    if getattr(options, "map", None):
+        found = config.replace(found, table=_table(found.table, options.map))
     if getattr(options, "effect", None):
         found = msgspec.structs.replace(found, effects=[*found.effects, *options.effect])
     if getattr(options, "seed", None) is not None:

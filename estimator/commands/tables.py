@@ -8,7 +8,7 @@ from rich.text import Text
 
 from estimator.answers.inspection import InspectionAnswer
 from estimator.commands.terminal import say
-from estimator.estimate import Marginal, Road, Status
+from estimator.estimates import Marginal, Road, Status
 from estimator.model.effects import BY_NAME
 from estimator.printable import printable
 from estimator.report import number_format

@@ -20,7 +20,7 @@ from estimator.can_io.j1939_node import ADDRESS_CLAIMED, COMMANDED_ADDRESS, REQU
 from estimator.can_io.publisher import Publisher, output_groups
 from estimator.can_io.trouble_codes import DM1
 from estimator.daemon.diagnostics import Diagnostics
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.settings import Publish, Transmit
 
 log = logging.getLogger(__name__)

@@ -14,7 +14,7 @@ import numpy as np
 from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.config import Config
 from estimator.errors import StateError
-from estimator.estimate import Coverage, Estimate, Status
+from estimator.estimates import Coverage, Estimate, Status
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.gate import has_news
 from estimator.estimation.model_check import SpeedScale

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.estimate import Coverage
+from estimator.estimates import Coverage
 from estimator.estimation.window import Grid
 from estimator.model.road_load import design
 from estimator.settings import Gate as GateConfig

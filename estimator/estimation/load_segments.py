@@ -16,7 +16,7 @@ import numpy as np
 
 from estimator.checkpoint.validation import State, array, optional, read
 from estimator.errors import StateError
-from estimator.estimate import LoadChange
+from estimator.estimates import LoadChange
 from estimator.estimation.belief import PARAMETERS, Belief
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.settings import Load

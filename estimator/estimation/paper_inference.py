@@ -13,7 +13,7 @@ import numpy as np
 
 from estimator.checkpoint.validation import State, generator_state, set_generator, substate
 from estimator.config import Config
-from estimator.estimate import PARAMETERS, Coverage, Estimate, Status
+from estimator.estimates import PARAMETERS, Coverage, Estimate, Status
 from estimator.estimation import posterior
 from estimator.estimation.evidence import Evidence, Trace
 from estimator.estimation.gate import Gate, Judged, wrong_sign_of

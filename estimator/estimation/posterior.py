@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.config import Config
-from estimator.estimate import Convergence, Marginal
+from estimator.estimates import Convergence, Marginal
 from estimator.sampling.likelihood import Target
 from estimator.sampling.run import MAX_R_HAT, run
 from estimator.settings import Prior

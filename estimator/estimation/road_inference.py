@@ -22,7 +22,7 @@ from estimator.checkpoint.validation import (
 )
 from estimator.config import Config
 from estimator.errors import StateError
-from estimator.estimate import PARAMETERS, Coverage, Estimate, Road, Status
+from estimator.estimates import PARAMETERS, Coverage, Estimate, Road, Status
 from estimator.estimation import posterior
 from estimator.estimation.belief import Belief
 from estimator.estimation.evidence import Coefficients, Evidence, Trace

@@ -10,7 +10,7 @@ from estimator.answers.diagnosis import Verdict
 from estimator.blas_threads import one_blas_thread
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.estimate import PARAMETERS, Estimate, Marginal, Status
+from estimator.estimates import PARAMETERS, Estimate, Marginal, Status
 from estimator.estimation.evidence import Coefficients
 from estimator.estimation.road_fit import RoadFit
 from estimator.fleet.grouping import Drive

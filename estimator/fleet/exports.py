@@ -1,7 +1,7 @@
 """A vehicle for simulators and range planners."""
 
 from estimator.answers.vehicle import CoastDown, Fastsim, FastsimChassis, Shared, Value, Vecto, VehicleAnswer
-from estimator.estimate import Marginal
+from estimator.estimates import Marginal
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
 from estimator.units import STANDARD_GRAVITY
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from estimator.estimate import Marginal
+from estimator.estimates import Marginal
 from estimator.fleet.over_time import NOW, PRIOR_SD, terms
 from estimator.signals import Floats
 

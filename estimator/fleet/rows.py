@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from estimator.columns import Row, statistics
-from estimator.estimate import Marginal, Status
+from estimator.estimates import Marginal, Status
 from estimator.fleet.drive_result import DriveResult, Segment
 from estimator.fleet.grouping import Drive
 from estimator.fleet.road import LearnedRoad

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from estimator.estimate import Marginal
+from estimator.estimates import Marginal
 from estimator.estimation.evidence import Coefficients
 from estimator.fleet.vehicles import VehicleResult, shared
 from estimator.settings import Gate

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.estimate import Marginal, Status
+from estimator.estimates import Marginal, Status
 from estimator.estimation.evidence import Coefficients
 from estimator.fleet.grouping import YEAR
 from estimator.fleet.over_time import NOW, TREND, newest, terms, winter, years_since

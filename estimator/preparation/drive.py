@@ -21,12 +21,13 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, Strides
 
 MAX_STANDING_SPEED = 0.5  # m/s
+MOST = 4  # reasons of unused rows that are listed
 MIN_STOP = 10.0  # s, in which a load could change
 MIN_KNOWN_SHARE = 0.5  # of the drive, for which a quantity must be known to be used
 STATES = (Quantity.GEAR, Quantity.BRAKE, Quantity.FROZEN)  # between two of their values there is none
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Drive:
     """One drive of a vehicle.
 
@@ -41,6 +42,7 @@ class Drive:
     rests: tuple[AtRest, ...]
     rejected: Counter[str]
     start: float  # [s] time of the first row
+    config: Config  # that it was read with
     log: int = 0
     log_start: float = 0.0
 
@@ -55,8 +57,16 @@ class Drive:
             rests=rests(pieces, start) if pieces else (),
             rejected=rejected,
             start=start,
+            config=config,
             log_start=start,
         )
+
+    def __repr__(self) -> str:
+        rows, known = sum(map(len, self.pieces)), int(self.strides.known.sum())
+        distance = float((self.strides.s1 - self.strides.s0).sum()) / 1e3
+        reasons = [f"{reason} {100 * count / max(rows, 1):.0f} %" for reason, count in self.rejected.most_common(MOST)]
+        unused = ", ".join(reasons) or "nothing"
+        return f"{rows * STEP / 60:.0f} min, {distance:.1f} km, {known:,} strides; not used: {unused}"
 
     @property
     def minutes_known(self) -> float:

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from msgspec import UNSET, UnsetType
@@ -40,9 +41,7 @@ def require_arviz() -> None:
         The package arviz-base is not installed.
     """
     if importlib.util.find_spec("arviz_base") is None:
-        raise ConfigError(
-            "a .nc file needs arviz-base: pip install 'roadload[arviz]', in a clone pip install -e '.[arviz]'"
-        )
+        raise ConfigError("this needs arviz-base: pip install 'roadload[arviz]', in a clone pip install -e '.[arviz]'")
 
 
 def write_draws(evidence: Evidence, path: Path) -> None:
@@ -114,12 +113,24 @@ def _metrics(metrics: EigenMetrics) -> answer.EigenMetrics:
     return answer.EigenMetrics(log10_eigenvalues=metrics.log10_eigenvalues.tolist(), angles_deg=metrics.angles.tolist())
 
 
-def _netcdf(posterior: Posterior) -> bytes:
+def arviz_tree(posterior: Posterior) -> Any:
+    """The draws as a tree of ArviZ.
+
+    Raises
+    ------
+    ConfigError
+        The package arviz-base is not installed.
+    """
+    require_arviz()
     import arviz_base  # heavy, and an extra
 
     tree = arviz_base.from_dict({"posterior": {name: posterior.draws[:, :, i] for i, name in enumerate(NAMES)}})
     del tree["posterior"].attrs["created_at"]  # the clock's: the same log gives the same bytes
+    return tree
+
+
+def _netcdf(posterior: Posterior) -> bytes:
     with TemporaryDirectory() as folder:  # it writes to a name only
         file = Path(folder) / "draws.nc"
-        tree.to_netcdf(file, engine="h5netcdf")
+        arviz_tree(posterior).to_netcdf(file, engine="h5netcdf")
         return file.read_bytes()

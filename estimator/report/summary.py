@@ -6,7 +6,7 @@ from msgspec import UNSET
 
 from estimator.answers import run as answer
 from estimator.answers.run import RunAnswer
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.report.next_step import next_step
 from estimator.streaming.replay import Run
 

@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from estimator.blas_threads import one_blas_thread
+from estimator.can_io.frames import Frames
 from estimator.config import Config
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.result import Diagnosis
@@ -54,7 +55,7 @@ def diagnose_logs(
     torques = list[float | None]()
     for i, path in enumerate(given_paths):
         logs, stream = LogFrames([path], config, partial(_part, progress, i, len(given_paths))), RowStream(config)
-        in_log = [Drive.of(pieces, config) for pieces in _pieces(logs, path, stream)]
+        in_log = [Drive.of(pieces, config) for pieces in rows_of(logs, stream, str(path))]
         torques.append(stream.reference_torque)
         mixed.update(logs.mixed)
         drives += [replace(drive, log=i, log_start=in_log[0].start) for drive in in_log]
@@ -98,7 +99,7 @@ def diagnose_drive(paths: Sequence[Path], config: Config) -> Diagnosis:
     MissingInputsError
         The files lack inputs of the model.
     """
-    pieces = _pieces(LogFrames(list(paths), config, no_progress), paths[0], RowStream(config))
+    pieces = rows_of(LogFrames(list(paths), config, no_progress), RowStream(config), str(paths[0]))
     rng = np.random.default_rng(config.sampler.seed)
     return diagnose([Drive.of(drive, config) for drive in pieces], named(config.effects), rng)
 
@@ -107,8 +108,8 @@ def _part(progress: Progress, done: int, of: int, share: float) -> None:
     progress((done + READING_SHARE * share) / of)
 
 
-def drives(path: Path, config: Config, progress: Progress = no_progress) -> list[Drive]:
-    """The drives in a log, prepared for the diagnosis.
+def drives_of(path: Path, config: Config, progress: Progress = no_progress) -> list[Drive]:
+    """The drives in a log, in order of time.
 
     Raises
     ------
@@ -117,23 +118,26 @@ def drives(path: Path, config: Config, progress: Progress = no_progress) -> list
     MissingInputsError
         The log lacks inputs of the model.
     """
-    return [Drive.of(pieces, config) for pieces in drive_rows(path, config, progress)]
+    pieces = rows_of(LogFrames([path], config, progress), RowStream(config), str(path))
+    return [Drive.of(rows, config) for rows in pieces]
 
 
-def drive_rows(path: Path, config: Config, progress: Progress = no_progress) -> list[list[Rows]]:
-    """Rows of the drives in a log, each drive as its pieces between interruptions; see `drives`."""
-    return _pieces(LogFrames([path], config, progress), path, RowStream(config))
+def rows_of(frames: Iterable[Frames], stream: RowStream, place: str) -> list[list[Rows]]:
+    """Rows of the drives in traffic, each drive as its pieces between interruptions.
 
-
-def _pieces(logs: LogFrames, path: Path, stream: RowStream) -> list[list[Rows]]:
-    found: list[list[list[Rows]]] = [[[]]]
-    for item in stream.feed_all(logs):
+    Raises
+    ------
+    MissingInputsError
+        The traffic, which comes from ``place``, lacks inputs of the model.
+    """
+    drives: list[list[list[Rows]]] = [[[]]]
+    for item in stream.feed_all(frames):
         if isinstance(item, Block):
-            found[-1][-1] += item.rows
+            drives[-1][-1] += item.rows
         elif item.is_new_drive:
-            found.append([[]])
+            drives.append([[]])
         else:
-            found[-1].append([])
-    stream.require_inputs(str(path))
-    pieces = [[Rows.concatenate(*parts) for parts in drive if parts] for drive in found]
+            drives[-1].append([])
+    stream.require_inputs(place)
+    pieces = [[Rows.concatenate(*parts) for parts in drive if parts] for drive in drives]
     return [drive for drive in pieces if drive]

@@ -15,7 +15,7 @@ from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import pgn_of
 from estimator.config import Config
 from estimator.errors import MissingInputsError
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.signals import Floats, Role
 from estimator.streaming.log_frames import LogFrames, Progress, no_progress
 from estimator.streaming.pipeline import Pipeline

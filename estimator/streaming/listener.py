@@ -14,7 +14,7 @@ from estimator.can_io.publisher import Publisher
 from estimator.can_io.time_order import MAX_DELAY, NO_TIME, is_time
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.settings import Publish
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE

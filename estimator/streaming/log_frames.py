@@ -8,6 +8,7 @@ from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs import Log, open_log
 from estimator.can_io.logs.lake import LakeLog, is_day
+from estimator.can_io.logs.table import TableLog
 from estimator.config import Config
 from estimator.errors import LogError
 
@@ -47,6 +48,8 @@ class LogFrames:
         self.mixed: Counter[str] = Counter()
 
     def _open(self, path: Path, config: Config) -> Log:
+        if config.table is not None:
+            return TableLog(path, config.table)
         if not is_day(path):
             if config.lake is not None:
                 raise LogError(

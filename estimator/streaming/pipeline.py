@@ -8,7 +8,7 @@ import numpy as np
 from estimator.can_io.frames import Frames
 from estimator.checkpoint.validation import State, substate
 from estimator.config import Config
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.estimation.estimator import Estimator
 from estimator.streaming.row_stream import Block, Interruption, RowStream
 

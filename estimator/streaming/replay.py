@@ -15,7 +15,7 @@ from estimator.can_io.log_writer import write_log
 from estimator.columns import Column, Row, columns, posterior, statistics
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
 from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
 from estimator.streaming.pipeline import Pipeline

@@ -39,7 +39,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.model.effects import CATALOGUE
 from estimator.model.term import Term
 from estimator.report.diagnosis_summary import of_diagnosis
-from estimator.streaming.drive_extraction import drives
+from estimator.streaming.drive_extraction import drives_of
 
 THRESHOLD = 0.1  # of STLSQ, as in the published study of discrepancy models
 
@@ -58,7 +58,7 @@ class Library:
 
 def library_of(log: Path) -> Library | None:
     """Samples and candidate columns of one log; None where the road load cannot be fitted."""
-    drive = max(drives(log, Config(), lambda share: None), key=lambda drive: drive.minutes_known)
+    drive = max(drives_of(log, Config(), lambda share: None), key=lambda drive: drive.minutes_known)
     state = DriveState.of(drive.strides, drive.rests, is_level=True)
     if state is None:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 from bus_attacks.catalogue import Attack
 from estimator.can_io.frames import Frames
 from estimator.config import Config
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
 

@@ -15,7 +15,7 @@ from estimator.can_io.frames import Frames
 from estimator.commands.main import main as roadload
 from estimator.daemon.reception.reader import Batch, SocketReader
 from estimator.daemon.service import status_file
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.streaming.pipeline import Pipeline
 
 

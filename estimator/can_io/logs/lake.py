@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from estimator.can_io.binding import BoundMessage
-from estimator.can_io.bound_traffic import NUMBER_BYTES
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, Frames
 from estimator.can_io.logs.log import Log
+from estimator.can_io.table_columns import NUMBER_BYTES
 from estimator.errors import LogError
 from estimator.signals import Floats
 

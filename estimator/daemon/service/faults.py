@@ -17,7 +17,7 @@ from estimator.can_io.source_selection import KIND, Kind
 from estimator.can_io.trouble_codes import MAX_CODES, MAX_COUNT, MAX_SPN, Fmi, TroubleCode, TroubleMemory
 from estimator.daemon.service.worker import Knowledge
 from estimator.errors import InputError, StateError
-from estimator.estimate import Status
+from estimator.estimates import Status
 from estimator.input_files import MIB, read_own
 from estimator.output_files import write
 from estimator.signals import Role

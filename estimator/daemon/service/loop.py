@@ -24,7 +24,7 @@ from estimator.daemon.service.sd_notify import Notifier
 from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
 from estimator.errors import RoadloadError
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.output_files import write
 from estimator.streaming.listener import Listener
 

@@ -7,7 +7,7 @@ from estimator.answers import status as answer
 from estimator.daemon.reception.link import Link
 from estimator.daemon.service.worker import Knowledge, Worker
 from estimator.daemon.transmitter import Transmitter
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.report import summary
 
 

@@ -17,7 +17,7 @@ from estimator.daemon.reception.inbox import Inbox
 from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.boot_id import boot_id
 from estimator.errors import RoadloadError
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.streaming.pipeline import Pipeline
 
 log = logging.getLogger(__name__)

@@ -1,0 +1,137 @@
+"""The columns of a table of measurements: what they are used for, their units, and the messages that stand for them.
+
+A table takes the way of frames: each value of a row is a frame of one number, as of a lake of decoded signals, so that
+times and values are judged as those of a bus are.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cantools.database.can import Database, Message, Signal
+from cantools.database.conversion import BaseConversion
+
+from estimator.can_io.frames import EXTENDED
+from estimator.errors import ConfigError
+from estimator.roles import DIMENSION, STATE, Role
+from estimator.settings import Table
+from estimator.units import KNOWN_UNITS, conversion_of
+
+NUMBER_BYTES = 8
+FIRST_IDENT = 0x18FF0000  # of groups without a meaning of their own (J1939 proprietary B)
+POWER, FORCE = "power", "force"  # names for the power at the wheels, and for the force there
+TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
+WITH_UNIT = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A ``name``d column in a ``unit``, read for a ``role``; ``is_force``: times the speed it is that power."""
+
+    role: Role
+    name: str
+    unit: str
+    is_force: bool = False
+
+    @property
+    def signal(self) -> str:
+        """Its name as that of a signal: letters, digits and underscores."""
+        return re.sub(r"\W+", "_", self.name).strip("_") or "column"
+
+    @property
+    def path(self) -> str:
+        """Its place in the binding, ``MESSAGE.signal``."""
+        return f"{self.role.value}.{self.signal}"
+
+
+def split_unit(text: str) -> tuple[str, str | None]:
+    """``speed [km/h]`` as the name of a column and its unit, None where there are no brackets."""
+    match = WITH_UNIT.fullmatch(text)
+    assert match is not None  # it takes any text
+    return match["name"], match["unit"]
+
+
+def columns_of(table: Table) -> list[Column]:
+    """The columns of a table, in the order of the configuration.
+
+    Raises
+    ------
+    ConfigError
+        A role is not known, or units are missing or do not fit; one message names all of them.
+    """
+    columns, wrong = list[Column](), list[str]()
+    names = {role.value for role in Role} - {Role.WHEEL_SPEEDS.value} | {POWER, FORCE}
+    for key, text in table.columns.items():
+        if key not in names:
+            raise ConfigError(f"table.columns.{key}: no such role; the roles are {', '.join(sorted(names))}")
+        name, unit = split_unit(text)
+        role = Role.ENGINE_POWER if key in (POWER, FORCE) else Role(key)
+        if not name:
+            raise ConfigError(f'table.columns.{key}: names no column; write {key} = "COLUMN [unit]"')
+        if reason := _misfit(key, role, unit):
+            wrong.append(f'{key} = "{text}" {reason}')
+        columns.append(Column(role, name, "" if unit is None else unit, key == FORCE))
+    if wrong:
+        raise ConfigError(f"table.columns: {'; '.join(wrong)}")
+    roles = [column.role for column in columns]
+    for role in {role for role in roles if roles.count(role) > 1}:
+        raise ConfigError(f"table.columns: {role.value} is given twice; leave one of its columns")
+    if any(column.is_force for column in columns) and Role.SPEED not in roles:
+        raise ConfigError("table.columns.force: takes the speed to make a power; add a column of speed")
+    return columns
+
+
+def _misfit(key: str, role: Role, unit: str | None) -> str:
+    """Reason why a unit does not fit what a column is read for; empty where it does."""
+    if key == FORCE:
+        return "" if (unit or "").lower() in FORCE_UNITS else f"needs one of the units {' '.join(FORCE_UNITS)}"
+    dimension = DIMENSION[role]
+    if dimension == STATE:
+        return ""
+    conversion = conversion_of(unit)
+    if unit is None:
+        return f'has no unit; write it in brackets, as in {key} = "COLUMN [{_units(dimension)[0]}]"'
+    if conversion is None or (
+        conversion.dimension != dimension and (role, conversion.dimension) != (Role.GRADE, "rad")
+    ):
+        return f"needs one of the units {' '.join(_units(dimension))}"
+    return ""
+
+
+def _units(dimension: str) -> list[str]:
+    return [unit for unit, conversion in KNOWN_UNITS.items() if conversion.dimension == dimension]
+
+
+def binding_of(table: Table) -> Mapping[str, str]:
+    """Role to ``MESSAGE.signal``, as for a bus."""
+    return {column.role.value: column.path for column in columns_of(table)}
+
+
+def database_of(table: Table) -> Database:
+    """A database of one message for each column, a number of 64 bits in the column's unit."""
+    return Database([_message(i, column) for i, column in enumerate(columns_of(table))])
+
+
+def ident_of(index: int) -> int:
+    """Identifier of the frames of a column by its place."""
+    return EXTENDED | FIRST_IDENT | index << 8
+
+
+def _message(index: int, column: Column) -> Message:
+    signal = Signal(
+        name=column.signal,
+        start=0,
+        length=8 * NUMBER_BYTES,
+        is_signed=True,
+        conversion=BaseConversion.factory(is_float=True),
+        unit="W" if column.is_force else column.unit,
+    )
+    return Message(
+        frame_id=FIRST_IDENT | index << 8,
+        name=column.role.value,
+        length=NUMBER_BYTES,
+        signals=[signal],
+        is_extended_frame=True,
+        protocol="j1939",  # so that the last byte of an id is its sender
+    )

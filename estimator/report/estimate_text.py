@@ -1,0 +1,26 @@
+"""An estimate as lines of text: each parameter with its interval, or the reason why it is not known."""
+
+from collections.abc import Iterator, Mapping
+
+from estimator.estimates import Estimate
+from estimator.report.number_format import with_interval
+
+PARAMETERS = (("m", "mass", "kg"), ("A", "A", "N"), ("C", "C", "N s²/m²"))  # key, name, unit
+MOST = 4  # reasons of unused rows that are listed
+
+
+def lines_of(estimate: Estimate, rejected: Mapping[str, int]) -> Iterator[str]:
+    """The status, the parameters with 90 % intervals, the coverage, and why rows were not used."""
+    yield estimate.status.value + (f": {estimate.reason}" if estimate.reason else "")
+    for key, name, unit in PARAMETERS:
+        marginal, (status, reason) = estimate.marginals[key], estimate.status_of(key)
+        if marginal is not None:
+            yield f"{name:9} {with_interval(marginal.mean, marginal.q05, marginal.q95, unit)}"
+        elif estimate.mass is not None:
+            yield f"{name:9} {status.value}: {reason}"
+    cells = estimate.coverage
+    yield f"coverage  {100 * cells.fraction:.0f} % ({cells.occupied} of {cells.available} reachable cells)"
+    total = estimate.admitted + sum(rejected.values())
+    reasons = sorted(rejected.items(), key=lambda pair: -pair[1])[:MOST]
+    unused = ", ".join(f"{reason} {100 * count / total:.0f} %" for reason, count in reasons if count)
+    yield f"used      {estimate.admitted / 600:.0f} min; not used: {unused or 'nothing'}"

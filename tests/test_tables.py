@@ -1,0 +1,198 @@
+"""Tables of measurements: what they give, against the log of the same drive, and what is refused in one line."""
+
+import csv
+import gzip
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_logs import ask, drive, written
+
+from estimator import estimate, from_table, read
+from estimator.can_io.table_columns import split_unit
+from estimator.commands.main import main
+from estimator.config import from_dict
+from estimator.errors import RoadloadError
+from estimator.library.estimation import Estimation
+from estimator.samples import Rows
+from estimator.signals import Role
+
+MAP = ["--map", "speed=v [km/h]", "--map", "power=P [kW]", "--map", "time=t [s]"]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(drive("mixed", 25, 4), tmp_path_factory.mktemp("drive") / "drive.blf")
+
+
+@pytest.fixture(scope="module")
+def table(log: Path) -> dict[str, np.ndarray]:
+    """The rows of the drive, ten a second, NaN where speed or power is not known."""
+    rows = Rows.concatenate(*read(log).pieces)
+    return {
+        "t": rows.t - rows.t[0],
+        "v": 3.6 * rows.speed,
+        "P": rows.power / 1e3,
+        "h": rows.context[Role.ALTITUDE],
+        "brake": rows.context[Role.BRAKE_SWITCH],
+    }
+
+
+def written_table(columns: Mapping[str, Sequence[Any] | np.ndarray], path: Path, delimiter: str = ",") -> Path:
+    opened = gzip.open if path.suffix == ".gz" else open
+    with opened(path, "wt", newline="") as file:
+        writer = csv.writer(file, delimiter=delimiter)
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow("" if value != value else value for value in row)
+    return path
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line of a refusal."""
+    assert main([*map(str, arguments)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def alike(one: Estimation, other: Estimation, sds: float) -> None:
+    for name in ("mass", "A", "C"):
+        a, b = getattr(one, name), getattr(other, name)
+        assert a.mean == pytest.approx(b.mean, abs=sds * b.sd)
+
+
+@pytest.mark.slow
+def test_a_table_gives_what_the_log_of_the_same_drive_gives(log: Path, table: dict[str, np.ndarray]) -> None:
+    """Its rows are those of the log, taken as readings: means of means over a row, so not to the last digit."""
+    from_log = estimate(read(log))
+    made = from_table(table, speed="v [km/h]", power="P [kW]", altitude="h [m]", brake_switch="brake")
+    alike(estimate(made), from_log, 1.0)
+
+
+@pytest.mark.slow
+def test_a_file_gives_the_same_numbers_as_arrays(table: dict[str, np.ndarray], tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {"speed": "v [km/h]", "power": "P [kW]", "brake_switch": "brake"}
+    expected = estimate(from_table(table, **columns)).to_dict()
+    pq.write_table(pa.table(table), tmp_path / "drive.parquet")
+    files = [
+        written_table(table, tmp_path / "drive.csv"),
+        written_table(table, tmp_path / "drive.tsv", "\t"),
+        written_table(table, tmp_path / "semicolons.csv.gz", ";"),
+        tmp_path / "drive.parquet",
+    ]
+    for file in files:
+        assert estimate(read(file, columns=columns)).to_dict() == expected
+    answer = ask("estimate", files[0], *MAP, "--map", "brake_switch=brake")
+    assert answer["parameters"]["mass_kg"]["mean"] == expected["mass"]["mean"]
+
+
+@pytest.mark.slow
+def test_a_data_frame_and_a_force_do_as_well(table: dict[str, np.ndarray]) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(table)
+    by_power = estimate(from_table(frame, speed="v", power="P", units={"v": "km/h", "P": "kW"}))
+    moving = frame["v"] > 1.0
+    frame["F"] = np.where(moving, frame["P"] / np.where(moving, frame["v"] / 3.6, 1.0), 0.0)
+    alike(estimate(from_table(frame, speed="v [km/h]", force="F [kN]")), by_power, 0.3)
+
+
+@pytest.mark.slow
+def test_dates_are_times(table: dict[str, np.ndarray], tmp_path: Path) -> None:
+    start = np.datetime64("2026-05-04T06:00:00")
+    dated = {**table, "t": start + (1000 * table["t"]).astype("timedelta64[ms]")}
+    columns = {"speed": "v [km/h]", "power": "P [kW]"}
+    expected = estimate(from_table(dated, time="t", **columns)).mass
+    file = written_table({**dated, "t": [str(t) for t in dated["t"]]}, tmp_path / "dated.csv")
+    assert estimate(read(file, columns={**columns, "time": "t"})).mass == expected
+    assert expected is not None
+    undated = estimate(from_table(table, **columns)).mass
+    assert undated is not None
+    assert expected.mean == pytest.approx(undated.mean, abs=0.5 * undated.sd)
+
+
+def test_what_a_configuration_says_of_a_table_is_used(tmp_path: Path) -> None:
+    config = from_dict({"table": {"time": "t [ms]", "columns": {"speed": "v [m/s]", "power": "P [W]"}}})
+    n = 300
+    file = written_table({"t": 100.0 * np.arange(n), "v": np.full(n, 20.0), "P": np.full(n, 5e4)}, tmp_path / "a.csv")
+    made = read(file, config)
+    (rows,) = made.pieces
+    assert len(rows) == pytest.approx(n, abs=3)
+    assert (rows.speed[50], rows.power[50]) == pytest.approx((20.0, 5e4))
+
+
+def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
+    return {"t": (np.arange(n) / 10).tolist(), "v": [72.0] * n, "P": [50.0] * n, **changes}
+
+
+@pytest.mark.parametrize(
+    ("columns", "arguments", "said"),
+    [
+        (steady(t=[0.1 * (i % 150) for i in range(200)]), MAP, "row 151: time steps back from 14.9 to 0 s; sort"),
+        (steady(t=[float(i // 2) for i in range(200)]), MAP, "rows 1 and 2 have one time, 0 s"),
+        (steady(t=[10.0 * i for i in range(200)]), MAP, "has a row every 10 s; the mass follows from"),
+        (steady(v=["72"] * 20 + ["fast"] + ["72"] * 179), MAP, "row 21, column 'v': 'fast' is no number"),
+        (steady(t=["0.1"] * 5 + [""] + ["0.2"] * 194), MAP, "row 6: has no time; fill it in, or delete the row"),
+        (steady(), ["--map", "speed=v", "--map", "power=P"], 'speed = "v" has no unit; write it in brackets'),
+        (steady(), ["--map", "speed=v [W]", "--map", "power=P [kW]"], 'speed = "v [W]" needs one of the units m/s'),
+        (steady(), ["--map", "speed=w [m/s]", "--map", "power=P [kW]"], "has no column 'w'; there are 't', 'v', 'P'"),
+        (steady(), ["--map", "sped=v [m/s]"], "table.columns.sped: no such role; the roles are "),
+        (steady(), ["--map", "speed"], '--map speed: write ROLE="COLUMN [unit]"'),
+        (steady(), ["--map", "power=P [kW]"], "missing inputs: "),
+        (steady(), [*MAP[:4], "--map", "time=t [fortnights]"], "the unit 'fortnights' of the times is not known"),
+        ({"1.0": [1.0] * 9, "2.0": [2.0] * 9}, MAP, "line 1 names no columns ('1.0, 2.0'); put a line of names first"),
+    ],
+)
+def test_bad_tables_are_refused_in_one_line(
+    columns: dict[str, Any], arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "estimate", written_table(columns, tmp_path / "bad.csv"), *arguments)
+    assert said in line
+
+
+@pytest.mark.parametrize("rows", [0, 1, 10, 5000])
+def test_a_table_that_says_too_little_is_unestimated_or_refused(
+    rows: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten rows, or a constant speed."""
+    file = written_table(steady(rows), tmp_path / "short.csv")
+    status = main(["estimate", str(file), *MAP])
+    said = capsys.readouterr()
+    assert (status, len(said.err.splitlines())) == (2, 1) if status else "unestimated" in said.out
+    assert "Traceback" not in said.err
+
+
+@pytest.mark.parametrize("unit", ["knots", "mph", "m/s"])
+def test_units_of_speed(unit: str) -> None:
+    """A speed of 20 m/s in each of them, and a power in horse-power."""
+    factor = {"knots": 3600 / 1852, "mph": 3600 / 1609.344, "m/s": 1.0}[unit]
+    columns = {"t": np.arange(300) / 10, "v": np.full(300, 20 * factor), "P": np.full(300, 100.0)}
+    (rows,) = from_table(columns, speed=f"v [{unit}]", power="P [hp]").pieces
+    assert rows.speed[50] == pytest.approx(20.0)
+    assert rows.power[50] == pytest.approx(74_569.99, rel=1e-6)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(max_size=20), st.text(alphabet=st.characters(exclude_characters="[]"), max_size=8))
+def test_the_unit_is_what_stands_in_the_last_brackets(name: str, unit: str) -> None:
+    assert split_unit(f"{name.strip()}x [{unit}]") == (f"{name.strip()}x", unit)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=400))
+def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    file = tmp_path_factory.mktemp("any") / "any.csv"
+    file.write_bytes(b"t,v,P\n" + content)
+    reason = ""
+    try:
+        made = read(file, columns={"speed": "v [m/s]", "power": "P [W]"})
+    except RoadloadError as error:
+        reason = str(error)
+    assert "\n" not in reason
+    assert reason or made.pieces
