@@ -21,8 +21,10 @@ from estimator.settings import (
     Bus,
     Gate,
     Kinematics,
+    Kuksa,
     Lake,
     Load,
+    Mqtt,
     Prior,
     Publish,
     Range,
@@ -41,7 +43,7 @@ from estimator.settings import (
 MAX_FILE_BYTES = 1 << 20  # bytes of a configuration: an endless device or fifo does not fill the memory
 MAX_DOTS = 100  # in a line of a configuration
 MAX_MAP_BYTES = 256 << 20  # bytes of a map: 13 million places, more than the cells of the main roads of a continent
-DAEMON_TABLES = ("publish", "reception", "transmit", "service")  # that the estimate does not depend on
+DAEMON_TABLES = ("publish", "reception", "transmit", "mqtt", "kuksa", "service")  # that the estimate does not depend on
 FREE_TABLES: dict[str, Any] = {  # keys are the user's
     "signals": SignalPaths,
     "bus.source_addresses": Address,
@@ -109,6 +111,8 @@ class Config(Section, frozen=True):
     publish: Publish = Publish()
     reception: Reception = Reception()
     transmit: Transmit = Transmit()
+    mqtt: Mqtt | None = None
+    kuksa: Kuksa | None = None
     service: Service = Service()
 
     @property
@@ -145,6 +149,8 @@ def check(config: Config) -> None:
     for path, (low, high) in (config.lake.ranges if config.lake else {}).items():
         if not low < high:
             raise ConfigError(f"lake.ranges.{path}: {low} is not below {high}")
+    if config.mqtt is not None:
+        _check_mqtt(config.mqtt)
     known = {role.value for role in Role}
     for role, bound in config.signals.items():
         if role not in known:
@@ -163,6 +169,19 @@ def check(config: Config) -> None:
             raise ConfigError(
                 f"lake.{table}.{path}: no signal of that name is bound; bound are {', '.join(sorted(paths))}"
             )
+
+
+def _check_mqtt(mqtt: Mqtt) -> None:
+    for key in ("ca_file", "certificate_file", "key_file"):
+        if getattr(mqtt, key) is not None and not mqtt.tls:
+            raise ConfigError(f"mqtt.{key}: is for TLS, which is off; write tls = true")
+    if (mqtt.certificate_file is None) != (mqtt.key_file is None):
+        raise ConfigError("mqtt.certificate_file: goes with mqtt.key_file; name both or neither")
+    if mqtt.password_file is not None and mqtt.username_file is None:
+        raise ConfigError("mqtt.password_file: goes with mqtt.username_file; name that too")
+    if not mqtt.period_s < mqtt.expire_after_s:
+        times = f"{mqtt.expire_after_s} s is not longer than mqtt.period_s = {mqtt.period_s:g}"
+        raise ConfigError(f"mqtt.expire_after_s: {times}; values would vanish between two messages")
 
 
 def from_dict(tables: dict[str, Any]) -> Config:
@@ -222,7 +241,8 @@ def _explained(place: str, reason: str, tables: dict[str, Any]) -> str:
 
 def _fields(kind: Any) -> tuple[msgspec.structs.FieldInfo, ...]:
     """Those of a table of settings; none of anything else."""
-    return msgspec.structs.fields(kind) if isinstance(kind, type) and issubclass(kind, msgspec.Struct) else ()
+    tables = [k for k in (kind, *get_args(kind)) if isinstance(k, type) and issubclass(k, msgspec.Struct)]
+    return msgspec.structs.fields(tables[0]) if tables else ()
 
 
 def _named(place: str, tables: dict[str, Any]) -> str:
@@ -266,7 +286,17 @@ def load(path: Path | str | None = None) -> Config:
         config,
         bus=msgspec.structs.replace(config.bus, dbc=databases),
         road=msgspec.structs.replace(config.road, map=road),
+        mqtt=_beside(path, config.mqtt),
+        kuksa=_beside(path, config.kuksa),
     )
+
+
+def _beside(path: Path, table: Mqtt | Kuksa | None) -> Mqtt | Kuksa | None:
+    """The table with its files relative to the folder of ``path``."""
+    if table is None:
+        return None
+    named = {key: name for key, name in msgspec.structs.asdict(table).items() if key.endswith("_file") and name}
+    return msgspec.structs.replace(table, **{key: str(path.parent / name) for key, name in named.items()})
 
 
 def _refuse_long_keys(text: str) -> None:

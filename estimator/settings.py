@@ -15,6 +15,8 @@ Address = Annotated[int, Meta(ge=0, le=253)]
 Bound = Annotated[float, Meta(ge=-MAX_VALUE, le=MAX_VALUE)]
 Range = tuple[Bound, Bound]
 Belief = tuple[Positive, Positive]
+Port = Annotated[int, Meta(ge=1, le=65_535)]
+Topic = Annotated[str, Meta(min_length=1, max_length=200, pattern=r"\A[^+#\x00]*\Z")]  # of MQTT, without wildcards
 SignalPaths = str | list[str]
 
 
@@ -178,6 +180,37 @@ class Transmit(BusOptions, frozen=True):
     arbitrary_address: bool = True  # take another address when the preferred one is lost
     commanded_address: bool = False  # take the address that another node commands (J1939-81)
     diagnostics: bool = True  # broadcast our own faults as DM1 every second, answer requests for DM1, 2, 3 and 11
+
+
+class Mqtt(Section, frozen=True):
+    """A broker that gets the estimate; without this table, none. Files are relative to the configuration file."""
+
+    host: Annotated[str, Meta(min_length=1)]
+    port: Port | None = None  # 1883; 8883 with TLS
+    topic: Topic = "roadload"  # of this vehicle: estimate at TOPIC/state, "online" or "offline" at TOPIC/availability
+    client_id: Annotated[str, Meta(pattern=r"\A[A-Za-z0-9_-]{1,64}\Z")] | None = None  # default: roadload-HOSTNAME
+    protocol: Literal["5", "3.1.1"] = "5"
+    tls: bool = False
+    ca_file: str | None = None  # certificates that are believed; default: those of the system
+    certificate_file: str | None = None  # of this client, with key_file
+    key_file: str | None = None
+    username_file: str | None = None  # one line, as in password_file
+    password_file: str | None = None
+    discovery_prefix: Topic | None = None  # of Home Assistant, usually "homeassistant"; default: none is announced
+    keepalive_s: Annotated[int, Meta(ge=5, le=65_535)] = 60
+    period_s: Positive = 10.0  # between messages about one conclusion; a new one is sent at once
+    expire_after_s: Annotated[int, Meta(ge=2, le=int(MAX_VALUE))] = 60  # after the last message a value is not shown
+
+
+class Kuksa(Section, frozen=True):
+    """A Kuksa databroker that gets the estimate as VSS signals; without this table, none."""
+
+    host: Annotated[str, Meta(min_length=1)]
+    port: Port = 55555
+    ca_file: str | None = None  # TLS, with these certificates believed; relative to the configuration file
+    token_file: str | None = None  # one line, a JSON Web Token
+    overlay: bool = True  # also the signals of roadload.vspec, with intervals and status; else only the standard's own
+    period_s: Positive = 10.0  # between messages about one conclusion; a new one is sent at once
 
 
 class Service(Section, frozen=True):

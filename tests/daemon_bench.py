@@ -1,6 +1,6 @@
 """A daemon under test: the test provides bus, clock and device, and runs every step of the threads itself."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from estimator.can_io.binding import bind, load_database
 from estimator.can_io.frames import Frames
 from estimator.checkpoint.store import StateStore
 from estimator.config import Config
+from estimator.daemon.outputs.output import Output
 from estimator.daemon.reception.buses import BusSpec
 from estimator.daemon.reception.device import Device
 from estimator.daemon.reception.link import Link
@@ -79,6 +80,7 @@ class Bench:
         transmit: bool = False,
         opener: Callable[[BusSpec, object], can.BusABC] | None = None,
         store: StateStore | None = None,
+        outputs: Mapping[str, Output] | None = None,
     ) -> None:
         self.now = 100.0
         self.ahead = EPOCH
@@ -115,6 +117,8 @@ class Bench:
             clock=lambda: self.now,
             wall=lambda: self.now + self.ahead,
             own_faults=Faults(bind(settings, load_database(settings.bus.dbc)), settings.publish.stale_after_s),
+            outputs=outputs,
+            stale_after=settings.publish.stale_after_s,
             save_codes=None if folder is None else lambda memory: faults.save(folder / "codes.json", memory),
         )
 

@@ -32,7 +32,16 @@ OTHER_COMMANDS = {
         "estimator.diagnosis",
         "estimator.daemon",
     },
-    "run": {"matplotlib", "filterpy", "scipy.signal", "scipy.stats", "estimator.simulation", "estimator.diagnosis"},
+    "run": {
+        "matplotlib",
+        "filterpy",
+        "scipy.signal",
+        "scipy.stats",
+        "estimator.simulation",
+        "estimator.diagnosis",
+        "paho",
+        "grpc",
+    },
 }
 
 

@@ -12,6 +12,7 @@ from estimator.config import load
 
 FOLDER = Path(__file__).parents[1] / "tools" / "systemd"
 UNIT = FOLDER / "roadload.service"
+NETWORK = FOLDER / "network.conf"
 EXPOSURE = 2.0  # of 10, the most that is allowed
 
 
@@ -32,10 +33,19 @@ def test_the_service_is_closed_to_the_outside():
     assert done.returncode == 0
 
 
+def test_the_service_with_network_access_is_still_closed_to_others(tmp_path):
+    copy = tmp_path / UNIT.name
+    copy.write_text(UNIT.read_text() + NETWORK.read_text())
+    done = analyze("security", "--offline=yes", f"--threshold={10 * EXPOSURE:.0f}", str(copy))
+    assert done.returncode == 0, done.stdout
+
+
 def test_systemd_finds_no_fault_with_the_unit(tmp_path):
     program = shutil.which("true")
     copy = tmp_path / UNIT.name
     copy.write_text(UNIT.read_text().replace("/opt/roadload/bin/roadload", str(program)))
+    (tmp_path / f"{UNIT.name}.d").mkdir()
+    (tmp_path / f"{UNIT.name}.d" / NETWORK.name).write_text(NETWORK.read_text())
     done = analyze("verify", "--man=no", str(copy))
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -11,6 +11,7 @@ from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.answers.draws import DrawsAnswer
 from estimator.answers.fleet import FleetAnswer
 from estimator.answers.inspection import InspectionAnswer
+from estimator.answers.published import PublishedAnswer
 from estimator.answers.run import RunAnswer
 from estimator.answers.simulation import SimulationAnswer
 from estimator.answers.status import NotRunningAnswer, StatusAnswer
@@ -23,6 +24,7 @@ ANSWERS: dict[str, type[Answer]] = {
     "fleet": FleetAnswer,
     "inspection": InspectionAnswer,
     "not_running": NotRunningAnswer,
+    "published": PublishedAnswer,
     "run": RunAnswer,
     "simulation": SimulationAnswer,
     "status": StatusAnswer,

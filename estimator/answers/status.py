@@ -3,7 +3,7 @@
 from enum import StrEnum
 from typing import Literal
 
-from msgspec import UNSET, Struct, UnsetType
+from msgspec import UNSET, Struct, UnsetType, field
 
 from estimator.answers.answer import Answer
 from estimator.answers.run import Convergence, Coverage, Parameters
@@ -70,6 +70,17 @@ class Transmit(Struct, frozen=True, kw_only=True):
     trouble_codes: tuple[str, ...] = ()  # active ones
 
 
+class Output(Struct, frozen=True, kw_only=True):
+    """A program beside the bus that gets the estimate; counts since the start, failures by kind."""
+
+    address: str
+    connected: bool
+    problem: str
+    connections: int
+    sent: int
+    failed: dict[str, int]
+
+
 class Signal(Struct, frozen=True, kw_only=True):
     """Readings of a role, and the age of the newest valid one."""
 
@@ -120,6 +131,7 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
     samples_rejected: dict[str, int]
     failed_updates: int
     estimate: Estimate | None
+    outputs: dict[str, Output] = field(default_factory=dict)
 
 
 class NotRunningAnswer(Answer, frozen=True, kw_only=True):

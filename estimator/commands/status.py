@@ -98,6 +98,10 @@ def _print_status(console: Console, status: StatusAnswer) -> None:
         say(console, f"failed    {status.failed_updates:,} updates, numerically")
     worker = status.estimator
     say(console, f"sampler   {worker.conclusion_s:.2f} s, at most {worker.longest_conclusion_s:.2f} s")
+    for name, output in status.outputs.items():
+        there = "connected" if output.connected else "not connected"
+        problem = f"; {printable(output.problem)}" if output.problem else ""
+        say(console, f"{name:9} {output.address}: {there}, {output.sent:,} reports sent{problem}")
     transmit = status.transmit
     if not transmit.enabled:
         say(console, "transmit  off: listening only")

@@ -10,3 +10,8 @@ def since_start() -> float:
     clock, and the load of before for the present one.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+
+
+def asleep() -> float:
+    """Time [s] that the machine was suspended since it was started."""
+    return since_start() - time.monotonic()

@@ -16,6 +16,8 @@ from estimator.can_io.publisher import output_groups
 from estimator.can_io.trouble_codes import TroubleMemory
 from estimator.checkpoint.store import StateStore
 from estimator.config import Config, estimation_key
+from estimator.daemon.outputs import configured
+from estimator.daemon.outputs.output import Output
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of, with_bus
 from estimator.daemon.reception.filters import input_filters, node_filters, of_group
 from estimator.daemon.reception.link import Link
@@ -74,6 +76,7 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
     settings = settle(path, dbc, options)
     if settings.lake is not None:
         raise ConfigError("lake: a bus carries frames; take the table out")
+    configured.check(settings)
     messages = bind(settings, load_database(settings.bus.dbc))
     source = spec_of(options, settings.reception)
     source.resolved()
@@ -191,6 +194,11 @@ def assemble(
         own_faults=faults.Faults(plan.messages, settings.publish.stale_after_s),
         save_codes=save_codes,
         clocks=clocks,
+        outputs={
+            name: Output(channel, period, np.random.default_rng())
+            for name, (channel, period) in configured.channels(settings).items()
+        },
+        stale_after=settings.publish.stale_after_s,
     )
 
 

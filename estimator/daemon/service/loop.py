@@ -8,12 +8,14 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from math import inf
 from pathlib import Path
 
 from estimator import __version__
 from estimator.answers.status import State, StatusAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.trouble_codes import TroubleMemory
+from estimator.daemon.outputs.output import Output
 from estimator.daemon.reception.link import Link
 from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import Batch
@@ -59,6 +61,10 @@ class Daemon:
         Keeps trouble codes where they outlast the power; raises RoadloadError where that is not possible.
     clock, wall
         Monotonic and wall time [s].
+    outputs
+        Other programs that get the estimate, by name.
+    stale_after
+        Age [s] from which they do not.
     """
 
     def __init__(
@@ -76,6 +82,8 @@ class Daemon:
         own_faults: Faults | None = None,
         save_codes: Callable[[TroubleMemory], None] | None = None,
         clocks: Mapping[str, MessageClock] | None = None,
+        outputs: Mapping[str, Output] | None = None,
+        stale_after: float = inf,
     ) -> None:
         self.source, self.target, self.worker, self.transmitter = source, target, worker, transmitter
         self._output = target or source
@@ -86,6 +94,7 @@ class Daemon:
         self._silence, self._clock, self._wall = silence, clock, wall
         self._status_file, self._metrics_file = status_file, metrics_file
         self._faults, self._save_codes = own_faults, save_codes
+        self._outputs, self._stale_after = outputs or {}, stale_after
         self._notifier = notifier or Notifier()
         self._is_ready = False
         ahead = wall() - clock()
@@ -103,10 +112,14 @@ class Daemon:
         for link in self._links():
             link.start()
         self.worker.start()
+        for output in self._outputs.values():
+            output.start()
 
     def close(self) -> None:
         """Send "not available", stop the threads, save."""
         now = self._clock()
+        for output in self._outputs.values():
+            output.stop()
         if self.transmitter is not None and self._is_receiving:
             self.transmitter.send_not_available(now, self._time(self.source).at(now))
         self._pass_on()
@@ -116,6 +129,8 @@ class Daemon:
             self._pass_on()
             self.worker.close()
         finally:
+            for output in self._outputs.values():
+                output.close()
             for file in (self._status_file, self._metrics_file):
                 if file is not None:
                     with suppress(OSError):  # a status that stays is known by the process that has ended
@@ -180,6 +195,7 @@ class Daemon:
             samples_rejected=dict(knowledge.rejected),
             failed_updates=knowledge.failed_updates,
             estimate=status.of_estimate(knowledge.estimate, t),
+            outputs={name: output.status() for name, output in self._outputs.items()},
         )
 
     def is_healthy(self, now: float) -> bool:
@@ -277,8 +293,20 @@ class Daemon:
             except RoadloadError as error:
                 log.warning("trouble codes not saved: %s", error)
 
+    def _show(self, now: float, written: float) -> None:
+        """Leave the estimate to the outputs."""
+        if not self._outputs:
+            return
+        t = self._time(self.source).at(now)
+        report = status.published(
+            self.listener.latest, self.listener.fresh(t), self.state, t, written, self._stale_after
+        )
+        for output in self._outputs.values():
+            output.offer(report)
+
     def _report(self, now: float) -> None:
         found = self.status(now)
+        self._show(now, found.written_s)
         self._last_report = (now, self.source.counts.frames)
         try:
             if self._status_file is not None:

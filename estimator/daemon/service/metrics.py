@@ -57,6 +57,7 @@ def exposition(status: StatusAnswer) -> str:
     _give_estimator(out, status)
     _give_estimate(out, status)
     _give_transmission(out, status)
+    _give_outputs(out, status)
     return "\n".join(out.lines) + "\n"
 
 
@@ -114,6 +115,18 @@ def _give_transmission(out: Exposition, status: StatusAnswer) -> None:
     out.of_label("withheld_total", COUNTER, "Frames not broadcast.", "reason", transmit.withheld.items())
     codes: list[tuple[str, Value]] = [(code, 1) for code in transmit.trouble_codes]
     out.of_label("trouble_code", GAUGE, "1 for an active trouble code (J1939-73).", "code", codes)
+
+
+def _give_outputs(out: Exposition, status: StatusAnswer) -> None:
+    outputs = status.outputs.items()
+    connected = [(name, output.connected) for name, output in outputs]
+    out.of_label("output_connected", GAUGE, "1 while another program can be sent to.", "output", connected)
+    sent = [(name, output.sent) for name, output in outputs]
+    out.of_label("output_sent_total", COUNTER, "Reports sent to another program.", "output", sent)
+    failed = [
+        ({"output": name, "reason": kind}, count) for name, output in outputs for kind, count in output.failed.items()
+    ]
+    out.give("output_failed_total", COUNTER, "Failures of the connection to another program.", failed)
 
 
 def _labels(labels: dict[str, str]) -> str:

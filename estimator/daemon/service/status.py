@@ -4,10 +4,11 @@ import dataclasses
 from math import isfinite
 
 from estimator.answers import status as answer
+from estimator.answers.published import PublishedAnswer, Usability
 from estimator.daemon.reception.link import Link
 from estimator.daemon.service.worker import Knowledge, Worker
 from estimator.daemon.transmitter import Transmitter
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Status
 from estimator.report import summary
 
 
@@ -47,6 +48,34 @@ def of_estimate(estimate: Estimate | None, t: float) -> answer.Estimate | None:
         parameters=summary.parameters(estimate),
         convergence=summary.convergence(estimate),
         coverage=summary.coverage(estimate),
+    )
+
+
+def published(
+    latest: Estimate | None, fresh: Estimate | None, state: answer.State, t: float, written: float, stale_after: float
+) -> PublishedAnswer:
+    """What other programs get at message time ``t`` [s]: values only while the broadcast would have them too.
+
+    Parameters
+    ----------
+    latest, fresh
+        The latest conclusion, and the same unless the load may have changed since.
+    written
+        Wall time [s].
+    stale_after
+        Age [s] of a conclusion that is too old.
+    """
+    status, reason, shown = Usability.UNESTIMATED, "no estimate yet", None
+    if fresh is not None and t - fresh.t > stale_after:
+        status, reason = Usability.STALE, "the latest conclusion is too old"
+    elif fresh is not None:
+        is_usable = fresh.status is Status.ESTIMATED
+        shown = fresh if is_usable else dataclasses.replace(fresh, mass=None, A=None, C=None)
+        status, reason = Usability(fresh.status.value), fresh.reason
+    elif latest is not None:
+        reason = "the load may have changed since the latest conclusion"
+    return PublishedAnswer(
+        status=status, reason=reason, state=state, written_s=round(written, 3), estimate=of_estimate(shown, t)
     )
 
 
