@@ -58,6 +58,7 @@ def test_everything_is_where_debian_looks_for_it(package: Path, tree: Path) -> N
         "usr/share/doc/roadload/copyright",
         "usr/share/doc/roadload/docs/trouble_codes.md",
         "usr/share/doc/roadload/examples/network.conf",
+        "usr/share/doc/roadload/examples/roadload.dashboard.json",
         "usr/share/doc/roadload/examples/roadload.rules.yml",
         "usr/lib/roadload/estimator/dbc/j1939.dbc",
     ):

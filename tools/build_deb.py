@@ -101,6 +101,8 @@ def lay_out(tree: Path, wheels: Path, maintainer: str) -> None:
     for page in (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))):
         write(documents / page.relative_to(ROOT), page.read_text(encoding="utf-8"))
     write(documents / "examples/roadload.rules.yml", (PROMETHEUS / "roadload.rules.yml").read_text())
+    dashboard = (PROMETHEUS / "roadload.dashboard.json").read_text(encoding="utf-8")
+    write(documents / "examples/roadload.dashboard.json", dashboard)
     write(documents / "examples/network.conf", (SYSTEMD / "network.conf").read_text())
     for path in [*tree.rglob("*")]:
         path.chmod(0o755 if path.is_dir() or path == tree / "usr/bin/roadload" else 0o644)
