@@ -27,6 +27,21 @@ def test_a_step_of_the_wall_clock_is_taken_out(step: float) -> None:
     np.testing.assert_allclose(t - t[0], truth - truth[0], atol=0.05)
 
 
+@pytest.mark.parametrize("asleep", [10.0, 600.0, 8 * 3600.0, 3 * 86400.0])
+def test_frames_from_before_a_suspension_that_are_drained_after_it_are_no_step(asleep: float) -> None:
+    """Wall and monotonic time both jump by the time asleep; what lay in the buffer meanwhile has the time of before."""
+    clock = MessageClock(EPOCH)
+    before = np.arange(0.0, 20.0, 0.01)
+    drained(clock, before, EPOCH)
+    buffered = 20.0 + np.arange(0.0, 0.5, 0.01)
+    t = clock.correct(EPOCH + buffered, 20.0 + asleep)
+    np.testing.assert_allclose(t, EPOCH + buffered, atol=0.05)
+    after = 20.0 + asleep + np.arange(0.0, 20.0, 0.01)
+    np.testing.assert_allclose(drained(clock, after, EPOCH), EPOCH + after, atol=0.1)
+    assert clock.steps == 0
+    assert clock.at(after[-1]) == pytest.approx(EPOCH + after[-1], abs=0.1)
+
+
 def test_time_runs_on_through_many_steps() -> None:
     clock = MessageClock(EPOCH)
     truth = np.arange(0.0, 60.0, 0.02)

@@ -1,9 +1,8 @@
 """The estimate as VSS signals on a databroker that speaks kuksa.val.v2."""
 
+import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,52 +15,16 @@ from estimator.daemon.outputs.output import Output, Trouble
 from estimator.daemon.outputs.vss import WEIGHT, signals
 from estimator.daemon.service.status import published
 
-grpc = pytest.importorskip("grpc")
-val_pb2 = pytest.importorskip("kuksa.val.v2.val_pb2")
-val_pb2_grpc = pytest.importorskip("kuksa.val.v2.val_pb2_grpc")
-KuksaChannel = pytest.importorskip("estimator.daemon.outputs.kuksa").KuksaChannel
+pytest.importorskip("kuksa.val.v2.val_pb2_grpc")
+sys.path.append(str(Path(__file__).parents[1] / "tools"))
+from kuksa_stand_in import Databroker
+
+from estimator.daemon.outputs.kuksa import KuksaChannel
 
 
 def report(is_valid: bool = True, age: float = 20.0) -> PublishedAnswer:
     estimate = made_estimate()
     return published(estimate, estimate if is_valid else None, State.RECEIVING, age, 1.7e9, 3600.0)
-
-
-class Databroker(val_pb2_grpc.VALServicer):
-    """Knows some signals, and keeps the newest value of each; None is "not available"."""
-
-    def __init__(self, paths: set[str], port: int = 0, token: str = "") -> None:
-        self.values: dict[str, object] = {}
-        self.times: dict[str, float] = {}
-        self.calls = 0
-        self._paths, self._token = paths, token
-        self._server = grpc.server(ThreadPoolExecutor(2))
-        val_pb2_grpc.add_VALServicer_to_server(self, self._server)
-        self.port = self._server.add_insecure_port(f"127.0.0.1:{port}")
-        self._server.start()
-
-    def stop(self) -> None:
-        self._server.stop(None).wait()
-
-    def GetServerInfo(self, request: Any, context: Any) -> Any:
-        self._authorize(context)
-        return val_pb2.GetServerInfoResponse(name="test", version="1")
-
-    def PublishValue(self, request: Any, context: Any) -> Any:
-        self._authorize(context)
-        self.calls += 1
-        path, point = request.signal_id.path, request.data_point
-        if path not in self._paths:
-            context.abort(grpc.StatusCode.NOT_FOUND, "Path not found")
-        kind = point.value.WhichOneof("typed_value")
-        self.values[path] = None if kind is None else getattr(point.value, kind)
-        self.times[path] = point.timestamp.ToMilliseconds() / 1e3
-        return val_pb2.PublishValueResponse()
-
-    def _authorize(self, context: Any) -> None:
-        given = dict(context.invocation_metadata()).get("authorization", "")
-        if self._token and given != f"Bearer {self._token}":
-            context.abort(grpc.StatusCode.UNAUTHENTICATED, "no valid token")
 
 
 ALL = {signal.path for signal in signals(None, overlay=True)}

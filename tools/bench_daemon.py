@@ -1,6 +1,7 @@
 """CPU time, memory, delays and lost frames of the daemon on a full bus, beside a plain python-can program.
 
-    python tools/bench_daemon.py [--seconds 60] [--loss-seconds 600] [--soak-hours 24] [--warm-minutes 60]
+    python tools/bench_daemon.py [--seconds 60] [--loss-seconds 600] [--output-seconds 60]
+                                 [--soak-hours 24] [--warm-minutes 60]
 
 A second process sends simulated driving, padded with unknown messages to the load of a full bus, at the pace of the
 bus, over a stand-in for SocketCAN (`daemon_bench/loopback.py`). "Filtered": only frames that pass the daemon's kernel
@@ -8,6 +9,10 @@ filters are sent. The daemon starts with the state of an hour's driving, so its 
 full work; its gate is checked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
 start not counted; "peak" is the memory of the whole process, as installed without extras. Delays are those until a
 frame is handed to the pipeline, which decodes in blocks of five seconds of traffic.
+
+A further table has the daemon on a full bus of 500 kbit/s without outputs, with an MQTT broker (mosquitto), with a
+Kuksa databroker (`kuksa_stand_in.py`), and with both. Each gets a new conclusion every ten seconds, and the same one
+again after five.
 
 The soak is another run: a day of traffic, as fast as the machine can, through the daemon's link, loop and estimator on
 a clock that the traffic sets. Exit status 1 if it lost a frame, or if memory grew by more than 5 MiB after an hour.
@@ -22,6 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -65,9 +71,9 @@ def peak_memory(pid: int) -> float:
     return int(lines["VmHWM"].split()[0]) / 1024
 
 
-def free_port() -> int:
-    """A free UDP port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    """A free port, of UDP or TCP."""
+    with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
 
@@ -78,10 +84,10 @@ def is_bound(port: int) -> bool:
     return any(int(line.split()[1].split(":")[1], 16) == port for line in sockets)
 
 
-def write_state(folder: Path, minutes: float) -> None:
-    """Write a state file of so many minutes of driving that ended just now."""
+def write_state(folder: Path, minutes: float, outputs: str) -> None:
+    """Write the settings, and a state file of so many minutes of driving that ended just now."""
     settings = folder / "roadload.toml"
-    settings.write_text(SETTINGS.format(folder=folder))
+    settings.write_text(SETTINGS.format(folder=folder) + outputs)
     config = configuration.load(settings)
     if minutes:
         frames = traffic.drive(60 * minutes, seed=1)
@@ -90,7 +96,9 @@ def write_state(folder: Path, minutes: float) -> None:
         worker.close()
 
 
-def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float) -> dict[str, Any]:
+def measure(
+    name: str, rate: float, filtered: bool, seconds: float, warm_minutes: float, outputs: str = ""
+) -> dict[str, Any]:
     """Run one program under one load; CPU share, memory, delays and losses."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
@@ -100,7 +108,7 @@ def measure(name: str, rate: float, filtered: bool, seconds: float, warm_minutes
         np.savez(folder / "load.npz", t=load.t, ident=load.ident, length=load.length, data=load.data)
         options = []
         if name == "roadload":
-            write_state(folder, warm_minutes)
+            write_state(folder, warm_minutes, outputs)
             options = ["--config", str(folder / "roadload.toml")]
         port = free_port()
         command = [sys.executable, "-m", PROGRAMS[name], str(port), str(folder), *options]
@@ -155,17 +163,49 @@ def show(console: Console, options: argparse.Namespace) -> None:
     console.print(table)
 
 
+def show_outputs(console: Console, seconds: float, warm_minutes: float) -> None:
+    """The table of the daemon with other programs beside the bus."""
+    mqtt, kuksa = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_STREAM)
+    tables = {
+        "mqtt": f"[mqtt]\nhost = '{HOST}'\nport = {mqtt}\nperiod_s = 5.0\n",
+        "kuksa": f"[kuksa]\nhost = '{HOST}'\nport = {kuksa}\nperiod_s = 5.0\n",
+    }
+    runs = {"none": "", **tables, "mqtt and kuksa": "".join(tables.values())}
+    programs = [["mosquitto", "-p", str(mqtt)], [sys.executable, str(TOOLS / "kuksa_stand_in.py"), str(kuksa)]]
+    with ExitStack() as others:
+        for command in programs:
+            process = others.enter_context(subprocess.Popen(command, stderr=subprocess.DEVNULL))
+            others.callback(process.terminate)
+        rows = {
+            name: measure("roadload", traffic.BUS_LOAD[500], False, seconds, warm_minutes, outputs)
+            for name, outputs in runs.items()
+        }
+    table = Table("500 kbit/s, all", "CPU", "ratio", "peak MiB", "p99 ms", "max ms", "lost", "reports sent")
+    for name, row in rows.items():
+        ratio, delays = (
+            row["cpu"] / rows["none"]["cpu"],
+            [f"{row['processed'][key]:.1f}" for key in ("p99_ms", "max_ms")],
+        )
+        sent = ", ".join(f"{count}" for count in row["reports"].values()) or "-"
+        cells = [f"{row['cpu']:.1%}", f"{ratio:.2f}", f"{row['peak_MiB']:.0f}", *delays]
+        table.add_row(name, *cells, f"{row['sent'] - row['frames']}", sent)
+    console.print(table)
+
+
 def main() -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="of each load; 0: none (default 60)")
     parser.add_argument("--loss-seconds", type=float, default=600.0, help="of full load; 0: none (default 600)")
+    parser.add_argument("--output-seconds", type=float, default=60.0, help="of each output; 0: none (default 60)")
     parser.add_argument("--warm-minutes", type=float, default=60.0, help="of driving known at the start (default 60)")
     parser.add_argument("--soak-hours", type=float, default=24.0, help="of traffic; 0: none (default 24)")
     options = parser.parse_args()
     console = Console() if sys.stdout.isatty() else Console(width=WIDE)
     if options.seconds or options.loss_seconds:
         show(console, options)
+    if options.output_seconds:
+        show_outputs(console, options.output_seconds, options.warm_minutes)
     return soak.show(console, options.soak_hours) if options.soak_hours else 0
 
 

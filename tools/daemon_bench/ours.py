@@ -52,6 +52,7 @@ def main(port: str, folder: str, *options: str) -> None:
         "kernel_drops": received.kernel_drops,
         "queue_drops": received.queue_drops + estimator.queue_drops,
         "conclusion_s": estimator.longest_conclusion_s,
+        "reports": {name: output.sent for name, output in shown[0].outputs.items()},
         "drained": drained.summary(),
         "processed": taken.summary(),
     }

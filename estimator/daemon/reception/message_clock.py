@@ -14,6 +14,7 @@ MIN_STEP = 0.1  # s by which stamps must be early, or step back, to mean a clock
 MAX_LATE_DURATION = 5.0  # s for which frames may be late one after another; beyond, the clock was set back
 MAX_STAMP = 1e11  # s; a stamp beyond is none
 DRIFT_RATE = 1e-3  # s per second by which the clocks' difference is followed: they drift by parts per million
+MAX_DRIFT = MIN_STEP / 2  # s at once: frames from before a suspension are late by all of it, and no drift
 SETTLING = 2.0  # s after the first frame, in which stamps that are early mean that the first came late
 
 
@@ -73,7 +74,7 @@ class MessageClock:
         elif disagreement > MIN_STEP:
             self._ahead += disagreement  # all stamps before were late
         else:
-            most = DRIFT_RATE * (now - self._followed)
+            most = min(DRIFT_RATE * (now - self._followed), MAX_DRIFT)
             self._ahead += min(max(disagreement, -most), most)
         self._followed = now
 
