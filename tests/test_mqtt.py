@@ -4,6 +4,7 @@ import shutil
 import socket
 import subprocess
 import threading
+from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,9 @@ from estimator.answers.answer import decode
 from estimator.answers.published import PublishedAnswer, Usability
 from estimator.answers.status import State
 from estimator.daemon.outputs.output import Output, Trouble
+from estimator.daemon.service.assembly import plan
 from estimator.daemon.service.status import published
+from estimator.daemon.service.supervision import Signals, supervise
 
 pytest.importorskip("paho.mqtt.client")
 from estimator.daemon.outputs.mqtt import MqttChannel
@@ -292,6 +295,34 @@ def test_a_broker_with_tls_is_believed_by_its_authority_alone(tmp_path: Path) ->
         plain = Sender(broker.port)
         plain.offer(report())
         assert not plain.output.is_open
+
+
+# The whole daemon
+
+
+def test_a_daemon_is_online_until_its_configuration_has_no_broker(broker: Broker, tmp_path: Path) -> None:
+    file, signals = tmp_path / "c.toml", Signals()
+    plain = (
+        f"[service]\nstate_directory = '{tmp_path}/state'\nruntime_directory = '{tmp_path}/run'\n"
+        f"[reception]\ninterface = 'virtual'\nchannel = '{tmp_path}'\n"
+    )
+    file.write_text(f"{plain}[mqtt]\nhost = '{HOST}'\nport = {broker.port}\n")
+    daemon = threading.Thread(target=supervise, args=(lambda: plan(file, None, Namespace()), signals))
+    listening = Subscriber(broker.port)
+    daemon.start()
+    try:
+        wait_for(lambda: any(listening.contents(STATE)), listening.turn)
+        states = [state_of(content) for content in listening.contents(STATE) if content]
+        assert (states[0].status, states[0].reason) == (Usability.UNESTIMATED, "no estimate yet")
+        file.write_text(plain)
+        signals.reload.set()
+        wait_for(lambda: listening.contents(THERE)[-1:] == [b"offline"], listening.turn)
+    finally:
+        signals.stop.set()
+        daemon.join(PATIENCE)
+        listening.close()
+    assert not daemon.is_alive()
+    assert retained(broker.port) == {THERE: b"offline"}
 
 
 # Others at the port of the broker
