@@ -30,7 +30,7 @@ from estimator.daemon.service.assembly import plan
 from estimator.daemon.service.status import published
 from estimator.daemon.service.worker import Knowledge
 from estimator.errors import ConfigError
-from estimator.estimate import Status
+from estimator.estimates import Status
 
 PATIENCE = 20.0  # s for threads to get somewhere
 STALE_AFTER = 3600.0  # s
