@@ -39,9 +39,15 @@ def what_is_drawn_is_what_is_stated(answer: Answer, traces: Path) -> None:
     assert rms("with_effects_kW") == pytest.approx(answer["rms_final_kW"], rel=1e-4)
     axes = {"speed": drawn["speed_km_h"] / 3.6, "time": drawn["time_s"] - drawn["time_s"][0]}
     for place in [place for place in answer["where"] if place["axis"] in axes]:
-        part = (axes[place["axis"]] >= place["from"]) & (axes[place["axis"]] < place["to"])
-        residual = (drawn["measured_kW"] - drawn["plain_kW"])[part]
-        assert place["bias_kW"] == pytest.approx(residual.mean(), rel=0.02, abs=0.02)
+        values, rounding = axes[place["axis"]], 1e-5 * place["to"]  # of the file: a row lies on each edge
+        residual = drawn["measured_kW"] - drawn["plain_kW"]
+        around = [
+            (values >= place["from"] + a) & (values < place["to"] + b)
+            for a in (-rounding, rounding)
+            for b in (-rounding, rounding)
+        ]
+        biases = [residual[part].mean() for part in around]
+        assert min(biases) - 1e-3 <= place["bias_kW"] <= max(biases) + 1e-3
 
 
 def only(answer: Answer, name: str) -> Answer:
@@ -295,7 +301,7 @@ def test_hills_by_altitude(hills):
     near(effect, 0.01, 0.3)
     assert effect["magnitude"]["name"] == "slope"
     assert effect["detail"] == "varies with place; shown by altitude"
-    assert answer["configuration"] == 'effects = ["grade"]'
+    assert answer["configuration"] == ""  # the road is in the model anyway
     assert abs(answer["parameters"]["final"]["mass_kg"] - TRUCK.mass) < 0.05 * TRUCK.mass
     assert abs(answer["parameters"]["base"]["mass_kg"] - TRUCK.mass) > 0.05 * TRUCK.mass
     moved = answer["parameters"]["final"]["mass_kg"] - answer["parameters"]["base"]["mass_kg"]
