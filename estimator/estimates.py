@@ -38,10 +38,14 @@ class Convergence:
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Occupied cells of the speed x acceleration grid, of those this vehicle can reach."""
+    """Occupied cells of the speed x acceleration grid, of those this vehicle can reach.
+
+    ``wanted`` are the numbers on the grid of those it can reach and that are not occupied.
+    """
 
     occupied: int
     available: int
+    wanted: tuple[int, ...] = ()
 
     @property
     def fraction(self) -> float:

@@ -117,6 +117,17 @@ def test_a_cell_needs_enough_samples():
     assert gate(cell_count=9).coverage(counts(v, 0.05 + 0 * v), THETA[:3], power).occupied == 6
 
 
+def test_wanted_cells_are_reachable_and_not_occupied():
+    v, a = np.array([11.0] * 10 + [11.0] * 9 + [21.0] * 10), np.array([0.05] * 10 + [0.15] * 9 + [0.05] * 10)
+    covered = gate().coverage(counts(v, a), THETA[:3], np.full(len(v), 250e3))
+    assert len(covered.wanted) == covered.available - covered.occupied
+    assert GRID.cell(np.array([11.0]), np.array([0.15]))[0] in covered.wanted  # begun only
+    assert not set(GRID.cell(np.array([11.0, 21.0]), np.array([0.05, 0.05])).tolist()) & set(covered.wanted)
+    speed, acceleration = GRID.centres()
+    assert speed[list(covered.wanted)].max() < 22.5
+    assert acceleration[list(covered.wanted)].max() < 0.2
+
+
 def test_an_empty_window_covers_nothing():
     assert gate().coverage(np.zeros(GRID.size, dtype=np.int64), THETA[:3], np.empty(0)) == Coverage(0, 0)
 

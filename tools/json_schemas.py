@@ -16,6 +16,7 @@ from estimator.answers.run import RunAnswer
 from estimator.answers.simulation import SimulationAnswer
 from estimator.answers.status import NotRunningAnswer, StatusAnswer
 from estimator.answers.vehicle import VehicleAnswer
+from estimator.answers.watch import WatchAnswer
 
 FOLDER = Path(__file__).parents[1] / "docs" / "schema"
 ANSWERS: dict[str, type[Answer]] = {
@@ -29,6 +30,7 @@ ANSWERS: dict[str, type[Answer]] = {
     "simulation": SimulationAnswer,
     "status": StatusAnswer,
     "vehicle": VehicleAnswer,
+    "watch": WatchAnswer,
 }
 
 

@@ -44,6 +44,48 @@ class Coverage(Struct, frozen=True, kw_only=True):
     available: int
 
 
+class CoverageMap(Struct, frozen=True, kw_only=True):
+    """The grid of speed x acceleration: which cells were driven, and which are still wanted.
+
+    Cell (i, j) holds speeds from i steps on, and accelerations from j steps above the lowest one on. ``rows`` has i, j
+    and the rows of each cell that was driven; ``needed`` rows make it occupied. ``wanted`` has i, j of the cells that
+    the newest fit found within reach of the vehicle and not occupied; none before the first fit.
+    """
+
+    speed_step_m_s: float
+    acceleration_step_m_s2: float
+    lowest_acceleration_m_s2: float
+    needed: int
+    rows: tuple[tuple[int, int, int], ...]
+    wanted: tuple[tuple[int, int], ...]
+
+
+class Needed(Struct, frozen=True, kw_only=True):
+    """The least that an estimate is made from: samples, occupied cells, and their share of those in reach."""
+
+    samples: int
+    cells: int
+    coverage: float
+
+
+class Quantiles(Struct, frozen=True, kw_only=True):
+    """Mean of one parameter, and its 90 % interval."""
+
+    q05: float
+    mean: float
+    q95: float
+
+
+class Past(Struct, frozen=True, kw_only=True):
+    """A conclusion at a time since the first frame; a parameter is null where it was not estimated."""
+
+    t_s: float
+    status: Status
+    mass_kg: Quantiles | None
+    A_N: Quantiles | None
+    C_N_s2_m2: Quantiles | None
+
+
 class Road(Struct, frozen=True, kw_only=True):
     """Slopes of the road where the model has one; no height climbed where no signal shows it."""
 

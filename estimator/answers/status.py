@@ -6,7 +6,7 @@ from typing import Literal
 from msgspec import UNSET, Struct, UnsetType, field
 
 from estimator.answers.answer import Answer
-from estimator.answers.run import Convergence, Coverage, Parameters
+from estimator.answers.run import Convergence, Coverage, CoverageMap, Needed, Parameters, Past, Road
 from estimator.estimates import Status
 
 
@@ -89,7 +89,7 @@ class Signal(Struct, frozen=True, kw_only=True):
 
 
 class Estimate(Struct, frozen=True, kw_only=True):
-    """The latest conclusion; ``samples`` in the window."""
+    """The latest conclusion, at a time since the first frame; ``samples`` in the window."""
 
     status: Status
     reason: str
@@ -98,6 +98,18 @@ class Estimate(Struct, frozen=True, kw_only=True):
     parameters: Parameters
     convergence: Convergence | None
     coverage: Coverage
+    t_s: float | None = None
+    road: Road | None = None
+
+
+class Progress(Struct, frozen=True, kw_only=True):
+    """How far the driving has come: time since the first frame, ``samples`` in the window, cells, past conclusions."""
+
+    t_s: float | None
+    samples: int
+    needed: Needed
+    coverage_map: CoverageMap
+    history: tuple[Past, ...]
 
 
 class StatusAnswer(Answer, frozen=True, kw_only=True):
@@ -132,6 +144,7 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
     failed_updates: int
     estimate: Estimate | None
     outputs: dict[str, Output] = field(default_factory=dict)
+    progress: Progress | None = None
 
 
 class NotRunningAnswer(Answer, frozen=True, kw_only=True):

@@ -7,6 +7,7 @@ from types import ModuleType
 
 from estimator.commands.arguments import add_output, add_settings
 from estimator.commands.complaints import complain
+from estimator.commands.interruption import until_interrupted
 from estimator.commands.log_options import (
     RECORDED,
     add_channels,
@@ -22,6 +23,7 @@ from estimator.commands.terminal import print_json, progress_bar, standard_outpu
 from estimator.errors import RoadloadError
 from estimator.report import export, summary
 from estimator.streaming import replay
+from estimator.streaming.replay import Run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,8 +47,13 @@ def run(options: argparse.Namespace) -> int:
     check_outputs(options.log, outputs)
     if options.draws is not None and options.draws.suffix.lower() == ".nc":
         export.require_arviz()
-    with progress_bar("estimating") as progress:
-        result = replay.estimate_logs(options.log, settings(options), progress)
+    chosen = settings(options)
+
+    def work() -> Run:
+        with progress_bar("estimating") as progress:
+            return replay.estimate_logs(options.log, chosen, progress)
+
+    result, status = until_interrupted(work)
     evidence = result.pipeline.estimator.evidence
     if evidence is not None and options.draws is not None:
         export.write_draws(evidence, options.draws)
@@ -59,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         print_json(summary.of_run(result))
     else:
         print_run(standard_output(), result)
-    return 0
+    return status
 
 
 def _plots() -> ModuleType:

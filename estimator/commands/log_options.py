@@ -10,7 +10,7 @@ import msgspec
 from estimator import config
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.logs.channels import described
-from estimator.commands.arguments import whole_number
+from estimator.commands.arguments import positive, whole_number
 from estimator.commands.complaints import complain
 from estimator.config import Config
 from estimator.errors import ConfigError
@@ -30,6 +30,22 @@ def add_channels(parser: argparse.ArgumentParser) -> None:
     """Add --channel."""
     text = "of a log with several, as the log names it: 1, can0; may be repeated"
     parser.add_argument("--channel", action="append", default=[], dest="channels", metavar="NAME", help=text)
+
+
+def speed_of(text: str) -> float | None:
+    """Multiple of real time at which a log is played; None for "max".
+
+    Raises
+    ------
+    ConfigError
+        It is neither "max" nor a positive factor.
+    """
+    if text == "max":
+        return None
+    try:
+        return positive(text)
+    except argparse.ArgumentTypeError as error:
+        raise ConfigError(f"--speed: {text!r} is neither 'max' nor a positive factor") from error
 
 
 def complain_of_channels(counts: Mapping[str, int]) -> None:

@@ -27,6 +27,7 @@ COMMANDS = {  # module of this package, and its use
     "run": "estimate on a live bus until stopped",
     "check": "dry run: can this log or bus feed the estimate?",
     "status": "status of a running daemon",
+    "watch": "a log, a bus or a running daemon on a screen that lives",
 }
 
 

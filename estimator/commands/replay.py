@@ -4,7 +4,9 @@ import argparse
 from pathlib import Path
 
 from estimator.can_io.log_writer import WRITABLE
-from estimator.commands.arguments import add_output, add_settings, positive
+from estimator.commands.arguments import add_output, add_settings
+from estimator.commands.complaints import complain
+from estimator.commands.interruption import until_interrupted
 from estimator.commands.log_options import (
     RECORDED,
     add_channels,
@@ -12,12 +14,13 @@ from estimator.commands.log_options import (
     check_outputs,
     complain_of_channels,
     settings,
+    speed_of,
 )
 from estimator.commands.tables import print_run
 from estimator.commands.terminal import print_json, progress_bar, standard_output
-from estimator.errors import ConfigError
 from estimator.report import summary
 from estimator.streaming import replay
+from estimator.streaming.replay import Run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,25 +37,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay, and print the answer.
-
-    Raises
-    ------
-    ConfigError
-        ``--speed`` is neither "max" nor a positive factor.
-    """
+    """Replay, and print the answer."""
     check_outputs(options.log, {options.output: WRITABLE})
-    speed = None
-    if options.speed != "max":
-        try:
-            speed = positive(options.speed)
-        except argparse.ArgumentTypeError as error:
-            raise ConfigError(f"--speed: {options.speed!r} is neither 'max' nor a positive factor") from error
-    with progress_bar("replaying") as progress:
-        result = replay.replay(options.log, settings(options), progress, speed, options.output)
+    speed = speed_of(options.speed)
+    chosen = settings(options)
+
+    def work() -> Run:
+        with progress_bar("replaying") as progress:
+            return replay.replay(options.log, chosen, progress, speed, options.output)
+
+    result, status = until_interrupted(work)
+    if status and options.output is not None:
+        complain(f"note: {options.output}: not written")
     complain_of_channels(result.mixed_channels)
     if options.json:
         print_json(summary.of_run(result))
     else:
         print_run(standard_output(), result)
-    return 0
+    return status

@@ -7,29 +7,29 @@ from rich.table import Table
 from rich.text import Text
 
 from estimator.answers.inspection import InspectionAnswer
+from estimator.commands.estimate_table import STYLES, print_estimate
 from estimator.commands.terminal import say
-from estimator.estimates import Marginal, Road, Status
 from estimator.model.effects import BY_NAME
 from estimator.printable import printable
-from estimator.report import number_format
+from estimator.report import number_format, parameter_text, summary, usual_units
 from estimator.report.next_step import next_step
+from estimator.roles import Role
 from estimator.streaming.replay import Run
 
-MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
 MIN_GAP = 1.0  # s: shorter gaps of the rows have no line
-ROWS = (("mass", "mass", "kg", "{:,.0f}"), ("A", "A", "N", "{:,.0f}"), ("C", "C", "N s²/m²", "{:.3f}"))
 
 
 def print_run(console: Console, run: Run, truth: dict[str, float] | None = None) -> None:
     """The estimate with its intervals, why there is none, and what went in; ``truth`` by mass, A, C where known."""
     final = run.final
-    style = {Status.ESTIMATED: "green", Status.UNESTIMATED: "yellow", Status.INVALID: "red"}[final.status]
     reason = f": {final.reason}" if final.reason else ""
-    console.print(Text.assemble((final.status.value, f"bold {style}"), printable(reason)), soft_wrap=True)
+    console.print(
+        Text.assemble((final.status.value, f"bold {STYLES[final.status]}"), printable(reason)), soft_wrap=True
+    )
     if advice := next_step(run):
         say(console, f"to do     {advice}")
     if final.mass is not None:
-        console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
+        print_estimate(console, summary.parameters(final), truth)
     for key, reason in final.withheld.items():
         say(console, f"{key:9} unestimated: {reason}")
     _print_fit(console, run)
@@ -41,8 +41,8 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
 def _print_fit(console: Console, run: Run) -> None:
     """Road, effects, lag, air, coverage, sampler, load and samples of the last estimate."""
     final, estimator = run.final, run.pipeline.estimator
-    if final.road is not None:
-        say(console, f"road      {_road(final.road)}")
+    if (road := summary.road(final)) is not None:
+        say(console, f"road      {parameter_text.road(road)}")
     for name in run.pipeline.effects:
         size = final.effects.get(name)
         what = BY_NAME[name]
@@ -86,29 +86,6 @@ def _print_traffic(console: Console, run: Run) -> None:
             say(console, f"gap       no speed or no power from {times}: not bridged")
 
 
-def _road(road: Road) -> str:
-    """The slopes in one line."""
-    shown = f"shown by {', '.join(road.shown_by)}" if road.shown_by else "shown by no signal"
-    if road.slope_sd < MIN_SLOPE_SD:
-        return f"flat (slopes below {100 * MIN_SLOPE_SD:.1f} %), {shown}"
-    climbed = "" if road.climbed is None else f"; {road.climbed:,.0f} m climbed"
-    return (
-        f"slopes with a standard deviation of {100 * road.slope_sd:.1f} % over {road.length:,.0f} m, {shown}{climbed}"
-    )
-
-
-def _estimate_table(marginals: dict[str, Marginal | None], truth: dict[str, float] | None) -> Table:
-    table = Table("", "mean", "90 % interval", "sd", *(["truth"] if truth else []), box=box.SIMPLE_HEAD, pad_edge=False)
-    for key, name, unit, form in ROWS:
-        x = marginals[key]
-        if x is None:
-            continue
-        interval = f"{form.format(x.q05)} .. {form.format(x.q95)}"
-        row = [name, f"{form.format(x.mean)} {unit}", interval, f"{100 * x.sd / x.mean:.2f} %"]
-        table.add_row(*row, *([form.format(truth[key])] if truth else []))
-    return table
-
-
 def print_inspection(console: Console, found: InspectionAnswer) -> None:
     """Inputs found and missing, and whether an estimate can come of them."""
     frames = found.frames
@@ -117,12 +94,14 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
         f"{found.log}: {found.duration_s:,.1f} s, {frames.read:,} frames of {frames.ids} ids, {frames.used:,} used",
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("input", "signal", "from", "rate", "n/a", "range (SI)", "gaps"):
+    for heading in ("input", "signal", "from", "rate", "n/a", "range", "gaps"):
         table.add_column(heading, overflow="fold", no_wrap=heading == "input")
     for role, x in found.inputs.items():
         source = found.sources.get(x.signal)
         rate = "" if x.rate_Hz is None else f"{x.rate_Hz:.1f} Hz"
-        values = "none valid" if x.minimum is None else f"{x.minimum:.4g} .. {x.maximum:.4g}"
+        values = "none valid"
+        if x.minimum is not None and x.maximum is not None:
+            values = usual_units.between(Role(role), x.minimum, x.maximum)
         gaps = ", ".join(f"{a:.1f}-{b:.1f} s" for a, b in x.gaps_s[:3])
         more = f" (+{len(x.gaps_s) - 3})" if len(x.gaps_s) > 3 else ""
         address = "" if source is None else f"0x{source:02X}"

@@ -53,7 +53,8 @@ class Gate:
         reachable = (load > 0) & (load <= np.quantile(power, PEAK_QUANTILE))
         reachable &= self._speed <= self._speed[seen].max()
         reachable &= self._acceleration <= self._acceleration[seen].max()
-        return Coverage(int((occupied & reachable).sum()), int(reachable.sum()))
+        wanted = tuple(np.flatnonzero(reachable & ~occupied).tolist())
+        return Coverage(int((occupied & reachable).sum()), int(reachable.sum()), wanted)
 
     def missing_rows(self, held: int, rejected: Counter[str]) -> str:
         """Reason why ``held`` rows are too few for a fit, with the commonest of those that were ``rejected``."""

@@ -1,13 +1,18 @@
-"""The answer of `roadload estimate` and `roadload replay`."""
+"""Estimates as answers: of `roadload estimate` and `roadload replay`, and the parts that status and watch share."""
 
 from dataclasses import asdict
 
+import numpy as np
 from msgspec import UNSET
 
 from estimator.answers import run as answer
+from estimator.answers import status
 from estimator.answers.run import RunAnswer
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Marginal
+from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION
+from estimator.report import parameter_text
 from estimator.report.next_step import next_step
+from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.replay import Run
 
 
@@ -22,7 +27,7 @@ def of_run(run: Run) -> RunAnswer:
         parameters=parameters(final),
         convergence=convergence(final),
         coverage=coverage(final),
-        road=_road(final),
+        road=road(final),
         rms_kW=None if final.rms is None else final.rms / 1e3,
         samples=answer.Samples(admitted=final.admitted, rejected=dict(pipeline.estimator.rejected)),
         frames=answer.Frames(
@@ -47,10 +52,10 @@ def parameters(estimate: Estimate) -> answer.Parameters:
 
 
 def _parameter(estimate: Estimate, which: str) -> answer.Parameter:
-    status, reason = estimate.status_of(which)
+    known, reason = estimate.status_of(which)
     marginal = estimate.marginals[which]
     values = {} if marginal is None else asdict(marginal)
-    return answer.Parameter(status=status, reason=reason, **values)
+    return answer.Parameter(status=known, reason=reason, **values)
 
 
 def convergence(estimate: Estimate) -> answer.Convergence | None:
@@ -65,11 +70,76 @@ def coverage(estimate: Estimate) -> answer.Coverage:
     return answer.Coverage(fraction=cells.fraction, occupied=cells.occupied, available=cells.available)
 
 
-def _road(estimate: Estimate) -> answer.Road | None:
+def road(estimate: Estimate) -> answer.Road | None:
+    """Slopes of the road, where the model has one."""
     found = estimate.road
     if found is None:
         return None
     return answer.Road(slope_sd=found.slope_sd, length_m=found.length, shown_by=found.shown_by, climbed_m=found.climbed)
+
+
+def coverage_map(pipeline: Pipeline) -> answer.CoverageMap:
+    """The cells that were driven so far, and those that the newest estimate found wanted."""
+    window, gate, latest = pipeline.estimator.window, pipeline.config.gate, pipeline.latest
+    counts = window.counts
+    driven = np.flatnonzero(counts)
+    return answer.CoverageMap(
+        speed_step_m_s=window.grid.speed_step,
+        acceleration_step_m_s2=window.grid.acceleration_step,
+        lowest_acceleration_m_s2=MIN_ACCELERATION,
+        needed=gate.cell_count,
+        rows=tuple((*divmod(cell, ACCELERATION_CELLS), int(counts[cell])) for cell in driven.tolist()),
+        wanted=() if latest is None else tuple(divmod(cell, ACCELERATION_CELLS) for cell in latest.coverage.wanted),
+    )
+
+
+def conclusion(estimate: Estimate | None, t: float, start: float | None) -> status.Estimate | None:
+    """The latest conclusion as of message time ``t`` [s]; the first frame came at ``start`` [s]."""
+    if estimate is None:
+        return None
+    return status.Estimate(
+        status=estimate.status,
+        reason=estimate.reason,
+        age_s=round(t - estimate.t, 3),
+        samples=estimate.admitted,
+        parameters=parameters(estimate),
+        convergence=convergence(estimate),
+        coverage=coverage(estimate),
+        t_s=None if start is None else round(estimate.t - start, 3),
+        road=road(estimate),
+    )
+
+
+def in_one_line(estimate: Estimate) -> str:
+    """The estimate for a line of a log, or why there is none."""
+    return parameter_text.line(estimate.status, estimate.reason, parameters(estimate), coverage(estimate))
+
+
+def progress(pipeline: Pipeline, history: tuple[answer.Past, ...]) -> status.Progress:
+    """How far the driving has come, with the conclusions so far."""
+    traffic, gate = pipeline.traffic, pipeline.config.gate
+    return status.Progress(
+        t_s=None if traffic.until is None or traffic.start is None else round(traffic.until - traffic.start, 3),
+        samples=len(pipeline.estimator.window),
+        needed=answer.Needed(samples=gate.minimum_samples, cells=gate.minimum_cells, coverage=gate.coverage),
+        coverage_map=coverage_map(pipeline),
+        history=history,
+    )
+
+
+def past(estimate: Estimate, start: float) -> answer.Past:
+    """A conclusion as a point of the history; ``start`` is the time of the first frame [s]."""
+    return answer.Past(
+        t_s=round(estimate.t - start, 3),
+        status=estimate.status,
+        mass_kg=_quantiles(estimate.mass),
+        A_N=_quantiles(estimate.A),
+        C_N_s2_m2=_quantiles(estimate.C),
+    )
+
+
+def _quantiles(x: Marginal | None) -> answer.Quantiles | None:
+    return None if x is None else answer.Quantiles(q05=x.q05, mean=x.mean, q95=x.q95)
 
 
 def _update(update: Estimate, start: float) -> answer.Update:

@@ -4,10 +4,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 
 from estimator.blas_threads import one_blas_thread
 from estimator.can_io.frames import Frames
@@ -15,7 +17,7 @@ from estimator.can_io.log_writer import write_log
 from estimator.columns import Column, Row, columns, posterior, statistics
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.estimates import Estimate
+from estimator.estimates import Coverage, Estimate, Status
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
 from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
 from estimator.streaming.pipeline import Pipeline
@@ -34,6 +36,8 @@ UPDATES = (
     Column("rms_W", "number", "W", "residual power"),
 )
 MINUTE = 60.0  # s
+SLICE = 0.25  # s of real time
+MAX_HELD = 3.0  # s of real time
 BATCH = 1000  # frames put on the virtual bus before the listener's side is drained
 
 
@@ -87,6 +91,14 @@ class Run:
         return row if update.rms is None else {**row, "rms_W": update.rms}
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C before the end of the logs; ``run`` is what was known then, without the frames that still waited."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self.run = run
+
+
 @one_blas_thread()
 def estimate_logs(paths: str | Path | Sequence[str | Path], config: Config, progress: Progress = no_progress) -> Run:
     """Estimate from a log, or several in order, without a bus: same code, same numbers, only faster.
@@ -97,12 +109,17 @@ def estimate_logs(paths: str | Path | Sequence[str | Path], config: Config, prog
         A log cannot be read.
     MissingInputsError
         The logs lack inputs of the model.
+    Interrupted
+        By Ctrl-C.
     """
     given = as_paths(paths)
     pipeline, logs, updates = Pipeline(config), LogFrames(given, config, progress), list[Estimate]()
-    for frames in logs:
-        updates += pipeline.feed(frames)
-    updates += pipeline.finish()
+    try:
+        for frames in logs:
+            updates += pipeline.feed(frames)
+        updates += pipeline.finish()
+    except KeyboardInterrupt:
+        raise Interrupted(run_so_far(pipeline, updates, logs.skipped, logs.mixed)) from None
     pipeline.traffic.require_inputs(_names(given))
     return Run(pipeline=pipeline, updates=updates, skipped=logs.skipped, mixed_channels=logs.mixed)
 
@@ -127,6 +144,8 @@ def replay(
         The logs lack inputs of the model.
     RoadloadError
         The virtual bus lost frames.
+    Interrupted
+        By Ctrl-C; ``output`` is not written.
     """
     logs, heard = LogFrames(paths, config, progress), list[can.Message]()
     channel = f"replay {id(heard)}"  # unique in this process
@@ -134,15 +153,19 @@ def replay(
         worker = InlineWorker(config)
         listener = Listener(worker, broadcast_by(config.publish, node.send))
         sent = received = 0
-        for frames in logs:
-            for first in range(0, len(frames), BATCH):
-                batch = frames[first : first + BATCH]
-                for message in paced(batch.messages(), speed):
-                    vehicle.send(message)
-                    sent += 1
-                received += _drain(node, listener.on_message_received)
-                _drain(vehicle, heard.append)
-        listener.stop()
+        try:
+            for frames in logs:
+                for first in range(0, len(frames), BATCH):
+                    batch = frames[first : first + BATCH]
+                    for message in paced(batch.messages(), speed):
+                        vehicle.send(message)
+                        sent += 1
+                    received += _drain(node, listener.on_message_received)
+                    _drain(vehicle, heard.append)
+            listener.stop()
+        except KeyboardInterrupt:
+            skipped = logs.skipped + listener.skipped
+            raise Interrupted(run_so_far(worker.pipeline, [*worker.updates], skipped, logs.mixed, heard)) from None
         _drain(vehicle, heard.append)
     if received != sent:
         raise RoadloadError(f"virtual bus: {sent - received} of {sent} frames were lost")
@@ -158,6 +181,26 @@ def replay(
     )
 
 
+def run_so_far(
+    pipeline: Pipeline,
+    updates: list[Estimate],
+    skipped: Counter[str],
+    mixed: Counter[str],
+    broadcast: Sequence[can.Message] = (),
+) -> Run:
+    """The result before the end of the traffic; where nothing was concluded yet, an estimate that says so."""
+    if not updates:
+        nothing = Estimate(
+            t=pipeline.traffic.until or 0.0,
+            status=Status.UNESTIMATED,
+            reason="interrupted before the first conclusion",
+            coverage=Coverage(0, 0),
+            admitted=len(pipeline.estimator.window),
+        )
+        updates = [nothing]
+    return Run(pipeline=pipeline, updates=updates, skipped=skipped, mixed_channels=mixed, broadcast=list(broadcast))
+
+
 def paced(messages: Iterable[can.Message], speed: float | None) -> Iterator[can.Message]:
     """Hold messages back so that they pass at ``speed`` times the rate at which they were recorded."""
     if speed is None:
@@ -170,6 +213,27 @@ def paced(messages: Iterable[can.Message], speed: float | None) -> Iterator[can.
         if wait > 0:
             time.sleep(wait)
         yield message
+
+
+def paced_frames(batches: Iterable[Frames], speed: float | None) -> Iterator[Frames]:
+    """Frames in slices of SLICE of real time that pass at ``speed`` times the rate at which they were recorded.
+
+    A gap, or a step in time, is held for MAX_HELD at most. None: the batches as they are.
+    """
+    if speed is None:
+        yield from batches
+        return
+    began, due, before = time.monotonic(), 0.0, np.nan
+    for frames in batches:
+        steps = np.diff(frames.t, prepend=before) / speed
+        at = due + np.cumsum(np.clip(np.nan_to_num(steps), 0.0, MAX_HELD))
+        cuts = np.flatnonzero(np.diff(np.floor(at / SLICE))) + 1
+        for first, end in pairwise([0, *cuts.tolist(), len(frames)]):
+            if end > first:
+                time.sleep(max(at[first] - (time.monotonic() - began), 0.0))
+                yield frames[first:end]
+        if len(frames):
+            due, before = float(at[-1]), float(frames.t[-1])
 
 
 def _virtual_bus(channel: str) -> can.BusABC:

@@ -202,6 +202,14 @@ def assemble(
     )
 
 
+def listening(plan: Plan) -> Daemon:
+    """A daemon, not yet started, that only listens: it sends nothing, and keeps neither state nor status."""
+    reception = plan.config.reception
+    source = Link(plan.source, input_filters(plan.messages) if reception.filter else None, reception)
+    worker = Worker(Pipeline(plan.config), reception.queue_frames)
+    return Daemon(source, None, worker, None, reception.silence_s)
+
+
 def _recall_codes(transmitter: Transmitter, path: Path) -> None:
     """Take the trouble codes of an earlier run as previously active."""
     if transmitter.diagnostics is None:

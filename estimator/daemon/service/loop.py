@@ -28,6 +28,7 @@ from estimator.daemon.transmitter import Transmitter
 from estimator.errors import RoadloadError
 from estimator.estimates import Estimate
 from estimator.output_files import write
+from estimator.report import summary
 from estimator.streaming.listener import Listener
 
 log = logging.getLogger(__name__)
@@ -90,6 +91,7 @@ class Daemon:
         self.listener = Listener(worker, self._broadcast)
         self.state = State.WAITING
         self.detail = ""
+        self.reported: StatusAnswer | None = None  # the newest status, made every REPORT_PERIOD
         self._is_receiving = False
         self._silence, self._clock, self._wall = silence, clock, wall
         self._status_file, self._metrics_file = status_file, metrics_file
@@ -194,7 +196,8 @@ class Daemon:
             refused=dict(knowledge.refused),
             samples_rejected=dict(knowledge.rejected),
             failed_updates=knowledge.failed_updates,
-            estimate=status.of_estimate(knowledge.estimate, t),
+            estimate=summary.conclusion(knowledge.estimate, t, knowledge.start),
+            progress=knowledge.progress,
             outputs={name: output.status() for name, output in self._outputs.items()},
         )
 
@@ -305,7 +308,7 @@ class Daemon:
             output.offer(report)
 
     def _report(self, now: float) -> None:
-        found = self.status(now)
+        found = self.reported = self.status(now)
         self._show(now, found.written_s)
         self._last_report = (now, self.source.counts.frames)
         try:

@@ -36,21 +36,6 @@ def of_signals(knowledge: Knowledge, t: float) -> dict[str, answer.Signal]:
     }
 
 
-def of_estimate(estimate: Estimate | None, t: float) -> answer.Estimate | None:
-    """The latest conclusion as of message time ``t`` [s]."""
-    if estimate is None:
-        return None
-    return answer.Estimate(
-        status=estimate.status,
-        reason=estimate.reason,
-        age_s=round(t - estimate.t, 3),
-        samples=estimate.admitted,
-        parameters=summary.parameters(estimate),
-        convergence=summary.convergence(estimate),
-        coverage=summary.coverage(estimate),
-    )
-
-
 def published(
     latest: Estimate | None, fresh: Estimate | None, state: answer.State, t: float, written: float, stale_after: float
 ) -> PublishedAnswer:
@@ -75,7 +60,11 @@ def published(
     elif latest is not None:
         reason = "the load may have changed since the latest conclusion"
     return PublishedAnswer(
-        status=status, reason=reason, state=state, written_s=round(written, 3), estimate=of_estimate(shown, t)
+        status=status,
+        reason=reason,
+        state=state,
+        written_s=round(written, 3),
+        estimate=summary.conclusion(shown, t, None),
     )
 
 

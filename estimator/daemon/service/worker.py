@@ -12,12 +12,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from estimator.answers.status import Progress
 from estimator.can_io.frames import Frames
 from estimator.daemon.reception.inbox import Inbox
 from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.boot_id import boot_id
 from estimator.errors import RoadloadError
 from estimator.estimates import Estimate
+from estimator.report import summary
+from estimator.report.history import History
 from estimator.streaming.pipeline import Pipeline
 
 log = logging.getLogger(__name__)
@@ -39,6 +42,7 @@ class Knowledge:
     """Copy of the pipeline's results at message time ``t`` [s]; counts are since the start."""
 
     t: float | None = None
+    start: float | None = None  # message time [s] of the first frame
     estimate: Estimate | None = None
     frames: int = 0
     used: int = 0
@@ -51,6 +55,7 @@ class Knowledge:
     sources: Mapping[str, int] = field(default_factory=dict)
     contested: Mapping[str, str] = field(default_factory=dict)  # reason, by message and signal
     replacements: int = 0  # senders given up for others
+    progress: Progress | None = None  # of the driving; None before the first frame
 
 
 class Worker:
@@ -91,6 +96,7 @@ class Worker:
         self.save_problem = ""  # why the last attempt to save failed
         self.failure: Exception | None = None
         self._store, self._key, self._interval, self._clock = store, key, save_interval, clock
+        self._history = History()
         self._inbox: Inbox[Frames] = Inbox(most)
         self._busy_since: float | None = None
         self._survey_due = -float("inf")
@@ -202,7 +208,8 @@ class Worker:
         self._t, self._fed = float(frames.t[-1]), True
         concluded = None
         for concluded in self.pipeline.feed(frames):
-            log.info("estimate: %s%s", concluded.status.value, f": {concluded.reason}" if concluded.reason else "")
+            self._history.add(concluded, self.pipeline.traffic.start or 0.0)
+            log.info("estimate: %s", summary.in_one_line(concluded))
         self._report_contests()
         if concluded is not None:
             self.last_conclusion = self._clock() - began
@@ -226,6 +233,7 @@ class Worker:
         pipeline = self.pipeline
         return Knowledge(
             t=self._t,
+            start=pipeline.traffic.start,
             estimate=pipeline.latest,
             frames=pipeline.traffic.frames,
             used=pipeline.traffic.used,
@@ -238,4 +246,5 @@ class Worker:
             sources=pipeline.traffic.sources,
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,
+            progress=summary.progress(pipeline, self._history.points),
         )

@@ -1,0 +1,31 @@
+"""Values of signals in the units in which people read them: km/h, degrees, degrees Celsius."""
+
+from estimator.roles import DIMENSION, STATE, Role
+from estimator.units import KNOWN_UNITS
+
+USUAL = {  # by dimension: the unit, and its spelling in `units`
+    "m/s": ("km/h", "km/h"),
+    "W": ("kW", "kw"),
+    "N.m": ("N m", "n.m"),
+    "rad/s": ("rpm", "rpm"),
+    "1": ("%", "%"),
+    "m": ("m", "m"),
+    "m/s^2": ("m/s²", "m/s^2"),
+    "rad": ("°", "deg"),
+    "K": ("°C", "degc"),
+    "Pa": ("hPa", "hpa"),
+    "V": ("V", "v"),
+    "A": ("A", "a"),
+}
+PER_SECOND = ("°/s", "deg/s")  # of turning vehicles, unlike shafts
+
+
+def between(role: Role, low: float, high: float) -> str:
+    """``0 .. 90.5 km/h`` for values from ``low`` to ``high`` in the SI unit of ``role``."""
+    dimension = DIMENSION[role]
+    if dimension == STATE:
+        return f"{low:.4g} .. {high:.4g}"
+    unit, spelling = PER_SECOND if role is Role.YAW_RATE else USUAL[dimension]
+    conversion = KNOWN_UNITS[spelling]
+    first, last = ((value - conversion.offset) / conversion.scale for value in (low, high))
+    return f"{first:.4g} .. {last:.4g} {unit}"
