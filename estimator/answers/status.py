@@ -6,7 +6,7 @@ from typing import Literal
 from msgspec import UNSET, Struct, UnsetType
 
 from estimator.answers.answer import Answer
-from estimator.answers.run import Convergence, Coverage, Parameters
+from estimator.answers.run import Convergence, Coverage, Parameters, RoadNow
 from estimator.estimates import Status
 
 
@@ -120,6 +120,7 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
     samples_rejected: dict[str, int]
     failed_updates: int
     estimate: Estimate | None
+    road_now: RoadNow | None
 
 
 class NotRunningAnswer(Answer, frozen=True, kw_only=True):

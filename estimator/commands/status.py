@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from estimator import config
+from estimator.answers.run import RoadNow
 from estimator.answers.status import NotRunningAnswer, State, StatusAnswer
 from estimator.commands.arguments import add_output
 from estimator.commands.complaints import complain
@@ -93,6 +94,8 @@ def _print_status(console: Console, status: StatusAnswer) -> None:
                 say(console, f"  {name:24} {x.status}: {x.reason}")
             else:
                 say(console, f"  {name:24} {x.mean:,.4g} ({x.q05:,.4g} .. {x.q95:,.4g})")
+        if status.road_now is not None:
+            say(console, f"road now  {_told(status.road_now)}")
         say(console, f"coverage  {100 * estimate.coverage.fraction:.0f} %, {estimate.samples:,} samples")
     if status.failed_updates:
         say(console, f"failed    {status.failed_updates:,} updates, numerically")
@@ -107,3 +110,9 @@ def _print_status(console: Console, status: StatusAnswer) -> None:
     say(console, f"transmit  {address}{fault}; {transmit.published:,} frames sent, {transmit.failed:,} failed")
     for reason, count in transmit.withheld.items():
         say(console, f"withheld  {reason} {count:,}")
+
+
+def _told(road: RoadNow) -> str:
+    """The road under the vehicle in words."""
+    height = "" if road.height_m is None else f", {road.height_m:+.0f} +- {road.height_sd_m:.0f} m above the start"
+    return f"{road.grade_percent:+.2f} +- {road.sd_percent:.2f} %{height}"

@@ -1,12 +1,13 @@
 """The answer of `roadload estimate` and `roadload replay`."""
 
 from dataclasses import asdict
+from math import isfinite
 
 from msgspec import UNSET
 
 from estimator.answers import run as answer
 from estimator.answers.run import RunAnswer
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Slope
 from estimator.report.next_step import next_step
 from estimator.streaming.replay import Run
 
@@ -35,7 +36,7 @@ def of_run(run: Run) -> RunAnswer:
         failed_updates=pipeline.estimator.failed_updates,
         effects=tuple(pipeline.effects),
         magnitudes=final.effects,
-        updates=tuple(_update(update, run.start) for update in run.updates),
+        updates=tuple(_update(update, run) for update in run.updates),
     )
 
 
@@ -72,10 +73,20 @@ def _road(estimate: Estimate) -> answer.Road | None:
     return answer.Road(slope_sd=found.slope_sd, length_m=found.length, shown_by=found.shown_by, climbed_m=found.climbed)
 
 
-def _update(update: Estimate, start: float) -> answer.Update:
-    change = update.load
+def road_now(slope: Slope) -> answer.RoadNow:
+    """The road under the vehicle, in units for people."""
+    return answer.RoadNow(
+        grade_percent=100 * slope.grade,
+        sd_percent=100 * slope.grade_sd,
+        height_m=slope.height if isfinite(slope.height) else None,
+        height_sd_m=slope.height_sd if isfinite(slope.height_sd) else None,
+    )
+
+
+def _update(update: Estimate, run: Run) -> answer.Update:
+    change, slope = update.load, run.slope_at(update.t)
     return answer.Update(
-        t_s=round(update.t - start, 3),
+        t_s=round(update.t - run.start, 3),
         status=update.status,
         parameters=parameters(update),
         load_changed=UNSET
@@ -83,4 +94,5 @@ def _update(update: Estimate, start: float) -> answer.Update:
         else answer.LoadChanged(
             probability=change.probability, mass_before_kg=change.before, mass_after_kg=change.after
         ),
+        road_now=UNSET if slope is None else road_now(slope),
     )

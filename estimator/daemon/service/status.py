@@ -4,10 +4,11 @@ import dataclasses
 from math import isfinite
 
 from estimator.answers import status as answer
+from estimator.answers.run import RoadNow
 from estimator.daemon.reception.link import Link
 from estimator.daemon.service.worker import Knowledge, Worker
 from estimator.daemon.transmitter import Transmitter
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Slope
 from estimator.report import summary
 
 
@@ -48,6 +49,11 @@ def of_estimate(estimate: Estimate | None, t: float) -> answer.Estimate | None:
         convergence=summary.convergence(estimate),
         coverage=summary.coverage(estimate),
     )
+
+
+def of_road(slope: Slope | None) -> RoadNow | None:
+    """The road under the vehicle, where it is known."""
+    return None if slope is None else summary.road_now(slope)
 
 
 def of_worker(worker: Worker, now: float) -> answer.Estimator:

@@ -18,6 +18,7 @@ from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.boot_id import boot_id
 from estimator.errors import RoadloadError
 from estimator.estimates import Estimate
+from estimator.estimation.road_now import RoadAhead
 from estimator.streaming.pipeline import Pipeline
 
 log = logging.getLogger(__name__)
@@ -85,6 +86,7 @@ class Worker:
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,
         )
+        self.road_now: RoadAhead | None = None  # as of the newest rows
         self.longest = self.last_conclusion = 0.0  # [s] that a batch with a conclusion took
         self.saves: Counter[str] = Counter()
         self.saved_at: float | None = None  # [s] monotonic
@@ -203,6 +205,7 @@ class Worker:
         concluded = None
         for concluded in self.pipeline.feed(frames):
             log.info("estimate: %s%s", concluded.status.value, f": {concluded.reason}" if concluded.reason else "")
+        self.road_now = self.pipeline.road_now
         self._report_contests()
         if concluded is not None:
             self.last_conclusion = self._clock() - began
