@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import sqrt
 
 PARAMETERS = ("A", "C", "m")  # order of every parameter vector: [N], [N s^2/m^2], [kg]
 
@@ -75,6 +76,31 @@ class Road:
     length: float
     shown_by: tuple[str, ...]
     climbed: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slope:
+    """The road under the vehicle at message time ``t`` [s].
+
+    ``sine`` of the slope and its standard deviation ``sd`` [1]; ``height`` above the start of the drive and its
+    ``height_sd`` [m], NaN where no signal shows the road.
+    """
+
+    t: float
+    sine: float
+    sd: float
+    height: float
+    height_sd: float
+
+    @property
+    def grade(self) -> float:
+        """Rise over run [1]."""
+        return self.sine / sqrt(1 - self.sine**2)
+
+    @property
+    def grade_sd(self) -> float:
+        """Standard deviation of the grade [1], to first order: d tan = d sin / cos^3."""
+        return float(self.sd / (1 - self.sine**2) ** 1.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -98,7 +98,12 @@ class Bench:
             make_reader=lambda bus, size: bus,  # type: ignore[arg-type, return-value]
         )
         self.worker = Worker(
-            Pipeline(settings), settings.reception.queue_frames, store, "key", SAVE_INTERVAL, clock=lambda: self.now
+            Pipeline(settings, is_live=True),
+            settings.reception.queue_frames,
+            store,
+            "key",
+            SAVE_INTERVAL,
+            clock=lambda: self.now,
         )
         self.transmitter = None
         if transmit:

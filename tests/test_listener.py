@@ -16,7 +16,8 @@ from estimator.can_io.publisher import output_groups
 from estimator.config import Config, from_dict
 from estimator.daemon.reception.reader import Batch
 from estimator.errors import RoadloadError
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Slope
+from estimator.estimation.road_now import RoadAhead
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
@@ -85,7 +86,7 @@ def test_an_error_of_the_caller_comes_before_one_of_the_bus() -> None:
 def test_a_last_broadcast_that_fails_is_told(drive: Frames) -> None:
     calls: list[float] = []
 
-    def broadcast(t: float, estimate: Estimate | None) -> None:
+    def broadcast(t: float, estimate: Estimate | None, slope: Slope | None) -> None:
         calls.append(t)
         if t > drive.t[999]:
             raise can.CanOperationError("bus off")
@@ -123,6 +124,7 @@ class Recorder:
         self.ticks: list[Frames] = []
         self.latest: Estimate | None = None
         self.heard: float | None = None
+        self.road_now: RoadAhead | None = None
 
     def offer(self, frames: Frames) -> None:
         self.ticks.append(frames)
@@ -140,7 +142,7 @@ def test_an_estimate_of_before_a_long_silence_or_a_step_back_is_not_broadcast(
     worker.latest, worker.heard = made_estimate(t=99.0), 100.0
 
     def listening() -> Listener:
-        return Listener(worker, lambda t, estimate: told.append(estimate))
+        return Listener(worker, lambda t, estimate, slope: told.append(estimate))
 
     listener = listening()
     before, after = (Frames.from_messages([can.Message(timestamp=t)]) for t in (100.0, 100.0 + step))
@@ -166,7 +168,7 @@ def test_daemon_and_replay_broadcast_the_same_bytes(
 
     times: list[float] = []
     recorder = Recorder()
-    listener = Listener(recorder, lambda t, estimate: times.append(t))
+    listener = Listener(recorder, lambda t, estimate, slope: times.append(t))
     for message in frames.messages():
         listener(message)
 

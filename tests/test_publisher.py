@@ -15,7 +15,7 @@ from estimator.can_io.counter_crc import crc8, verify
 from estimator.can_io.publisher import Publisher, output_database
 from estimator.config import from_dict
 from estimator.errors import ConfigError
-from estimator.estimates import Convergence, Coverage, Estimate, Marginal, Status
+from estimator.estimates import Convergence, Coverage, Estimate, Marginal, Slope, Status
 from estimator.settings import Publish
 
 PUBLISHED = {"mean": "Mean", "q05": "Q05", "q95": "Q95", "sd": "Deviation"}
@@ -86,9 +86,9 @@ def test_database_loads_without_a_warning(caplog: pytest.LogCaptureFixture) -> N
 def test_any_estimate_survives_the_wire(given_estimate: Estimate, age: float) -> None:
     t = given_estimate.t + age
     frames = Publisher(Publish(cvw=True)).poll(t, given_estimate)
-    assert len(frames) == 6
+    assert len(frames) == 7
     assert all(len(frame.data) == 8 and frame.timestamp == t for frame in frames)
-    assert all(verify(frame) for frame in frames[:5])
+    assert all(verify(frame) for frame in frames[:6])
     sent = decoded(frames)
     stale = t - given_estimate.t > 3600
     assert sent["EstimateStatus"] == ("stale" if stale else given_estimate.status.value)
@@ -112,7 +112,7 @@ def test_any_estimate_survives_the_wire(given_estimate: Estimate, age: float) ->
 
 def test_frame_bytes() -> None:
     """A frame written out by hand: 2 kg/bit little endian, counter 0, status 1, CRC."""
-    mass = Publisher(Publish()).poll(0.0, made_estimate())[1]
+    mass = Publisher(Publish()).poll(0.0, made_estimate())[2]
     assert mass.arbitration_id == 0x18FF61FB
     assert mass.is_extended_id
     body = (13595).to_bytes(2, "little") + (13350).to_bytes(2, "little") + (13850).to_bytes(2, "little") + b"\x10"
@@ -120,8 +120,8 @@ def test_frame_bytes() -> None:
 
 
 def test_withheld_values_are_the_raw_codes_of_j1939() -> None:
-    assert bytes(Publisher(Publish()).poll(0.0, None)[1].data[:6]) == b"\xff" * 6
-    assert bytes(Publisher(Publish()).poll(0.0, made_estimate(status=Status.INVALID))[1].data[:6]) == b"\x00\xfe" * 3
+    assert bytes(Publisher(Publish()).poll(0.0, None)[2].data[:6]) == b"\xff" * 6
+    assert bytes(Publisher(Publish()).poll(0.0, made_estimate(status=Status.INVALID))[2].data[:6]) == b"\x00\xfe" * 3
 
 
 def test_without_an_estimate_nothing_is_available() -> None:
@@ -193,3 +193,56 @@ def test_a_parameter_beyond_its_signal_is_not_sent_as_the_limit() -> None:
     assert sent["AMean"] == 1700.0
     (mass,) = [f for f in frames if f.arbitration_id >> 8 & 0xFFFF == 0xFF61]
     assert bytes(mass.data)[6] >> 4 == 0  # unestimated
+
+
+slopes = st.builds(
+    Slope,
+    t=st.just(0.0),
+    sine=st.floats(-0.5, 0.5),
+    sd=st.floats(0, 0.1),
+    height=st.just(math.nan) | st.floats(-4000, 4000),
+    height_sd=st.floats(0, 500),
+)
+
+
+@given(slopes)
+def test_any_slope_survives_the_wire(slope: Slope) -> None:
+    """The grade is the tangent of the slope; what the signals cannot say is not sent as their limit."""
+    road = Publisher(Publish()).poll(0.0, made_estimate(), slope)[1]
+    assert road.arbitration_id == 0x18FF65FB
+    assert verify(road)
+    sent = decoded([road])
+    angle = math.asin(slope.sine)
+    sd = 100 * slope.sd / math.cos(angle) ** 3
+    if sd > 5:
+        assert sent["EstimateStatus"] == "unestimated"
+        assert {value for name, value in sent.items() if name.startswith("Road")} == {"not available"}
+        return
+    assert sent["EstimateStatus"] == "estimated"
+    assert_sent("RoadGrade", sent["RoadGrade"], 100 * math.tan(angle))
+    assert_sent("RoadGradeDeviation", sent["RoadGradeDeviation"], sd)
+    is_lost = math.isnan(slope.height) or abs(slope.height) > 3212.75 or slope.height_sd > 250
+    assert_sent("RoadHeight", sent["RoadHeight"], math.nan if is_lost else slope.height)
+    assert_sent("RoadHeightDeviation", sent["RoadHeightDeviation"], math.nan if is_lost else slope.height_sd)
+
+
+@pytest.mark.parametrize(
+    ("status", "age", "shown", "value"),
+    [
+        (Status.UNESTIMATED, 0.0, "unestimated", "not available"),
+        (Status.INVALID, 0.0, "invalid", "error"),
+        (Status.ESTIMATED, 4000.0, "stale", "not available"),
+    ],
+)
+def test_without_a_present_estimate_no_slope_is_sent(status: Status, age: float, shown: str, value: str) -> None:
+    slope = Slope(t=age, sine=0.02, sd=0.001, height=3.0, height_sd=1.0)
+    sent = decoded([Publisher(Publish()).poll(age, made_estimate(0.0, status), slope)[1]])
+    assert sent["EstimateStatus"] == shown
+    assert sent["RoadGrade"] == sent["RoadGradeDeviation"] == sent["RoadHeight"] == value
+
+
+def test_on_request_the_slope_is_that_of_the_newest_turn() -> None:
+    slope = Slope(t=0.0, sine=0.03, sd=0.001, height=math.nan, height_sd=math.nan)
+    frame = Publisher(Publish()).answer(0xFF65, 0.0, made_estimate(), slope)
+    assert frame is not None
+    assert decoded([frame])["RoadGrade"] == pytest.approx(3.0, abs=0.006)

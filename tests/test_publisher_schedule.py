@@ -13,7 +13,7 @@ from estimator.can_io.publisher import Publisher, output_database
 from estimator.estimates import Status
 from estimator.settings import Publish
 
-STATUS, MASS = 0x18FF60FB, 0x18FF61FB
+STATUS, MASS, ROAD = 0x18FF60FB, 0x18FF61FB, 0x18FF65FB
 
 starts = st.sampled_from([0.0, 12.3, 1.7e9])
 steps = st.lists(st.floats(0.0, 0.9), min_size=1, max_size=200)
@@ -45,7 +45,7 @@ def test_rates_over_random_polls(start: float, distances: list[float]) -> None:
             assert t - 1.0 < frame.timestamp <= t or frame.arbitration_id != STATUS
             stamps[frame.arbitration_id].append(frame.timestamp)
     elapsed = polls[-1] - start
-    assert stamps[STATUS] == pytest.approx([start + k for k in range(int(elapsed) + 1)], abs=1e-6)
+    assert stamps[STATUS] == stamps[ROAD] == pytest.approx([start + k for k in range(int(elapsed) + 1)], abs=1e-6)
     for group in range(MASS, MASS + 4 * 256, 256):
         assert stamps[group] == pytest.approx([start + 10 * k for k in range(int(elapsed / 10) + 1)], abs=1e-6)
 
@@ -75,9 +75,9 @@ def test_same_polls_same_bytes(polls: list[tuple[float, Status | None]]) -> None
 def test_after_a_gap_the_grid_goes_on() -> None:
     publisher = Publisher(Publish())
     publisher.poll(0.0, None)
-    assert [f.timestamp for f in publisher.poll(34.5, None)] == [30.0] * 4 + [34.0]
+    assert [f.timestamp for f in publisher.poll(34.5, None)] == [30.0] * 4 + [34.0] * 2
     assert publisher.poll(34.9, None) == []
-    assert [f.timestamp for f in publisher.poll(35.0, None)] == [35.0]
+    assert [f.timestamp for f in publisher.poll(35.0, None)] == [35.0] * 2
 
 
 def test_counter_rolls_past_14_and_counts_each_message_alone() -> None:
@@ -92,12 +92,12 @@ def test_change_of_status_is_sent_at_once() -> None:
     publisher = Publisher(Publish())
     publisher.poll(0.0, None)
     frames = publisher.poll(0.25, made_estimate(0.25))
-    assert len(frames) == 5
+    assert len(frames) == 6
     assert all(f.timestamp == 0.25 for f in frames)
     assert read(frames, "MassMean") == 27190
     assert publisher.poll(1.0, made_estimate(0.25)) == []
     frames = publisher.poll(1.1, made_estimate(1.1, Status.INVALID))
-    assert len(frames) == 5
+    assert len(frames) == 6
     assert read(frames, "MassMean") == read(frames, "ADeviation") == "error"
     assert read(frames, "EstimateStatus") == "invalid"
     assert read(publisher.poll(1.2, made_estimate(1.2)), "MassMean") == 27190
@@ -109,7 +109,7 @@ def test_values_are_withdrawn_when_stale_and_return_with_a_new_estimate() -> Non
     publisher.poll(59.5, made_estimate(0.0))
     assert publisher.poll(59.9, made_estimate(0.0)) == []
     frames = publisher.poll(60.5, made_estimate(0.0))
-    assert len(frames) == 5
+    assert len(frames) == 6
     assert read(frames, "EstimateStatus") == "stale"
     assert {read(frames, name) for name in ("MassQ05", "CMean", "Coverage", "SampleCount")} == {"not available"}
     assert read(frames, "EstimateAge") == 60
@@ -121,9 +121,9 @@ def test_clock_set_back_starts_anew_and_does_not_make_an_estimate_young() -> Non
     old = made_estimate(10_000.0)
     publisher.poll(10_030.0, old)
     frames = publisher.poll(5_000.0, old)
-    assert [f.timestamp for f in frames] == [5_000.0] * 5
+    assert [f.timestamp for f in frames] == [5_000.0] * 6
     assert read(frames, "EstimateAge") == 30
-    assert [f.timestamp for f in publisher.poll(5_001.5, old)] == [5_001.0]
+    assert [f.timestamp for f in publisher.poll(5_001.5, old)] == [5_001.0] * 2
     assert read(publisher.poll(5_031.0, old), "EstimateStatus") == "stale"
     assert read(publisher.poll(5_032.0, made_estimate(5_032.0)), "EstimateAge") == 0
 
@@ -146,4 +146,4 @@ def test_jitter_of_time_stamps_sends_nothing_twice(jitter: list[float]) -> None:
 def test_jitter_at_the_stale_limit_does_not_toggle_the_status() -> None:
     publisher = Publisher(Publish(stale_after_s=60.0))
     sent = [publisher.poll(t, made_estimate(0.0)) for t in (0.0, 60.1, 59.9, 60.2, 59.8, 60.3)]
-    assert [len(frames) for frames in sent] == [5, 5, 0, 0, 0, 0]
+    assert [len(frames) for frames in sent] == [6, 6, 0, 0, 0, 0]

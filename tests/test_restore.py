@@ -37,7 +37,7 @@ REBUILT = {  # what traffic or the configuration shows again
     StrideStage: {"_config", "_effects", "wanted"},
     RoadInference: {"_config", "_effects", "_gate", "_given", "_rng", "_window", "evidence"},
     PaperInference: {"_config", "_gate", "_rng", "_window", "evidence"},
-    Pipeline: {"config", "_is_restored"},
+    Pipeline: {"config", "_is_live", "_is_restored"},
     RowStream: {
         "_config",
         "_map",

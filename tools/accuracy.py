@@ -25,7 +25,7 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config, from_dict
 from estimator.signals import Role
-from estimator.simulation.recording import record
+from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import RoadKind, generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import Truck, draw_truck
@@ -60,6 +60,11 @@ class World:
 
     def drive(self, minutes: float, rng: np.random.Generator) -> tuple[Truck, Frames]:
         """A truck drawn at random, and the frames of its drive of ``minutes`` [min]."""
+        recording = self.recorded(minutes, rng)
+        return recording.truth.truck, frames_of(recording.signals)
+
+    def recorded(self, minutes: float, rng: np.random.Generator) -> Recording:
+        """The drive of a truck drawn at random, of ``minutes`` [min]."""
         truck = draw_truck(rng)
         route = generate_route(self.kind, minutes * METRES_PER_MINUTE, rng, self.slopes)
         sensors = Sensors(
@@ -69,7 +74,7 @@ class World:
             altitude_noise=self.altimeter or 0.0,
             without=frozenset(OF_THE_ROAD - ({Role.ALTITUDE} if self.altimeter is not None else set())),
         )
-        return truck, frames_of(record(truck, route, minutes * 60, rng, sensors=sensors).signals)
+        return record(truck, route, minutes * 60, rng, sensors=sensors)
 
 
 def hills(number: int, rng: np.random.Generator) -> World:

@@ -91,7 +91,7 @@ def write_state(folder: Path, minutes: float, outputs: str) -> None:
     config = configuration.load(settings)
     if minutes:
         frames = traffic.drive(60 * minutes, seed=1)
-        worker = Worker(Pipeline(config), len(frames), StateStore(folder), estimation_key(config))
+        worker = Worker(Pipeline(config, is_live=True), len(frames), StateStore(folder), estimation_key(config))
         worker.offer(replace(frames, t=frames.t - frames.t[-1] + time.time()))
         worker.close()
 

@@ -15,7 +15,7 @@ Kang, Stein, "Online vehicle mass estimation using recursive least squares and s
 Control Conference 2008, separate fast from slow forces alike).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,22 +82,37 @@ class Band:
 
 def two_forgetting_factors(data: Sequence[Stretch], settings: TwoFactors, known: Known) -> Mass:
     """Recursion over all rows in order; the slope takes up the rolling resistance, and C is known."""
+    steps = list(_recursion(data, settings, known))
+    _, theta, spread, _ = steps[-1]
+    mass, squares = 1 / max(float(theta[0]), MIN_INVERSE_MASS), sum(step[3] for step in steps)
+    return Mass(mass, float(np.sqrt(squares / max(len(steps) - 2, 1) * spread[0])) * mass**2)
+
+
+def slopes_by_two_factors(data: Sequence[Stretch], settings: TwoFactors, known: Known) -> Floats:
+    """Times [s] and sine of the slope [1] (n, 2) by the same recursion, row by row; A is known as well."""
+    found = [
+        (t, theta[1] - known.A * max(theta[0], MIN_INVERSE_MASS) / STANDARD_GRAVITY)
+        for t, theta, _, _ in _recursion(data, settings, known)
+    ]
+    return np.array(found).reshape(-1, 2)
+
+
+def _recursion(
+    data: Sequence[Stretch], settings: TwoFactors, known: Known
+) -> Iterator[tuple[float, Floats, Floats, float]]:
+    """After each row its time [s], 1/m and slope (2,), their relative variances (2,), and the squared innovation."""
     theta = np.array([1 / START[2], 0.0])
     spread = np.array([INVERSE_MASS_SD**2, SLOPE_SD**2]) / (FORCE_NOISE / START[2]) ** 2
     factors = np.array([settings.mass, settings.slope])
-    squares, count = 0.0, 0
     for stretch in data:
         columns, force = regression(stretch, settings.cutoff)
         regressors = np.column_stack([force - known.C * columns[:, 1], -STANDARD_GRAVITY * columns[:, 0]])
-        for x, a in zip(regressors, columns[:, 2], strict=True):
+        for t, x, a in zip(stretch.t[1:].tolist(), regressors, columns[:, 2], strict=True):
             share = spread * x**2 / factors
             innovation = a - x @ theta
             theta = theta + spread * x / factors * (innovation / (1 + share.sum()))
             spread = spread / factors / (1 + share)
-            squares += innovation**2 / (1 + share.sum())
-            count += 1
-    mass = 1 / max(float(theta[0]), MIN_INVERSE_MASS)
-    return Mass(mass, float(np.sqrt(squares / max(count - 2, 1) * spread[0])) * mass**2)
+            yield t, theta, spread, float(innovation**2 / (1 + share.sum()))
 
 
 class SlopeFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types

@@ -39,8 +39,9 @@ Z90 = 1.6449  # standard deviations to either end of a 90 % interval
 
 @dataclass(frozen=True)
 class Stretch:
-    """Consecutive admitted rows: ``speed`` [m/s] and ``power`` [W] at the wheels, both (n,)."""
+    """Consecutive admitted rows: times ``t`` [s], ``speed`` [m/s] and ``power`` [W] at the wheels, all (n,)."""
 
+    t: Floats
     speed: Floats
     power: Floats
 
@@ -84,7 +85,7 @@ def stretches(rows: Rows, admission: Admission, lag: float) -> list[Stretch]:
     power = np.interp(rows.t + lag, rows.t, rows.power)
     usable = (row_reasons(rows, admission) == ADMITTED) & np.isfinite(power)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]))).reshape(-1, 2)
-    return [Stretch(rows.speed[i:j], power[i:j]) for i, j in edges if j - i >= MIN_ROWS]
+    return [Stretch(rows.t[i:j], rows.speed[i:j], power[i:j]) for i, j in edges if j - i >= MIN_ROWS]
 
 
 def regression(stretch: Stretch, cutoff: float) -> tuple[Floats, Floats]:

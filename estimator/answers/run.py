@@ -95,6 +95,15 @@ class Road(Struct, frozen=True, kw_only=True):
     climbed_m: float | None
 
 
+class RoadNow(Struct, frozen=True, kw_only=True):
+    """Grade (rise over run) under the vehicle as it was known then; height above the start where a signal shows it."""
+
+    grade_percent: float
+    sd_percent: float
+    height_m: float | None
+    height_sd_m: float | None
+
+
 class Samples(Struct, frozen=True, kw_only=True):
     """Samples in the window, and counts of those rejected, by reason."""
 
@@ -121,12 +130,16 @@ class LoadChanged(Struct, frozen=True, kw_only=True):
 
 
 class Update(Struct, frozen=True, kw_only=True):
-    """The estimate at a time since the first frame; ``load_changed`` only after a long stop."""
+    """The estimate at a time since the first frame; ``load_changed`` only after a long stop.
+
+    ``road_now`` only in a replay, where it was broadcast.
+    """
 
     t_s: float
     status: Status
     parameters: Parameters
     load_changed: LoadChanged | UnsetType = UNSET
+    road_now: RoadNow | UnsetType = UNSET
 
 
 class RunAnswer(Answer, frozen=True, kw_only=True):

@@ -6,7 +6,7 @@ from typing import Literal
 from msgspec import UNSET, Struct, UnsetType, field
 
 from estimator.answers.answer import Answer
-from estimator.answers.run import Convergence, Coverage, CoverageMap, Needed, Parameters, Past, Road
+from estimator.answers.run import Convergence, Coverage, CoverageMap, Needed, Parameters, Past, Road, RoadNow
 from estimator.estimates import Status
 
 
@@ -145,6 +145,7 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
     estimate: Estimate | None
     outputs: dict[str, Output] = field(default_factory=dict)
     progress: Progress | None = None
+    road_now: RoadNow | None = None
 
 
 class NotRunningAnswer(Answer, frozen=True, kw_only=True):

@@ -3,7 +3,8 @@
 The layout is that of the shipped ``roadload.dbc`` and nowhere else: positions, scales, limits and the raw values of
 "error" and "not available" (J1939-71: a number is valid while its top byte is at most 0xFA) are read from there.
 Parameters are sent only while the status is "estimated"; they read "error" when it is "invalid", "not available"
-otherwise. A conclusion older than ``stale_after_s`` is "stale": only its age is sent, never its values.
+otherwise. A conclusion older than ``stale_after_s`` is "stale": only its age is sent, never its values. The road under
+the vehicle is sent with the status, every second.
 """
 
 from functools import cache
@@ -14,12 +15,13 @@ import can
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.counter_crc import COUNTS, checksum
-from estimator.estimates import Estimate, Marginal, Status
+from estimator.estimates import Estimate, Marginal, Slope, Status
 from estimator.settings import Publish
 
 STALE = "stale"  # beside the values of `Status` in the signal EstimateStatus
 _ERROR, _NOT_AVAILABLE = "error", "not available"  # labels in roadload.dbc
-_STATUS, _VALUES = "RoadloadStatus", ("RoadloadMass", "RoadloadA", "RoadloadC", "RoadloadDeviation")
+_STATUS, _ROAD = "RoadloadStatus", "RoadloadRoad"
+_VALUES = ("RoadloadMass", "RoadloadA", "RoadloadC", "RoadloadDeviation")
 _PARAMETER = {"Mass": "m", "A": "A", "C": "C"}  # of the estimate, by its name in the messages
 _CVW = "CVW"  # SAE's own group, PGN 65136: no counter, no checksum
 _PGN_MASK = 0x03FFFF00  # of the 29-bit id; every group here is a broadcast one (PDU2)
@@ -35,7 +37,7 @@ def output_database() -> Database:
 
 def output_groups(cvw: bool = True) -> frozenset[int]:
     """PGNs that a `Publisher` sends, with or without CVW."""
-    names = (_STATUS, *_VALUES, *((_CVW,) if cvw else ()))
+    names = (_STATUS, _ROAD, *_VALUES, *((_CVW,) if cvw else ()))
     return frozenset((output_database().get_message_by_name(name).frame_id & _PGN_MASK) >> 8 for name in names)
 
 
@@ -74,7 +76,7 @@ class Publisher:
         database = output_database()
         values = (*_VALUES, _CVW) if publish.cvw else _VALUES
         self._groups = [
-            (Schedule(publish.status_period_s), [database.get_message_by_name(_STATUS)]),
+            (Schedule(publish.status_period_s), [database.get_message_by_name(name) for name in (_STATUS, _ROAD)]),
             (Schedule(publish.value_period_s), [database.get_message_by_name(name) for name in values]),
         ]
         self._counters: dict[str, int] = {}
@@ -83,8 +85,10 @@ class Publisher:
         self._lost = 0.0  # [s] by which the clock was set back since the current estimate
         self._estimate_t: float | None = None  # [s]
 
-    def poll(self, t: float, estimate: Estimate | None) -> list[can.Message]:
+    def poll(self, t: float, estimate: Estimate | None, slope: Slope | None = None) -> list[can.Message]:
         """Frames that are due at message time ``t`` [s], in order of time and stamped with the time they were due.
+
+        ``slope`` is that of the road under the vehicle at that time.
 
         Call it at least once per ``status_period_s``: after a longer gap each frame is sent once. The first call, a
         new conclusion, a change of status and a clock set back send everything at once and start the periods anew.
@@ -100,18 +104,18 @@ class Publisher:
                 schedule.restart(self._now)
         instants = [(schedule.due(self._now), messages) for schedule, messages in self._groups]
         due = [(instant, messages) for instant, messages in instants if instant is not None]
-        contents = _contents(estimate, status, age) if due else {}
+        contents = _contents(estimate, slope, status, age) if due else {}
         frames = [self._frame(message, instant, contents) for instant, messages in due for message in messages]
         return sorted(frames, key=lambda frame: frame.timestamp)
 
-    def answer(self, pgn: int, t: float, estimate: Estimate | None) -> can.Message | None:
+    def answer(self, pgn: int, t: float, estimate: Estimate | None, slope: Slope | None = None) -> can.Message | None:
         """One frame on request at message time ``t`` [s]; None for a group that is not sent.
 
         The latest poll may be long ago: nothing is polled while the bus sleeps.
         """
         now = max(self._now, t)
         age = self._age(now, estimate)
-        contents = _contents(estimate, self._status_of(estimate, age), age)
+        contents = _contents(estimate, slope, self._status_of(estimate, age), age)
         for message in (message for _, messages in self._groups for message in messages):
             if message.frame_id & _PGN_MASK == pgn << 8:
                 return self._frame(message, now, contents)
@@ -152,7 +156,7 @@ class Publisher:
         return can.Message(timestamp=due, arbitration_id=ident, data=data, is_extended_id=True, is_rx=False)
 
 
-def _contents(estimate: Estimate | None, status: str, age: float) -> dict[str, float | str]:
+def _contents(estimate: Estimate | None, slope: Slope | None, status: str, age: float) -> dict[str, float | str]:
     """Physical value, or label, of every signal except counter and checksum; NaN is not available."""
     shown = None if status == STALE else estimate
     contents: dict[str, float | str] = {
@@ -179,7 +183,23 @@ def _contents(estimate: Estimate | None, status: str, age: float) -> dict[str, f
         contents[f"Roadload{name}.EstimateStatus"] = str(Status.UNESTIMATED if is_lost else own)
     contents["GrossCombinationVehicleWeight"] = contents["MassMean"]
     contents["PoweredVehicleWeight"] = _NOT_AVAILABLE
-    return contents
+    return contents | _of_road(slope if usable else None, status, withheld)
+
+
+def _of_road(slope: Slope | None, status: str, withheld: str) -> dict[str, float | str]:
+    """Contents of the road's message; a grade or a height that is too uncertain for its signals is withheld."""
+    if slope is None or abs(slope.sine) >= 1 or 100 * slope.grade_sd > _most("RoadGradeDeviation"):
+        status = Status.UNESTIMATED.value if status == Status.ESTIMATED else status
+        names = ("RoadGrade", "RoadGradeDeviation", "RoadHeight", "RoadHeightDeviation")
+        return {"RoadloadRoad.EstimateStatus": status, **dict.fromkeys(names, withheld)}
+    is_known = abs(slope.height) <= _most("RoadHeight") and slope.height_sd <= _most("RoadHeightDeviation")
+    return {
+        "RoadloadRoad.EstimateStatus": status,
+        "RoadGrade": 100 * slope.grade,
+        "RoadGradeDeviation": 100 * slope.grade_sd,
+        "RoadHeight": slope.height if is_known else nan,
+        "RoadHeightDeviation": slope.height_sd if is_known else nan,
+    }
 
 
 @cache

@@ -3,6 +3,7 @@
 from rich.console import Console
 from rich.text import Text
 
+from estimator.answers.run import RoadNow
 from estimator.answers.status import State, StatusAnswer
 from estimator.commands.estimate_table import STYLES, print_estimate
 from estimator.commands.terminal import say
@@ -42,6 +43,8 @@ def print_status(console: Console, status: StatusAnswer) -> None:
     for reason, count in sorted(status.refused.items()):
         say(console, f"refused   {reason} {count:,}")
     _print_estimate(console, status)
+    if status.road_now is not None:
+        say(console, f"road now  {_told(status.road_now)}")
     if status.failed_updates:
         say(console, f"failed    {status.failed_updates:,} updates, numerically")
     worker = status.estimator
@@ -93,3 +96,9 @@ def _print_estimate(console: Console, status: StatusAnswer) -> None:
     rejected = sorted(status.samples_rejected.items(), key=lambda item: -item[1])
     unused = ", ".join(f"{reason} {count:,}" for reason, count in rejected if count)
     say(console, f"samples   {progress.samples:,} used; not used: {unused or 'none'}")
+
+
+def _told(road: RoadNow) -> str:
+    """The road under the vehicle in words."""
+    height = "" if road.height_m is None else f", {road.height_m:+.0f} +- {road.height_sd_m:.0f} m above the start"
+    return f"{road.grade_percent:+.2f} +- {road.sd_percent:.2f} %{height}"

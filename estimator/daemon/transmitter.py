@@ -20,7 +20,7 @@ from estimator.can_io.j1939_node import ADDRESS_CLAIMED, COMMANDED_ADDRESS, REQU
 from estimator.can_io.publisher import Publisher, output_groups
 from estimator.can_io.trouble_codes import DM1
 from estimator.daemon.diagnostics import Diagnostics
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Slope
 from estimator.settings import Publish, Transmit
 
 log = logging.getLogger(__name__)
@@ -70,6 +70,7 @@ class Transmitter:
             transmit.frames_per_second, max(1, round(BURST_DURATION * transmit.frames_per_second))
         )
         self.estimate: Estimate | None = None
+        self.slope: Slope | None = None
         self._t = 0.0  # message time [s] of the latest turn
         self._foreign: list[int] = []
         self._quiet_until = -np.inf
@@ -145,12 +146,14 @@ class Transmitter:
                     self._preferred = address
                 self._put(self.node.poll(now), now)
 
-    def turn(self, now: float, t: float, estimate: Estimate | None, is_receiving: bool) -> None:
-        """Send what is due at monotonic time ``now`` and message time ``t`` [s].
+    def turn(
+        self, now: float, t: float, estimate: Estimate | None, is_receiving: bool, slope: Slope | None = None
+    ) -> None:
+        """Send what is due at monotonic time ``now`` and message time ``t`` [s]; ``slope`` at that time.
 
         Unless ``is_receiving``, nothing is sent: a sending node would wake the bus, and the values would be old.
         """
-        self.estimate, self._t = estimate, t
+        self.estimate, self.slope, self._t = estimate, slope, t
         self._foreign = self._neighbours.senders(CVW, t)
         if now < self._quiet_until or not is_receiving:
             return
@@ -160,7 +163,7 @@ class Transmitter:
         if address is None:
             return
         self._publisher.source_address = address
-        for message in self._publisher.poll(t, estimate):
+        for message in self._publisher.poll(t, estimate, slope):
             self._broadcast(message, now)
         if self.diagnostics is not None:
             for message in self.diagnostics.poll(now, address, lambda count: self._may_send(DM1, address, count, now)):
@@ -193,7 +196,7 @@ class Transmitter:
             return answer
         if self.node.address is not None:
             self._publisher.source_address = self.node.address
-        message = self._publisher.answer(pgn, self._t, self.estimate)
+        message = self._publisher.answer(pgn, self._t, self.estimate, self.slope)
         if message is None or self._reason_to_withhold(pgn, message.arbitration_id & 0xFF) is not None:
             return None
         return [message]

@@ -20,6 +20,7 @@ from estimator.estimation.gate import has_news
 from estimator.estimation.model_check import SpeedScale
 from estimator.estimation.paper_inference import PaperInference
 from estimator.estimation.road_inference import RoadInference
+from estimator.estimation.road_now import RoadAhead, RoadNow
 from estimator.estimation.window import Window
 from estimator.preparation.admission import Reason
 from estimator.preparation.stage import Piece, StrideStage
@@ -38,9 +39,11 @@ class Estimator:
         All settings; ``sampler.likelihood`` selects the inference.
     rng
         Source of all randomness.
+    is_live
+        Whether the road under the vehicle is followed between two estimates.
     """
 
-    def __init__(self, config: Config, rng: np.random.Generator) -> None:
+    def __init__(self, config: Config, rng: np.random.Generator, is_live: bool = False) -> None:
         self.window = Window(config)
         self.segment = 0  # number of the load, counted since the start of this process
         self.failed_updates = 0  # those that failed numerically, since the start of this process
@@ -53,12 +56,18 @@ class Estimator:
         self._at_last = 0
         self._latest: Estimate | None = None
         self._scale = SpeedScale()
+        self._road = RoadNow(config.admission, is_live)
         self._resting = False  # restored, and the length of the downtime is not known yet
 
     @property
     def latest(self) -> Estimate | None:
         """The newest estimate; None before the first, and between `restore` and `resume`."""
         return None if self._resting else self._latest
+
+    @property
+    def road_now(self) -> RoadAhead | None:
+        """The road under the vehicle and ahead of it by the newest fit; None while there is none."""
+        return None if self._resting else self._road.here()
 
     @property
     def progress(self) -> tuple[int, int, int]:
@@ -83,6 +92,7 @@ class Estimator:
         self._next = int(rows.index[-1]) + 1
         for piece in self._stage.feed(rows):
             yield from self._take(piece)
+        self._road.feed(rows, self._stage.wanted)
 
     def finish(self) -> Iterator[Estimate]:
         """Use the rows that still wait, at the end of a log or before a gap, and yield the estimates due."""
@@ -91,6 +101,7 @@ class Estimator:
             return
         for piece in self._stage.finish():
             yield from self._take(piece)
+        self._road.finish()
         yield self._conclude(end)
 
     def forget(self, vehicle: bool = False) -> None:
@@ -100,6 +111,7 @@ class Estimator:
         same drive again.
         """
         self._stage.forget()
+        self._road.forget()
         self._due, self._next = None, None
         self._start_segment()
         if vehicle:
@@ -118,6 +130,7 @@ class Estimator:
             "latest": msgspec.to_builtins(self._latest),
             "scale": self._scale.state(),
             "inference": self._inference.state(),
+            "road": self._road.state(),
         }
 
     def restore(self, state: State) -> None:
@@ -137,6 +150,7 @@ class Estimator:
         self._latest = read(state, "latest", Estimate | None)
         self._scale.restore(substate(state, "scale"))
         self._inference.restore(substate(state, "inference"))
+        self._road.restore(substate(state, "road"))
         if self._at_last > self.window.added:
             raise StateError("counts: are out of range")
         if len(self.window) and frozenset(self.window.strides.context) != self._stage.wanted:
@@ -174,6 +188,7 @@ class Estimator:
             self.window.clear()
         else:
             self.window.forget_before(kept_from)
+        self._road.conclude(None)
         self._latest = None
         self._at_last = self.window.added
 
@@ -192,6 +207,8 @@ class Estimator:
                 coverage=Coverage(0, 0),
                 admitted=len(self.window),
             )
+        fit = None if self.evidence is None else self.evidence.fit
+        self._road.conclude(None if fit is None else (fit, self.window.strides))
         if self._latest.status == Status.ESTIMATED:
             self._at_last = self.window.added
         return self._latest

@@ -54,13 +54,17 @@ def shapes_of(present: Mask) -> Floats:
     return shapes
 
 
-def view_of(strides: Strides, force: Floats, road_load: Floats, taken: Floats | float) -> View:
+def view_of(
+    strides: Strides, force: Floats, road_load: Floats, taken: Floats | float, density: Floats | None = None
+) -> View:
     """What effects are computed from, for a ``force`` [N] (n,) of which other effects have ``taken`` a part [N].
+
+    ``density`` (n,) [1]: of the air, over its mean in the fit; over that of these strides where it is not given.
 
     The acceleration is that on level ground, (F - taken - A - C v^2) / m: the measured one has the road in it.
     """
     A, C, m = road_load.tolist()
-    density = strides.relative_density
+    density = strides.relative_density if density is None else density
     return View(
         t=strides.t,
         v=strides.speed,
@@ -73,9 +77,16 @@ def view_of(strides: Strides, force: Floats, road_load: Floats, taken: Floats | 
     )
 
 
-def taken_by(strides: Strides, force: Floats, road_load: Floats, terms: Sequence[Term], sizes: Floats) -> Floats:
+def taken_by(
+    strides: Strides,
+    force: Floats,
+    road_load: Floats,
+    terms: Sequence[Term],
+    sizes: Floats,
+    density: Floats | None = None,
+) -> Floats:
     """Force [N] (n,) that ``terms`` of these ``sizes`` take from acceleration, but for those computed from it."""
-    view, total = view_of(strides, force, road_load, 0.0), np.zeros(len(strides))
+    view, total = view_of(strides, force, road_load, 0.0, density), np.zeros(len(strides))
     for term, size in zip(terms, sizes.tolist(), strict=True):
         if not term.effect.is_noisy:
             total += size * term.column(view) / strides.speed
@@ -89,18 +100,19 @@ def columns(
     road_load: Floats,
     departures: Sequence[float] = (),
     taken: Floats | float = 0.0,
+    density: Floats | None = None,
 ) -> Floats:
     """Regressors (n, PLAIN + earlier loads + terms) of the acceleration, for force at the lag with number ``lag``.
 
     The load may have changed before each of the ``departures`` [s]; rolling resistance is proportional to it. What the
-    terms have ``taken`` of the force [N] (n,), as far as it is known, accelerates no load.
+    terms have ``taken`` of the force [N] (n,), as far as it is known, accelerates no load. ``density``: see `view_of`.
     """
     force = strides.force[:, lag]
     low, high = max(lag - 1, 0), min(lag + 1, len(LAGS) - 1)
     rate = (strides.force[:, high] - strides.force[:, low]) / (LAGS[high] - LAGS[low])
-    density = strides.relative_density
+    density = strides.relative_density if density is None else density
     plain = [force, -np.ones(len(strides)), -density * strides.speed_squared, rate, np.minimum(force, 0.0)]
-    view = view_of(strides, force, road_load, taken)
+    view = view_of(strides, force, road_load, taken, density)
     pulling = force - taken - float(road_load[1]) * density * strides.speed_squared
     loads = pulling[:, None] * earlier_loads(strides.t, departures)
     return np.column_stack([*plain, loads, *(term.column(view) / strides.speed for term in terms)])

@@ -109,6 +109,7 @@ class Reading:
     bends: Floats
     offsets: Floats
     offset_sd: float
+    mean_square: float
 
     @classmethod
     def of(cls, name: str, strides: Strides, nodes: Nodes) -> "Reading | None":
@@ -137,6 +138,7 @@ class Reading:
             bends=(BEND / squares) ** 2 if name == "gravity" else np.zeros(len(heard)),
             offsets=offsets,
             offset_sd=offset_sd,
+            mean_square=float(squares.mean()),
         )
 
 

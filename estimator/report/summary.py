@@ -1,6 +1,7 @@
 """Estimates as answers: of `roadload estimate` and `roadload replay`, and the parts that status and watch share."""
 
 from dataclasses import asdict
+from math import isfinite
 
 import numpy as np
 from msgspec import UNSET
@@ -8,7 +9,7 @@ from msgspec import UNSET
 from estimator.answers import run as answer
 from estimator.answers import status
 from estimator.answers.run import RunAnswer
-from estimator.estimates import Estimate, Marginal
+from estimator.estimates import Estimate, Marginal, Slope
 from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION
 from estimator.report import parameter_text
 from estimator.report.next_step import next_step
@@ -40,7 +41,7 @@ def of_run(run: Run) -> RunAnswer:
         failed_updates=pipeline.estimator.failed_updates,
         effects=tuple(pipeline.effects),
         magnitudes=final.effects,
-        updates=tuple(_update(update, run.start) for update in run.updates),
+        updates=tuple(_update(update, run) for update in run.updates),
     )
 
 
@@ -142,10 +143,20 @@ def _quantiles(x: Marginal | None) -> answer.Quantiles | None:
     return None if x is None else answer.Quantiles(q05=x.q05, mean=x.mean, q95=x.q95)
 
 
-def _update(update: Estimate, start: float) -> answer.Update:
-    change = update.load
+def road_now(slope: Slope) -> answer.RoadNow:
+    """The road under the vehicle, in units for people."""
+    return answer.RoadNow(
+        grade_percent=100 * slope.grade,
+        sd_percent=100 * slope.grade_sd,
+        height_m=slope.height if isfinite(slope.height) else None,
+        height_sd_m=slope.height_sd if isfinite(slope.height_sd) else None,
+    )
+
+
+def _update(update: Estimate, run: Run) -> answer.Update:
+    change, slope = update.load, run.slope_at(update.t)
     return answer.Update(
-        t_s=round(update.t - start, 3),
+        t_s=round(update.t - run.start, 3),
         status=update.status,
         parameters=parameters(update),
         load_changed=UNSET
@@ -153,4 +164,5 @@ def _update(update: Estimate, start: float) -> answer.Update:
         else answer.LoadChanged(
             probability=change.probability, mass_before_kg=change.before, mass_after_kg=change.after
         ),
+        road_now=UNSET if slope is None else road_now(slope),
     )

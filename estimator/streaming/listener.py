@@ -14,7 +14,8 @@ from estimator.can_io.publisher import Publisher
 from estimator.can_io.time_order import MAX_DELAY, NO_TIME, is_time
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Slope
+from estimator.estimation.road_now import RoadAhead
 from estimator.settings import Publish
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE
@@ -23,7 +24,7 @@ TICK = 0.25  # s of traffic taken at a time; well below the shortest period of t
 MAX_UPDATES = 10_000  # kept: a week of them
 
 Send = Callable[[can.Message], object]
-Broadcast = Callable[[float, Estimate | None], object]
+Broadcast = Callable[[float, Estimate | None, Slope | None], object]
 
 
 class Worker(Protocol):
@@ -37,6 +38,10 @@ class Worker(Protocol):
     def heard(self) -> float | None:
         """Message time [s] of the newest frame that `latest` knows."""
 
+    @property
+    def road_now(self) -> RoadAhead | None:
+        """The road under the vehicle; None while it is not known."""
+
     def offer(self, frames: Frames) -> None:
         """Take the next frames."""
 
@@ -48,7 +53,7 @@ class InlineWorker:
     """Estimates in the caller's thread; keeps the newest MAX_UPDATES ``updates``."""
 
     def __init__(self, config: Config) -> None:
-        self.pipeline = Pipeline(config)
+        self.pipeline = Pipeline(config, is_live=True)
         self.updates: deque[Estimate] = deque(maxlen=MAX_UPDATES)
 
     @property
@@ -60,6 +65,11 @@ class InlineWorker:
     def heard(self) -> float | None:
         """Message time [s] of the newest frame that `latest` knows."""
         return self.pipeline.traffic.until
+
+    @property
+    def road_now(self) -> RoadAhead | None:
+        """The road under the vehicle; None while it is not known."""
+        return self.pipeline.road_now
 
     def offer(self, frames: Frames) -> None:
         """Take the next frames, and estimate when it is due."""
@@ -74,8 +84,8 @@ def broadcast_by(publish: Publish, send: Send) -> Broadcast:
     """Broadcast that calls ``send`` with the messages that are due; an address is not claimed."""
     publisher = Publisher(publish)
 
-    def broadcast(t: float, estimate: Estimate | None) -> None:
-        for message in publisher.poll(t, estimate):
+    def broadcast(t: float, estimate: Estimate | None, slope: Slope | None) -> None:
+        for message in publisher.poll(t, estimate, slope):
             send(message)
 
     return broadcast
@@ -91,7 +101,7 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
     worker
         Estimates from the frames.
     broadcast
-        Called with the message time [s] and the newest estimate, at least every TICK of traffic.
+        Called with the message time [s], the newest estimate and the slope, at least every TICK of traffic.
 
     Attributes
     ----------
@@ -144,9 +154,14 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
             return None
         return estimate
 
+    def slope(self, t: float) -> Slope | None:
+        """The road under the vehicle at message time ``t`` [s]; None where it is not known."""
+        road = self._worker.road_now
+        return None if road is None or road.t < self._woken else road.at(t)
+
     def turn(self, t: float) -> None:
         """Broadcast what is due at message time ``t`` [s]."""
-        self._broadcast(t, self.fresh(t))
+        self._broadcast(t, self.fresh(t), self.slope(t))
 
     def on_message_received(self, msg: can.Message) -> None:
         """Take one message; every TICK of message time, process those that waited and broadcast."""

@@ -10,11 +10,19 @@ from estimator.checkpoint.validation import State, substate
 from estimator.config import Config
 from estimator.estimates import Estimate, Status
 from estimator.estimation.estimator import Estimator
+from estimator.estimation.road_now import RoadAhead
 from estimator.streaming.row_stream import Block, Interruption, RowStream
 
 
 class Pipeline:
     """Frames in, estimates out, live, replayed or read from a log.
+
+    Parameters
+    ----------
+    config
+        All settings.
+    is_live
+        Whether the road under the vehicle is followed, for `road_now`.
 
     Attributes
     ----------
@@ -24,14 +32,14 @@ class Pipeline:
         The second half.
     """
 
-    def __init__(self, config: Config) -> None:
-        self.config = config
+    def __init__(self, config: Config, is_live: bool = False) -> None:
+        self.config, self._is_live = config, is_live
         self.traffic = RowStream(config)
         self.estimator = self._new()
         self._is_restored = False  # and not fed since
 
     def _new(self) -> Estimator:
-        return Estimator(self.config, np.random.default_rng(self.config.sampler.seed))
+        return Estimator(self.config, np.random.default_rng(self.config.sampler.seed), self._is_live)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -43,6 +51,11 @@ class Pipeline:
         """The newest estimate; without its values while an input is contested."""
         latest = self.estimator.latest
         return None if latest is None else self._withheld(latest)
+
+    @property
+    def road_now(self) -> RoadAhead | None:
+        """The road under the vehicle; None without a fit, or while an input is contested."""
+        return None if self.traffic.contested else self.estimator.road_now
 
     def feed(self, frames: Frames) -> Iterator[Estimate]:
         """Take the next frames in order of arrival; yields estimates as they fall due."""

@@ -1,10 +1,12 @@
 """Recorded traffic through the pipeline: put on a virtual bus as on a vehicle, or straight from the file."""
 
 import time
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from estimator.can_io.log_writer import write_log
 from estimator.columns import Column, Row, columns, posterior, statistics
 from estimator.config import Config
 from estimator.errors import RoadloadError
-from estimator.estimates import Coverage, Estimate, Status
+from estimator.estimates import Coverage, Estimate, Slope, Status
 from estimator.streaming.listener import InlineWorker, Listener, broadcast_by
 from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
 from estimator.streaming.pipeline import Pipeline
@@ -38,6 +40,7 @@ UPDATES = (
 MINUTE = 60.0  # s
 SLICE = 0.25  # s of real time
 MAX_HELD = 3.0  # s of real time
+SLOPE_PERIOD = 1.0  # s between slopes that are kept
 BATCH = 1000  # frames put on the virtual bus before the listener's side is drained
 
 
@@ -45,7 +48,8 @@ BATCH = 1000  # frames put on the virtual bus before the listener's side is drai
 class Run:
     """The result of one log, or of several in order.
 
-    ``mixed_channels`` counts the frames by channel where several were read as one bus.
+    ``mixed_channels`` counts the frames by channel where several were read as one bus. ``slopes`` of the road under the
+    vehicle, one a second, as a replay broadcast them.
     """
 
     pipeline: Pipeline
@@ -53,11 +57,17 @@ class Run:
     skipped: Counter[str]
     mixed_channels: Counter[str]
     broadcast: list[can.Message] = field(default_factory=list)
+    slopes: list[Slope] = field(default_factory=list)
 
     @property
     def start(self) -> float:
         """Time of the first frame [s]."""
         return self.pipeline.traffic.start or 0.0
+
+    def slope_at(self, t: float) -> Slope | None:
+        """The first slope that was broadcast at a time [s] or in the second behind it."""
+        place = bisect_left(self.slopes, t, key=attrgetter("t"))
+        return self.slopes[place] if place < len(self.slopes) and self.slopes[place].t <= t + SLOPE_PERIOD else None
 
     @property
     def final(self) -> Estimate:
@@ -147,11 +157,18 @@ def replay(
     Interrupted
         By Ctrl-C; ``output`` is not written.
     """
-    logs, heard = LogFrames(paths, config, progress), list[can.Message]()
+    logs, heard, slopes = LogFrames(paths, config, progress), list[can.Message](), list[Slope]()
     channel = f"replay {id(heard)}"  # unique in this process
     with _virtual_bus(channel) as vehicle, _virtual_bus(channel) as node:
         worker = InlineWorker(config)
-        listener = Listener(worker, broadcast_by(config.publish, node.send))
+        send = broadcast_by(config.publish, node.send)
+
+        def broadcast(t: float, estimate: Estimate | None, slope: Slope | None) -> None:
+            send(t, estimate, slope)
+            if slope is not None and (not slopes or not 0 <= t - slopes[-1].t < SLOPE_PERIOD):
+                slopes.append(slope)
+
+        listener = Listener(worker, broadcast)
         sent = received = 0
         try:
             for frames in logs:
@@ -178,6 +195,7 @@ def replay(
         skipped=logs.skipped + listener.skipped,
         mixed_channels=logs.mixed,
         broadcast=heard,
+        slopes=slopes,
     )
 
 

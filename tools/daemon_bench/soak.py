@@ -108,7 +108,9 @@ def run(hours: int) -> None:
         folder = Path(scratch)
         day = Day(hours, folder)
         link = link_to(day, Reception())
-        worker = Worker(Pipeline(Config()), Reception().queue_frames, StateStore(folder), "soak", 60.0, day.clock)
+        worker = Worker(
+            Pipeline(Config(), is_live=True), Reception().queue_frames, StateStore(folder), "soak", 60.0, day.clock
+        )
         files = (folder / "status.json", folder / "metrics")
         daemon = Daemon(link, None, worker, None, 5.0, *files, clock=day.clock, wall=day.wall)
         begun, reported = time.monotonic(), 0

@@ -93,7 +93,7 @@ def spoilt_traffic(count: int, seed: int) -> str:
 
     config = from_dict({"transmit": {"enabled": True}})
     link = link_to(noise, config.reception, Bus)
-    worker = Worker(Pipeline(config), config.reception.queue_frames, clock=noise.clock)
+    worker = Worker(Pipeline(config, is_live=True), config.reception.queue_frames, clock=noise.clock)
     transmitter = Transmitter(config.publish, config.transmit, link.send, np.random.default_rng(seed))
     faults = Faults(bind(config, load_database([])), config.publish.stale_after_s)
     daemon = Daemon(

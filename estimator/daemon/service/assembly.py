@@ -107,14 +107,14 @@ def restored(settings: Config, store: StateStore, key: str) -> Pipeline:
     if reason:
         log.info("saved state: %s", reason)
     if state is not None:
-        pipeline, boot = Pipeline(settings), boot_id()
+        pipeline, boot = Pipeline(settings, is_live=True), boot_id()
         try:
             pipeline.restore(state, same_clock=bool(boot) and state.get(BOOT) == boot)
         except RoadloadError as error:
             log.warning("saved state discarded: %s", error)
         else:
             return pipeline
-    return Pipeline(settings)
+    return Pipeline(settings, is_live=True)
 
 
 def rehearse(following: Plan, running: Plan) -> None:

@@ -26,7 +26,7 @@ from estimator.daemon.service.sd_notify import Notifier
 from estimator.daemon.service.worker import Worker
 from estimator.daemon.transmitter import Transmitter
 from estimator.errors import RoadloadError
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, Slope
 from estimator.output_files import write
 from estimator.report import summary
 from estimator.streaming.listener import Listener
@@ -199,6 +199,7 @@ class Daemon:
             estimate=summary.conclusion(knowledge.estimate, t, knowledge.start),
             progress=knowledge.progress,
             outputs={name: output.status() for name, output in self._outputs.items()},
+            road_now=status.of_road(self.listener.slope(t)),
         )
 
     def is_healthy(self, now: float) -> bool:
@@ -206,9 +207,9 @@ class Daemon:
         draining = all(now - link.beat < MAX_PAUSE for link in self._links())
         return draining and self.worker.stuck_for(now) < MAX_WORK
 
-    def _broadcast(self, t: float, estimate: Estimate | None) -> None:
+    def _broadcast(self, t: float, estimate: Estimate | None, slope: Slope | None) -> None:
         if self.transmitter is not None:
-            self.transmitter.turn(self._clock(), t, estimate, self._is_receiving)
+            self.transmitter.turn(self._clock(), t, estimate, self._is_receiving, slope)
 
     def _links(self) -> list[Link]:
         return [self.source, *([self.target] if self.target is not None else [])]
@@ -228,7 +229,8 @@ class Daemon:
                 if link is self.source and len(frames):
                     self.listener.hear(frames)
                 if self.transmitter is not None and link is self._output:
-                    self.transmitter.estimate = self.listener.fresh(self._time(self.source).at(drained_at))
+                    t = self._time(self.source).at(drained_at)
+                    self.transmitter.estimate, self.transmitter.slope = self.listener.fresh(t), self.listener.slope(t)
                     self.transmitter.hear(frames, batch.own, drained_at)
                 elif self.transmitter is not None:
                     self.transmitter.hear_elsewhere(frames)

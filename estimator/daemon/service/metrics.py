@@ -56,6 +56,7 @@ def exposition(status: StatusAnswer) -> str:
     _give_traffic(out, status)
     _give_estimator(out, status)
     _give_estimate(out, status)
+    _give_road(out, status)
     _give_transmission(out, status)
     _give_outputs(out, status)
     return "\n".join(out.lines) + "\n"
@@ -102,6 +103,15 @@ def _give_estimate(out: Exposition, status: StatusAnswer) -> None:
     for name, marginal in msgspec.structs.asdict(estimate.parameters).items():
         values = [(key, getattr(marginal, key)) for key in MOMENTS]
         out.of_label(name, GAUGE, PARAMETERS[name], "moment", values)
+
+
+def _give_road(out: Exposition, status: StatusAnswer) -> None:
+    road = status.road_now
+    if road is None:
+        return
+    out.give("road_grade_percent", GAUGE, "Grade of the road under the vehicle.", road.grade_percent)
+    out.give("road_grade_sd_percent", GAUGE, "Standard deviation of the grade.", road.sd_percent)
+    out.give("road_height_metres", GAUGE, "Height above the start of the drive.", road.height_m)
 
 
 def _give_transmission(out: Exposition, status: StatusAnswer) -> None:

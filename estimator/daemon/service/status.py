@@ -5,10 +5,11 @@ from math import isfinite
 
 from estimator.answers import status as answer
 from estimator.answers.published import PublishedAnswer, Usability
+from estimator.answers.run import RoadNow
 from estimator.daemon.reception.link import Link
 from estimator.daemon.service.worker import Knowledge, Worker
 from estimator.daemon.transmitter import Transmitter
-from estimator.estimates import Estimate, Status
+from estimator.estimates import Estimate, Slope, Status
 from estimator.report import summary
 
 
@@ -66,6 +67,11 @@ def published(
         written_s=round(written, 3),
         estimate=summary.conclusion(shown, t, None),
     )
+
+
+def of_road(slope: Slope | None) -> RoadNow | None:
+    """The road under the vehicle, where it is known."""
+    return None if slope is None else summary.road_now(slope)
 
 
 def of_worker(worker: Worker, now: float) -> answer.Estimator:

@@ -19,6 +19,7 @@ from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.boot_id import boot_id
 from estimator.errors import RoadloadError
 from estimator.estimates import Estimate
+from estimator.estimation.road_now import RoadAhead
 from estimator.report import summary
 from estimator.report.history import History
 from estimator.streaming.pipeline import Pipeline
@@ -90,6 +91,7 @@ class Worker:
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,
         )
+        self.road_now: RoadAhead | None = None  # as of the newest rows
         self.longest = self.last_conclusion = 0.0  # [s] that a batch with a conclusion took
         self.saves: Counter[str] = Counter()
         self.saved_at: float | None = None  # [s] monotonic
@@ -210,6 +212,7 @@ class Worker:
         for concluded in self.pipeline.feed(frames):
             self._history.add(concluded, self.pipeline.traffic.start or 0.0)
             log.info("estimate: %s", summary.in_one_line(concluded))
+        self.road_now = self.pipeline.road_now
         self._report_contests()
         if concluded is not None:
             self.last_conclusion = self._clock() - began

@@ -1,0 +1,334 @@
+"""A Kalman filter of the road over strides: slope and height under the vehicle, given all strides up to the newest.
+
+It is the model of `model/road.py` with the scales and parameters of a fit, stride by stride, at the middle of each:
+
+    slope and its derivatives     a Matern process over distance, see `state_space`
+    height since the start        the slope's integral; the altitude of the start beside it
+    wander of each signal         a Matern process over time, of order 1 or 2
+    e, f, p                       at both ends of the stride
+
+Motion and readings of a stride are scalar observations, one after the other. The slope changes continuously here, while
+`road` joins nodes 25 m apart by straight lines and takes a signal as read at the nearest of them; and as nothing is
+known of the road ahead, it has no end there. The filter is filterpy's, with Joseph's form of the covariance.
+
+The mean x depends linearly on the coefficients beta of the fit, so their doubt is in the covariance exactly, as far as
+the fit's Gaussian is (Schmidt 1966, "consider" parameters):
+
+    cov = P + S cov(beta) S',   S = dx/d(beta),   S <- F S,   S <- S - K (X + H S)
+
+The doubt of the scales is not in it.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from estimator.estimation.road_fit import RoadFit
+from estimator.estimation.road_likelihood import LAG, PLAIN, columns, taken_by
+from estimator.lean_import import import_deferring
+from estimator.model.ornstein_uhlenbeck import mean_given_ends
+from estimator.model.road import START_HEIGHT_SD
+from estimator.model.road_nodes import BEND, MAX_BRIDGE, SLOWEST, SPACING, Nodes, Reading, warping
+from estimator.model.road_scales import DISTURBANCE, LENGTH, POWER, SCALES, SLOPE, SPEED, TORQUE
+from estimator.model.state_space import passage, rate, stationary
+from estimator.signals import Floats
+from estimator.strides import DURATION, Strides
+from estimator.units import STANDARD_GRAVITY
+
+MOST_COUNTED = 10.0  # readings near a node that count, as in `RoadModel.variances`
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal of the road: white ``noise``, and its wander's ``sd`` and ``rate`` [1/s] at ``places`` of the state.
+
+    ``offsets``: places of its lasting errors among the coefficients; the second is in proportion to the square of the
+    speed over ``mean_square`` [m^2/s^2]. An altitude counts from ``origin`` [m].
+    """
+
+    name: str
+    noise: float
+    sd: float
+    rate: float
+    places: slice
+    offsets: tuple[int, ...]
+    mean_square: float
+    origin: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Belief:
+    """Mean (alpha + 1,) and covariance of slope, its scaled derivatives and the height [m] after a stride.
+
+    ``t`` [s] of the stride's middle. The process of the slope has the order ``alpha`` and the standard deviation
+    ``sd``, and changes by ``rate`` [1/m].
+    """
+
+    t: float
+    mean: Floats
+    covariance: Floats
+    alpha: int
+    sd: float
+    rate: float
+
+    def ahead(self, metres: float) -> "Belief":
+        """The same ``metres`` further on."""
+        forth, noise = _onward(self.alpha, self.rate * metres, metres)
+        covariance = forth @ self.covariance @ forth.T + self.sd**2 * noise
+        return replace(self, mean=forth @ self.mean, covariance=covariance)
+
+
+class RoadFilter:
+    """State after the newest stride.
+
+    Parameters
+    ----------
+    fit
+        Scales, coefficients and their covariance.
+    strides
+        Those that it was fitted to, with and without known force.
+    begin
+        Number of the stride to begin with.
+    height
+        Since the start at that stride, and its standard deviation [m].
+
+    Attributes
+    ----------
+    heights : list[tuple[float, float, float]]
+        Time [s] of each stride so far, the height since the start there and its standard deviation [m].
+    """
+
+    def __init__(
+        self, fit: RoadFit, strides: Strides, begin: int = 0, height: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        scales = fit.scales
+        self._fit, self._alpha = fit, scales.alpha
+        driven = fit.strides
+        turns = driven.gearing * driven.speed
+        known = turns[np.isfinite(turns)]
+        self._usual_turns = float(np.median(known)) if len(known) else 1.0  # rad/s
+        self._usual_gearing = float(np.median(driven.filled_gearing))
+        self._usual_speed = float(np.median(driven.speed))
+        dense = driven.density[np.isfinite(driven.density)]
+        self._usual_density = float(dense.mean()) if len(dense) else 1.0
+        self._sd, self._rate = float(scales.values[SLOPE]), rate(self._alpha, float(scales.values[LENGTH]))
+        self._lay_out(strides)
+        self._ends()
+        self._kalman: Any = import_deferring("filterpy.stats", "filterpy.kalman").KalmanFilter(self._size, 1)
+        self._kalman.inv = np.reciprocal  # of the variance of one observation
+        self._by_coefficients = np.zeros((self._size, len(fit.beta)))  # S of the module
+        self._last: tuple[float, float, float, bool] | None = None  # time, middle [m], warping, whether force is known
+        self._height = height
+        self.heights: list[tuple[float, float, float]] = []
+        self.follow(strides[begin:], fit.departures)
+
+    def _lay_out(self, strides: Strides) -> None:
+        """Places of everything in the state, and of the offsets among the coefficients."""
+        fit, nodes = self._fit, Nodes.under(strides)
+        size = self._alpha + 1
+        self._has_altitude = "altitude" in fit.scales.readings
+        size += self._has_altitude
+        readings = [Reading.of(name, strides, nodes) for name in fit.scales.readings]
+        offsets = [0 if reading is None else reading.offsets.shape[1] for reading in readings]
+        self._loads_end = at = len(fit.beta) - len(fit.terms) - sum(offsets)  # among the coefficients
+        self._signals = []
+        for i, (reading, number) in enumerate(zip(readings, offsets, strict=True)):
+            assert reading is not None
+            noise, sd, time = fit.scales.values[len(SCALES) + 3 * i :][:3].tolist()
+            signal = Signal(
+                name=reading.name,
+                noise=noise,
+                sd=sd,
+                rate=rate(fit.scales.wander, time),
+                places=slice(size, size + fit.scales.wander),
+                offsets=tuple(range(at, at + number)),
+                mean_square=reading.mean_square,
+                origin=float(reading.values[0]) if reading.name == "altitude" else 0.0,
+            )
+            self._signals.append(signal)
+            size, at = size + fit.scales.wander, at + number
+        self._first_end, self._size = size, size + 2 * (2 + fit.scales.has_power)
+
+    def _ends(self) -> None:
+        """Transition and noise of the errors at a stride's ends: after a stride that it is joined to, and else."""
+        values, size = self._fit.scales.values, self._size
+        self._white = float(values[DISTURBANCE]) ** 2
+        self._noises = [TORQUE, POWER][: 1 + self._fit.scales.has_power]
+        errors, self._own = [(float(values[SPEED]), 0.0)], []
+        for place in self._noises:
+            weight, own = mean_given_ends(DURATION, values[place + 1])
+            errors.append((2 * weight * float(values[place]), float(np.exp(-DURATION / values[place + 1]))))
+            self._own.append(own * float(values[place]) ** 2)
+        self._joined, self._unjoined = np.zeros((2, size, size)), np.zeros((2, size, size))
+        for at, (sd, keep) in zip(range(self._first_end, size, 2), errors, strict=True):
+            self._joined[0, at : at + 2, at + 1] = 1.0, keep
+            self._joined[1, at + 1, at + 1] = sd**2 * (1 - keep**2)
+            self._unjoined[1, at : at + 2, at : at + 2] = sd**2 * np.array([[1.0, keep], [keep, 1.0]])
+
+    def follow(self, strides: Strides, departures: tuple[float, ...] = ()) -> None:
+        """Take the next strides; the load of the fit is that after the last of the ``departures`` [s]."""
+        if not len(strides):
+            return
+        known = np.flatnonzero(strides.known)
+        driven, fit = strides[known], self._fit
+        coefficients = np.zeros((len(strides), len(fit.beta)))
+        coefficients[known] = self._regressors(driven, departures)
+        left = np.zeros(len(strides))
+        left[known] = driven.a - coefficients[known] @ fit.beta
+        shares = np.zeros((len(self._noises), len(strides)))
+        shares[:, known] = self._shares(driven)
+        middle, length = 0.5 * (strides.s0 + strides.s1), strides.s1 - strides.s0
+        factors = fit.scales.warping(length / DURATION)
+        for begin, end in fit.scales.turns:
+            factors[(middle > begin) & (middle < end)] = warping(np.array(SLOWEST))
+        readings = [(signal, *self._readings(signal, strides, length)) for signal in self._signals]
+        for i in range(len(strides)):
+            self._predict(float(strides.t[i]), float(middle[i]), float(factors[i]), bool(strides.known[i]))
+            if strides.known[i]:
+                self._see(left[i], self._motion(shares[:, i]), self._noise(shares[:, i]), coefficients[i])
+            for signal, values, variances, offsets in readings:
+                if np.isfinite(values[i]):
+                    self._see(values[i], self._shown(signal), variances[i], offsets[i])
+            self.heights.append((float(strides.t[i]), *self._risen()))
+
+    def belief(self) -> Belief:
+        """Of the road at the middle of the newest stride, with the doubt of the coefficients."""
+        n = self._alpha + 1
+        assert self._last is not None
+        by = self._by_coefficients[:n]
+        return Belief(
+            t=self._last[0],
+            mean=self._kalman.x[:n, 0].copy(),
+            covariance=self._kalman.P[:n, :n] + by @ self._fit.covariance @ by.T,
+            alpha=self._alpha,
+            sd=self._sd,
+            rate=self._rate * self._last[2],
+        )
+
+    def _risen(self) -> tuple[float, float]:
+        """Height since the start, and its standard deviation [m]."""
+        at, by = self._alpha, self._by_coefficients[self._alpha]
+        return float(self._kalman.x[at, 0]), float(np.sqrt(self._kalman.P[at, at] + by @ self._fit.covariance @ by))
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether a signal shows the road, so that the height is known."""
+        return bool(self._signals)
+
+    def _regressors(self, driven: Strides, departures: tuple[float, ...]) -> Floats:
+        """Of the acceleration of strides with a known force (n, p); no earlier load is in new ones."""
+        fit, terms = self._fit, self._fit.terms
+        density = driven.density / self._usual_density
+        density = np.where(np.isfinite(density), density, 1.0)
+        force, load = driven.force[:, fit.scales.lag], fit.road_load
+        taken = taken_by(driven, force, load, terms, fit.theta[LAG + 1 :], density) if terms else 0.0
+        own = columns(driven, fit.scales.lag, terms, load, departures, taken, density)
+        loads = own.shape[1] - len(terms) - PLAIN  # that these strides have: the latest ones
+        found = np.zeros((len(driven), len(fit.beta)))
+        found[:, :PLAIN] = own[:, :PLAIN]
+        found[:, self._loads_end - loads : self._loads_end] = own[:, PLAIN : PLAIN + loads]
+        found[:, len(fit.beta) - len(terms) :] = own[:, PLAIN + loads :]
+        return found
+
+    def _shares(self, driven: Strides) -> Floats:
+        """Of the noises of torque and power in each stride's force (k, n)."""
+        turned = np.isfinite(driven.gearing)
+        gearing = np.where(turned, driven.gearing, self._usual_turns / driven.speed)
+        shares: Floats = np.array([gearing / self._usual_gearing, self._usual_speed / driven.speed])
+        return shares[: len(self._noises)]
+
+    def _readings(self, signal: Signal, strides: Strides, length: Floats) -> tuple[Floats, Floats, Floats]:
+        """Values less their offsets (n,), their variances (n,), and the offsets' shapes (n, p)."""
+        values = getattr(strides, signal.name) / (STANDARD_GRAVITY if signal.name == "gravity" else 1.0)
+        near = np.maximum(SPACING / np.maximum(length, 0.01), 1.0)  # readings in the place of one of a node
+        variances = signal.noise**2 * np.maximum(near / MOST_COUNTED, 1.0)
+        squares = np.maximum(strides.speed**2, 1e-6)
+        if signal.name == "gravity":
+            variances = variances + near * (BEND / squares) ** 2
+        shapes = np.zeros((len(strides), len(self._fit.beta)))
+        for place, shape in zip(signal.offsets, (np.ones(len(strides)), squares / signal.mean_square), strict=False):
+            shapes[:, place] = np.where(np.isfinite(shape), shape, 1.0)
+        return values - signal.origin - shapes @ self._fit.beta, variances, shapes
+
+    def _predict(self, t: float, middle: float, factor: float, known: bool) -> None:
+        """Go on to the next stride, or begin."""
+        if self._last is None:
+            self._begin()
+        else:
+            before, place, warped, was_known = self._last
+            metres, alpha = middle - place, self._alpha
+            is_joined = known and was_known and abs(t - before - DURATION) < DURATION / 20
+            forth, noise = (part.copy() for part in (self._joined if is_joined else self._unjoined))
+            if 0 <= metres <= MAX_BRIDGE:
+                u = self._rate * 0.5 * (warped + factor) * metres
+                forth[: alpha + 1, : alpha + 1], own = _onward(alpha, u, metres)
+                noise[: alpha + 1, : alpha + 1] = self._sd**2 * own
+            else:  # another road
+                forth[alpha, alpha] = 1.0
+                noise[:alpha, :alpha] = self._sd**2 * stationary(alpha)
+                noise[alpha, alpha] = START_HEIGHT_SD**2
+            if self._has_altitude:
+                forth[alpha + 1, alpha + 1] = 1.0
+            for signal in self._signals:
+                at = signal.places
+                forth[at, at], own = passage(self._fit.scales.wander, signal.rate * (t - before))
+                noise[at, at] = signal.sd**2 * own
+            self._kalman.predict(F=forth, Q=noise)
+            self._by_coefficients = forth @ self._by_coefficients
+        self._last = t, middle, factor, known
+
+    def _begin(self) -> None:
+        spread, alpha = self._unjoined[1].copy(), self._alpha
+        spread[:alpha, :alpha] = self._sd**2 * stationary(alpha)
+        if self._has_altitude:
+            spread[alpha + 1, alpha + 1] = START_HEIGHT_SD**2
+        for signal in self._signals:
+            spread[signal.places, signal.places] = signal.sd**2 * stationary(self._fit.scales.wander)
+        self._kalman.P = spread
+        self._kalman.x[alpha, 0], spread[alpha, alpha] = self._height[0], self._height[1] ** 2
+
+    def _motion(self, shares: Floats) -> Floats:
+        """What a stride's acceleration shows of the state (size,)."""
+        row, at = np.zeros(self._size), self._first_end
+        row[0] = -STANDARD_GRAVITY
+        row[at : at + 2] = -1 / DURATION, 1 / DURATION
+        row[at + 2 :] = np.repeat(-0.5 * shares, 2)
+        return row
+
+    def _noise(self, shares: Floats) -> float:
+        """Variance [m^2/s^4] of a stride's acceleration about it."""
+        return self._white + float(np.dot(self._own, shares**2))
+
+    def _shown(self, signal: Signal) -> Floats:
+        """What a reading shows of the state (size,)."""
+        row = np.zeros(self._size)
+        if signal.name == "altitude":
+            row[self._alpha : self._alpha + 2] = 1.0
+        else:
+            row[0] = 1.0
+        row[signal.places.start] = 1.0
+        return row
+
+    def _see(self, value: float, row: Floats, variance: float, coefficients: Floats) -> None:
+        """Take one observation: a ``value`` less the coefficients' part."""
+        self._kalman.update(np.array([[value]]), R=np.array([[variance]]), H=row[None])
+        gain: Floats = self._kalman.K
+        self._by_coefficients -= gain * (coefficients + row @ self._by_coefficients)
+
+
+def _onward(alpha: int, u: float, metres: float) -> tuple[Floats, Floats]:
+    """Transition of slope, its derivatives and height over ``metres``, ``u`` scaled, and the noise for a sd of 1.
+
+    The height rises by the trapezoid rule.
+    """
+    forth, noise = np.zeros((alpha + 1, alpha + 1)), np.zeros((alpha + 1, alpha + 1))
+    forth[:alpha, :alpha], noise[:alpha, :alpha] = passage(alpha, u)
+    rise = 0.5 * metres
+    forth[alpha, :alpha] = rise * forth[0, :alpha]
+    forth[alpha, 0] += rise
+    forth[alpha, alpha] = 1.0
+    noise[alpha, :alpha] = rise * noise[0, :alpha]
+    noise[:alpha, alpha] = noise[alpha, :alpha]
+    noise[alpha, alpha] = rise**2 * noise[0, 0]
+    return forth, noise
