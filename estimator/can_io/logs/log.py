@@ -9,8 +9,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.time_check import TimeCheck
@@ -87,10 +85,7 @@ class Log(ABC):
         for i, frames in enumerate(batches):
             if i == 0 and -MAX_TIME < frames.t[0] < 0:
                 later = MAX_DELAY - math.floor(frames.t[0])
-            if later:
-                self.skipped["frame before time 0 (all times are moved)"] += int(np.count_nonzero(frames.t < 0))
-                frames = replace(frames, t=frames.t + later)
-            yield frames
+            yield replace(frames, t=frames.t + later) if later else frames
 
     def _guarded(self) -> Iterator[Frames]:
         try:
