@@ -310,17 +310,22 @@ def test_asc_lines_that_python_can_drops_are_counted(tmp_path: Path) -> None:
         ("0.2 1  123  Rx   d 2 01 XX\n", "XX"),
         ("0.2 1  EngineData  Rx   d 2 01 02\n", "EngineData"),
         ("0.2 1  FFF  Rx   d 1 01\n", "expected a CAN id"),
-        ("0.2 1  123  Rx   d 2 01 0", "ends inside this line"),
-        ("0.2 1  12", "ends inside this line"),
-        ("-0.2 1  123  Rx   d 1 01\n", "negative"),
         ("0.2 CANFD 1 Rx 123 1 0 8 64 01\n", "expected 64 data bytes"),
     ],
 )
 def test_asc_bad_lines_are_named(tmp_path: Path, line: str, reason: str) -> None:
     head = "base hex  timestamps absolute\n\n0.1 1  18FEF100x  Rx   d 2 01 02\n"
-    text = message_of(asc(tmp_path, head + line))
+    text = message_of(asc(tmp_path, head + 2 * line))  # more than there are frames
     assert f"{tmp_path / 'drive.asc'}:4: " in text
     assert reason in text
+
+
+@pytest.mark.parametrize("line", ["0.2 1  123  Rx   d 2 01 0", "0.2 1  12", "0.2 1  123  Rx   d 2 01 XX\n0.3 1  12"])
+def test_asc_damage_costs_the_lines_that_it_is_in(tmp_path: Path, line: str) -> None:
+    head = "base hex  timestamps absolute\n" + "0.1 1  18FEF100x  Rx   d 2 01 02\n" * 5
+    log, frames = read(asc(tmp_path, head + line))
+    assert len(frames) == 5
+    assert log.skipped == {"damaged line (the first is line 7)": 1 + line.count("\n")}
 
 
 TRC_HEADS = {
@@ -357,12 +362,14 @@ def test_trc_is_read_as_python_can_reads_it_whether_or_not_the_last_line_is_ende
 
 
 @pytest.mark.parametrize("version", TRC_HEADS)
-def test_trc_a_cut_last_line_is_named(tmp_path: Path, version: str) -> None:
+def test_trc_a_cut_last_line_is_counted(tmp_path: Path, version: str) -> None:
     path = tmp_path / "drive.trc"
     whole = TRC_HEADS[version] + TRC_LINES[version][0]
     for lost in (1, 2, 6):
         path.write_text(whole + "\n" + TRC_LINES[version][0][:-lost])
-        assert f"{path}:{whole.count(chr(10)) + 2}: " in message_of(path)
+        log, frames = read(path)
+        assert len(frames) == 1
+        assert log.skipped == {f"damaged line (the first is line {whole.count(chr(10)) + 2})": 1}
 
 
 @pytest.mark.parametrize("tail", ["", "  Length = 1704 BitCount = 11", "  Length = 17"])
@@ -381,7 +388,7 @@ def test_asc_a_decimal_byte_at_the_end_may_lack_digits(tmp_path: Path, byte: str
 
 
 def test_csv_of_something_else(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("time,speed\n1,2\n")
+    (tmp_path / "a.csv").write_text("Some prose\n1,2\n")
     assert "expected the header" in message_of(tmp_path / "a.csv")
 
 

@@ -199,8 +199,10 @@ def test_lines_of_one_length_and_of_more_layouts_than_are_read_together() -> Non
     frames = read(".log", "".join(lines))
     found = zip(frames.t.tolist(), frames.ident.tolist(), frames.length.tolist(), frames.data, strict=True)
     assert [(t, ident, data[:length].tobytes()) for t, ident, length, data in found] == expected
-    with pytest.raises(LogError, match=r"drive\.log:201: expected a CAN id"):
-        read(".log", "".join([*lines[:200], f"(1200.5) can0 {0x40000000:08X}#00".ljust(width) + "\n"]))
+    lines[199:199] = [f"(1200.5) can0 {0x40000000:08X}#00".ljust(width) + "\n"] * 5
+    assert len(read(".log", "".join(lines))) == len(expected)  # two lines in a hundred
+    with pytest.raises(LogError, match=r"drive\.log:200: expected a CAN id"):
+        read(".log", "".join(lines[:199] + lines[199:200] * 6))
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".csv"])
@@ -228,7 +230,7 @@ def test_a_carriage_return_inside_a_line_ends_no_line(tmp_path: Path, suffix: st
     for place in range(raw.rstrip().rindex(b"\n") + 1, len(raw)):
         path.write_bytes(raw[:place] + b"\r" + raw[place + 1 :])
         try:
-            assert sum(map(len, open_log(path))) == 3
+            assert sum(map(len, open_log(path))) >= 2
         except LogError as error:
             assert f"{path}:{raw.count(bytes([10]))}: " in str(error)  # noqa: PT017
 

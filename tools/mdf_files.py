@@ -8,12 +8,13 @@ import numpy as np
 
 START = 1_704_067_200_000_000_000  # ns
 FRAME_ID, VALUE_ID, ERROR_ID, REMOTE_ID = 1, 2, 3, 4
+HAS_INVALIDATION = 2  # flag of a channel
 BUS_EVENT, PLAIN, VALUES, REMOTE_MASTER = 2, 4, 1, 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """A data frame, or with ``kind`` "error" or "remote" one without data."""
+    """A data frame, or with ``kind`` "error" or "remote" one without data; ``valid`` needs a style with marks."""
 
     t: float
     ident: int = 0x18FEF100
@@ -21,6 +22,7 @@ class Recorded:
     data: bytes = bytes(8)
     kind: str = "data"
     channel: int = 1
+    valid: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +31,7 @@ class Style:
 
     ``payload`` is "fixed", "values" or "values first"; ``packing`` "plain", "deflated" or "transposed"; ``block`` the
     bytes in a block, 0 for all in one, and each is listed ``times_listed`` times; ``open_flags`` are what is left open;
-    ``ticks`` writes times as integers [ns].
+    ``ticks`` writes times as integers [ns]; ``has_marks`` adds a bit that says that a data frame is none.
     """
 
     is_sorted: bool = True
@@ -43,6 +45,7 @@ class Style:
     is_column_store: bool = False
     id_bytes: int = 1
     times_listed: int = 1
+    has_marks: bool = False
 
 
 class Writer:
@@ -85,7 +88,7 @@ class Writer:
             bit,
             byte,
             bits,
-            0,
+            more.get("flags", 0),
             0,
             0,
             0,
@@ -158,7 +161,8 @@ def _frame_channels(writer: Writer, name: str, values: int, at: int) -> int:
     for field, place in reversed(fields):
         parts = writer.channel(parts, f"{name}.{field}", place)
     size = 8 * (_frame_bytes(style) if name == "CAN_DataFrame" else 6)
-    return writer.channel(0, name, (at, 0, size, 10), parts=parts)
+    flags = HAS_INVALIDATION if style.has_marks and name == "CAN_DataFrame" else 0
+    return writer.channel(0, name, (at, 0, size, 10), parts=parts, flags=flags)
 
 
 def _group(writer: Writer, following: int, channels: int, number: int, size: int, **more: int) -> int:
@@ -168,7 +172,11 @@ def _group(writer: Writer, following: int, channels: int, number: int, size: int
     if flags & REMOTE_MASTER:
         links.append(more["master"])
     count = 0 if writer.style.open_flags & 1 else more.get("count", 0)
-    return writer.add(b"##CG", links, struct.pack("<QQHHxxxxLL", number, count, flags, 0, size, 0))
+    return writer.add(b"##CG", links, struct.pack("<QQHHxxxxLL", number, count, flags, 0, size, more.get("marks", 0)))
+
+
+def _mark(style: Style, frame: Recorded) -> bytes:
+    return bytes([not frame.valid]) if style.has_marks else b""
 
 
 def _frame_bytes(style: Style) -> int:
@@ -191,7 +199,7 @@ def _sorted(writer: Writer, frames: list[Recorded]) -> int:
     records = []
     for frame in (frame for frame in frames if frame.kind == "data"):
         payload = frame.data.ljust(style.width, b"\xee") if style.payload == "fixed" else struct.pack("<Q", offset)
-        records.append((_time(style, frame), _fields(frame, payload)))
+        records.append((_time(style, frame), _fields(frame, payload) + _mark(style, frame)))
         values.append(struct.pack("<L", len(frame.data)) + frame.data)
         offset += 4 + len(frame.data)
     address = 0
@@ -211,9 +219,9 @@ def _sorted(writer: Writer, frames: list[Recorded]) -> int:
         flags = BUS_EVENT | PLAIN | REMOTE_MASTER
         group = _group(writer, 0, channels, 0, size, count=len(records), flags=flags, master=master)
     else:
-        data = writer.stream(b"".join(t + fields for t, fields in records), 8 + size)
+        data = writer.stream(b"".join(t + fields for t, fields in records), 8 + size + style.has_marks)
         channels = _times(writer, _frame_channels(writer, "CAN_DataFrame", stored, 8))
-        group = _group(writer, 0, channels, 0, 8 + size, count=len(records))
+        group = _group(writer, 0, channels, 0, 8 + size, count=len(records), marks=style.has_marks)
     return writer.add(b"##DG", [address, group, data, 0], bytes(8))
 
 
@@ -226,8 +234,10 @@ def _unsorted(writer: Writer, frames: list[Recorded]) -> int:
             raw += number[frame.kind] + _time(style, frame) + _fields(frame, b"")
         elif style.payload == "fixed":
             raw += number["data"] + _time(style, frame) + _fields(frame, frame.data.ljust(style.width, b"\xee"))
+            raw += _mark(style, frame)
         else:
             record = number["data"] + _time(style, frame) + _fields(frame, struct.pack("<Q", offset))
+            record += _mark(style, frame)
             value = number["value"] + struct.pack("<L", len(frame.data)) + frame.data
             raw += record + value if style.payload == "values" else value + record
             offset += 4 + len(frame.data)
@@ -240,7 +250,8 @@ def _unsorted(writer: Writer, frames: list[Recorded]) -> int:
     if style.payload != "fixed":
         values = following = _group(writer, following, 0, VALUE_ID, 0, count=counts["data"], flags=VALUES)
     channels = _times(writer, _frame_channels(writer, "CAN_DataFrame", values, 8))
-    group = _group(writer, following, channels, FRAME_ID, 8 + _frame_bytes(style), count=counts["data"])
+    size, marks = 8 + _frame_bytes(style), style.has_marks
+    group = _group(writer, following, channels, FRAME_ID, size, count=counts["data"], marks=marks)
     links = [0, group, 0, 0]
     address = writer.add(b"##DG", links, struct.pack("<B7x", style.id_bytes))
     data = writer.stream(bytes(raw), 1)

@@ -7,7 +7,7 @@ are held from their last reading.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,10 @@ from estimator.streaming.frozen_rows import FrozenRows
 from estimator.streaming.lone_errors import lone_errors
 from estimator.streaming.resampling import MAX_FRESH, Track
 
+# s, between readings of speed or of power that show how they change. Longer straight lines hide it: a truck read every
+# second is 3 % too light, read every two seconds 6 %.
+MAX_LINE = 4.0
+MAX_SILENCE = 30.0  # s without such readings, after which there are no rows: as without any frame
 SETTLE = 3.0  # s, rows lag this far behind the newest reading, so that straight lines have both ends
 NO_CONTEXT = {  # speed and power are computed from them
     Role.SPEED,
@@ -55,6 +59,8 @@ class Aligner:
     ----------
     refused : collections.Counter[str]
         Readings that were dropped, by role and reason.
+    silent : int
+        Rows left out, in blocks that begin MAX_SILENCE after speed or power were last read often enough.
     """
 
     def __init__(self, vehicle: Vehicle, bound: frozenset[Role], despike: bool = True) -> None:
@@ -65,6 +71,8 @@ class Aligner:
         self._engine = EnginePower(vehicle, bound, despike, self._tracks)
         self._past, self._frozen = PastSpeed(), FrozenRows()
         self._next: int | None = None
+        self._heard_to = -np.inf  # [s], up to where speed or power were read often enough
+        self.silent = 0
 
     @property
     def reference_torque(self) -> float | None:
@@ -109,21 +117,49 @@ class Aligner:
                 yield None
                 return
             self._next = int(np.ceil(min(starts) / STEP))
+            self._heard_to = self._next * STEP
         first, last = self._next, int(horizons[-1])
         if last <= first:
             yield None
             return
-        rows = self._rows(np.arange(first, last, dtype=np.int64), horizons, ends)
+        parts = list(self._parts(np.append(first, horizons), horizons, ends))
         self._next = last
         for track in [*self._tracks.values(), self._engine.track]:
             track.forget(last * STEP - SETTLE)
-        for low, high in pairwise([0, *(horizons - first).tolist()]):
-            yield self._frozen.feed(rows[low:high]) if high > low else None
+        for part in parts:
+            yield self._frozen.finish() if part is None else self._frozen.feed(part)
+
+    def _parts(self, bounds: NDArray[np.int64], horizons: NDArray[np.int64], ends: Floats) -> Iterator[Rows | None]:
+        """Rows of each of the blocks between ``bounds`` (k + 1,); None for a silent one."""
+        silent = self._are_silent(bounds)
+        for is_silent, run in groupby(range(len(ends)), silent.__getitem__):
+            blocks = [*run]
+            low, high = int(bounds[blocks[0]]), int(bounds[blocks[-1] + 1])
+            if is_silent:
+                self.silent += high - low
+                yield from [None] * len(blocks)
+                continue
+            rows = self._rows(np.arange(low, high, dtype=np.int64), horizons, ends)
+            for i in blocks:
+                yield rows[int(bounds[i]) - low : int(bounds[i + 1]) - low]
+
+    def _are_silent(self, bounds: NDArray[np.int64]) -> list[bool]:
+        """Whether each block between ``bounds`` (k + 1,) begins MAX_SILENCE after the last line before its end."""
+        tracks = [self._engine.track, *(self._tracks[key] for key in self._speed_keys if key in self._tracks)]
+        ends = [track.t[1:][np.diff(track.t) <= MAX_LINE] for track in tracks]
+        heard = np.sort(np.concatenate([[self._heard_to], *ends]))
+        at = bounds * STEP
+        last = heard[np.maximum(np.searchsorted(heard, at[1:], side="right") - 1, 0)]
+        self._heard_to = float(last[-1])
+        silent: list[bool] = (at[:-1] - last > MAX_SILENCE).tolist()
+        return silent
 
     def _is_settled(self, readings: Readings, ends: Floats) -> bool:
         """Whether several blocks can be added at once: no sender is new, and nothing known changes between them."""
         horizons = _horizons(ends)
-        if self._next is None or horizons[0] <= self._next or not self._engine.is_settled:
+        if self._next is None or horizons[0] <= self._next:
+            return False
+        if not self._engine.is_settled(readings, ends, horizons * STEP - SETTLE):
             return False
         for role, parts in readings.items():
             for i, series in enumerate(parts):
@@ -187,9 +223,8 @@ class Aligner:
 
     def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
         """The speed signal, or the mean of the wheel speeds where there is none."""
-        wheels = [k for k in self._tracks if k[0] == Role.WHEEL_SPEEDS]
-        keys = [(Role.SPEED, 0)] if Role.SPEED in self._bound else wheels
-        if not any(key in self._tracks for key in keys):
+        keys = self._speed_keys
+        if not keys:
             return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, dtype=bool)
         means, there = zip(*(self._tracks[key].means(edges, known_to) for key in keys), strict=True)
         # A wheel without a valid speed is left out; where none has one there is none.
@@ -197,6 +232,12 @@ class Aligner:
         total = np.where(known, means, 0.0).sum(axis=0)
         count = known.sum(axis=0)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan), np.any(there, axis=0)
+
+    @property
+    def _speed_keys(self) -> list[tuple[Role, int]]:
+        """The tracks that speed is taken from."""
+        role = Role.SPEED if Role.SPEED in self._bound else Role.WHEEL_SPEEDS
+        return [key for key in self._tracks if key[0] == role]
 
 
 def _horizons(ends: Floats) -> NDArray[np.int64]:

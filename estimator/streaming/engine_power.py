@@ -18,6 +18,7 @@ from estimator.streaming.friction import FrictionCurve
 from estimator.streaming.resampling import Track, block_bounds
 
 NO_LIMIT = np.inf
+NO_SERIES = Series(np.empty(0), np.empty(0))
 SPIKE_WINDOW = 5  # readings, for the running median
 # Robust sd of the differences from the running median, from which a reading is an error. Chosen by hand: with 4 and 16
 # the mass of three simulated drives moves by at most 0.14 sd.
@@ -118,11 +119,16 @@ class EnginePower:
             value = -value
         self._append(t, value * other.held(t), bounds)
 
-    @property
-    def is_settled(self) -> bool:
-        """Whether power has been had for so long that further readings change no earlier one."""
+    def is_settled(self, readings: Mapping[Role, list[Series]], ends: Floats, forgotten: Floats) -> bool:
+        """Whether the readings of some blocks change no power before them; see `Track.is_settled`."""
         needed = (Role.ENGINE_POWER,) if Role.ENGINE_POWER in self._bound else self._factors
-        return bool(np.isfinite(self.track.fresh)) and all(len(self._of(role).t) for role in needed)
+        if not all(len(self._of(role).t) for role in needed):
+            return False
+        if np.isfinite(self.track.fresh):
+            return True
+        # There is at most one power at each reading of the first role.
+        lead = readings.get(needed[0], [NO_SERIES])[0]
+        return self._of(needed[0]).is_few(lead, ends, forgotten)
 
     @property
     def _factors(self) -> tuple[Role, Role]:

@@ -72,6 +72,9 @@ class FrictionCurve:
         is_new = bool(np.setdiff1d(rounded, self._levels).size)
         half_step, curve = np.full(blocks, np.nan), np.full((blocks, DEGREE + 1), np.nan)
         for i, (low, high) in enumerate(pairwise(bounds.tolist())):
+            if low == high and i:
+                half_step[i], curve[i] = half_step[i - 1], curve[i - 1]
+                continue
             if is_new and len(self._levels) <= MAX_LEVELS:
                 self._levels = np.union1d(self._levels, rounded[low:high])
             self._sums = np.exp((low - high) / MEMORY_READINGS) * self._sums + new[i]

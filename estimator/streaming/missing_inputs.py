@@ -11,6 +11,8 @@ SETTINGS = {  # that do instead of a signal
     Role.REFERENCE_TORQUE: "vehicle.reference_torque_Nm = ... (reference torque of the engine, SPN 544)",
     Role.PARASITIC_FRACTION: "vehicle.subtract_parasitic_losses = false",
 }
+FINER_UNITS = {"milliseconds": 1_000, "microseconds": 1_000_000, "nanoseconds": 1_000_000_000}  # in a second
+SLOWEST = 1.0  # s, between readings of speed or power on a bus
 
 
 def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:
@@ -55,3 +57,14 @@ def _shortest(seen: Collection[Role]) -> list[Role]:
 def _bound(role: Role, seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:
     path = binding.get(role, UNKNOWN) if role in seen else UNKNOWN
     return json.dumps(path)  # a string or list of strings of TOML too
+
+
+def too_seldom(name: str, interval: float, most: float) -> str:
+    """A sentence on a signal that comes less often than every ``most`` [s], with the unit that would fit, or none."""
+    if interval <= most:
+        return ""
+    unit = next((unit for unit, factor in FINER_UNITS.items() if interval / factor <= SLOWEST), "")
+    advice = f"if the times of the log are {unit}, divide them by {FINER_UNITS[unit]:,}" if unit else "record it faster"
+    return (
+        f"{name} comes every {interval:.3g} s, too seldom to see how it changes (every {most:g} s at least); {advice}"
+    )

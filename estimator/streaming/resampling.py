@@ -49,8 +49,10 @@ class Track:
 
         They end at ``ends`` (k,) [s]; what is older than ``forgotten`` (k,) [s] is dropped after each.
         """
-        if np.isfinite(self.fresh):
-            return True
+        return bool(np.isfinite(self.fresh)) or self.is_few(series, ends, forgotten)
+
+    def is_few(self, series: Series, ends: Floats, forgotten: Floats) -> bool:
+        """Whether after each of some blocks there are too few readings for a period; see `is_settled`."""
         t, _ = self.joined(series)
         dropped = self._outdated(t, forgotten[:-1])
         count = np.searchsorted(t, ends) - np.concatenate([[0], dropped])

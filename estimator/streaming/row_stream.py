@@ -7,6 +7,7 @@ arrived, one by one or a million at once.
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,24 @@ from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 from estimator.streaming import engine_power
-from estimator.streaming.alignment import Aligner, Readings, between
+from estimator.streaming.alignment import MAX_LINE, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
-from estimator.streaming.missing_inputs import remedy
+from estimator.streaming.missing_inputs import remedy, too_seldom
 from estimator.streaming.resampling import block_bounds
 
 BLOCK = 5.0  # s of traffic in which senders are judged, and whose rows are handed on together
-MAX_BLOCKS = 120  # decoded at once, 10 min: bounds the memory where frames are few
+MAX_BLOCKS = 1000  # decoded at once, 83 min: bounds the memory where frames are few
 # s without a frame, after which rows begin anew. Twice `resampling.MAX_FRESH`, for which a reading counts at the
 # longest: nothing that could be joined is cut.
 MAX_SILENCE = 30.0
 # s without a frame, after which another drive begins, with another load. Chosen by hand: a silence of `load.stop_s`,
 # 300 s as shipped, is a stop already; a larger value would join drives that `diagnose` judges apart.
 MIN_NEW_DRIVE_SILENCE = 900.0
+SILENT = f"speed and power not read within {MAX_LINE:g} s"
+# Roles whose readings are joined by straight lines; the constants that power is computed from come seldom.
+LINES = frozenset({Role.SPEED, Role.WHEEL_SPEEDS, Role.ENGINE_POWER, Role.ENGINE_TORQUE, Role.TORQUE_FRACTION})
+MIN_INTERVALS, MAX_FIRST = 3, 100  # readings that show how often a signal comes
+NO_TIMES = np.empty(0)
 MAX_GAPS = 1000  # newest gaps that are kept: bounds the memory of a daemon
 MIN_SET_CLOCK = (
     1_577_836_800.0  # s, start of 2020: timestamps before it mean an unset clock, so the downtime is unknown
@@ -44,7 +50,7 @@ MIN_SET_CLOCK = (
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A stretch of traffic: its frames in order of time, and the rows that it completed.
+    """A stretch of traffic, up to the next rows: its frames in order of time, and the rows that it completed.
 
     ``decoded`` are the readings of the blocks that were decoded with it, and ``span`` its own times among them [s].
     """
@@ -62,7 +68,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Interruption:
-    """A time without traffic, or a step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
+    """A time without readings, or a step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
 
     After a ``is_new_drive`` interruption the load may be another one. With ``is_step_back`` the vehicle may be another
     one as well, and after ``is_sender_replaced`` the estimates of the vehicle may be wrong.
@@ -121,11 +127,14 @@ class RowStream:
         self.newest: dict[Role, float] = {}
         self.gaps: deque[tuple[float, float]] = deque(maxlen=MAX_GAPS)
         self.replacements = 0
+        self._lines = LINES & frozenset(self._names)
+        self._first: dict[Role, Floats] = {}  # times [s] of the first readings
         self._waiting: list[Frames] = []
         self._last: float | None = None  # time of the newest frame, None when all frames have become rows [s]
         self._until: float | None = None  # time of the newest frame ever [s]
         self._is_restored = False  # and not fed since
         self._same_clock = True  # since the state was saved
+        self._counted_to: float | None = None  # [s], end of the rows without an interruption
         self._block_end = 0.0
 
     def _new(self) -> tuple[Decoder, Aligner]:
@@ -195,8 +204,10 @@ class RowStream:
         Raises
         ------
         MissingInputsError
-            A needed signal never came, or never with a valid value.
+            A needed signal never came, never with a valid value, or too seldom to be used.
         """
+        if not self.valid_rows and (reason := self._too_seldom()):
+            raise MissingInputsError(f"{place}: {reason}")
         if missing := self._missing_roles():
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             raise MissingInputsError(
@@ -249,6 +260,12 @@ class RowStream:
         self.gaps = deque(gaps, maxlen=MAX_GAPS)
         self._is_restored, self._same_clock = True, same_clock
 
+    def _too_seldom(self) -> str:
+        """Why needed inputs come too seldom to be used, empty where they do not."""
+        intervals = {role: float(np.median(np.diff(t))) for role, t in self._first.items() if len(t) > MIN_INTERVALS}
+        longest = max(intervals, key=intervals.__getitem__, default=None)
+        return "" if longest is None else too_seldom(self._names[longest], intervals[longest], MAX_LINE)
+
     def _missing_roles(self) -> list[Role]:
         return [role for role in self._needed() if not self.seen[role]]
 
@@ -298,7 +315,13 @@ class RowStream:
         for item in self._blocks(np.array([now])):
             if isinstance(item, Block):
                 rest = tuple(self._with_grade(rows) for rows in self._aligner.finish(now))
+                silences = self._silences(rest)
                 self._count(rest)
+                self._counted_to = None
+                if silences:
+                    yield item
+                    yield silences[0]
+                    item = Block(item.frames[:0], (), item.decoded, (now, now))
                 yield replace(item, rows=(*item.rows, *rest))
             else:
                 yield item
@@ -314,12 +337,19 @@ class RowStream:
             self._block_end = float(decoded.ends[-1]) + BLOCK
             parts = self._aligner.feed_blocks(decoded.readings, decoded.ends)
             rows = [None if part is None else self._with_grade(part) for part in parts]
+            silences = self._silences(rows)
             self._count([part for part in rows if part is not None])
             edges = [-np.inf, *decoded.ends[:-1].tolist(), np.inf]
-            for part, start, end in zip(rows, edges[:-1], edges[1:], strict=True):
-                low, high = bounds[:2]
-                del bounds[0]
-                yield Block(frames[low:high], () if part is None else (part,), decoded.readings, (start, end))
+            first = 0  # block of those that are handed on with the next rows
+            for i, part in enumerate(rows):
+                if part is None and i + 1 < len(rows):
+                    continue
+                if i in silences:
+                    yield silences[i]
+                low, high, span = bounds[first], bounds[i + 1], (edges[first], edges[i + 1])
+                yield Block(frames[low:high], () if part is None else (part,), decoded.readings, span)
+                first = i + 1
+            del bounds[: len(rows)]
 
     def _with_grade(self, rows: Rows) -> Rows:
         """The next rows, with the slope of the map where there is one."""
@@ -333,6 +363,7 @@ class RowStream:
         self.replacements += 1
         for _ in self._aligner.finish(end):
             pass
+        self._counted_to = None
         self._aligner.forget()
         return Interruption(self._block_end - BLOCK, end, is_new_drive=True, is_sender_replaced=True)
 
@@ -340,14 +371,38 @@ class RowStream:
         """Count readings, and keep the time of the newest valid one of each role."""
         for role, parts in readings.items():
             self.seen[role] += sum(len(part.t) for part in parts)
+            if role in self._lines and len(first := self._first.get(role, NO_TIMES)) < MAX_FIRST:
+                self._first[role] = np.append(first, parts[0].t)[:MAX_FIRST]
             for part in parts:
                 if (valid := np.isfinite(part.value)).any():
                     self.newest[role] = float(part.t[valid][-1])
 
+    def _silences(self, parts: Sequence[Rows | None]) -> dict[int, Interruption]:
+        """Interruptions by the place of the rows before which speed and power were not read."""
+        found, last = dict[int, Interruption](), self._counted_to
+        for i, rows in enumerate(parts):
+            if rows is None:
+                continue
+            start = float(rows.index[0]) * STEP
+            if last is not None and start - last > STEP / 2:
+                found[i] = Interruption(last, start, is_new_drive=start - last > MIN_NEW_DRIVE_SILENCE)
+            last = float(rows.index[-1] + 1) * STEP
+        return found
+
     def _count(self, parts: Sequence[Rows]) -> None:
-        """Count rows that can be used, and note the times of those that cannot; the parts follow each other."""
-        if not parts:
-            return
+        """Count rows that can be used, and note the times of those that cannot."""
+        if self._aligner.silent:
+            self.unusable[SILENT] = self._aligner.silent
+        begun = [i for i, rows in enumerate(parts) if i == 0 or rows.index[0] > parts[i - 1].index[-1] + 1]
+        for i, end in pairwise([*begun, len(parts)]):
+            first = float(parts[i].index[0]) * STEP
+            if self._counted_to is not None and first - self._counted_to > STEP / 2:
+                self._note_gap(self._counted_to, first)
+            self._count_run(parts[i:end])
+            self._counted_to = float(parts[end - 1].index[-1] + 1) * STEP
+
+    def _count_run(self, parts: Sequence[Rows]) -> None:
+        """The same of rows without a gap."""
         speed = np.isfinite(np.concatenate([rows.speed for rows in parts]))
         power = np.isfinite(np.concatenate([rows.power for rows in parts]))
         fresh = np.concatenate([rows.fresh for rows in parts])
@@ -356,9 +411,12 @@ class RowStream:
         stale = np.concatenate([[False], ~fresh.all(axis=1), [False]])
         edges = np.flatnonzero(np.diff(stale)).reshape(-1, 2)
         for start, end in ((parts[0].index[0] + edges) * STEP).tolist():
-            if self.gaps and start - self.gaps[-1][1] < STEP:
-                start = self.gaps.pop()[0]
-            self.gaps.append((start, end))
+            self._note_gap(start, end)
+
+    def _note_gap(self, start: float, end: float) -> None:
+        if self.gaps and start - self.gaps[-1][1] < STEP:
+            start = self.gaps.pop()[0]
+        self.gaps.append((start, end))
 
     def _interrupt(self, t: float) -> Iterator[Block | Interruption]:
         """Start anew after a silence or a step in time: signals before and after it are not joined."""

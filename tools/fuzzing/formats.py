@@ -14,7 +14,7 @@ import numpy as np
 from mdf_files import Recorded, Style, mdf
 
 from estimator import config as configuration
-from estimator.can_io.frames import Frames
+from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import open_log
@@ -29,6 +29,7 @@ from estimator.streaming.pipeline import Pipeline
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 EXAMPLE = Path(__file__).parents[1] / "systemd" / "roadload.toml"
+FIELD_LOGS, MF4S = Path(__file__).parents[2] / "tests" / "field_logs", "mf4_[vz]*.mf4"  # virtual channels; zstd
 KEY = "fuzz"
 FRAMES, STATE_SECONDS = 40, 60.0  # of a small log; of the drive behind a saved state [s]
 DBC = """VERSION "1"
@@ -103,15 +104,37 @@ def _logs(suffix: str) -> list[bytes]:
         return [path.read_bytes().replace(folder.encode(), b"") for path in paths]  # .trc has the path
 
 
+def _lines(line: Callable[[float, int, bytes], str], head: str) -> list[bytes]:
+    """A text log, of which ``line`` writes a frame, given its time [s], id and data."""
+    frames = drive(5.0)[:FRAMES]
+    rows = zip(frames.t.tolist(), frames.ident.tolist(), frames.data, strict=True)
+    return [(head + "".join(line(t, ident & ~EXTENDED, bytes(data)) + "\n" for t, ident, data in rows)).encode()]
+
+
+def _gvret(t: float, ident: int, data: bytes) -> str:
+    return f"{t * 1e6:.0f},{ident:08X},true,Rx,0,{len(data)},{''.join(f'{byte:02X},' for byte in data)}"
+
+
+def _crtd(t: float, ident: int, data: bytes) -> str:
+    return f"{t:.6f} 1R29 {ident:08X} {data.hex(' ')}"
+
+
+def _mdf2csv(t: float, ident: int, data: bytes) -> str:
+    return f"{t:.6f};1;{ident:X};1;{len(data)};{len(data)};0;0;0;{data.hex()}"
+
+
 def _mf4s() -> list[bytes]:
-    frames = [Recorded(t=0.1 * k, data=bytes([k] * 8), kind="error" if k == 3 else "data") for k in range(12)]
+    frames = [
+        Recorded(t=0.1 * k, data=bytes([k] * 8), kind="error" if k == 3 else "data", valid=k != 5) for k in range(12)
+    ]
     styles = (
         Style(width=8),
         Style(is_sorted=False, width=8),
         Style(payload="values", packing="deflated"),
         Style(width=8, packing="transposed", block=64, has_header_list=True),
+        Style(is_sorted=False, width=8, has_marks=True),
     )
-    return [mdf(frames, style) for style in styles]
+    return [*(mdf(frames, style) for style in styles), *(path.read_bytes() for path in sorted(FIELD_LOGS.glob(MF4S)))]
 
 
 def _read_database(path: Path) -> None:
@@ -159,9 +182,13 @@ def _map() -> list[bytes]:
     return [RoadMap(key_of(np.arange(3), np.arange(3), np.arange(3)), np.full(3, 0.01), np.full(3, 0.001)).encoded()]
 
 
+MDF2CSV = "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;DataBytes\n"
 LOGS = (".asc", ".blf", ".csv", ".log", ".trc")
 FORMATS = {
     **{suffix[1:]: Format(suffix, partial(_logs, suffix), read_log) for suffix in LOGS},
+    "gvret": Format(".csv", partial(_lines, _gvret, "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4\n"), read_log),
+    "crtd": Format(".crtd", partial(_lines, _crtd, "0.0 CXX OVMS CRTD\n"), read_log),
+    "mdf2csv": Format(".csv", partial(_lines, _mdf2csv, MDF2CSV), read_log),
     "mf4": Format(".mf4", _mf4s, read_log),
     "gz": Format(".log.gz", lambda: [gzip.compress(one, mtime=0) for one in _logs(".log")], read_log),
     "dbc": Format(".dbc", lambda: [DBC.encode()], _read_database),

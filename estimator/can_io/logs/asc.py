@@ -17,6 +17,7 @@ from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.text import CUT
 
 EVENT = re.compile(rb"\s*(?P<time>-?\d+\.\d+)\s+\S")
+COMMA = re.compile(rb"^(\s*-?\d+),(?=\d+\s)", re.MULTILINE)  # in a time, as some countries write it
 BASE = re.compile(rb"\s*base\s+(?P<base>hex|dec)(\s+timestamps\s+(?P<times>absolute|relative))?", re.IGNORECASE)
 NO_EVENT = re.compile(rb"\s*(//|date |base |(no )?internal events|begin |end |previous log file)", re.IGNORECASE)
 FRAME = re.compile(r"\s[TR]x\s+[dr]\b")
@@ -28,8 +29,15 @@ class AscLog(LineLog):
     def _begin(self) -> None:
         self.byte_base, self.byte_digits = 16, 2
         self._before_events = True
+        self._has_commas: bool | None = None  # whether times have; None until one was seen
         self._relative = False
         self._clock = 0.0  # s, the time of the last event where the log gives the steps only
+
+    def _cleaned(self, text: bytes) -> bytes:
+        text = super()._cleaned(text)
+        if self._has_commas is None and (time := re.search(rb"^\s*-?\d+([.,])\d+\s", text, re.MULTILINE)):
+            self._has_commas = time[1] == b","
+        return COMMA.sub(rb"\1.", text) if self._has_commas else text
 
     def _after_header(self, text: bytes) -> bytes:
         start = 0
@@ -64,8 +72,8 @@ class AscLog(LineLog):
             match = EVENT.match(line)
             if match is None:
                 self._count_no_event(line)
-            elif match["time"].startswith(b"-"):
-                lines.refuse(row, "expected a time from 0 s on, found a negative one")
+            elif match["time"].startswith(b"-"):  # which python-can does not read
+                self.skipped["event before the start of the measurement"] += 1
             else:
                 lines.t[row] = float(match["time"])
                 if b"TxRq" in line.split(maxsplit=4)[:4]:  # sent later, on a line of its own
@@ -90,7 +98,7 @@ class AscLog(LineLog):
             return
         if not line.endswith("\n"):
             raise ValueError(CUT)
-        if line.split(maxsplit=2)[1].upper() == "J1939TP":
+        if "J1939TP" in line.upper().split(maxsplit=3)[1:3]:  # newer programs give the channel first
             self.skipped["J1939TP line (a transport protocol message that CANoe put together)"] += 1
         elif FRAME.search(line):
             self.skipped["frame with a symbolic name"] += 1

@@ -11,7 +11,7 @@ from itertools import pairwise
 from estimator.can_io.frames import FD_BYTES
 from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Layout
 
-_TIME = rb"\s*(?P<seconds>\d{1,12})\.(?P<fraction>\d{1,9})\s+"
+_TIME = rb"\s*(?P<minus>-?)(?P<seconds>\d{1,12})\.(?P<fraction>\d{1,9})\s+"
 _ID = rb"(?P<id>[0-9A-Fa-f]{1,8})(?P<x>[xX]?)\s+"
 _DATA = rb"(?P<data>(?:\s+[0-9A-Fa-f]{2}(?!\S))*)"
 _CLASSIC = re.compile(
@@ -49,4 +49,5 @@ def layout(line: bytes) -> Layout | None:
         extended=extended,
         largest=largest,
         channel=match["channel"],
+        per_second=-1.0 if match["minus"] else 1.0,
     )

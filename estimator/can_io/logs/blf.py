@@ -1,4 +1,7 @@
-"""Vector BLF logs: a file header, then containers of zlib-packed objects, which may straddle containers."""
+"""Vector BLF logs: a file header, then containers of zlib-packed objects, which may straddle containers.
+
+Some writers put the objects between the containers, or use none.
+"""
 
 import struct
 from collections.abc import Iterator
@@ -6,7 +9,8 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from estimator.can_io.frames import Frames
-from estimator.can_io.logs.blf_objects import BASE, SIGNATURE, Decoded, decode_objects
+from estimator.can_io.logs.blf_layouts import KINDS
+from estimator.can_io.logs.blf_objects import BASE, SIGNATURE, TOO_SMALL, Decoded, decode_objects
 from estimator.can_io.logs.inflate import inflate
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.source import Source
@@ -21,6 +25,7 @@ UNPACKED, ZLIB = 0, 2  # methods
 JOINED = 1 << 19  # bytes of contents that are decoded at once; more do not fit a processor's cache
 MAX_CONTAINER = 1 << 23  # bytes, packed or unpacked (usual: 128 KiB); a larger one is taken for damage
 MAX_FILE_HEADER = 1 << 16  # bytes (usual: 144)
+FRAME_TYPES = {kind.type for kind in KINDS}
 
 
 class Header(NamedTuple):
@@ -104,7 +109,7 @@ class BlfLog(Log):
         return Header(file_size, objects, start_time(dates[:8]))
 
     def _next_container(self, source: Source) -> tuple[bytes | bytearray, str]:
-        """Read one top-level object: the contents of a container, as far as they are there, and what is wrong."""
+        """Read one top-level object: a frame, or the contents of a container as far as they are; and what is wrong."""
         raw = source.read(OBJECT_HEADER.size)
         if not raw:
             return b"", ""
@@ -118,6 +123,8 @@ class BlfLog(Log):
         body = source.read(size - BASE)
         cut = "the file ends inside a container" if len(body) < size - BASE else ""
         source.read(size % 4)
+        if kind in FRAME_TYPES:
+            return raw + body, cut
         if kind != CONTAINER:
             self.skipped[f"BLF object of type {kind} outside a container"] += 1
             return b"", cut
@@ -134,9 +141,10 @@ class BlfLog(Log):
 
     def _damage(self, offset: int, fault: str, frames: int, header: Header) -> LogError:
         unclosed = "its writer never closed it; " if header.objects == 0 else ""
+        # At an object that is too small, python-can's converter may never end.
+        keep = "copy it anew" if TOO_SMALL in fault else f"to keep those: can_logconvert '{self.path}' repaired.blf"
         return LogError(
-            f"{self.path}: damaged or cut at byte {offset} ({fault}) after {frames} frames; {unclosed}"
-            f"to keep those: can_logconvert '{self.path}' repaired.blf"
+            f"{self.path}: damaged or cut at byte {offset} ({fault}) after {frames} frames; {unclosed}{keep}"
         )
 
 

@@ -19,6 +19,7 @@ from estimator.signals import Mask
 
 SIGNATURE = b"LOBJ"
 BASE = 16  # bytes of the header that every object has: signature, sizes, version and type
+TOO_SMALL = ", less than its header takes"
 MAX_PADDING = 4  # bytes between objects, at most
 MAX_OBJECT = 1 << 22  # bytes; a larger size is taken for damage
 MIN_RUN = 64  # objects that are worth to be read as a run
@@ -203,7 +204,7 @@ def _walk(buffer: bytes, position: int) -> Located:
     while (at := buffer.find(SIGNATURE, position, position + reach)) >= 0 and at + BASE <= len(buffer):
         size = int.from_bytes(buffer[at + 8 : at + 12], "little")
         if not BASE <= size <= MAX_OBJECT:
-            fault = f"an object of {size} bytes"
+            fault = f"an object of {size} bytes{TOO_SMALL * (size < BASE)}"
         if fault or at + size > len(buffer):
             break
         found.append(at)

@@ -1,17 +1,22 @@
-"""Comma-separated logs as python-can writes them."""
+"""Comma-separated logs: as python-can, SavvyCAN and mdf2csv write them, told apart by their header."""
 
 import re
+from functools import partial
+from pathlib import Path
+from shlex import quote
 
 import can
 
 from estimator.can_io.frames import CLASSIC_BYTES
+from estimator.can_io.logs import gvret_line, mdf2csv_line
 from estimator.can_io.logs.csv_columns import read_usual
 from estimator.can_io.logs.line_layout import MAX_EXTENDED_ID, MAX_STANDARD_ID, NOTHING, Coding, Layout, shown
 from estimator.can_io.logs.line_log import LineLog, line_from
-from estimator.can_io.logs.line_table import Lines
+from estimator.can_io.logs.line_table import Grammar, Lines
 from estimator.errors import LogError
 
 HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
+TABLE = re.compile(rb"[^\x00-\x1f\x7f,;\t]*(?:[,;\t][^\x00-\x1f\x7f,;\t]*)+")  # names of at least two columns
 FRAME = re.compile(
     rb"(?P<seconds>\d{1,12})\.(?P<fraction>\d{1,18}),0x(?P<id>[0-9A-Fa-f]{1,8}),(?P<extended>[01]),0,0,"
     rb"(?P<length>[0-8]),(?P<data>(?:[A-Za-z0-9+/]{4})*(?:[A-Za-z0-9+/]{3}=|[A-Za-z0-9+/]{2}==)?)\r?"
@@ -19,48 +24,39 @@ FRAME = re.compile(
 
 
 class CsvLog(LineLog):
-    """A ``.csv`` log of python-can; any other table of numbers is refused."""
-
-    usual = staticmethod(read_usual)
+    """A ``.csv`` log of frames; any other table is refused."""
 
     def _begin(self) -> None:
-        self._header_seen = False
+        self._grammar: Grammar | None = None
+        self.usual = None
 
     def _after_header(self, text: bytes) -> bytes:
         start = 0
-        while start < len(text) and not self._header_seen:
+        while start < len(text) and self._grammar is None:
             line, start = line_from(text, start)
-            if line.strip() and line.strip() != HEADER:
-                found = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(line)}"
-                raise LogError(f"{self.path}:{self._number}: {found}; give another log")
-            self._header_seen = line.strip() == HEADER
+            if line.strip():
+                self._grammar = self._grammar_below(line.strip())
             self._number += 1
             self._check_idle()
         return text[start:]
 
+    def _grammar_below(self, header: bytes) -> Grammar:
+        """The grammar of the lines below a header."""
+        if header == HEADER:
+            self.usual = read_usual
+            return layout
+        if gvret_line.HEADER.fullmatch(header):
+            return gvret_line.layout
+        if frame := mdf2csv_line.pattern(header):
+            return partial(mdf2csv_line.layout, frame=frame)
+        if TABLE.fullmatch(header):
+            raise LogError(decoded_table(self.path, header))
+        found = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(header)}"
+        raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+
     def _layout(self, line: bytes) -> Layout | None:
-        if not line.strip():
-            return NOTHING
-        match = FRAME.fullmatch(line)
-        if match is None:
-            return None
-        first, end = match.span("data")
-        length = (end - first) // 4 * 3 - line.count(b"=", first)
-        extended = match["extended"] == b"1"
-        largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID
-        if length != int(match["length"]) or length > CLASSIC_BYTES or int(match["id"], 16) > largest:
-            return None
-        return Layout(
-            seconds=match.span("seconds"),
-            fraction=match.span("fraction"),
-            ident=match.span("id"),
-            data=range(first, end, Coding.BASE64.value),
-            length=length,
-            end=end,
-            extended=extended,
-            largest=largest,
-            coding=Coding.BASE64,
-        )
+        assert self._grammar is not None
+        return self._grammar(line)
 
     def _settle(self, lines: Lines, ended: bool) -> None:
         self._hand_over(lines, sorted(lines.odd), ended, can.CSVReader)
@@ -71,3 +67,37 @@ class CsvLog(LineLog):
     def _unread(self, line: str) -> None:
         if line.encode().strip() != HEADER:
             super()._unread(line)
+
+
+def decoded_table(path: Path, header: bytes) -> str:
+    """A message on a table of decoded values that was given as a log, with the command that reads it."""
+    return (
+        f"{path}: a table of decoded values, not a log of frames (its columns: {shown(header)}); "
+        f'give its columns: roadload estimate {quote(str(path))} --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+    )
+
+
+def layout(line: bytes) -> Layout | None:
+    """Parse a line of python-can; None where it is no plain data frame."""
+    if not line.strip():
+        return NOTHING
+    match = FRAME.fullmatch(line)
+    if match is None:
+        return None
+    first, end = match.span("data")
+    length = (end - first) // 4 * 3 - line.count(b"=", first)
+    extended = match["extended"] == b"1"
+    largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID
+    if length != int(match["length"]) or length > CLASSIC_BYTES or int(match["id"], 16) > largest:
+        return None
+    return Layout(
+        seconds=match.span("seconds"),
+        fraction=match.span("fraction"),
+        ident=match.span("id"),
+        data=range(first, end, Coding.BASE64.value),
+        length=length,
+        end=end,
+        extended=extended,
+        largest=largest,
+        coding=Coding.BASE64,
+    )

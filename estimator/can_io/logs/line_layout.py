@@ -9,8 +9,15 @@ ERROR_FLAG = 0x20000000  # in an id, as SocketCAN writes those of error frames
 SHOWN = 60  # characters of a wrong line that a message quotes
 
 
+CORRECT = "correct or delete the line"
+
+
 class BadLineError(ValueError):
-    """A line is not of the format; the message says what was expected."""
+    """A line is not of the format; the message says what was expected, ``remedy`` what to do."""
+
+    def __init__(self, reason: str, remedy: str = CORRECT) -> None:
+        super().__init__(reason)
+        self.remedy = remedy
 
 
 class Coding(Enum):
@@ -27,7 +34,8 @@ class Layout(NamedTuple):
     bytes, or of its groups of four where it is base64; ``length`` is that of the payload [bytes]. ``largest`` bounds
     the id. Lines that equal this one outside their values up to the column ``end`` have the same layout.
     ``number`` are the columns of a number that is of no interest, and of spaces before it. ``channel`` is the name of
-    the channel, empty where the line has none.
+    the channel, empty where the line has none. Times are ``offset`` [s] and the number over ``per_second``, which is
+    below zero where the line has a minus before the number.
     """
 
     seconds: tuple[int, int]
@@ -42,6 +50,8 @@ class Layout(NamedTuple):
     coding: Coding = Coding.HEX
     number: tuple[int, int] = (0, 0)
     channel: bytes = b""
+    per_second: float = 1.0
+    offset: float = 0.0
 
 
 NOTHING = Layout((0, 0), (0, 0), (0, 0), range(0), 0, 0, extended=False, largest=0)  # a line without a frame

@@ -1,9 +1,12 @@
 """Text logs with a frame a line: what candump, .asc and .csv have in common.
 
 A grammar finds where the values stand in a line, and many lines of one layout are converted at once. Lines that the
-grammar leaves open go one by one through the reader of python-can.
+grammar leaves open go one by one through the reader of python-can. A line that cannot be read costs that line, as long
+as there are few: a logger that lost power cuts a line or leaves a block of zeros.
 """
 
+import codecs
+import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from io import BufferedReader, BytesIO
@@ -15,7 +18,7 @@ import numpy as np
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs.channels import UNNAMED
 from estimator.can_io.logs.line_layout import BadLineError, Layout, shown
-from estimator.can_io.logs.line_table import Lines, Usual
+from estimator.can_io.logs.line_table import MAX_BAD, Lines, Usual
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.messages import check_message, kind_of
 from estimator.can_io.logs.source import Source
@@ -25,7 +28,10 @@ from estimator.errors import LogError
 
 CHUNK = 1 << 19  # bytes read at once; what is made of more does not fit a processor's cache
 MAX_LINES = 1 << 16  # parsed at once: more of them in a chunk are no traffic, but would take memory
-BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+BYTE_ORDER_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+MIN_DAMAGED, DAMAGED_SHARE = 3, 0.01  # lines that may be damaged: so many, and this share of the lines before
+ZEROS = re.compile(rb"\0+")  # what a logger that lost power leaves
+COLOUR = re.compile(rb"\x1b\[[0-9;]*m")
 Reader = Callable[[Tap], Iterable[can.Message]]
 
 
@@ -39,22 +45,29 @@ class LineLog(Log):
         super().__init__(path, channels)
         self._number = 1  # of the first line that has not been parsed
         self._last_frame = 0  # number of the last line up to which there was a frame
+        self._frames = 0
+        self._damaged: list[int] = []  # numbers of the lines that could not be read
 
     def _read(self) -> Iterator[Frames]:
-        self._number, self._last_frame = 1, 0
+        self._number, self._last_frame, self._frames, self._damaged = 1, 0, 0, []
         self._begin()
+        rest = b""
         with Source(self.path) as source:
-            rest = source.read(len(BYTE_ORDER_MARK)).removeprefix(BYTE_ORDER_MARK)
-            while piece := source.read(CHUNK):
+            for piece in _pieces(source):
                 text = rest + piece
+                if b"\0" in text:
+                    text = ZEROS.sub(b"\0", text)
                 end = text.rfind(b"\n") + 1
                 self.progress = source.consumed
                 for part in _parts(text[:end]):
                     yield from self._parse(part)
                 rest = text[end:]
                 if len(rest) > MAX_LINE:
-                    break  # no line, as is found below
+                    found = f"expected a frame, found a line of over {MAX_LINE} bytes"
+                    raise LogError(f"{self.path}:{self._number}: {found}; give another log")
             yield from self._parse(rest)
+        if self._damaged:
+            self.skipped[f"damaged line (the first is line {self._damaged[0]})"] += len(self._damaged)
 
     def _begin(self) -> None:
         """Prepare for the first line."""
@@ -70,6 +83,10 @@ class LineLog(Log):
     def _settle(self, lines: Lines, ended: bool) -> None:
         """Treat the lines that the grammar leaves open; ``ended`` is whether the last one has its line break."""
 
+    def _cleaned(self, text: bytes) -> bytes:
+        """Lines without what a terminal added to them."""
+        return COLOUR.sub(b"", text) if b"\x1b" in text else text
+
     def _reader_head(self) -> bytes:
         """Give the lines that the reader of python-can wants before any other."""
         return b""
@@ -84,28 +101,44 @@ class LineLog(Log):
 
     def _parse(self, text: bytes) -> Iterator[Frames]:
         """Yield the frames of whole lines; only the last line of the file may lack its line break."""
-        text = self._after_header(text)
+        text = self._after_header(self._cleaned(text))
         if not text:
             return
         ended = text.endswith(b"\n")
         lines = Lines(text if ended else text + b"\n", self._checked_layout, self.usual)
         self._settle(lines, ended)
         frames, channel, skipped = lines.frames()
+        is_refused = lines.bad and not self._is_damage(len(lines.bad), len(lines), len(frames))
+        if is_refused:
+            frames, channel, skipped = lines.frames(min(lines.bad))
         self.skipped.update(skipped)
         yield self.channels.keep(frames, channel, lines.channels.__getitem__)
-        if lines.bad is not None:
-            row, error = lines.bad
-            if ended or row + 1 < len(lines):
-                raise LogError(f"{self.path}:{self._number + row}: {error}; correct or delete the line")
-            raise LogError(
-                f"{self.path}:{self._number + row}: the file ends inside this line ({error}); "
-                "delete the line, or end it with a line break if it is whole"
-            )
+        if is_refused:
+            raise self._refusal(min(lines.bad), lines, ended)
+        self._frames += len(frames)
+        self._damaged += [self._number + row for row in sorted(lines.bad)]
         self._number += len(lines)
         if len(frames):
             self._last_frame = self._number
         else:
             self._check_idle()
+
+    def _is_damage(self, bad: int, lines: int, frames: int) -> bool:
+        """Whether so many bad lines among some with frames are damage to a log, and not lines of another format."""
+        bad += len(self._damaged)
+        most = MIN_DAMAGED + DAMAGED_SHARE * (self._number + lines)
+        return bad <= min(most, self._frames + frames) and bad - len(self._damaged) <= MAX_BAD
+
+    def _refusal(self, row: int, lines: Lines, ended: bool) -> LogError:
+        where, error = f"{self.path}:{self._number + row}", lines.bad[row]
+        if not ended and row + 1 == len(lines):
+            return LogError(
+                f"{where}: the file ends inside this line ({error}); "
+                "delete the line, or end it with a line break if it is whole"
+            )
+        if self._damaged:
+            return LogError(f"{where}: {error}; {len(self._damaged)} lines before it could not be read either")
+        return LogError(f"{where}: {error}; {error.remedy}")
 
     def _check_idle(self) -> None:
         if self._number - self._last_frame > MAX_IDLE:
@@ -119,8 +152,12 @@ class LineLog(Log):
 
     def _hand_over(self, lines: Lines, rows: list[int], ended: bool, reader: Reader) -> None:
         """Have the ``reader`` of python-can parse some lines."""
-        if not rows:
-            return
+        most = len(lines.bad) + MAX_BAD
+        while rows and len(lines.bad) <= most:
+            rows = self._hand_over_up_to_bad(lines, rows, ended, reader)
+
+    def _hand_over_up_to_bad(self, lines: Lines, rows: list[int], ended: bool, reader: Reader) -> list[int]:
+        """Have lines parsed up to the first that cannot be; the rows after it are left."""
         head = self._reader_head()
         # A carriage return inside a line would be the end of a line to python-can.
         text = head + b"".join(lines.line(row).rstrip(b"\r").replace(b"\r", b" ") + b"\n" for row in rows)
@@ -142,12 +179,29 @@ class LineLog(Log):
                 reason = " ".join(str(error).split()) or type(error).__name__
                 place = min(max(tap.number - before, 1), len(rows)) - 1  # the text may hold more line ends than rows
                 lines.refuse(rows[place], f"this line cannot be read ({reason})")
+                return rows[place + 1 :]
+        return []
 
 
 def line_from(text: bytes, start: int) -> tuple[bytes, int]:
     """The line that begins at ``start``, without its line break, and where the next one begins."""
     end = text.find(b"\n", start)
     return (text[start:], len(text)) if end < 0 else (text[start:end], end + 1)
+
+
+def _pieces(source: Source) -> Iterator[bytes]:
+    """The text of a log piece by piece, as UTF-8 without a byte order mark."""
+    start = source.read(len(codecs.BOM_UTF8))
+    if not start.startswith(BYTE_ORDER_MARKS):
+        yield start.removeprefix(codecs.BOM_UTF8)
+        while piece := source.read(CHUNK):
+            yield piece
+        return
+    decoder = codecs.getincrementaldecoder("utf-16")("replace")
+    while start:
+        yield decoder.decode(start).encode()
+        start = source.read(CHUNK)
+    yield decoder.decode(b"", final=True).encode()
 
 
 def _parts(text: bytes) -> Iterator[bytes]:

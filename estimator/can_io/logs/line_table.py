@@ -32,6 +32,7 @@ DIGITS = 10
 BASE64 = np.full(256, NO_DIGIT, np.uint8)  # value of a character
 BASE64[list(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")] = range(64)
 PAD = ord("=")
+MAX_BAD = 100  # lines of one length that are not of the format, after which no more are looked for
 MAX_LAYOUTS = 64  # among lines of one length; where there are more, the rest is taken line by line
 EXACT_DIGITS, EXACT_BITS = 15, 53  # of a number that a float holds exactly
 SKIP, DATA, ERROR, REMOTE = range(4)  # what a line is
@@ -55,8 +56,8 @@ class Lines:
         Times (n,) [s], 0 where a line gave none.
     odd : list[int]
         Lines about which the grammar does not decide.
-    bad : tuple[int, BadLineError] or None
-        The first line that is not of the format, and why.
+    bad : dict[int, BadLineError]
+        Lines that are not of the format, in no order, and why: the first MAX_BAD of each length.
     channels : list[str]
         Names of the channels.
     """
@@ -68,7 +69,7 @@ class Lines:
         count = len(self._ends)
         self.t = np.zeros(count)
         self.odd: list[int] = []
-        self.bad: tuple[int, BadLineError] | None = None
+        self.bad: dict[int, BadLineError] = {}
         self._ident = np.zeros(count, np.uint32)
         self._length = np.zeros(count, np.uint8)
         self._data = np.zeros((count, CLASSIC_BYTES), np.uint8)
@@ -96,12 +97,11 @@ class Lines:
 
     def refuse(self, row: int, reason: str) -> None:
         """Note that a line is not of the format."""
-        if self.bad is None or row < self.bad[0]:
-            self.bad = row, BadLineError(reason)
+        self.bad[row] = BadLineError(reason)
 
-    def frames(self) -> tuple[Frames, Numbers, Counter[str]]:
-        """The data frames (n,) up to the first bad line, indices (n,) of their channels, and counts of others."""
-        kind = self._kind[: self.bad[0]] if self.bad else self._kind
+    def frames(self, end: int | None = None) -> tuple[Frames, Numbers, Counter[str]]:
+        """The data frames (n,) before the line ``end``, indices (n,) of their channels, and counts of others."""
+        kind = self._kind[:end]
         counts = np.bincount(kind, minlength=REMOTE + 1).tolist()
         skipped = Counter({ERROR_FRAME: counts[ERROR], REMOTE_FRAME: counts[REMOTE]})
         frames = Frames(self.t, self._ident, self._length, self._data)
@@ -147,10 +147,11 @@ class Lines:
                 if layout is not None and layout is not NOTHING:
                     self._index_of(layout.channel.decode("ascii", "replace"))
             except BadLineError as error:
-                self.refuse(int(rows[0]), str(error))
-                return
+                layout, self.bad[int(rows[0])] = None, error
             layouts += 1
-            if layout is None:
+            if int(rows[0]) in self.bad:
+                same = np.zeros(1, np.intp)
+            elif layout is None:
                 self.odd.append(int(rows[0]))
                 same = np.zeros(1, np.intp)
             elif layout is NOTHING:
@@ -171,15 +172,17 @@ class Lines:
 
     def _parse_singly(self, rows: Rows, grammar: Grammar) -> None:
         """Parse lines one by one: for one line, columns of a table take 20 times as long."""
+        most = len(self.bad) + MAX_BAD
         for row in rows.tolist():
+            if len(self.bad) > most:
+                return
             try:
                 line = self.line(row)
                 layout = grammar(line)
                 if layout is not NOTHING and (layout is None or not self._put_line(row, line, layout)):
                     self.odd.append(row)
             except BadLineError as error:
-                self.refuse(row, str(error))
-                return
+                self.bad[row] = error
 
     def _put_line(self, row: int, line: bytes, layout: Layout) -> bool:
         """Add the frame of a line; False where one of its values is none."""
@@ -193,7 +196,8 @@ class Lines:
             return False
         if bits > layout.largest or not (seconds + fraction + number.lstrip(b" ")).isdigit():
             return False
-        self.t[row], self._length[row] = float(b"%s.%s" % (seconds, fraction)), layout.length
+        t = float(b"%s.%s" % (seconds, fraction)) / layout.per_second + layout.offset
+        self.t[row], self._length[row] = t, layout.length
         self._ident[row] = bits | (EXTENDED if layout.extended else 0)
         self._put_data(np.array([row]), np.frombuffer(data, np.uint8)[None])
         self._channel[row], self._kind[row] = channel, REMOTE if layout.remote else DATA
@@ -228,9 +232,17 @@ def _read_columns(table: Bytes, layout: Layout) -> _Columns:
     data, valid = _hex_payload(same, layout) if layout.coding is Coding.HEX else _base64_payload(same, layout)
     good &= valid
     if good.all():
-        return _Columns(rows, _times(same, layout, seconds, parts), ident, data)
-    t = _times(same[good], layout, seconds[good], parts[good])
+        return _Columns(rows, _seconds(_times(same, layout, seconds, parts), layout), ident, data)
+    t = _seconds(_times(same[good], layout, seconds[good], parts[good]), layout)
     return _Columns(rows[good], t, ident[good], data[good])
+
+
+def _seconds(number: Floats, layout: Layout) -> Floats:
+    """Times (n,) [s] of the numbers in lines."""
+    if (layout.per_second, layout.offset) == (1.0, 0.0):
+        return number
+    t: Floats = number / layout.per_second + layout.offset
+    return t
 
 
 def _payload(line: bytes, layout: Layout) -> bytes:
@@ -272,7 +284,7 @@ def _shifted(columns: range, by: int) -> slice:
 
 
 def _times(table: Bytes, layout: Layout, seconds: NDArray[np.int64], parts: NDArray[np.int64]) -> Floats:
-    """Times (n,) [s], the same floating-point numbers as of `float`, from those before and after the point."""
+    """Numbers (n,), the same floating-point ones as of `float`, from the digits before and after the point."""
     digits = layout.fraction[1] - layout.fraction[0]
     if digits > EXACT_DIGITS:
         return _parsed(table, layout)

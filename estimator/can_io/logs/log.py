@@ -1,15 +1,18 @@
 """A recorded log as an iterable of batches of frames: what all formats have in common."""
 
 import gzip
+import math
 import zlib
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.time_check import TimeCheck
+from estimator.can_io.time_order import MAX_DELAY, MAX_TIME
 from estimator.errors import LogError
 
 BATCH = 131_072  # frames, the most in one batch: decoding one takes 1.6 ms and 80 ns a frame
@@ -57,13 +60,14 @@ class Log(ABC):
         self.progress = 0.0
         times = TimeCheck(self.path)
         empty = True
-        for frames in regroup(self._guarded(), self.batch):
+        for frames in self._from_zero(regroup(self._guarded(), self.batch)):
             self.channels.check_number(self.path)
             if self.channels.shared is not None:
                 continue  # only to count the frames of each channel
             times.check(frames)
             empty = False
             yield frames
+        times.finish()
         self.progress = 1.0
         if self.channels.counts:
             self.channels.check(self.path)
@@ -74,6 +78,14 @@ class Log(ABC):
     @abstractmethod
     def _read(self) -> Iterator[Frames]:
         """Yield frames in batches of any size, count ``skipped`` and set ``progress`` on the way."""
+
+    def _from_zero(self, batches: Iterable[Frames]) -> Iterator[Frames]:
+        """The frames, all of them later by whole seconds where the log begins before time 0."""
+        later = 0.0
+        for i, frames in enumerate(batches):
+            if i == 0 and -MAX_TIME < frames.t[0] < 0:
+                later = MAX_DELAY - math.floor(frames.t[0])
+            yield replace(frames, t=frames.t + later) if later else frames
 
     def _guarded(self) -> Iterator[Frames]:
         try:

@@ -10,7 +10,7 @@ from typing import BinaryIO
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.log import Log
-from estimator.can_io.logs.mdf.blocks import BadMdfError, MdfFile
+from estimator.can_io.logs.mdf.blocks import BadMdfError, MdfFile, UnreadMdfError
 from estimator.can_io.logs.mdf.groups import DataGroup, FrameGroup, data_groups, start_time
 from estimator.can_io.logs.mdf.merging import merged
 from estimator.can_io.logs.mdf.sorted_frames import (
@@ -33,7 +33,7 @@ VERSIONS = range(400, 500)
 OPEN_COUNTS, OPEN_SIZE, OPEN_LINKS, OPEN_OFFSETS = 1, 4, 16, 64  # flags of what was left open
 MAX_UNPACKED = 1 << 26  # bytes of packed blocks that are held at once, over all streams
 MIN_UNPACKED = 1 << 22  # bytes of a packed block that can always be read; writers make none larger
-MAX_STREAMS = 16  # of frames
+MAX_STREAMS = 64  # of frames, each of which holds a block: 4 MiB unpacked at the most
 
 
 class Mf4Log(Log):
@@ -46,12 +46,14 @@ class Mf4Log(Log):
             count = 0
             try:
                 content = Content(file, flags, self.skipped, self.channels)
-                if not content.streams:
+                if not content.has_frames:
                     raise LogError(f"{self.path}: no CAN frames in it, only other values; give the log of the bus")
                 for frames in merged(content.streams):
                     count += len(frames)
                     self.progress = min(file.consumed / file.size, 1.0)
                     yield frames
+            except UnreadMdfError as error:
+                raise LogError(f"{self.path}: {error}, at byte {error.offset}; {error.remedy}") from error
             except BadMdfError as error:
                 raise LogError(
                     f"{self.path}: damaged or cut at byte {error.offset} ({error}) after {count} frames; copy it anew"
@@ -88,7 +90,7 @@ class Mf4Log(Log):
 
 
 class Content:
-    """What is in a file: ``streams`` of the frames on some channels.
+    """What is in a file: ``streams`` of the frames on some channels; ``has_frames`` is whether it can hold any.
 
     Frames without data are counted by kind in ``skipped`` on the way.
 
@@ -107,9 +109,12 @@ class Content:
         self._skipped = skipped
         self._start = start_time(file)
         self._data_groups = data_groups(file)
-        wanted = [each for each in self._data_groups if any(group.frames for group in each.groups)]
+        every = [each for each in self._data_groups if any(group.frames for group in each.groups)]
+        self.has_frames = bool(every)
+        wanted = [each for each in every if self._holds_frames(each)]
         if len(wanted) > MAX_STREAMS:
-            raise BadMdfError(wanted[-1].address, f"{len(wanted)} streams of CAN frames; {MAX_STREAMS} can be read")
+            reason = f"{len(wanted)} streams of CAN frames, of which {MAX_STREAMS} can be read at once"
+            raise UnreadMdfError(wanted[-1].address, reason)
         self._most = ROWS // max(len(wanted), 1)
         self._largest = max(MAX_UNPACKED // max(len(wanted), 1), MIN_UNPACKED)
         self.streams = [self._frames(each) for each in wanted]
@@ -118,6 +123,12 @@ class Content:
                 if group.skipped and group.record_bytes:
                     there = record_count(self._chunks(each.data), group.record_bytes)
                     skipped[group.skipped] += min(there, group.count) if self._has_counts else there
+
+    def _holds_frames(self, data_group: DataGroup) -> bool:
+        """Whether there may be a frame among its records: finalized files list groups for what never came."""
+        if not self._has_counts:
+            return data_group.data != 0
+        return any(group.frames is not None and group.count for group in data_group.groups)
 
     def _chunks(self, address: int) -> Iterator[Chunk]:
         return chunks(self._file, address, self._tail, self._largest)
@@ -136,7 +147,7 @@ class Content:
             masters=self._masters(group.frames) if group.frames.times_at != group.address else None,
             values=ValueStream(self._chunks(values), values) if values else None,
         )
-        return sorted_frames(group.frames, streams, self._channels, count, self._start, self._most)
+        return sorted_frames(group.frames, streams, self._channels, count, self._start, self._most, self._skipped)
 
     def _masters(self, frames: FrameGroup) -> RecordStream:
         """The records that hold the times of a group."""
@@ -146,4 +157,4 @@ class Content:
                     if group.record_bytes < frames.times.field.end:
                         raise BadMdfError(group.address, f"times in records of {group.record_bytes} bytes")
                     return RecordStream(self._chunks(data_group.data), group.record_bytes)
-        raise BadMdfError(frames.address, "CAN frames whose times are among other records")
+        raise UnreadMdfError(frames.address, "CAN frames whose times are among other records")

@@ -1,15 +1,17 @@
-"""Which reader a log file needs: by its suffix, or by its first line where candump wrote it under another one."""
+"""Which reader a log file needs: by its suffix, or by its first line where candump or OVMS wrote it under another."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from estimator.can_io.logs.asc import AscLog
 from estimator.can_io.logs.blf import BlfLog
 from estimator.can_io.logs.candump import CandumpLog
 from estimator.can_io.logs.candump_line import MAX_LINE, layout
+from estimator.can_io.logs.crtd import CrtdLog
+from estimator.can_io.logs.crtd import layout as crtd_layout
 from estimator.can_io.logs.csv_text import CsvLog
-from estimator.can_io.logs.line_layout import NOTHING, BadLineError
+from estimator.can_io.logs.line_layout import NOTHING, BadLineError, Layout
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.mf4 import Mf4Log
 from estimator.can_io.logs.trc import TrcLog
@@ -20,6 +22,8 @@ FORMATS: dict[str, type[Log]] = {
     ".asc.gz": AscLog,
     ".blf": BlfLog,
     ".blf.gz": BlfLog,
+    ".crtd": CrtdLog,
+    ".crtd.gz": CrtdLog,
     ".csv": CsvLog,
     ".csv.gz": CsvLog,
     ".log": CandumpLog,
@@ -29,6 +33,7 @@ FORMATS: dict[str, type[Log]] = {
     ".trc": TrcLog,
     ".trc.gz": TrcLog,
 }
+TEXTS: dict[type[Log], Callable[[bytes], Layout]] = {CandumpLog: layout, CrtdLog: crtd_layout}
 
 
 def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
@@ -37,7 +42,7 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
     Parameters
     ----------
     path : str or os.PathLike[str]
-        A file whose suffix, in any case, is one of ``FORMATS``, or that holds lines of candump.
+        A file whose suffix, in any case, is one of ``FORMATS``, or that holds lines of candump or OVMS.
     channels : Iterable[str]
         Names of the channels that are read, as the log gives them; all if there are none.
 
@@ -68,20 +73,20 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
         raise LogError(f"{path}: is empty; give another log")
     name = path.name.lower()
     reader = next((log for suffix, log in FORMATS.items() if name.endswith(suffix)), None)
-    if reader is None and _is_candump(start):
-        reader = CandumpLog
+    if reader is None:
+        reader = next((log for log, parse in TEXTS.items() if _begins_with(parse, start)), None)
     if reader is None:
         raise LogError(
             f"{path}: unknown log format '{path.suffix}'; rename it if it is one of {', '.join(FORMATS)}, "
-            "or convert it with can_logconvert"
+            "or export it as one of them from the tool that recorded it"
         )
     return reader(path, channels)
 
 
-def _is_candump(start: bytes) -> bool:
-    """Whether the first line that is not blank is candump's."""
+def _begins_with(parse: Callable[[bytes], Layout], start: bytes) -> bool:
+    """Whether the first line that is not blank is one with a frame."""
     lines = start.lstrip().splitlines()
     try:
-        return bool(lines) and layout(lines[0]) is not NOTHING
+        return bool(lines) and parse(lines[0]) is not NOTHING
     except BadLineError:
         return False

@@ -17,6 +17,10 @@ MAX_STEPS_BACK = 100  # recordings in one log
 SPAN, MAX_IN_SPAN = 5.0, 1 << 20  # s, and frames that are too many for it: ten full buses of 1 Mbit/s carry as many
 
 
+MIN_FRAMES = 100  # in which rising times can be told
+MIN_RISING = 0.05  # share of the frames that come no earlier than all before; differences in time: 0.01 of 1,000
+
+
 class TimeCheck:
     """The check of one pass over a log."""
 
@@ -28,6 +32,7 @@ class TimeCheck:
         self._first_step = ""
         self._span_start = -np.inf  # s
         self._in_span = 0  # frames since then
+        self._rising = 0  # frames that came no earlier than all before
 
     def check(self, frames: Frames) -> None:
         """Take note of the next frames of the log.
@@ -40,7 +45,7 @@ class TimeCheck:
         t = frames.t
         self._count(float(t[-1]), len(t))
         if max(self._latest, 0.0) <= t[0] and t[-1] <= MAX_TIME and (t[1:] >= t[:-1]).all():  # the rule
-            self._latest, self._seen = float(t[-1]), self._seen + len(frames)
+            self._latest, self._seen, self._rising = float(t[-1]), self._seen + len(frames), self._rising + len(frames)
             return
         bad = np.flatnonzero(~((frames.t >= 0) & (frames.t <= MAX_TIME)))
         if len(bad):
@@ -54,14 +59,30 @@ class TimeCheck:
             t = frames.t[first:]
             latest = latest_before(t, self._latest)
             steps = np.flatnonzero(t < latest[:-1] - MAX_DELAY)
+            end = int(steps[0]) if len(steps) else len(t)
+            self._rising += int(np.count_nonzero(t[:end] >= latest[:end]))
             if not len(steps):
                 self._latest = float(latest[-1])
                 break
-            i = int(steps[0])
+            i = end
             self._step_back(self._seen + first + i + 1, float(latest[i]), float(t[i]))
             self._latest = -np.inf
             first += i
         self._seen += len(frames)
+
+    def finish(self) -> None:
+        """Check the times of the whole log.
+
+        Raises
+        ------
+        LogError
+            They do not rise.
+        """
+        if self._seen >= MIN_FRAMES and self._rising < MIN_RISING * self._seen:
+            raise LogError(
+                f"{self._path}: times do not rise: {self._seen - self._rising:,} of {self._seen:,} frames come earlier "
+                "than one before; if they are differences, as of candump -td, record with -ta"
+            )
 
     def _count(self, t: float, count: int) -> None:
         """Count frames up to time ``t`` [s]."""

@@ -1,13 +1,16 @@
 """Trace files of PEAK's PCAN-View."""
 
+import re
+
 import can
 
 from estimator.can_io.logs.channels import UNNAMED
-from estimator.can_io.logs.line_layout import Layout
+from estimator.can_io.logs.line_layout import Layout, shown
 from estimator.can_io.logs.line_log import LineLog, line_from
 from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.log import ERROR_FRAME
 from estimator.can_io.logs.trc_line import layout, read_head
+from estimator.errors import LogError
 
 OTHERS = {
     "ER": ERROR_FRAME,
@@ -18,6 +21,7 @@ OTHERS = {
     "Warng": "status line",
     "FFFFFFFF": "status line",
 }  # by the word that stands for the type of the line, or in version 1.0 for the id
+FIRST = re.compile(rb"\s*\d+\)")  # what a line of version 1.0 begins with, whose header may have no keys
 KEYS = (b";$FILEVERSION", b";$STARTTIME", b";$COLUMNS")
 MILLISECONDS = 1000  # in a second
 
@@ -35,6 +39,9 @@ class TrcLog(LineLog):
             line, after = line_from(text, start)
             if line.strip() and not line.lstrip().startswith(b";"):
                 self._in_header = False
+                if KEYS[0] not in self._keys and FIRST.match(line) is None:
+                    found = f"expected a trace of PEAK's PCAN-View with a line ;$FILEVERSION, found {shown(line)}"
+                    raise LogError(f"{self.path}:{self._number}: {found}; export it as .asc or .blf")
                 self._head = read_head(*(self._keys.get(key, b"").partition(b"=")[2] for key in KEYS))
                 break
             self._keys |= {key: line.strip() for key in KEYS if line.strip().startswith(key)}

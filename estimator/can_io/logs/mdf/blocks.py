@@ -22,6 +22,14 @@ class BadMdfError(ValueError):
         self.offset = offset
 
 
+class UnreadMdfError(BadMdfError):
+    """The file may be sound, but says or stores something in a way that is not read; ``remedy`` is what helps."""
+
+    def __init__(self, offset: int, reason: str, remedy: str = "export the log as .blf or .asc") -> None:
+        super().__init__(offset, reason)
+        self.remedy = remedy
+
+
 class Head(NamedTuple):
     """The head of a block; ``size`` is that of the whole block [bytes]."""
 

@@ -1,5 +1,6 @@
 """CAN frames in records of an ASAM MDF 4 file."""
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from estimator.signals import Mask
 
 ID_BITS = np.uint32(0x1FFFFFFF)
 MAX_STANDARD_ID = 0x7FF
+INVALID = "frame marked as invalid"
 
 
 class Payloads(NamedTuple):
@@ -28,14 +30,23 @@ class Payloads(NamedTuple):
 
 
 class Heads(NamedTuple):
-    """Ids (n,) with the bit for 29 of them, and lengths (n,) [bytes] of frames."""
+    """Ids (n,) with the bit for 29 of them, and lengths (n,) [bytes] of frames; which are ``valid``, None for all."""
 
     ident: NDArray[np.uint32]
     length: NDArray[np.uint8]
+    valid: Mask | None = None
 
     def first(self, count: int) -> "Heads":
         """Those of the first frames."""
-        return Heads(self.ident[:count], self.length[:count])
+        return Heads(self.ident[:count], self.length[:count], None if self.valid is None else self.valid[:count])
+
+
+def valid_rows(group: FrameGroup, records: Records) -> Mask | None:
+    """Which frames (n,) have none of their values marked as invalid, None for all."""
+    valid = np.ones(len(records), np.bool_)
+    for bit in group.invalid:
+        valid &= unsigned(records, bit) == 0
+    return None if valid.all() else valid
 
 
 def heads(group: FrameGroup, records: Records, sizes: NDArray[np.int64] | int) -> tuple[Heads, str]:
@@ -53,12 +64,16 @@ def heads(group: FrameGroup, records: Records, sizes: NDArray[np.int64] | int) -
     extended = flag if group.extended is None else unsigned(records, group.extended).astype(np.bool_)
     ident = raw & ID_BITS
     wrong = (length > np.minimum(sizes, FD_BYTES)) | ((ident > MAX_STANDARD_ID) & ~extended)
+    valid = valid_rows(group, records)
+    if valid is not None:
+        wrong &= valid
+        length = np.where(valid, length, 0)
     count, fault = len(records), ""
     if wrong.any():
         count = int(np.argmax(wrong))
         fault = f"a CAN frame with the id {ident[count]:X} and {length[count]} data bytes"
     ident |= extended.astype(np.uint32) << np.uint32(31)
-    return Heads(ident[:count], length[:count].astype(np.uint8)), fault
+    return Heads(ident, length.astype(np.uint8), valid).first(count), fault
 
 
 def frames_of(group: FrameGroup, found: Heads, masters: Records, payloads: Payloads, start: float) -> Frames:
@@ -66,11 +81,20 @@ def frames_of(group: FrameGroup, found: Heads, masters: Records, payloads: Paylo
     return Frames(times(masters, group.times, start), found.ident, found.length, _data(payloads, found.length))
 
 
-def rows_read(channels: Channels, group: FrameGroup, frames: Frames, records: Records) -> slice | Mask:
-    """Which of the frames (n,) in ``records`` (n,) are of channels that are read."""
-    if group.channel is None:
-        return channels.rows(frames.ident, np.zeros(len(frames), np.uint8), lambda _: UNNAMED)
-    return channels.rows(frames.ident, unsigned(records, group.channel))
+def rows_read(
+    channels: Channels, group: FrameGroup, found: Heads, records: Records, skipped: Counter[str]
+) -> slice | Mask:
+    """Which of the frames (n,) in ``records`` (n,) are valid and of channels that are read; others are counted."""
+    number = np.zeros(len(records), np.uint8) if group.channel is None else unsigned(records, group.channel)
+    name = str if group.channel is not None else lambda _: UNNAMED
+    if found.valid is None:
+        return channels.rows(found.ident, number, name)
+    rows = found.valid.copy()
+    skipped[INVALID] += int(np.count_nonzero(~rows))
+    read = np.zeros(np.count_nonzero(rows), np.bool_)
+    read[channels.rows(found.ident[rows], number[rows], name)] = True
+    rows[rows] = read
+    return rows
 
 
 def _data(payloads: Payloads, length: NDArray[np.uint8]) -> Bytes:

@@ -9,17 +9,19 @@ from datetime import datetime, timedelta, timezone
 from typing import NamedTuple
 
 from estimator.can_io.logs.log import ERROR_FRAME, REMOTE_FRAME
-from estimator.can_io.logs.mdf.blocks import BadMdfError, Block, MdfFile
+from estimator.can_io.logs.mdf.blocks import BadMdfError, Block, MdfFile, UnreadMdfError
 
 HEADER_AT = 64  # bytes, behind the identification
 LOCAL_TIME = 1  # flag of the header: the start is a local time
 VARIABLE, REMOTE_MASTER = 1, 8  # flags of a group: values of variable length; its times are in another group
-FIXED, VARIABLE_LENGTH, MASTER, LIMITED_LENGTH = 0, 1, 2, 5  # types of channels
+FIXED, VARIABLE_LENGTH, MASTER, LIMITED_LENGTH, VIRTUAL = 0, 1, 2, 5, 6  # types of channels
+ALL_INVALID, HAS_INVALIDATION = 1, 2  # flags of a channel
 LINEAR, IDENTICAL = 1, 0  # conversions
 UNSIGNED, REAL, BYTE_ARRAY = (0, 1), (4, 5), 10  # types of data; the second of two is big-endian
 MAX_BYTE, MAX_ID_VALUE = 0xFF, 0xFFFE  # of a record's id
 MAX_RECORD = 1 << 16  # bytes
 FRAME = "CAN_DataFrame"
+NEEDED, OPTIONAL = ("ID", "DataLength", "DataBytes"), ("IDE", "BusChannel")  # parts of a frame
 OTHERS = {"CAN_ErrorFrame": ERROR_FRAME, "CAN_RemoteFrame": REMOTE_FRAME, "CAN_OverloadFrame": "overload frame"}
 
 
@@ -27,6 +29,7 @@ class Field(NamedTuple):
     """Where a value stands in a record: its first byte, and the lowest of its bits there; ``kind`` is a type of data.
 
     ``values`` is the address of values of variable length, to which the field is the offset, 0 where it is the value.
+    A value that is the same in all records takes no bits: it is ``constant``.
     """
 
     byte: int
@@ -34,6 +37,7 @@ class Field(NamedTuple):
     bits: int
     kind: int
     values: int = 0
+    constant: int | None = None
 
     @property
     def end(self) -> int:
@@ -54,7 +58,7 @@ class FrameGroup:
     """Records that are CAN frames.
 
     ``extended`` and ``channel``, that of the bus, may be missing; ``times_at`` is the group that holds the times, this
-    one as a rule.
+    one as a rule. ``invalid`` are bits of which each, where it is set, says that a value of the frame is none.
     """
 
     address: int
@@ -65,11 +69,12 @@ class FrameGroup:
     length: Field
     data: Field
     channel: Field | None = None
+    invalid: tuple[Field, ...] = ()
 
     @property
     def needed(self) -> int:
         """Bytes of a record that holds all values."""
-        fields = (self.ident, self.extended, self.length, self.data, self.channel)
+        fields = (self.ident, self.extended, self.length, self.data, self.channel, *self.invalid)
         own_times = self.times.field.end if self.times_at == self.address else 0
         return max(own_times, *(field.end for field in fields if field is not None))
 
@@ -143,11 +148,11 @@ def data_groups(file: MdfFile) -> list[DataGroup]:
 def _group(file: MdfFile, block: Block) -> Group:
     record_id, count, flags, _, data_bytes, invalidation = block.values("QQHH4xLL")
     if record_id > MAX_ID_VALUE:
-        raise BadMdfError(block.address, f"the record id {record_id}; the largest that can be read is {MAX_ID_VALUE}")
+        raise UnreadMdfError(block.address, f"the record id {record_id} is over the {MAX_ID_VALUE} that can be read")
     size = data_bytes + invalidation
     variable = bool(flags & VARIABLE)
     names = {} if variable else _channels(file, block)
-    frames = _frame_group(file, block, flags, names) if FRAME in names else None
+    frames = _frame_group(file, block, flags, names, data_bytes) if FRAME in names else None
     if frames is not None and not frames.needed <= size <= MAX_RECORD:
         raise BadMdfError(block.address, f"CAN frames in records of {size} bytes; their values end at {frames.needed}")
     return Group(
@@ -174,51 +179,73 @@ def _channels(file: MdfFile, group: Block) -> dict[str, Block]:
     return found
 
 
-def _frame_group(file: MdfFile, group: Block, flags: int, names: dict[str, Block]) -> FrameGroup:
+def _frame_group(file: MdfFile, group: Block, flags: int, names: dict[str, Block], data_bytes: int) -> FrameGroup:
     times_at, masters = group.address, names
     if flags & REMOTE_MASTER and "" not in names:
         other = file.block(group.link(6), b"##CG")
         times_at, masters = other.address, _channels(file, other)
     parts = {name.removeprefix(f"{FRAME}."): channel for name, channel in names.items()}
-    for name, where in (("", masters), ("ID", parts), ("DataLength", parts), ("DataBytes", parts)):
+    for name, where in (("", masters), *((name, parts) for name in NEEDED)):
         if name not in where:
-            raise BadMdfError(group.address, f"CAN frames without {f'{FRAME}.{name}' if name else 'times'}")
+            raise UnreadMdfError(group.address, f"CAN frames without {f'{FRAME}.{name}' if name else 'times'}")
     data = _field(parts["DataBytes"], FIXED, LIMITED_LENGTH, VARIABLE_LENGTH)
     if data.values == 0 and (data.kind != BYTE_ARRAY or data.bit or data.bits % 8):
-        raise BadMdfError(group.address, f"{FRAME}.DataBytes of {data.bits} bits, data type {data.kind}")
+        raise UnreadMdfError(group.address, f"{FRAME}.DataBytes of {data.bits} bits, data type {data.kind}")
+    used = (names[FRAME], *(parts[name] for name in (*NEEDED, *OPTIONAL) if name in parts))
     return FrameGroup(
         address=group.address,
         times=_times(file, masters[""]),
         times_at=times_at,
-        ident=_unsigned(parts["ID"]),
-        extended=_unsigned(parts["IDE"]) if "IDE" in parts else None,
-        length=_unsigned(parts["DataLength"]),
+        ident=_unsigned(file, parts["ID"]),
+        extended=_unsigned(file, parts["IDE"]) if "IDE" in parts else None,
+        length=_unsigned(file, parts["DataLength"]),
         data=data,
-        channel=_unsigned(parts["BusChannel"]) if "BusChannel" in parts else None,
+        channel=_unsigned(file, parts["BusChannel"]) if "BusChannel" in parts else None,
+        invalid=tuple(dict.fromkeys(bit for channel in used for bit in _invalidation(channel, data_bytes))),
     )
 
 
 def _field(channel: Block, *types: int) -> Field:
     kind, _, data, bit, byte, bits = channel.values("BBBBLL")
     if kind not in types or (kind == VARIABLE_LENGTH and not channel.link(5)):
-        raise BadMdfError(channel.address, f"a channel of type {kind}")
+        raise UnreadMdfError(channel.address, f"a value in a channel of type {kind}")
     if kind == VARIABLE_LENGTH:
         return Field(byte, 0, 64, UNSIGNED[0], channel.link(5))
     return Field(byte, bit, bits, data)
 
 
-def _unsigned(channel: Block) -> Field:
+def _invalidation(channel: Block, data_bytes: int) -> list[Field]:
+    """The bit of a record that says that a channel's value is none, if there is one."""
+    flags, bit = channel.values("LL", 12)
+    if flags & ALL_INVALID:
+        return [Field(0, 0, 0, UNSIGNED[0], constant=1)]
+    return [Field(data_bytes + bit // 8, bit % 8, 1, UNSIGNED[0])] if flags & HAS_INVALIDATION else []
+
+
+def _unsigned(file: MdfFile, channel: Block) -> Field:
+    if channel.values("B")[0] == VIRTUAL:
+        return Field(0, 0, 0, UNSIGNED[0], constant=_constant(file, channel))
     field = _field(channel, FIXED)
     if field.kind not in UNSIGNED or not 0 < field.bits <= 64 - field.bit:
-        raise BadMdfError(channel.address, f"an unsigned number of {field.bits} bits, data type {field.kind}")
+        raise UnreadMdfError(channel.address, f"an unsigned number of {field.bits} bits, data type {field.kind}")
     return field
+
+
+def _constant(file: MdfFile, channel: Block) -> int:
+    """The value of a virtual channel: the number of the record, converted to the same value everywhere."""
+    conversion = file.block(channel.link(4), b"##CC") if channel.link(4) else None
+    if conversion is not None and conversion.values("B") == (LINEAR,):
+        value, factor = conversion.reals(24, 2)
+        if factor == 0 and value in range(1 << 32):
+            return int(value)
+    raise UnreadMdfError(channel.address, "a virtual channel whose value is no constant")
 
 
 def _times(file: MdfFile, channel: Block) -> Times:
     field = _field(channel, MASTER)
     real = field.kind in REAL and field.bits in (32, 64) and not field.bit
     if not real and (field.kind not in UNSIGNED or not 0 < field.bits <= 64 - field.bit):
-        raise BadMdfError(channel.address, f"times of {field.bits} bits, data type {field.kind}")
+        raise UnreadMdfError(channel.address, f"times of {field.bits} bits, data type {field.kind}")
     factor, offset = 1.0, 0.0
     if channel.link(4):
         conversion = file.block(channel.link(4), b"##CC")
@@ -226,5 +253,5 @@ def _times(file: MdfFile, channel: Block) -> Times:
         if kind == LINEAR:
             offset, factor = conversion.reals(24, 2)
         elif kind != IDENTICAL:
-            raise BadMdfError(conversion.address, f"times with a conversion of type {kind}")
+            raise UnreadMdfError(conversion.address, f"times with a conversion of type {kind}")
     return Times(field, factor, offset)

@@ -114,6 +114,8 @@ class Scattered(Records):
 
 def unsigned(records: Records, field: Field) -> Numbers:
     """Unsigned numbers (n,) of up to 64 bits in any place."""
+    if field.constant is not None:
+        return np.full(len(records), field.constant, np.uint64)
     size, is_big = -(-(field.bit + field.bits) // 8), field.kind == UNSIGNED[1]
     if size in SIZES:
         value: Numbers = records.numbers(field.byte, f"{'>' if is_big else '<'}u{size}")

@@ -1,5 +1,6 @@
 """CAN frames of an ASAM MDF 4 file whose records have a stream of their own, one kind in each."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from estimator.can_io.frames import FD_BYTES, Frames
 from estimator.can_io.logs.channels import Channels
 from estimator.can_io.logs.mdf.blocks import BadMdfError
-from estimator.can_io.logs.mdf.frames import Payloads, frames_of, heads, rows_read
+from estimator.can_io.logs.mdf.frames import Payloads, frames_of, heads, rows_read, valid_rows
 from estimator.can_io.logs.mdf.groups import FrameGroup
 from estimator.can_io.logs.mdf.records import Numbers, Records, Rows, Scattered, Table, unsigned
 from estimator.can_io.logs.mdf.stream import Chunk
@@ -122,7 +123,13 @@ class Streams:
 
 
 def sorted_frames(
-    group: FrameGroup, streams: Streams, channels: Channels, count: int | None, start: float, most: int
+    group: FrameGroup,
+    streams: Streams,
+    channels: Channels,
+    count: int | None,
+    start: float,
+    most: int,
+    skipped: Counter[str],
 ) -> Iterator[Frames]:
     """The frames of a group on the channels that are read, at most ``most`` at a time.
 
@@ -140,6 +147,8 @@ def sorted_frames(
         Time that times count from [s].
     most : int
         Frames in a batch.
+    skipped : Counter[str]
+        Frames that are none are counted here.
 
     Raises
     ------
@@ -156,13 +165,19 @@ def sorted_frames(
         sizes: NDArray[np.int64] | int = group.data.bits // 8
         payloads = Payloads(records, group.data.byte, group.data.bits // 8)
         if streams.values is not None:
-            payloads, sizes = streams.values.payloads(unsigned(records, group.data))
+            payloads, sizes = streams.values.payloads(_offsets(group, records))
         found, fault = heads(group, records, sizes)
         count = len(found.ident)
         frames = frames_of(group, found, masters.first(count), payloads.first(count), start)
-        yield frames[rows_read(channels, group, frames, records.first(count))]
+        yield frames[rows_read(channels, group, found, records.first(count), skipped)]
         if fault:
             raise BadMdfError(streams.records.offset, fault)
         left = None if left is None else left - ready
     if left:
         raise BadMdfError(streams.records.offset, f"{left} CAN frames fewer than the file says")
+
+
+def _offsets(group: FrameGroup, records: Records) -> Numbers:
+    """Offsets (n,) of payloads; of a frame that is none, that of another one."""
+    offsets, valid = unsigned(records, group.data), valid_rows(group, records)
+    return offsets if valid is None else np.where(valid, offsets, offsets[np.argmax(valid)])

@@ -10,15 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.can_io.logs.inflate import inflate
-from estimator.can_io.logs.mdf.blocks import HEAD, BadMdfError, Head, MdfFile
+from estimator.can_io.logs.mdf.blocks import HEAD, BadMdfError, Head, MdfFile, UnreadMdfError
+from estimator.can_io.logs.mdf.unpacking import METHODS, TRANSPOSED, MissingPackageError, unpack
 
 PLAIN = (b"##DT", b"##DV", b"##SD", b"##RD")  # records, columns of values, values of variable length
 PACKED = b"##DZ"
 LISTS = (b"##DL", b"##LD")
 HEADER_LIST = b"##HL"
 PACKED_HEAD = struct.Struct("<2sBxLQQ")  # kind of the original block, method, columns; bytes unpacked and packed
-DEFLATED, TRANSPOSED = 0, 1  # methods
 INVALIDATION = 1 << 31  # flag of ##LD: it also lists blocks of invalidation bits
 PIECE = 1 << 20  # bytes of a plain block that are read at once
 
@@ -145,19 +144,23 @@ def _unpacked(file: MdfFile, address: int, head: Head, largest: int) -> Iterator
     if len(raw) < PACKED_HEAD.size:
         raise BadMdfError(address, "the file ends inside the head of a packed block")
     _, method, columns, size, packed = PACKED_HEAD.unpack(raw)
-    if method not in (DEFLATED, TRANSPOSED):
-        raise BadMdfError(address, f"a block packed by the unknown method {method}")
+    if method not in METHODS:
+        raise UnreadMdfError(address, f"a block packed by the unknown method {method}")
     if size > largest:
-        raise BadMdfError(address, f"a packed block of {size} bytes, of which {largest} can be read at once")
-    if packed > head.size or (method == TRANSPOSED and columns == 0):
+        raise UnreadMdfError(address, f"a packed block of {size} bytes, of which {largest} can be read at once")
+    is_transposed = bool(method & TRANSPOSED)
+    if packed > head.size or (is_transposed and columns == 0):
         raise BadMdfError(address, f"a packed block of {packed} bytes in {head.size}, with {columns} columns")
     data = file.bytes_at(address + HEAD.size + PACKED_HEAD.size, packed)
-    found, fault = inflate(data, size, largest)
+    try:
+        found, fault = unpack(method & ~TRANSPOSED, data, size, largest)
+    except MissingPackageError as error:
+        raise UnreadMdfError(address, f"a block packed with {error}", "pip install 'roadload[mf4]'") from error
     if not fault and len(found) != size:
         fault = f"hold {len(found)} bytes instead of {size}"
-    if fault and method == TRANSPOSED:
+    if fault and is_transposed:
         found = b""
     if found:
-        yield Chunk(found, columns if method == TRANSPOSED else 0, address)
+        yield Chunk(found, columns if is_transposed else 0, address)
     if fault:
         raise BadMdfError(address, f"a packed block whose data {fault}")

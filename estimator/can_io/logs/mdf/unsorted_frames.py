@@ -13,7 +13,7 @@ import numpy as np
 
 from estimator.can_io.frames import FD_BYTES, Frames
 from estimator.can_io.logs.channels import Channels
-from estimator.can_io.logs.mdf.blocks import BadMdfError
+from estimator.can_io.logs.mdf.blocks import BadMdfError, UnreadMdfError
 from estimator.can_io.logs.mdf.frames import Heads, Payloads, frames_of, heads, rows_read
 from estimator.can_io.logs.mdf.groups import DataGroup, FrameGroup
 from estimator.can_io.logs.mdf.locate import ROOM, SIZE_BYTES, Located, Places, locate
@@ -79,7 +79,7 @@ class UnsortedStream:
         self._value_ids: dict[int, int] = {}  # record ids of the payloads of groups
         for _, group in self._frame_groups:
             if group.times_at != group.address or (group.data.values and group.data.values not in ids):
-                raise BadMdfError(group.address, "CAN frames whose times or payloads are in another stream")
+                raise UnreadMdfError(group.address, "CAN frames whose times or payloads are in another stream")
             if group.data.values:
                 self._value_ids[group.address] = ids[group.data.values]
         self._passed: Counter[int] = Counter()  # bytes of values, by record id
@@ -124,7 +124,7 @@ class UnsortedStream:
                 skipped[group.skipped] += int(np.count_nonzero(before == group.record_id))
         faults = [each.fault for each in found if each.fault and each.ends_at == used]
         fault = next(iter(faults), located.fault if used == located.used else "")
-        return Decoded(self._frames(buffer, found, used), +skipped, used, fault)
+        return Decoded(self._frames(buffer, found, used, skipped), +skipped, used, fault)
 
     def _values(self, buffer: bytes, located: Located, number: int) -> Values:
         at = located.at[located.ids == number]
@@ -151,7 +151,7 @@ class UnsortedStream:
         ends_at = int(at[here]) if here < len(at) else NEVER
         return Found(group, value_id, at[:here], payload_at[:here], found, ends_at, fault)
 
-    def _frames(self, buffer: bytes, found: list[Found], used: int) -> Frames:
+    def _frames(self, buffer: bytes, found: list[Found], used: int, skipped: Counter[str]) -> Frames:
         """The frames before a place, in order of the file."""
         parts, places = [], []
         for each in found:
@@ -159,8 +159,9 @@ class UnsortedStream:
             records = self._records(buffer, each.at[:count])
             behind = each.group.data.byte if each.values is None else SIZE_BYTES
             payloads = Payloads(self._records(buffer, each.payload_at[:count]), behind, FD_BYTES)
-            frames = frames_of(each.group, each.heads.first(count), records, payloads, self._start)
-            rows = rows_read(self._channels, each.group, frames, records)
+            read = each.heads.first(count)
+            frames = frames_of(each.group, read, records, payloads, self._start)
+            rows = rows_read(self._channels, each.group, read, records, skipped)
             parts.append(frames[rows])
             places.append(each.at[:count][rows])
         if len(parts) < 2:
