@@ -40,6 +40,9 @@ class Bus(Section, frozen=True):
     match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC is of J1939
     source_addresses: dict[str, Address] = {}  # MESSAGE = address; others are found, and contested if they disagree
     channels: list[str | int] = []  # of a log with several, as the log names them; empty: all of them as one bus
+    units: dict[str, str] = {}  # MESSAGE.signal = unit, where the DBC has none or a wrong one
+    ranges: dict[str, Range] = {}  # MESSAGE.signal = [lowest, highest] valid value, instead of the DBC's
+    states: dict[str, list[int]] = {}  # MESSAGE.signal = values of a switch that mean on, where the DBC does not say
     release_s: Positive = 10.0  # of silence after which a signal may be taken from another address
     contest_s: Annotated[float, Meta(ge=10)] = 30.0  # without a contradiction after which a signal is used again
 

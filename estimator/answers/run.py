@@ -88,11 +88,15 @@ class Update(Struct, frozen=True, kw_only=True):
 
 
 class RunAnswer(Answer, frozen=True, kw_only=True):
-    """The final estimate, what went in, and every update before it; ``failed_updates``: numerically."""
+    """The final estimate, what went in, and every update before it.
+
+    ``failed_updates``: numerically; ``remarks`` on what may be wrong in the DBC.
+    """
 
     status: Status
     reason: str
     advice: str
+    remarks: tuple[str, ...]
     parameters: Parameters
     convergence: Convergence | None
     coverage: Coverage

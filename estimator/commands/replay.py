@@ -11,6 +11,7 @@ from estimator.commands.log_options import (
     add_seed,
     check_outputs,
     complain_of_channels,
+    complain_of_databases,
     settings,
 )
 from estimator.commands.tables import print_run
@@ -51,6 +52,7 @@ def run(options: argparse.Namespace) -> int:
     with progress_bar("replaying") as progress:
         result = replay.replay(options.log, settings(options), progress, speed, options.output)
     complain_of_channels(result.mixed_channels)
+    complain_of_databases(settings(options))
     if options.json:
         print_json(summary.of_run(result))
     else:

@@ -26,6 +26,7 @@ from estimator.streaming import engine_power
 from estimator.streaming.alignment import Aligner, Readings, between
 from estimator.streaming.course import MapGrade
 from estimator.streaming.missing_inputs import remedy
+from estimator.streaming.remarks import SwitchUse, dropped_values
 from estimator.streaming.resampling import block_bounds
 
 BLOCK = 5.0  # s of traffic in which senders are judged, and whose rows are handed on together
@@ -121,6 +122,7 @@ class RowStream:
         self.newest: dict[Role, float] = {}
         self.gaps: deque[tuple[float, float]] = deque(maxlen=MAX_GAPS)
         self.replacements = 0
+        self._switches = SwitchUse()
         self._waiting: list[Frames] = []
         self._last: float | None = None  # time of the newest frame, None when all frames have become rows [s]
         self._until: float | None = None  # time of the newest frame ever [s]
@@ -148,6 +150,11 @@ class RowStream:
         """Frames and values that were refused, by message, signal and reason."""
         refused = self._decoder.rejected + self._decoder.transport_rejected
         return refused + self.order.refused + self._aligner.refused
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is odd in the signals and may be an error of the database, one line each."""
+        return [*dropped_values(self._messages, self.errors, self.seen), *self._switches.remarks(self._names)]
 
     @property
     def sources(self) -> dict[str, int]:
@@ -198,6 +205,12 @@ class RowStream:
             A needed signal never came, or never with a valid value.
         """
         if missing := self._missing_roles():
+            if names := self._decoder.sent_by_others:
+                raise MissingInputsError(
+                    f"{place}: missing inputs: {', '.join(self.missing)}; the group of {', '.join(names)} is sent with "
+                    "another priority or address than in the DBC, which does not say that it is of J1939 "
+                    '(VFrameFormat): write [bus] match = "pgn" into the configuration'
+                )
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             raise MissingInputsError(
                 f"{place}: missing inputs: {', '.join(self.missing)}; "
@@ -348,6 +361,7 @@ class RowStream:
         """Count rows that can be used, and note the times of those that cannot; the parts follow each other."""
         if not parts:
             return
+        self._switches.feed(parts)
         speed = np.isfinite(np.concatenate([rows.speed for rows in parts]))
         power = np.isfinite(np.concatenate([rows.power for rows in parts]))
         fresh = np.concatenate([rows.fresh for rows in parts])
