@@ -159,7 +159,9 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
             raise ConfigError(
                 f"bus.source_addresses.{name}: no signal is bound to that message; bound are {', '.join(wanted)}"
             )
-    return [_bound(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()]
+    return [
+        bound_message(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()
+    ]
 
 
 def _find(database: Database, path: str, place: str) -> tuple[Message, Signal]:
@@ -236,7 +238,14 @@ def _multiplexers(signal: Signal, message: Message, path: str) -> tuple[Signal, 
     return tuple(chain)
 
 
-def _bound(message: Message, signals: tuple[BoundSignal, ...], config: Config) -> BoundMessage:
+def bound_message(message: Message, signals: tuple[BoundSignal, ...], config: Config) -> BoundMessage:
+    """A message and the signals wanted from it, matched as the configuration says.
+
+    Raises
+    ------
+    ConfigError
+        ``bus.match`` or ``bus.source_addresses`` does not fit it.
+    """
     match, name, extended = config.bus.match, message.name, message.is_extended_frame
     if match == "pgn" and not extended:
         raise ConfigError(f'bus.match: {name} has an 11-bit id, which holds no PGN; write "auto" or "id"')

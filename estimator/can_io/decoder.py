@@ -136,7 +136,7 @@ class Decoder:
         packets = self._transport.feed(frames)
         carried = []
         for message, need in zip(self._messages, self._needs, strict=True):
-            chosen = frames[_is_message(message, frames.ident, group)]
+            chosen = frames[is_message(message, frames.ident, group)]
             self._note_presence(message, bool(len(chosen)), group, packets)
             whole = chosen.length >= need
             broadcasts = [packet for packet in packets if message.by_pgn and packet.pgn == message.key]
@@ -158,7 +158,7 @@ class Decoder:
             self._seen.add(message.name)
         elif not message.by_pgn and message.key & EXTENDED and message.name not in self._seen | self._groups_seen:
             pgn = int(pgn_of(np.array([message.key], dtype=np.uint32))[0])
-            if _is_group(pgn, group).any() or any(packet.pgn == pgn for packet in packets):
+            if is_group(pgn, group).any() or any(packet.pgn == pgn for packet in packets):
                 self._groups_seen.add(message.name)
 
     def _judged(self, carried: list[CarriedMessage], ends: Floats) -> Iterator[Decoded]:
@@ -243,15 +243,15 @@ def _strictness(bound: BoundSignal) -> int:
     return STRICTNESS.index(KIND.get(bound.role, Kind.AUXILIARY))
 
 
-def _is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:
+def is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:
     """Which ids (n,) are those of a message; ``group`` is what they have without priority and source address."""
     if message.by_pgn:
-        return _is_group(message.key, group)
+        return is_group(message.key, group)
     is_same: Mask = ident == message.key
     return is_same
 
 
-def _is_group(pgn: int, group: NDArray[np.uint32]) -> Mask:
+def is_group(pgn: int, group: NDArray[np.uint32]) -> Mask:
     """Which ids without priority and source address (n,) are of a parameter group."""
     if pgn >> 8 & 0xFF < PDU1_LIMIT:  # the low byte is a destination
         group = group & np.uint32(0xFFFF0000)
