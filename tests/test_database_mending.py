@@ -269,3 +269,18 @@ def test_mended_names_are_names(name: str) -> None:
     assert mended.isascii()
     assert mended.isidentifier()
     assert mended_name(mended) == mended
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/*\n" * 20_000,
+        'VAL_ 256 Brake 0 "a"' + " " * 200_000 + "x",
+        "SG_MUL_VAL_ 512 Torque Selector " + "0-0 " * 20_000 + "x",
+        'CM_ "\n' * 20_000,
+        'CM_ SG_ 256 Speed "' + '\\"' * 20_000,
+    ],
+    ids=["comments", "blanks", "ranges", "quotes", "escapes"],
+)
+def test_texts_that_slow_patterns_would_never_end_on(text: str) -> None:
+    assert "BO_ 256 CAR: 8" in mend(CAR + text).text

@@ -96,7 +96,6 @@ class RunAnswer(Answer, frozen=True, kw_only=True):
     status: Status
     reason: str
     advice: str
-    remarks: tuple[str, ...]
     parameters: Parameters
     convergence: Convergence | None
     coverage: Coverage
@@ -108,3 +107,4 @@ class RunAnswer(Answer, frozen=True, kw_only=True):
     effects: tuple[str, ...]
     magnitudes: dict[str, Marginal]
     updates: tuple[Update, ...]
+    remarks: tuple[str, ...] = ()

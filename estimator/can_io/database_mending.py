@@ -39,10 +39,10 @@ _SIGNAL = re.compile(
     rf"\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*\)(?:\s*\[\s*{_NUMBER}\s*\|\s*{_NUMBER}\s*\])?"
     r'(?:\s*"((?:\\"|[^"\n])*)")?[^\n]*'
 )
-_PAIRS = r'((?:[-+]?\d{1,20}(?:\.\d*)?\s*"(?:\\"|[^"])*"\s*)*)'
-_VALUES = re.compile(rf"VAL_\s+{_IDENT}\s+{_NAME}\s+(?:{_PAIRS}|([A-Za-z_]\w*)){_END}")
-_VALUES_OF_VARIABLE = re.compile(rf"VAL_\s+[A-Za-z_]\w*\s+{_PAIRS}{_END}")
-_TABLE = re.compile(rf"VAL_TABLE_\s+{_NAME}\s+{_PAIRS}{_END}")
+_PAIRS = r'((?:\s*[-+]?\d{1,20}(?:\.\d*)?\s*"(?:\\"|[^"])*")*)'
+_VALUES = re.compile(rf"VAL_\s+{_IDENT}\s+{_NAME}(?:\s+([A-Za-z_]\w*)|{_PAIRS}){_END}")
+_VALUES_OF_VARIABLE = re.compile(rf"VAL_\s+[A-Za-z_]\w*{_PAIRS}{_END}")
+_TABLE = re.compile(rf"VAL_TABLE_\s+{_NAME}{_PAIRS}{_END}")
 _PAIR = re.compile(r'(?<![\d.])([-+]?\d+)(?:\.0*)?\s*"((?:\\"|[^"])*)"')
 _COMMENT = re.compile(rf"CM_\s+(?:(?:(SG_)\s+{_IDENT}\s+{_NAME}|(BO_)\s+{_IDENT}|(?:BU_|EV_)\s+\S+)\s*)?{_TEXT}{_END}")
 _ATTRIBUTE = re.compile(
@@ -52,12 +52,11 @@ _ATTRIBUTE = re.compile(
 _DEFINITION = re.compile(r'BA_DEF_\s+(?:(?:SG_|BO_|BU_|EV_)\s+)?"([^"]*)"\s*(\w+)((?:"[^"]*"|[^";\n])*)[ \t]*;?')
 _DEFAULT = re.compile(rf'BA_DEF_DEF_\s+"([^"]*)"\s*(?:{_NUMBER}|{_TEXT}){_END}')
 _KIND = re.compile(rf"SIG_VALTYPE_\s+{_IDENT}\s+{_NAME}\s*:?\s*(\d){_END}")
-_SELECTION = re.compile(
-    rf"SG_MUL_VAL_\s+{_IDENT}\s+{_NAME}\s+{_NAME}\s+((?:\d{{1,10}}\s*-\s*\d{{1,10}}\s*,?\s*)+){_END}"
-)
+_RANGES = r"((?:[\s,]*\d{1,10}\s*-\s*\d{1,10})+)"
+_SELECTION = re.compile(rf"SG_MUL_VAL_\s+{_IDENT}\s+{_NAME}\s+{_NAME}{_RANGES}{_END}")
 _RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
 _WORD = re.compile(r"[A-Za-z_]+(?=[\s:\"]|$)")
-_BLANKS = re.compile(r"\s+|//[^\n]*|/\*.*?\*/", re.DOTALL)
+_BLANKS = re.compile(r"\s+|//[^\n]*")
 _LINE = re.compile(rf"(?:{_TEXT}|[^\"\n])*")
 _REST = re.compile(r"[^\n]*")
 
@@ -145,9 +144,13 @@ class _Reader:
             "SG_MUL_VAL_": (_SELECTION, self._take_selection, "multiplexers that cannot be read"),
         }
         place, is_known = 0, True
+        last_end = self._text.rfind("*/")  # of a comment in the way of C
         while place < len(self._text):
             if blanks := _BLANKS.match(self._text, place):
                 place = blanks.end()
+                continue
+            if place < last_end and self._text.startswith("/*", place):
+                place = self._text.index("*/", place) + 2
                 continue
             word = _WORD.match(self._text, place)
             keyword = word[0] if word is not None and word[0] in KEYWORDS else ""
@@ -252,7 +255,7 @@ class _Reader:
             )
 
     def _take_values(self, match: re.Match[str]) -> None:
-        ident, name, pairs, table = match.groups()
+        ident, name, table, pairs = match.groups()
 
         def apply(signal: _Signal) -> None:
             signal.values = self._tables.get(table, "") if table else _pairs(pairs)
