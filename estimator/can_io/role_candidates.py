@@ -183,7 +183,7 @@ _WORDS = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A signal that may have a role; ``unit`` is the usual one where the DBC gives none that is known."""
 
@@ -197,7 +197,7 @@ class Candidate:
     def is_sure(self) -> bool:
         """Whether the meaning of its values is known: always, but of a gear or switch with states of its own."""
         if self.role == Role.GEAR:
-            return not self.signal.choices
+            return self.message.protocol == "j1939" and not self.signal.choices
         if self.role not in SWITCHES or self.signal.length == 1:
             return True
         scale, offset = float(self.signal.scale), float(self.signal.offset)
@@ -283,7 +283,9 @@ def _candidate(words: _Words, message: Message, signal: Signal, name: str, about
         return None
     rest = name if found is None else name.replace(found[0], " ")
     score += UNLIKE * len(set(re.findall(rf"(?<![a-z])(?:{words.unlike}|{_COMMAND})(?![a-z])", rest)))
-    return Candidate(words.role, message, signal, score, unit) if score >= MIN_SCORE else None
+    if score < MIN_SCORE:
+        return None
+    return Candidate(role=words.role, message=message, signal=signal, score=score, unit=unit)
 
 
 def _reach(signal: Signal, unit: str | None) -> float:

@@ -128,19 +128,19 @@ def _role(role: Role, ranked: list[Candidate], bound: list[Candidate], found: Su
     lines = []
     if bound and role == Role.WHEEL_SPEEDS:
         paths = ", ".join(json.dumps(candidate.path) for candidate in bound)
-        lines.append(f"{role} = [{paths}]  # {_about(bound[0], found)}")
+        lines.append(f"{role} = [{paths}]{_about(bound[0], found)}")
     elif bound:
-        lines.append(f"{role} = {json.dumps(bound[0].path)}  # {_about(bound[0], found)}")
+        lines.append(f"{role} = {json.dumps(bound[0].path)}{_about(bound[0], found)}")
     others = [candidate for candidate in ranked if candidate not in bound]
     if role == Role.WHEEL_SPEEDS and bound:
         others = [candidate for candidate in others if corner(candidate.signal) == corner(bound[0].signal)]
     for candidate in others[: SHOWN - bool(bound)]:
-        lines.append(f"# {role} = {json.dumps(candidate.path)}  # {_about(candidate, found)}")
+        lines.append(f"# {role} = {json.dumps(candidate.path)}{_about(candidate, found)}")
     return lines
 
 
 def _about(candidate: Candidate, found: Survey | None) -> str:
-    """Unit, presence and comment in one line."""
+    """A comment with unit, presence and comment of a signal; empty where there is nothing to say."""
     signal = candidate.signal
     parts = [signal.unit or ("" if DIMENSION[candidate.role] == STATE else "no unit")]
     if signal.choices:
@@ -151,7 +151,8 @@ def _about(candidate: Candidate, found: Survey | None) -> str:
     if signal.comment:
         parts.append(" ".join(signal.comment.split())[:80])
     text = "; ".join(filter(None, parts)).replace("\n", " ")
-    return "".join(letter for letter in text if letter.isprintable())
+    printed = "".join(letter for letter in text if letter.isprintable())
+    return f"  # {printed}" if printed else ""
 
 
 def _presence(there: Presence, role: Role) -> str:
