@@ -11,7 +11,7 @@ from estimator.can_io.signal_values import values
 from estimator.can_io.switch_states import is_on, states_of
 from estimator.config import from_dict, load
 from estimator.errors import MissingInputsError
-from estimator.estimate import Status
+from estimator.estimates import Status
 from estimator.signals import Role
 from estimator.streaming import replay
 from estimator.streaming.inspection import inspect
