@@ -1,6 +1,5 @@
 """The configuration: one TOML file, read and checked as a whole; unknown keys are errors."""
 
-import difflib
 import math
 import re
 import tomllib
@@ -14,6 +13,7 @@ import msgspec
 
 from estimator.errors import ConfigError
 from estimator.input_files import read_bounded
+from estimator.near_names import did_you_mean
 from estimator.roles import Role
 from estimator.settings import (
     Address,
@@ -47,6 +47,9 @@ DAEMON_TABLES = ("publish", "reception", "transmit", "mqtt", "kuksa", "service")
 FREE_TABLES: dict[str, Any] = {  # keys are the user's
     "signals": SignalPaths,
     "bus.source_addresses": Address,
+    "bus.units": str,
+    "bus.ranges": Range,
+    "bus.states": list[int],
     "lake.units": str,
     "lake.ranges": Range,
     "table.columns": str,
@@ -146,15 +149,18 @@ def check(config: Config) -> None:
     if config.gate.minimum_samples > config.window.samples:
         most = f"window.samples = {config.window.samples}"
         raise ConfigError(f"gate.minimum_samples: {config.gate.minimum_samples} never fit into {most}; change one")
-    for path, (low, high) in (config.lake.ranges if config.lake else {}).items():
-        if not low < high:
-            raise ConfigError(f"lake.ranges.{path}: {low} is not below {high}")
+    lake: dict[str, Any] = msgspec.structs.asdict(config.lake) if config.lake else {}
+    for table, ranges in (("lake", lake.get("ranges", {})), ("bus", config.bus.ranges)):
+        for path, (low, high) in ranges.items():
+            if not low < high:
+                raise ConfigError(f"{table}.ranges.{path}: {low} is not below {high}")
     if config.mqtt is not None:
         _check_mqtt(config.mqtt)
     known = {role.value for role in Role}
     for role, bound in config.signals.items():
         if role not in known:
-            raise ConfigError(f"signals.{role}: no such role; the roles are {', '.join(sorted(known))}")
+            guess = did_you_mean(role, known) or f"; the roles are {', '.join(sorted(known))}"
+            raise ConfigError(f"signals.{role}: no such role{guess}")
         if isinstance(bound, list) and role != Role.WHEEL_SPEEDS:
             raise ConfigError(f"signals.{role}: takes one MESSAGE.signal; only wheel_speeds takes a list")
         if not bound:
@@ -164,11 +170,12 @@ def check(config: Config) -> None:
             if not message or not name or "." in name:
                 raise ConfigError(f"signals.{role}: {signal!r} is not of the form MESSAGE.signal")
     paths = {path for bound in config.binding.values() for path in ([bound] if isinstance(bound, str) else bound)}
-    for table in ("units", "ranges"):
-        for path in sorted(getattr(config.lake, table, {}).keys() - paths):
-            raise ConfigError(
-                f"lake.{table}.{path}: no signal of that name is bound; bound are {', '.join(sorted(paths))}"
-            )
+    bus: dict[str, Any] = msgspec.structs.asdict(config.bus)
+    for table, content in (("lake", lake), ("bus", bus)):
+        for key in ("units", "ranges", "states"):
+            for path in sorted(content.get(key, {}).keys() - paths):
+                guess = did_you_mean(path, paths) or f"; bound are {', '.join(sorted(paths))}"
+                raise ConfigError(f"{table}.{key}.{path}: no signal of that name is bound{guess}")
 
 
 def _check_mqtt(mqtt: Mqtt) -> None:
@@ -229,8 +236,7 @@ def _explained(place: str, reason: str, tables: dict[str, Any]) -> str:
         if key in RETIRED:
             return f"{key}: {RETIRED[key]}; take the key out"
         there = [f.encode_name for f in _fields(kind)]
-        near = difflib.get_close_matches(unknown[1], there, n=1)
-        return f"{key}: no such key; " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(there)}")
+        return f"{key}: no such key" + (did_you_mean(unknown[1], there) or f"; there are {', '.join(there)}")
     if reason.startswith("Invalid enum value"):
         if f"{place} = {value}" in RETIRED:
             return f"{place}: {value!r} {RETIRED[f'{place} = {value}']}"

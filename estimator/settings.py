@@ -37,9 +37,12 @@ class Bus(Section, frozen=True):
     """How traffic is decoded: databases, and the source address of a message."""
 
     dbc: list[str] = []  # paths relative to the configuration file; empty: the shipped j1939.dbc
-    match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC is of J1939
+    match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC is of J1939 (VFrameFormat); pgn: all
     source_addresses: dict[str, Address] = {}  # MESSAGE = address; others are found, and contested if they disagree
     channels: list[str | int] = []  # of a log with several, as the log names them; empty: all of them as one bus
+    units: dict[str, str] = {}  # MESSAGE.signal = unit, where the DBC has none or a wrong one
+    ranges: dict[str, Range] = {}  # MESSAGE.signal = [lowest, highest] valid value, instead of the DBC's
+    states: dict[str, list[int]] = {}  # MESSAGE.signal = values of a switch that mean on, where the DBC does not say
     release_s: Positive = 10.0  # of silence after which a signal may be taken from another address
     contest_s: Annotated[float, Meta(ge=10)] = 30.0  # without a contradiction after which a signal is used again
 
@@ -50,7 +53,7 @@ class Lake(Section, frozen=True):
     Keys are MESSAGE.signal. Units and ranges that are not given are those of the DBC, if it has a signal of that name.
     """
 
-    units: dict[str, str] = {}
+    units: dict[str, str] = {}  # MESSAGE.signal = unit
     ranges: dict[str, Range] = {}  # in that unit: what lies outside is no value, as "not available" of J1939
 
 
@@ -71,7 +74,7 @@ class Kinematics(Section, frozen=True):
 class Admission(Section, frozen=True):
     """Which driving may enter the window."""
 
-    minimum_speed_m_s: NotNegative = 1.0
+    minimum_speed_m_s: NotNegative = 1.0  # below it the vehicle counts as standing
     stride_margin_s: NotNegative = 0.8  # kept away from brake use, shifts and gaps, on either side
 
 
@@ -79,19 +82,19 @@ class Window(Section, frozen=True):
     """The samples that an estimate is made from."""
 
     samples: Annotated[int, Meta(ge=600, le=1_000_000)] = 36_000  # at 10 Hz: an hour of admitted driving
-    hours: Positive = 24.0
+    hours: Positive = 24.0  # older samples are forgotten
 
 
 class Gate(Section, frozen=True):
     """When an estimate may be made."""
 
     interval_s: Annotated[float, Meta(ge=5, le=MAX_VALUE)] = 60.0  # between updates, message time
-    minimum_samples: Count = 600
+    minimum_samples: Count = 600  # admitted ones, at 10 Hz
     minimum_cells: Count = 8  # occupied cells of the speed x acceleration grid
     cell_count: Count = 10  # samples that make a cell occupied
-    coverage: Fraction = 0.15
-    speed_step_m_s: Positive = 2.5
-    acceleration_step_m_s2: Positive = 0.1
+    coverage: Fraction = 0.15  # share of the cells that the vehicle can reach
+    speed_step_m_s: Positive = 2.5  # width of a cell
+    acceleration_step_m_s2: Positive = 0.1  # width of a cell
     new_samples: Fraction = 0.02  # share of the window that must be new since the last estimate
     relative_sd: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.1)  # largest predicted, of A, C, m
 
@@ -115,33 +118,33 @@ class RoadTable(Section, frozen=True):
 class Prior(Section, frozen=True):
     """Boxes, outside of which the posterior is zero; beliefs as (mean, sd), e.g. from a weigh ticket or data sheet."""
 
-    mass_kg: Range = (500.0, 100_000.0)
-    A_N: Range = (0.0, 10_000.0)
-    C_N_s2_m2: Range = (0.0, 20.0)
-    mass_belief_kg: Belief | None = None
-    A_belief_N: Belief | None = None
-    C_belief_N_s2_m2: Belief | None = None
+    mass_kg: Range = (500.0, 100_000.0)  # lowest and highest
+    A_N: Range = (0.0, 10_000.0)  # rolling resistance and other constant force
+    C_N_s2_m2: Range = (0.0, 20.0)  # drag: half of air density, drag coefficient and frontal area
+    mass_belief_kg: Belief | None = None  # mean and sd, inside the box
+    A_belief_N: Belief | None = None  # mean and sd
+    C_belief_N_s2_m2: Belief | None = None  # mean and sd
 
 
 class Sampler(Section, frozen=True):
     """Metropolis-Hastings."""
 
     likelihood: Literal["road", "paper"] = "road"  # paper: of the power on a level road, as published
-    kernel: Literal["independence", "random_walk"] = "independence"
-    chains: Annotated[int, Meta(ge=2, le=256)] = 64
+    kernel: Literal["independence", "random_walk"] = "independence"  # of proposals
+    chains: Annotated[int, Meta(ge=2, le=256)] = 64  # that run side by side
     burn_in: Annotated[int, Meta(ge=1, le=20_000)] = 20  # the random walk takes more of both: it moves slowly
     draws: Annotated[int, Meta(ge=8, le=20_000)] = 100  # kept, per chain
-    seed: Annotated[int, Meta(ge=0)] = 1
+    seed: Annotated[int, Meta(ge=0)] = 1  # of the random numbers
 
 
 class Publish(Section, frozen=True):
     """What is broadcast."""
 
     source_address: Address = 0xFB  # the on-board data logger's
-    priority: Annotated[int, Meta(ge=0, le=7)] = 6
-    status_period_s: Positive = 1.0
-    value_period_s: Positive = 10.0
-    stale_after_s: Positive = 3600.0
+    priority: Annotated[int, Meta(ge=0, le=7)] = 6  # of the frames; 0 is the highest
+    status_period_s: Positive = 1.0  # between two broadcasts of the status
+    value_period_s: Positive = 10.0  # between two broadcasts of the values
+    stale_after_s: Positive = 3600.0  # without a new estimate, after which none is broadcast
     cvw: bool = False  # also the mass as CVW, PGN 65136; a node of the vehicle may already send that
 
 
@@ -149,8 +152,8 @@ class BusOptions(Section, frozen=True):
     """The bus, where the command line does not name it; missing keys are taken from can.conf."""
 
     interface: str | None = None  # of python-can: "socketcan", "udp_multicast", ...
-    channel: str | None = None
-    bitrate: Count | None = None
+    channel: str | None = None  # as that interface names it: "can0"
+    bitrate: Count | None = None  # bit/s, of interfaces that set it
     context: str | None = None  # section of can.conf
 
 
@@ -167,15 +170,15 @@ class Reception(BusOptions, frozen=True):
 class Transmit(BusOptions, frozen=True):
     """Whether and how the daemon sends; by default on the bus that it receives from."""
 
-    enabled: bool = False
+    enabled: bool = False  # without it nothing is sent
     frames_per_second: Positive = 10.0  # on average; three times as many at once
     identity: Annotated[int, Meta(ge=0, lt=1 << 21)] = 1  # of the J1939 NAME: the number of this device
     manufacturer: Annotated[int, Meta(ge=0, lt=1 << 11)] = 0x7FF  # assigned by SAE; none is assigned to this project
     function: Annotated[int, Meta(ge=0, le=255)] = 255  # not available
-    function_instance: Annotated[int, Meta(ge=0, le=31)] = 0
-    ecu_instance: Annotated[int, Meta(ge=0, le=7)] = 0
-    vehicle_system: Annotated[int, Meta(ge=0, le=127)] = 0
-    vehicle_system_instance: Annotated[int, Meta(ge=0, le=15)] = 0
+    function_instance: Annotated[int, Meta(ge=0, le=31)] = 0  # of the J1939 NAME
+    ecu_instance: Annotated[int, Meta(ge=0, le=7)] = 0  # of the J1939 NAME
+    vehicle_system: Annotated[int, Meta(ge=0, le=127)] = 0  # of the J1939 NAME; 0: not specific
+    vehicle_system_instance: Annotated[int, Meta(ge=0, le=15)] = 0  # of the J1939 NAME
     industry_group: Annotated[int, Meta(ge=0, le=7)] = 1  # on-highway
     arbitrary_address: bool = True  # take another address when the preferred one is lost
     commanded_address: bool = False  # take the address that another node commands (J1939-81)

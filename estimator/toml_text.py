@@ -7,17 +7,25 @@ from typing import Any
 _BARE = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_-")
 
 
-def dump(content: Mapping[str, Any]) -> str:
-    """Plain values and lists, then tables of those; keys without a value become comments."""
+def dump(content: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
+    """Plain values and lists, then tables of those; keys without a value become comments.
+
+    ``comments`` are written behind keys, by TABLE.key.
+    """
+    comments = comments or {}
     tables = {name: table for name, table in content.items() if isinstance(table, Mapping)}
-    parts = ["\n".join(_line(key, value) for key, value in content.items() if key not in tables)]
+    plain = {key: value for key, value in content.items() if key not in tables}
+    parts = ["\n".join(_line(key, value, comments.get(key)) for key, value in plain.items())]
     for name, table in tables.items():
-        parts.append("\n".join([f"[{name}]", *(_line(key, value) for key, value in table.items())]))
+        lines = [_line(key, value, comments.get(f"{name}.{key}")) for key, value in table.items()]
+        parts.append("\n".join([f"[{name}]", *lines]))
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
-def _line(key: str, value: Any) -> str:
-    return f"# {_key(key)} is not set" if value is None else f"{_key(key)} = {_value(value)}"
+def _line(key: str, value: Any, comment: str | None) -> str:
+    if value is None:
+        return f"# {_key(key)} is not set{f': {comment}' if comment else ''}"
+    return f"{_key(key)} = {_value(value)}{f'  # {comment}' if comment else ''}"
 
 
 def _key(key: str) -> str:

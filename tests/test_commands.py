@@ -70,6 +70,7 @@ JSON_KEYS = {
     "effects",
     "magnitudes",
     "updates",
+    "remarks",
     "road",
 }
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from estimator.answers.answer import Answer
+from estimator.answers.binding import BindingAnswer
 from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.answers.draws import DrawsAnswer
 from estimator.answers.fleet import FleetAnswer
@@ -20,6 +21,7 @@ from estimator.answers.watch import WatchAnswer
 
 FOLDER = Path(__file__).parents[1] / "docs" / "schema"
 ANSWERS: dict[str, type[Answer]] = {
+    "binding": BindingAnswer,
     "diagnosis": DiagnosisAnswer,
     "draws": DrawsAnswer,
     "fleet": FleetAnswer,

@@ -143,7 +143,10 @@ class Update(Struct, frozen=True, kw_only=True):
 
 
 class RunAnswer(Answer, frozen=True, kw_only=True):
-    """The final estimate, what went in, and every update before it; ``failed_updates``: numerically."""
+    """The final estimate, what went in, and every update before it.
+
+    ``failed_updates``: numerically; ``remarks`` on what may be wrong in the DBC.
+    """
 
     status: Status
     reason: str
@@ -159,3 +162,4 @@ class RunAnswer(Answer, frozen=True, kw_only=True):
     effects: tuple[str, ...]
     magnitudes: dict[str, Marginal]
     updates: tuple[Update, ...]
+    remarks: tuple[str, ...] = ()

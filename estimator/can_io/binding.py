@@ -1,8 +1,10 @@
 """Binding of roles to signals of messages, from databases and configuration, once at start."""
 
-import difflib
 import logging
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from copy import copy
+from dataclasses import dataclass
+from functools import lru_cache
 from importlib.resources import files
 
 import cantools
@@ -10,12 +12,15 @@ import numpy as np
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.database_limits import read_databases
+from estimator.can_io.database_mending import ORIGINAL_NAME, mend, mended_name
 from estimator.can_io.frames import EXTENDED
 from estimator.can_io.j1939 import MAX_BYTES, pgn_of
+from estimator.can_io.switch_states import SWITCHES, States, configured, states_of
 from estimator.config import Config
 from estimator.errors import ConfigError, DatabaseError
+from estimator.near_names import did_you_mean, nearest
 from estimator.signals import DIMENSION, STATE, Role
-from estimator.units import KNOWN_UNITS, Conversion, conversion_of
+from estimator.units import Conversion, conversion_of, spellings_of
 
 logging.getLogger("cantools").setLevel(logging.ERROR)
 
@@ -34,6 +39,7 @@ class BoundSignal:
     multiplexers: tuple[Signal, ...]  # its own first, then that one's, and so on up
     tangent: bool = False  # an angle that stands for a slope
     place: int = 0  # among the signals of a role that takes several
+    states: States | None = None  # of a switch whose values are not 0 off and 1 on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +60,13 @@ class BoundMessage:
     signals: tuple[BoundSignal, ...]
 
 
-def load_database(paths: list[str]) -> Database:
+class VehicleDatabase(Database):
+    """Messages of DBC files; ``remarks`` says what was left out of each, or changed in it, in one line a file."""
+
+    remarks: tuple[str, ...] = ()
+
+
+def load_database(paths: list[str]) -> VehicleDatabase:
     """Load DBC files into one database; with none, the shipped J1939 one.
 
     Raises
@@ -62,28 +74,39 @@ def load_database(paths: list[str]) -> Database:
     DatabaseError
         A file is missing or does not parse.
     """
-    if not paths:
-        return _parse("j1939.dbc (shipped)", files("estimator.dbc").joinpath("j1939.dbc").read_text("utf-8"))
-    texts = read_databases(paths)
-    database = _parse(*next(texts))
-    for path, text in texts:
-        more = _parse(path, text).messages
-        for name in sorted({m.name for m in more} & {m.name for m in database.messages}):
+    messages: list[Message] = []
+    remarks = []
+    for path, text in _texts(paths):
+        more, remark = _parse(path, text)
+        for name in sorted({m.name for m in more} & {m.name for m in messages}):
             raise DatabaseError(f"{path}: message {name!r} is in another of the databases too; give one of them")
-        database.messages.extend(more)
-    database.refresh()
+        messages.extend(more)
+        remarks += [f"{path}: {remark}"] if remark else []
+    database = VehicleDatabase(messages, strict=False)
+    database.remarks = tuple(remarks)
     return database
 
 
-def _parse(path: str, text: str) -> Database:
+def _texts(paths: list[str]) -> Iterator[tuple[str, str]]:
+    if paths:
+        return read_databases(paths)
+    return iter([("j1939.dbc (shipped)", files("estimator.dbc").joinpath("j1939.dbc").read_text("utf-8"))])
+
+
+@lru_cache(maxsize=8)  # a command asks for them several times
+def _parse(path: str, text: str) -> tuple[tuple[Message, ...], str]:
+    """The messages, and what had to be mended."""
+    mended = mend(text)
+    if not mended.statements:
+        raise DatabaseError(f"{path}: not a DBC that can be read: no line of it is a statement of one")
     try:
-        database = cantools.database.load_string(text, database_format="dbc", strict=False)
-    except (cantools.Error, ValueError, KeyError, IndexError, AttributeError) as error:
+        database = cantools.database.load_string(mended.text, database_format="dbc", strict=False)
+    except (cantools.Error, ArithmeticError, ValueError, KeyError, IndexError, AttributeError) as error:
         reason = " ".join(str(error).split())[:MAX_REASON]
         raise DatabaseError(f"{path}: not a DBC that can be read: {reason}") from error
     if not isinstance(database, Database) or not database.messages:
-        raise DatabaseError(f"{path}: holds no CAN messages")
-    return database
+        raise DatabaseError(f"{path}: holds no CAN messages{f'; {mended.remark}' if mended.remark else ''}")
+    return tuple(database.messages), mended.remark
 
 
 def bind(config: Config, database: Database) -> list[BoundMessage]:
@@ -92,40 +115,109 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     Raises
     ------
     DatabaseError
-        A message or signal is not in the database, or its unit is unknown or of the wrong kind.
+        A message or signal is not in the database, or units are unknown or of the wrong kind.
     ConfigError
-        ``bus.match`` or ``bus.source_addresses`` does not fit a message.
+        ``bus.match``, ``bus.source_addresses`` or ``bus.states`` does not fit a message or signal.
     """
     wanted: dict[str, list[BoundSignal]] = {}
+    wrong_units: dict[str, str] = {}  # complaint by MESSAGE.signal
+    remedies: dict[str, str] = {}
     for role, bound in config.binding.items():
         for place, path in enumerate([bound] if isinstance(bound, str) else bound):
-            message_name, signal_name = path.split(".")
-            message, signal = _find(database, message_name, signal_name, f"signals.{role}")
-            converted = replace(_convert(Role(role), signal, message, path), place=place)
-            wanted.setdefault(message_name, []).append(converted)
+            message, signal = _find(database, path, f"signals.{role}")
+            conversion, tangent = Conversion(DIMENSION[Role(role)], 1.0), False
+            if conversion.dimension != STATE:
+                unit = config.bus.units.get(path, signal.unit)
+                if isinstance(read := _conversion(Role(role), unit), str):
+                    wrong_units[path] = f"{path} {read}"
+                    remedies[path] = spellings_of(DIMENSION[Role(role)])[0]
+                else:
+                    conversion, tangent = read
+            _check_layout(signal, path)
+            if path in config.bus.ranges:
+                signal = copy(signal)
+                signal.minimum, signal.maximum = config.bus.ranges[path]
+            wanted.setdefault(message.name, []).append(
+                BoundSignal(
+                    role=Role(role),
+                    signal=signal,
+                    conversion=conversion,
+                    multiplexers=_multiplexers(signal, message, path),
+                    tangent=tangent,
+                    place=place,
+                    states=_states(Role(role), signal, path, config),
+                )
+            )
+    if wrong_units:
+        line = ", ".join(f'"{path}" = "{unit}"' for path, unit in remedies.items())
+        raise DatabaseError(
+            f"units: {'; '.join(wrong_units.values())}. Write the right {'one' if len(remedies) == 1 else 'ones'} into "
+            f"the configuration, for example [bus] units = {{ {line} }}"
+        )
     for name in config.bus.source_addresses:
         if name not in wanted:
-            has = ", ".join(wanted)
-            raise ConfigError(f"bus.source_addresses.{name}: no signal is bound to that message; bound are {has}")
-    return [_bound(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()]
+            raise ConfigError(
+                f"bus.source_addresses.{name}: no signal is bound to that message; bound are {', '.join(wanted)}"
+            )
+    return [
+        bound_message(database.get_message_by_name(name), tuple(signals), config) for name, signals in wanted.items()
+    ]
 
 
-def _find(database: Database, message_name: str, signal_name: str, place: str) -> tuple[Message, Signal]:
-    try:
-        message = database.get_message_by_name(message_name)
-    except KeyError:
-        near = ", ".join(difflib.get_close_matches(message_name, [m.name for m in database.messages], cutoff=0))
-        raise DatabaseError(f"{place}: the DBC has no message {message_name!r}; the nearest are {near}") from None
-    if sum(other.name == message_name for other in database.messages) > 1:
+def _find(database: Database, path: str, place: str) -> tuple[Message, Signal]:
+    """The message and signal of a ``MESSAGE.signal``, by their names here or in the file."""
+    message_name, signal_name = path.split(".")
+    messages = [message for message in database.messages if _is_called(message, message_name)]
+    remarks = database.remarks if isinstance(database, VehicleDatabase) else ()
+    left_out = "".join(f"; {remark}" for remark in remarks)
+    if not messages:
+        near = ", ".join(nearest(message_name, [message.name for message in database.messages])) or "none"
+        raise DatabaseError(f"{place}: the DBC has no message {message_name!r}; the nearest are {near}{left_out}")
+    if len(messages) > 1:
         raise DatabaseError(f"{place}: the DBC has more than one message {message_name!r}; leave one of them in it")
+    message = messages[0]
     for signal in message.signals:
-        if signal.name == signal_name:
+        if _is_called(signal, signal_name):
             return message, signal
-    has = ", ".join(s.name for s in message.signals)
-    raise DatabaseError(f"{place}: message {message_name!r} has no signal {signal_name!r}; it has {has}")
+    guess = did_you_mean(signal_name, [signal.name for signal in message.signals])
+    has = guess or f"; it has {', '.join(signal.name for signal in message.signals) or 'none'}"
+    raise DatabaseError(f"{place}: message {message_name!r} has no signal {signal_name!r}{has}{left_out}")
 
 
-def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSignal:
+def _is_called(named: Message | Signal, name: str) -> bool:
+    """Whether a message or signal has that name: here, or in the file where it had to be mended or has a long one."""
+    attributes = named.dbc.attributes if named.dbc is not None else {}
+    original = attributes[ORIGINAL_NAME].value if ORIGINAL_NAME in attributes else None
+    return name in (named.name, original) or mended_name(name) == named.name
+
+
+def _conversion(role: Role, unit: str | None) -> tuple[Conversion, bool] | str:
+    """The way to SI and whether it is an angle that stands for a slope; or what is wrong with the unit."""
+    conversion, dimension = conversion_of(unit), DIMENSION[role]
+    known = f"{role} takes {' '.join(spellings_of(dimension))}"
+    if conversion is None:
+        return f"has no unit ({known})" if not (unit or "").strip() else f"has the unknown unit {unit!r} ({known})"
+    tangent = role == Role.GRADE and conversion.dimension == "rad"
+    if conversion.dimension != dimension and not tangent:
+        return f"has the unit {unit!r}, which does not fit ({known})"
+    return conversion, tangent
+
+
+def _states(role: Role, signal: Signal, path: str, config: Config) -> States | None:
+    """Which values of a switch mean on; None where they are taken as they are: 0 off, 1 on."""
+    raw = config.bus.states.get(path)
+    choices: Mapping[int, object] = signal.choices or {}
+    scale, offset = float(signal.scale), float(signal.offset)
+    if role not in SWITCHES:
+        if raw is not None:
+            raise ConfigError(f"bus.states.{path}: {role} is no switch; take it out")
+        return None
+    if raw is not None:
+        return configured(raw, choices, scale, offset)
+    return states_of(choices, scale, offset, is_clutch=role == Role.CLUTCH_SWITCH)
+
+
+def _check_layout(signal: Signal, path: str) -> None:
     if signal.length > MAX_SIGNAL_BITS or (signal.is_float and signal.length not in FLOATS):
         kind = "floating-point signal" if signal.is_float else "signal"
         raise DatabaseError(f"{path}: a {kind} of {signal.length} bits is no number; correct the DBC")
@@ -133,18 +225,6 @@ def _convert(role: Role, signal: Signal, message: Message, path: str) -> BoundSi
         raise DatabaseError(f"{path}: lies beyond byte {MAX_BYTES} of its message; correct the DBC")
     if signal.scale == 0:
         raise DatabaseError(f"{path}: has a factor of 0; correct the DBC")
-    multiplexers = _multiplexers(signal, message, path)
-    dimension = DIMENSION[role]
-    if dimension == STATE:
-        return BoundSignal(role=role, signal=signal, conversion=Conversion(STATE, 1.0), multiplexers=multiplexers)
-    conversion = conversion_of(signal.unit)
-    known = " ".join(u for u, c in KNOWN_UNITS.items() if c.dimension == dimension)
-    if conversion is None:
-        raise DatabaseError(f"{path}: unknown unit {signal.unit or ''!r}; for {role} write one of: {known}")
-    tangent = role == Role.GRADE and conversion.dimension == "rad"
-    if conversion.dimension != dimension and not tangent:
-        raise DatabaseError(f"{path}: unit {signal.unit!r} does not fit {role}, which takes one of: {known}")
-    return BoundSignal(role=role, signal=signal, conversion=conversion, multiplexers=multiplexers, tangent=tangent)
 
 
 def _multiplexers(signal: Signal, message: Message, path: str) -> tuple[Signal, ...]:
@@ -158,7 +238,14 @@ def _multiplexers(signal: Signal, message: Message, path: str) -> tuple[Signal, 
     return tuple(chain)
 
 
-def _bound(message: Message, signals: tuple[BoundSignal, ...], config: Config) -> BoundMessage:
+def bound_message(message: Message, signals: tuple[BoundSignal, ...], config: Config) -> BoundMessage:
+    """A message and the signals wanted from it, matched as the configuration says.
+
+    Raises
+    ------
+    ConfigError
+        ``bus.match`` or ``bus.source_addresses`` does not fit it.
+    """
     match, name, extended = config.bus.match, message.name, message.is_extended_frame
     if match == "pgn" and not extended:
         raise ConfigError(f'bus.match: {name} has an 11-bit id, which holds no PGN; write "auto" or "id"')

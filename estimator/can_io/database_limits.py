@@ -4,6 +4,7 @@ Parsing takes 8 us and up to 1 kB a token, 200 bytes a character of a quoted tex
 that grows with the square of their number.
 """
 
+import codecs
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,9 +16,7 @@ MAX_BYTES = 8 * MIB  # bytes of all databases; one of all of J1939 has half of i
 MAX_TOKENS = 400_000  # names, numbers, texts and other characters of all databases
 MAX_TEXT = 1 << 16  # characters of a quoted text
 MAX_SIGNALS = 1000  # of a message
-MAX_LAYOUT_BITS = 1 << 19  # bits; cantools lays out every bit of a message, so a larger number fills the memory
 _TOKEN = re.compile(r'"[^"]*"?|[\w.+-]+|\S')
-_LAYOUT = re.compile(r"(\d+)\s*\|\s*(\d+)\s*@")  # start bit and length of a signal
 
 
 def read_databases(paths: list[str]) -> Iterator[tuple[str, str]]:
@@ -35,7 +34,6 @@ def read_databases(paths: list[str]) -> Iterator[tuple[str, str]]:
         except OSError as error:
             raise DatabaseError(f"{path}: {error.strerror}; correct bus.dbc, or give --dbc FILE.dbc") from error
         text = _text(data)
-        _check_layouts(path, text)
         bytes_left -= len(data)
         tokens_left -= _checked_tokens(path, text, tokens_left)
         if bytes_left < 0 or tokens_left < 0:
@@ -47,18 +45,12 @@ def read_databases(paths: list[str]) -> Iterator[tuple[str, str]]:
 
 
 def _text(data: bytes) -> str:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", errors="replace")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:  # what Windows tools write
         return data.decode("cp1252", errors="replace")
-
-
-def _check_layouts(path: str, text: str) -> None:
-    for match in _LAYOUT.finditer(text):
-        digits = max(map(len, match.groups()))
-        if digits > len(str(MAX_LAYOUT_BITS)) or sum(map(int, match.groups())) > MAX_LAYOUT_BITS:
-            beyond = f"a signal beyond bit {MAX_LAYOUT_BITS:,} of its message"
-            raise DatabaseError(f"{_place(path, text, match)}: {beyond}; correct the DBC")
 
 
 def _checked_tokens(path: str, text: str, most: int) -> int:

@@ -18,7 +18,7 @@ from estimator.can_io.binding import BoundMessage, BoundSignal
 from estimator.can_io.carried import CarriedMessage, CarriedSignal, path_of
 from estimator.can_io.contradiction import Contradiction
 from estimator.can_io.frames import EXTENDED, Frames
-from estimator.can_io.j1939 import GROUP_MASK, PDU1_LIMIT, MultiPacket, Transport
+from estimator.can_io.j1939 import GROUP_MASK, PDU1_LIMIT, MultiPacket, Transport, pgn_of
 from estimator.can_io.signal_values import WORDS, last_byte
 from estimator.can_io.source_selection import KIND, Kind, Verdict, choice
 from estimator.checkpoint.validation import Count, State, read, substate
@@ -61,12 +61,19 @@ class Decoder:
         self._places = Counter(bound.role for message in messages for bound in message.signals)
         self._needs = [max(last_byte(s) for b in m.signals for s in (b.signal, *b.multiplexers)) for m in messages]
         self._transport = Transport()
+        self._seen: set[str] = set()  # names of messages that came
+        self._groups_seen: set[str] = set()  # and of those matched by their whole id, whose group came
 
     @property
     def sources(self) -> dict[str, int]:
         """Source address that each J1939 signal is taken from, by MESSAGE.signal, where it is known."""
         found = {path: self._choices[path].source for path in self._choices if path in self._by_pgn}
         return {path: source for path, source in found.items() if source is not None}
+
+    @property
+    def sent_by_others(self) -> list[str]:
+        """Messages matched by their whole id that never came, while others of their parameter group did."""
+        return sorted(self._groups_seen - self._seen)
 
     @property
     def transport_rejected(self) -> Counter[str]:
@@ -129,7 +136,8 @@ class Decoder:
         packets = self._transport.feed(frames)
         carried = []
         for message, need in zip(self._messages, self._needs, strict=True):
-            chosen = frames[_is_message(message, frames.ident, group)]
+            chosen = frames[is_message(message, frames.ident, group)]
+            self._note_presence(message, bool(len(chosen)), group, packets)
             whole = chosen.length >= need
             broadcasts = [packet for packet in packets if message.by_pgn and packet.pgn == message.key]
             long = [packet for packet in broadcasts if len(packet.payload) >= need]
@@ -141,6 +149,17 @@ class Decoder:
                 chosen = chosen[np.argsort(chosen.t, kind="stable")]
             carried.append(CarriedMessage.of(message, chosen, ends))
         return carried
+
+    def _note_presence(
+        self, message: BoundMessage, is_there: bool, group: NDArray[np.uint32], packets: list[MultiPacket]
+    ) -> None:
+        """Note which messages come, and which would by their parameter group alone."""
+        if is_there:
+            self._seen.add(message.name)
+        elif not message.by_pgn and message.key & EXTENDED and message.name not in self._seen | self._groups_seen:
+            pgn = int(pgn_of(np.array([message.key], dtype=np.uint32))[0])
+            if is_group(pgn, group).any() or any(packet.pgn == pgn for packet in packets):
+                self._groups_seen.add(message.name)
 
     def _judged(self, carried: list[CarriedMessage], ends: Floats) -> Iterator[Decoded]:
         """Readings of all blocks at once where no sender has to be judged by itself, else by halves."""
@@ -224,15 +243,20 @@ def _strictness(bound: BoundSignal) -> int:
     return STRICTNESS.index(KIND.get(bound.role, Kind.AUXILIARY))
 
 
-def _is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:
+def is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:
     """Which ids (n,) are those of a message; ``group`` is what they have without priority and source address."""
-    if not message.by_pgn:
-        found: Mask = ident == message.key
-    elif message.key >> 8 & 0xFF < PDU1_LIMIT:  # the low byte is a destination
-        found = group & np.uint32(0xFFFF0000) == EXTENDED | message.key << 8
-    else:
-        found = group == EXTENDED | message.key << 8
-    return found
+    if message.by_pgn:
+        return is_group(message.key, group)
+    is_same: Mask = ident == message.key
+    return is_same
+
+
+def is_group(pgn: int, group: NDArray[np.uint32]) -> Mask:
+    """Which ids without priority and source address (n,) are of a parameter group."""
+    if pgn >> 8 & 0xFF < PDU1_LIMIT:  # the low byte is a destination
+        group = group & np.uint32(0xFFFF0000)
+    is_of_group: Mask = group == EXTENDED | pgn << 8
+    return is_of_group
 
 
 def _stack(packets: list[MultiPacket], need: int) -> Frames:

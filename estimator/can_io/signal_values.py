@@ -109,6 +109,9 @@ def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[F
         if bound.tangent:
             np.tan(si, out=si)
     masks = _no_values(message, signal, raw, value, np.isfinite(si))
+    if bound.states is not None:
+        si = np.isin(value, bound.states.on).astype(np.float64)
+        masks["no state"] = np.isin(value, bound.states.unknown) & ~np.any(list(masks.values()), axis=0)
     for mask in masks.values():
         si[mask] = np.nan
     return si, masks
@@ -117,7 +120,7 @@ def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[F
 def _are_all_usual(message: BoundMessage, bound: BoundSignal, value: Floats) -> bool:
     """Whether the extremes show that every scaled value (n,) of a linear signal is one."""
     signal, conversion = bound.signal, bound.conversion
-    if signal.is_float or bound.tangent or signal.length > EXACT_BITS or not len(value):
+    if signal.is_float or bound.tangent or bound.states is not None or signal.length > EXACT_BITS or not len(value):
         return False
     low, high = _range(signal)
     if message.j1939 and not signal.is_signed:

@@ -11,10 +11,12 @@ import msgspec
 
 from estimator import config
 from estimator.answers.inspection import InspectionAnswer
+from estimator.can_io.binding import load_database
+from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.frames import Frames
 from estimator.commands.arguments import add_output, add_print_config, add_settings, number
-from estimator.commands.log_options import complain_of_channels
-from estimator.commands.tables import print_inspection
+from estimator.commands.log_options import complain_of_channels, complain_of_databases
+from estimator.commands.tables import print_binding, print_inspection
 from estimator.commands.terminal import print_config, print_json, say, standard_output
 from estimator.config import Config
 from estimator.daemon.reception.buses import BusSpec, NotThereError, open_bus, spec_of
@@ -22,6 +24,7 @@ from estimator.daemon.reception.message_clock import MessageClock
 from estimator.daemon.reception.reader import reader_of
 from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.assembly import settle
+from estimator.report.binding import of_binding
 from estimator.streaming import inspection
 
 SECONDS = number(1.0, 86_400.0, "a number of seconds from 1 to 86400")
@@ -31,17 +34,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add_output(parser)
     add_settings(parser)
-    parser.add_argument("log", nargs="?", type=Path, metavar="LOG", help="a log; without one, the bus is read")
+    parser.add_argument(
+        "log", nargs="?", type=Path, metavar="LOG", help="a log; without one, the bus is read if one is named"
+    )
     can.cli.add_bus_arguments(parser, group_title="bus")
     parser.add_argument("--seconds", type=SECONDS, default=10.0, help="how long to read the bus (default: 10)")
     add_print_config(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Inspect the log or the bus; exit status 0 if an estimate can come of it."""
+    """Inspect the log or the bus, or the configuration alone; exit status 0 if an estimate can come of it."""
     settings = settle(options.config, options.dbc, options)
+    messages = bound_messages(settings)
     if options.print_config:
         print_config(settings)
+        return 0
+    complain_of_databases(settings)
+    spec = spec_of(options, settings.reception)
+    if options.log is None and not spec.is_named:
+        binding = of_binding(settings, messages, load_database(settings.bus.dbc).remarks)
+        print_json(binding) if options.json else print_binding(standard_output(), binding)
         return 0
     if options.log is not None:
         chosen = getattr(options, "channel", None)
@@ -50,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         answer = inspection.inspect(options.log, read, lambda share: None)
         complain_of_channels(answer.frames.mixed_channels)
     else:
-        answer = _hear(spec_of(options, settings.reception), settings, options.seconds)
+        answer = _hear(spec, settings, options.seconds)
     if options.json:
         print_json(answer)
     else:

@@ -14,6 +14,7 @@ from estimator.commands.log_options import (
     add_seed,
     check_outputs,
     complain_of_channels,
+    complain_of_databases,
     settings,
 )
 from estimator.commands.terminal import print_json, progress_bar, standard_output
@@ -50,6 +51,7 @@ def run(options: argparse.Namespace) -> int:
     elif options.traces is not None:
         complain("note: there is no fit, so no traces were written")
     complain_of_channels(diagnosis.mixed_channels)
+    complain_of_databases(settings(options))
     for doubt in diagnosis.doubts:
         complain(f"note: {doubt}")
     if options.json:

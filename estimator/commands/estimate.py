@@ -16,6 +16,7 @@ from estimator.commands.log_options import (
     add_seed,
     check_outputs,
     complain_of_channels,
+    complain_of_databases,
     settings,
 )
 from estimator.commands.tables import print_run
@@ -62,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
     if evidence is None and (options.draws or options.plot):
         complain("note: no estimate, so no draws and no picture were written")
     complain_of_channels(result.mixed_channels)
+    complain_of_databases(settings(options))
     if options.json:
         print_json(summary.of_run(result))
     else:

@@ -11,7 +11,7 @@ from estimator.answers.fleet import FleetAnswer
 from estimator.columns import Row
 from estimator.commands.arguments import add_output, add_settings, number
 from estimator.commands.complaints import complain
-from estimator.commands.log_options import add_channels, add_effects, add_seed, settings
+from estimator.commands.log_options import add_channels, add_effects, add_seed, complain_of_databases, settings
 from estimator.commands.terminal import print_json, progress_bar, say, standard_output
 from estimator.errors import InputError
 from estimator.fleet.cache import Cache
@@ -60,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
     are_named = options.vehicle == BY_ENGINE
     logs = find_logs(options.source, None if are_named else options.vehicle)
     check(config)
+    complain_of_databases(config)
     if not are_named:
         check_names(log.vehicle for log in logs)
     prepare(options.output)

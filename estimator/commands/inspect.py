@@ -4,7 +4,14 @@ import argparse
 from pathlib import Path
 
 from estimator.commands.arguments import add_output, add_settings
-from estimator.commands.log_options import RECORDED, add_channels, add_map, complain_of_channels, settings
+from estimator.commands.log_options import (
+    RECORDED,
+    add_channels,
+    add_map,
+    complain_of_channels,
+    complain_of_databases,
+    settings,
+)
 from estimator.commands.tables import print_inspection
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.streaming import inspection
@@ -24,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
     with progress_bar("reading") as progress:
         answer = inspection.inspect(options.log, settings(options), progress)
     complain_of_channels(answer.frames.mixed_channels)
+    complain_of_databases(settings(options))
     if options.json:
         print_json(answer)
     else:

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from estimator import config
+from estimator.can_io.binding import load_database
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.logs.channels import described
 from estimator.commands.arguments import positive, whole_number
@@ -74,6 +75,12 @@ def _table(given: Table | None, mappings: Sequence[str]) -> Table | None:
         else:
             columns[role] = column
     return Table(time=time, columns=columns)
+
+
+def complain_of_databases(settings: Config) -> None:
+    """A note on each database of which something was left out or changed."""
+    for remark in load_database(settings.bus.dbc).remarks:
+        complain(f"note: {remark}")
 
 
 def add_effects(parser: argparse.ArgumentParser) -> None:

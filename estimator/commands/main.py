@@ -4,6 +4,7 @@ import argparse
 import io
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -16,6 +17,7 @@ from estimator.commands.complaints import complain, show_traceback
 from estimator.errors import RoadloadError
 from estimator.freed_memory import keep_freed_memory
 from estimator.lean_import import import_without
+from estimator.near_names import did_you_mean
 
 COMMANDS = {  # module of this package, and its use
     "replay": "play logs on a virtual bus to the daemon's loop",
@@ -25,6 +27,7 @@ COMMANDS = {  # module of this package, and its use
     "inspect": "what is in a log",
     "simulate": "drive a simulated truck and write a log",
     "run": "estimate on a live bus until stopped",
+    "init": "propose a configuration from a DBC, and a log",
     "check": "dry run: can this log or bus feed the estimate?",
     "status": "status of a running daemon",
     "watch": "a log, a bus or a running daemon on a screen that lives",
@@ -89,6 +92,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong with the command line, and the command for help; exit status 2."""
+        if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            choices = [choice.strip("' ") for choice in wrong[2].split(",")]
+            message += did_you_mean(wrong[1], choices)
         complain(f"error: {message}; see {self.prog} --help")
         raise SystemExit(2)
 

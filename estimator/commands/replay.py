@@ -13,6 +13,7 @@ from estimator.commands.log_options import (
     add_seed,
     check_outputs,
     complain_of_channels,
+    complain_of_databases,
     settings,
     speed_of,
 )
@@ -50,6 +51,7 @@ def run(options: argparse.Namespace) -> int:
     if status and options.output is not None:
         complain(f"note: {options.output}: not written")
     complain_of_channels(result.mixed_channels)
+    complain_of_databases(settings(options))
     if options.json:
         print_json(summary.of_run(result))
     else:

@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from estimator.answers.binding import BindingAnswer
 from estimator.answers.inspection import InspectionAnswer
 from estimator.commands.estimate_table import STYLES, print_estimate
 from estimator.commands.terminal import say
@@ -28,6 +29,8 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     )
     if advice := next_step(run):
         say(console, f"to do     {advice}")
+    for remark in run.pipeline.traffic.remarks:
+        say(console, f"beware    {remark}")
     if final.mass is not None:
         print_estimate(console, summary.parameters(final), truth)
     for key, reason in final.withheld.items():
@@ -118,5 +121,19 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
         say(console, f"time steps back: {frames.steps_back:,} times, each the start of another drive")
     for reason, count in sorted(frames.errors.items()):
         say(console, f"refused: {reason} {count:,}")
+    for remark in found.remarks:
+        say(console, f"beware: {remark}")
     reason = f": {found.reason}" if found.reason else ""
     say(console, f"{found.status}{reason}; coverage {100 * found.coverage:.0f} %")
+
+
+def print_binding(console: Console, found: BindingAnswer) -> None:
+    """What a configuration binds."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("input", "signal", "message", "unit", "range", "on"):
+        table.add_column(heading, overflow="fold", no_wrap=heading == "input")
+    for role, x in found.inputs.items():
+        on = "" if x.on is None else ", ".join(f"{value:g}" for value in x.on)
+        table.add_row(role, Text(printable(x.signal)), x.message, Text(printable(x.unit or "")), x.range, on)
+    console.print(table)
+    say(console, "the configuration fits the DBC; give a log or a bus to see whether its signals come")

@@ -1,5 +1,6 @@
 """Standard output, for people and for programs; and progress."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -12,6 +13,8 @@ from estimator import toml_text
 from estimator.answers.answer import Answer, as_text
 from estimator.config import Config
 from estimator.printable import printable
+from estimator.settings import Section
+from estimator.settings_comments import comments_of
 
 WIDE = 140  # columns of tables that go to a file or a pipe
 
@@ -33,10 +36,17 @@ def print_json(answer: Answer) -> None:
 
 
 def print_config(settings: Config) -> None:
-    """Print the settings in force as TOML."""
+    """Print the settings in force as TOML, with paths that hold in any folder and what each key means."""
     tables = msgspec.to_builtins(settings)
     tables["signals"] = {str(role): bound for role, bound in settings.binding.items()}
-    print(toml_text.dump(tables), end="")
+    tables["bus"]["dbc"] = [os.path.abspath(path) for path in settings.bus.dbc]
+    if settings.road.map is not None:
+        tables["road"]["map"] = os.path.abspath(settings.road.map)
+    comments = dict(comments_of(Config))
+    for name in Config.__struct_fields__:
+        if isinstance(table := getattr(settings, name), Section):
+            comments |= {f"{name}.{key}": text for key, text in comments_of(type(table)).items()}
+    print(toml_text.dump(tables, comments), end="")
 
 
 @contextmanager

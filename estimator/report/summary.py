@@ -25,6 +25,7 @@ def of_run(run: Run) -> RunAnswer:
         status=final.status,
         reason=final.reason,
         advice=next_step(run),
+        remarks=tuple(traffic.remarks),
         parameters=parameters(final),
         convergence=convergence(final),
         coverage=coverage(final),

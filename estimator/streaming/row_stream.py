@@ -27,6 +27,7 @@ from estimator.streaming import engine_power
 from estimator.streaming.alignment import MAX_LINE, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
 from estimator.streaming.missing_inputs import remedy, too_seldom
+from estimator.streaming.remarks import SwitchUse, dropped_values
 from estimator.streaming.resampling import block_bounds
 
 BLOCK = 5.0  # s of traffic in which senders are judged, and whose rows are handed on together
@@ -129,6 +130,7 @@ class RowStream:
         self.replacements = 0
         self._lines = LINES & frozenset(self._names)
         self._first: dict[Role, Floats] = {}  # times [s] of the first readings
+        self._switches = SwitchUse()
         self._waiting: list[Frames] = []
         self._last: float | None = None  # time of the newest frame, None when all frames have become rows [s]
         self._until: float | None = None  # time of the newest frame ever [s]
@@ -157,6 +159,11 @@ class RowStream:
         """Frames and values that were refused, by message, signal and reason."""
         refused = self._decoder.rejected + self._decoder.transport_rejected
         return refused + self.order.refused + self._aligner.refused
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is odd in the signals and may be an error of the database, one line each."""
+        return [*dropped_values(self._messages, self.errors, self.seen), *self._switches.remarks(self._names)]
 
     @property
     def sources(self) -> dict[str, int]:
@@ -209,6 +216,12 @@ class RowStream:
         if not self.valid_rows and (reason := self._too_seldom()):
             raise MissingInputsError(f"{place}: {reason}")
         if missing := self._missing_roles():
+            if names := self._decoder.sent_by_others:
+                raise MissingInputsError(
+                    f"{place}: missing inputs: {', '.join(self.missing)}; the group of {', '.join(names)} is sent with "
+                    "another priority or address than in the DBC, which does not say that it is of J1939 "
+                    '(VFrameFormat): write [bus] match = "pgn" into the configuration'
+                )
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             raise MissingInputsError(
                 f"{place}: missing inputs: {', '.join(self.missing)}; "
@@ -403,6 +416,7 @@ class RowStream:
 
     def _count_run(self, parts: Sequence[Rows]) -> None:
         """The same of rows without a gap."""
+        self._switches.feed(parts)
         speed = np.isfinite(np.concatenate([rows.speed for rows in parts]))
         power = np.isfinite(np.concatenate([rows.power for rows in parts]))
         fresh = np.concatenate([rows.fresh for rows in parts])

@@ -38,6 +38,17 @@ class BusSpec:
     options: dict[str, Any] = field(default_factory=dict)
     context: str | None = None
 
+    @property
+    def is_named(self) -> bool:
+        """Whether any of it is named: by the command line, the configuration, can.conf or the environment."""
+        if self.options or self.context is not None:
+            return True
+        try:
+            can.util.load_config()
+        except (can.CanError, ValueError):
+            return False
+        return True
+
     def resolved(self) -> dict[str, Any]:
         """All arguments, as `can.Bus` will see them.
 

@@ -77,7 +77,10 @@ def plan(path: Path | None, dbc: list[str] | None, options: argparse.Namespace) 
     if settings.lake is not None:
         raise ConfigError("lake: a bus carries frames; take the table out")
     configured.check(settings)
-    messages = bind(settings, load_database(settings.bus.dbc))
+    database = load_database(settings.bus.dbc)
+    messages = bind(settings, database)
+    for remark in database.remarks:
+        log.warning("%s", remark)
     source = spec_of(options, settings.reception)
     source.resolved()
     target: BusSpec | None = None

@@ -1,0 +1,68 @@
+"""The subcommand `init`: a configuration proposed from databases, and from a log if there is one."""
+
+import argparse
+from pathlib import Path
+
+from estimator.can_io.binding import load_database
+from estimator.can_io.role_candidates import candidates
+from estimator.commands.arguments import add_debug
+from estimator.commands.complaints import complain
+from estimator.commands.terminal import progress_bar
+from estimator.errors import ConfigError
+from estimator.output_files import check_suffix, whole
+from estimator.report.proposal import proposal
+from estimator.streaming.survey import survey
+
+DATABASE = ".dbc"
+FORMATS = (".toml",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    use = "databases of the vehicle (.dbc), and a log that shows which of their signals come"
+    parser.add_argument("file", nargs="+", type=Path, metavar="FILE.dbc [LOG]", help=use)
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT.toml", help="a new file, instead of standard output")
+    add_debug(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Propose a configuration.
+
+    Raises
+    ------
+    ConfigError
+        No database is given, more than one log is, or the output exists.
+    """
+    databases, log = _inputs(options.file)
+    output: Path | None = options.output
+    if output is not None:
+        check_suffix(output, FORMATS)
+        if output.exists():
+            raise ConfigError(f"{output}: exists; give another name, or remove it first")
+    database = load_database([str(path) for path in databases])
+    by_role = candidates(database)
+    found = None
+    if log is not None:
+        with progress_bar("reading") as progress:
+            found = survey(log, [candidate for fit in by_role.values() for candidate in fit], progress)
+    text = proposal(databases, by_role, found, log)
+    for remark in database.remarks:
+        complain(f"note: {remark}")
+    if output is None:
+        print(text, end="")
+        return 0
+    with whole(output) as file:
+        file.write(text.encode())
+    complain(f"note: {output} is written; look at its signals, then run roadload check --config {output}")
+    return 0
+
+
+def _inputs(files: list[Path]) -> tuple[list[Path], Path | None]:
+    """Databases, and the log if there is one."""
+    databases = [path for path in files if path.suffix.lower() == DATABASE]
+    logs = [path for path in files if path not in databases]
+    if not databases:
+        raise ConfigError(f"{files[0]}: is no {DATABASE} file; give the database of the vehicle first, then a log")
+    if len(logs) > 1:
+        raise ConfigError(f"{logs[1]}: is a second log; give one")
+    return databases, logs[0] if logs else None

@@ -1,0 +1,88 @@
+"""What is odd in the traffic and may be an error of the database: said beside the verdict.
+
+Neither makes an estimate impossible, and both may make it wrong: the values that a range drops are the largest
+ones, and a switch that reads on while it is off takes the driving away.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from estimator.can_io.binding import BoundMessage
+from estimator.samples import STEP, Rows
+from estimator.signals import Role
+
+OUT_OF_RANGE = "out of range"
+MIN_DROPPED = 0.01  # share of values: a few odd ones are noise
+MIN_SPEED = 5.0  # m/s: nobody drives faster with the brake on, or the clutch open, for most of the time
+MIN_TIME = 60.0  # s at that speed
+MOSTLY = 0.5
+EXCLUDING = {  # value of a switch that takes rows out of the estimate
+    Role.BRAKE_SWITCH: 1,
+    Role.PARK_BRAKE: 1,
+    Role.CLUTCH_SWITCH: 1,
+    Role.SHIFT_IN_PROCESS: 1,
+    Role.DRIVELINE_ENGAGED: 0,
+}
+
+
+class SwitchUse:
+    """Counts how long each switch takes rows out while the vehicle is at speed."""
+
+    def __init__(self) -> None:
+        self._known: Counter[Role] = Counter()
+        self._excluding: Counter[Role] = Counter()
+
+    def feed(self, parts: Iterable[Rows]) -> None:
+        """Add rows."""
+        for rows in parts:
+            with np.errstate(invalid="ignore"):
+                fast = rows.speed > MIN_SPEED
+            for role, value in EXCLUDING.items():
+                if (switch := rows.context.get(role)) is not None:
+                    self._known[role] += int(np.count_nonzero(fast & np.isfinite(switch)))
+                    self._excluding[role] += int(np.count_nonzero(fast & (switch == value)))
+
+    def remarks(self, names: Mapping[Role, str]) -> list[str]:
+        """One line for each switch, by its MESSAGE.signal, that is mostly so."""
+        out = []
+        for role, known in self._known.items():
+            share = self._excluding[role] / max(known, 1)
+            if known * STEP >= MIN_TIME and share > MOSTLY:
+                state = "on" if EXCLUDING[role] else "off"
+                what = (
+                    f"{names[role]} ({role}) is {state} for {100 * share:.0f} % of the driving above {MIN_SPEED:g} m/s"
+                )
+                line = f'[bus] states = {{ "{names[role]}" = [1] }}'
+                out.append(f"{what}, which is left out; if other values mean on, write them as in {line}")
+        return out
+
+
+def dropped_values(messages: Iterable[BoundMessage], refused: Mapping[str, int], seen: Mapping[Role, int]) -> list[str]:
+    """One line for each signal of which the range in the DBC drops more than a few values.
+
+    Parameters
+    ----------
+    messages
+        With the bound signals.
+    refused
+        Counts of values by MESSAGE.signal and reason.
+    seen
+        Readings by role.
+    """
+    bound = {(f"{m.name}.{s.signal.name}", s.role): s.signal for m in messages for s in m.signals}
+    places = Counter(role for _, role in bound)
+    out = []
+    for (path, role), signal in bound.items():
+        dropped = refused.get(f"{path}: {OUT_OF_RANGE}", 0)
+        share = dropped * places[role] / max(seen.get(role, 0), 1)
+        if share >= MIN_DROPPED:
+            low, high = signal.minimum, signal.maximum
+            span = f"{low:g} .. {high:g} {signal.unit or ''}".strip()
+            line = f'[bus] ranges = {{ "{path}" = [lowest, highest] }}'
+            out.append(
+                f"{100 * min(share, 1.0):.0f} % of the values of {path} ({role}) lie outside its range {span} and are "
+                f"dropped; if the DBC is wrong there, write {line}"
+            )
+    return out

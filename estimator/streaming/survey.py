@@ -1,0 +1,118 @@
+"""Which candidates of a database are in a log: how often their messages come, and whether their values change."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from estimator.can_io.binding import BoundMessage, BoundSignal, bound_message
+from estimator.can_io.decoder import is_group, is_message
+from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.j1939 import GROUP_MASK, pgn_of
+from estimator.can_io.role_candidates import Candidate
+from estimator.can_io.signal_values import last_byte, present, values
+from estimator.config import Config, from_dict
+from estimator.signals import DIMENSION, STATE
+from estimator.streaming.log_frames import LogFrames, Progress, no_progress
+from estimator.units import Conversion, conversion_of
+
+MIN_CHANGES = 10  # of a value that is alive: fewer are start and end
+
+
+@dataclass(slots=True, kw_only=True)
+class Presence:
+    """What came of one candidate; values in SI."""
+
+    readings: int = 0
+    known: int = 0  # of them with a value
+    changes: int = 0
+    first: float = np.inf  # [s]
+    last: float = -np.inf
+    minimum: float = np.inf
+    maximum: float = -np.inf
+
+    @property
+    def rate(self) -> float:
+        """Readings a second [Hz] from the first to the last; 0 if there are not two."""
+        return (self.readings - 1) / (self.last - self.first) if self.last > self.first else 0.0
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the value changes."""
+        return self.changes >= MIN_CHANGES
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """Presences by MESSAGE.signal, and whether messages come by their parameter group alone."""
+
+    presences: dict[str, Presence]
+    is_by_group: bool
+
+
+def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_progress) -> Survey:
+    """Read a log once.
+
+    Raises
+    ------
+    LogError
+        The log cannot be read.
+    """
+    config = from_dict({"signals": {"speed": "X.x"}})  # no message: frames of all are wanted
+    chosen = {candidate.path: candidate for candidate in candidates}
+    found = {path: Presence() for path in chosen}
+    messages = [_bound(candidate, config) for candidate in chosen.values()]
+    last: dict[str, float] = {}  # latest value
+    by_id, by_group = set[str](), set[str]()
+    for frames in LogFrames([path], config, progress):
+        group = frames.ident & np.uint32(GROUP_MASK)
+        for message in messages:
+            path_of_it = f"{message.name}.{message.signals[0].signal.name}"
+            mask = is_message(message, frames.ident, group)
+            if mask.any():
+                by_id.add(message.name)
+                _add(found[path_of_it], message, message.signals[0], frames[mask], last)
+            elif not message.by_pgn and message.key & EXTENDED:
+                pgn = int(pgn_of(np.array([message.key], dtype=np.uint32))[0])
+                if is_group(pgn, group).any():
+                    by_group.add(message.name)
+    return Survey({path: there for path, there in found.items() if there.readings}, len(by_group - by_id) > len(by_id))
+
+
+def _bound(candidate: Candidate, config: Config) -> BoundMessage:
+    """The message with that signal alone."""
+    by_name = {signal.name: signal for signal in candidate.message.signals}
+    chain = []
+    signal = candidate.signal
+    while signal.multiplexer_signal in by_name and by_name[signal.multiplexer_signal] not in chain:
+        signal = by_name[signal.multiplexer_signal]
+        chain.append(signal)
+    dimension = DIMENSION[candidate.role]
+    conversion = (
+        Conversion(STATE, 1.0) if dimension == STATE else conversion_of(candidate.unit or candidate.signal.unit)
+    )
+    assert conversion is not None
+    bound = BoundSignal(role=candidate.role, signal=candidate.signal, conversion=conversion, multiplexers=tuple(chain))
+    return bound_message(candidate.message, (bound,), config)
+
+
+def _add(found: Presence, message: BoundMessage, bound: BoundSignal, frames: Frames, last: dict[str, float]) -> None:
+    """Count the readings of a signal in frames of its message."""
+    need = max(last_byte(signal) for signal in (bound.signal, *bound.multiplexers))
+    if need > frames.data.shape[1]:
+        return
+    frames = frames[frames.length >= need]
+    frames = frames[present(bound, frames)]
+    if not len(frames):
+        return
+    value, _ = values(message, bound, frames)
+    known = value[np.isfinite(value)]
+    found.readings += len(value)
+    found.first, found.last = min(found.first, float(frames.t[0])), max(found.last, float(frames.t[-1]))
+    if len(known):
+        path = f"{message.name}.{bound.signal.name}"
+        found.known += len(known)
+        found.changes += int(np.count_nonzero(np.diff(known, prepend=last.get(path, known[0]))))
+        last[path] = float(known[-1])
+        found.minimum, found.maximum = min(found.minimum, float(known.min())), max(found.maximum, float(known.max()))

@@ -1,0 +1,226 @@
+"""From a database and a log to a configuration that estimates, without reading a manual."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from estimator.can_io.binding import load_database
+from estimator.can_io.role_candidates import candidates, wheels
+from estimator.commands.main import main
+from estimator.config import Config, load
+from estimator.settings import Section
+from estimator.settings_comments import comments_of
+from estimator.signals import Role
+
+CASES = Path(__file__).parent / "databases"
+
+Cli = Callable[..., tuple[int, str, str]]
+CAR = """VERSION ""
+BO_ 256 ENGINE_DATA: 8 X
+ SG_ VehicleSpeed : 0|16@1+ (0.01,0) [0|250] "kph" X
+ SG_ EngineRPM : 16|16@1+ (1,0) [0|15000] "rpm" X
+ SG_ EngineTorqueEstimate : 32|16@1- (1,0) [-1000|1000] "Nm" X
+ SG_ EngineTorqueRequest : 48|16@1- (1,0) [-1000|1000] "Nm" X
+BO_ 300 WHEELS: 8 X
+ SG_ WheelSpeedFL : 0|16@1+ (0.01,0) [0|250] "kph" X
+ SG_ WheelSpeedFR : 16|16@1+ (0.01,0) [0|250] "kph" X
+ SG_ CruiseSetSpeed : 32|8@1+ (1,0) [0|250] "kph" X
+ SG_ SteeringTorque : 40|16@1- (0.1,0) [-100|100] "Nm" X
+BO_ 301 PEDALS: 8 X
+ SG_ BrakePedal : 0|2@1+ (1,0) [0|3] "" X
+ SG_ ParkBrake : 2|2@1+ (1,0) [0|3] "" X
+ SG_ Gear : 8|4@1+ (1,0) [0|15] "" X
+VAL_ 301 BrakePedal 1 "Not_Applied" 2 "Applied" ;
+VAL_ 301 ParkBrake 0 "A" 1 "B" ;
+VAL_ 301 Gear 0 "P" 1 "R" 2 "N" 3 "D" ;
+"""
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    def run(*arguments: object) -> tuple[int, str, str]:
+        try:
+            status = main([str(argument) for argument in arguments])
+        except SystemExit as stop:
+            status = int(stop.code or 0)
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+def car(folder: Path) -> Path:
+    path = folder / "car.dbc"
+    path.write_text(CAR)
+    return path
+
+
+def test_signals_find_their_roles(tmp_path: Path) -> None:
+    found = candidates(load_database([str(car(tmp_path))]))
+    best = {role.value: fit[0].path for role, fit in found.items()}
+    assert (
+        best.items()
+        >= {
+            "speed": "ENGINE_DATA.VehicleSpeed",
+            "engine_speed": "ENGINE_DATA.EngineRPM",
+            "engine_torque": "ENGINE_DATA.EngineTorqueEstimate",
+            "brake_switch": "PEDALS.BrakePedal",
+        }.items()
+    )
+    assert [candidate.path for candidate in wheels(found[Role.WHEEL_SPEEDS])] == [
+        "WHEELS.WheelSpeedFL",
+        "WHEELS.WheelSpeedFR",
+    ]
+    paths = {candidate.path for fit in found.values() for candidate in fit}
+    assert not paths & {"WHEELS.CruiseSetSpeed", "WHEELS.SteeringTorque", "ENGINE_DATA.EngineTorqueRequest"}
+
+
+def test_what_is_proposed_is_a_configuration_that_fits(tmp_path: Path, cli: Cli) -> None:
+    output = tmp_path / "car.toml"
+    assert cli("init", car(tmp_path), "-o", output)[0] == 0
+    config = load(output)
+    assert config.signals == {
+        "speed": "ENGINE_DATA.VehicleSpeed",
+        "engine_torque": "ENGINE_DATA.EngineTorqueEstimate",
+        "engine_speed": "ENGINE_DATA.EngineRPM",
+        "brake_switch": "PEDALS.BrakePedal",
+    }
+    assert config.prior.mass_kg[1] < 10_000
+    status, out, _ = cli("check", "--config", output)
+    assert status == 0
+    assert "ENGINE_DATA.EngineRPM" in out
+    # Values whose meaning is not known are proposed in comments.
+    text = output.read_text()
+    assert '# park_brake = "PEDALS.ParkBrake"' in text
+    assert '# gear = "PEDALS.Gear"' in text
+
+
+def test_the_same_goes_to_standard_output(tmp_path: Path, cli: Cli) -> None:
+    output = tmp_path / "car.toml"
+    cli("init", car(tmp_path), "-o", output)
+    status, out, err = cli("init", car(tmp_path))
+    assert (status, out, err) == (0, output.read_text(), "")
+
+
+def test_nothing_is_overwritten(tmp_path: Path, cli: Cli) -> None:
+    output = tmp_path / "car.toml"
+    output.write_text("mine")
+    status, _, err = cli("init", car(tmp_path), "-o", output)
+    assert status == 2
+    assert err == f"error: {output}: exists; give another name, or remove it first\n"
+    assert output.read_text() == "mine"
+
+
+def test_units_that_the_database_lacks_are_proposed_as_guesses(tmp_path: Path, cli: Cli) -> None:
+    path = tmp_path / "bare.dbc"
+    path.write_text(CAR.replace('"kph"', '""').replace('"rpm"', '""'))
+    output = tmp_path / "bare.toml"
+    assert cli("init", path, "-o", output)[0] == 0
+    assert load(output).bus.units == {"ENGINE_DATA.VehicleSpeed": "km/h", "ENGINE_DATA.EngineRPM": "rpm"}
+    assert "guessed" in output.read_text()
+    assert cli("check", "--config", output)[0] == 0
+
+
+def test_a_database_without_speed_and_power_says_so(tmp_path: Path, cli: Cli) -> None:
+    path = tmp_path / "other.dbc"
+    path.write_text('VERSION ""\nBO_ 256 SEAT: 8 X\n SG_ Height : 0|8@1+ (1,0) [0|0] "mm" X\n')
+    status, out, _ = cli("init", path)
+    assert status == 0
+    assert "# No signal was found for speed: write speed or wheel_speeds here." in out
+    assert "# No signal was found for power: write engine_power or " in out
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [(["a.log"], "a.log: is no .dbc file"), (["a.dbc", "a.log", "b.log"], "b.log: is a second log")],
+)
+def test_files_that_init_does_not_take(cli: Cli, files: list[str], said: str) -> None:
+    status, _, err = cli("init", *files)
+    assert status == 2
+    assert err.startswith(f"error: {said}; give ")
+
+
+def test_a_log_tells_what_is_on_the_bus(tmp_path: Path, cli: Cli) -> None:
+    rows = []
+    for i in range(200):
+        data = (i * 10).to_bytes(2, "little") + (1000 + i).to_bytes(2, "little") + bytes(4)
+        rows.append(f"({i / 10:.6f}) can0 12C#{data.hex().upper()}")
+        rows.append(f"({i / 10:.6f}) can0 100#{bytes(8).hex().upper()}")
+    log = tmp_path / "drive.log"
+    log.write_text("\n".join(rows) + "\n")
+    status, out, _ = cli("init", car(tmp_path), log)
+    assert status == 0
+    assert 'wheel_speeds = ["WHEELS.WheelSpeedFL", "WHEELS.WheelSpeedFR"]  # kph; 10 Hz, 0 .. 5.528 m/s' in out
+    assert '# speed = "ENGINE_DATA.VehicleSpeed"  # kph; 10 Hz, 0 .. 0 m/s, hardly changes' in out
+    assert '# brake_switch = "PEDALS.BrakePedal"  # 1 Not_Applied, 2 Applied; not in the log' in out
+
+
+def test_parameter_groups_from_other_addresses_are_found(cli: Cli) -> None:
+    status, out, _ = cli("init", CASES / "j1939_no_frame_format.dbc", CASES / "j1939_rts_cts.log.gz")
+    assert status == 0
+    assert 'match = "pgn"' in out
+
+
+@pytest.mark.slow
+def test_from_a_database_and_a_log_to_an_estimate(tmp_path: Path, cli: Cli, recordings: Path) -> None:
+    folder = recordings / "bmw_i3"
+    output = tmp_path / "i3.toml"
+    assert cli("init", folder / "bmw_i3.dbc", folder / "TripA02.blf", "-o", output)[0] == 0
+    assert load(output).signals["engine_torque"] == "MOTOR.MotorTorque"
+    status, out, _ = cli("estimate", folder / "TripA02.blf", folder / "TripA04.blf", "--config", output)
+    assert status == 0
+    assert out.startswith("estimated")
+
+
+# --- check, and the settings that it prints --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('speed = "ENGINE_DATA.VehicelSpeed"', "has no signal 'VehicelSpeed'; did you mean VehicleSpeed?"),
+        ('speed = "ENGINE_DATE.VehicleSpeed"', "no message 'ENGINE_DATE'; the nearest are ENGINE_DATA"),
+        ('sped = "ENGINE_DATA.VehicleSpeed"', "signals.sped: no such role; did you mean speed?"),
+    ],
+)
+def test_check_without_a_log_finds_what_is_mistyped(tmp_path: Path, cli: Cli, line: str, said: str) -> None:
+    car(tmp_path)
+    (tmp_path / "car.toml").write_text(f'bus.dbc = ["car.dbc"]\n[signals]\n{line}\n')
+    for more in ([], ["--print-config"]):
+        status, _, err = cli("check", "--config", tmp_path / "car.toml", *more)
+        assert status == 2
+        assert said in err
+        assert err.count("\n") == 1
+
+
+def test_a_mistyped_command_names_the_nearest(cli: Cli) -> None:
+    status, _, err = cli("estimat", "a.log")
+    assert status == 2
+    assert "did you mean estimate?" in err
+
+
+def test_settings_that_are_printed_hold_in_any_folder(
+    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    car(tmp_path)
+    (tmp_path / "car.toml").write_text('bus.dbc = ["car.dbc"]\nsignals.speed = "ENGINE_DATA.VehicleSpeed"\n')
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = cli("check", "--config", "car.toml", "--print-config")
+    assert status == 0
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "printed.toml").write_text(out)
+    monkeypatch.chdir(other)
+    assert load("printed.toml") == load(tmp_path / "car.toml")
+    assert "mass_kg = [500.0, 100000.0]  # lowest and highest\n" in out
+
+
+TABLES = [type(table) for name in Config.__struct_fields__ if isinstance(table := getattr(Config(), name), Section)]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
+def test_every_key_has_a_comment(table: type[Section]) -> None:
+    comments = comments_of(table)
+    assert list(comments) == list(table.__struct_fields__)
+    assert all(text and "\n" not in text for text in comments.values())
