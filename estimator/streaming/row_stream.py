@@ -15,6 +15,7 @@ import numpy as np
 from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import Frames
+from estimator.can_io.obd import current_data
 from estimator.can_io.time_order import MAX_DELAY, TimeOrder
 from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.config import Config
@@ -25,7 +26,7 @@ from estimator.signals import Floats, Role
 from estimator.streaming import engine_power
 from estimator.streaming.alignment import Aligner, Readings, between
 from estimator.streaming.course import MapGrade
-from estimator.streaming.missing_inputs import remedy
+from estimator.streaming.missing_inputs import pids_of, remedy
 from estimator.streaming.resampling import block_bounds
 
 BLOCK = 5.0  # s of traffic in which senders are judged, and whose rows are handed on together
@@ -121,6 +122,7 @@ class RowStream:
         self.newest: dict[Role, float] = {}
         self.gaps: deque[tuple[float, float]] = deque(maxlen=MAX_GAPS)
         self.replacements = 0
+        self._answers = 0  # to OBD-II requests, while nothing else was of use
         self._waiting: list[Frames] = []
         self._last: float | None = None  # time of the newest frame, None when all frames have become rows [s]
         self._until: float | None = None  # time of the newest frame ever [s]
@@ -175,6 +177,8 @@ class RowStream:
         A frame waits until no other can precede it, for MAX_DELAY of traffic.
         """
         self.frames += len(frames)
+        if not self.used:
+            self._answers += current_data(frames)
         for ordered in self.order.feed(frames):
             yield from self._take(ordered)
 
@@ -200,8 +204,7 @@ class RowStream:
         if missing := self._missing_roles():
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             raise MissingInputsError(
-                f"{place}: missing inputs: {', '.join(self.missing)}; "
-                f"{remedy(missing, self.seen, self._config.binding)}; found: {there}"
+                f"{place}: missing inputs: {', '.join(self.missing)}; {self._remedy(missing)}; found: {there}"
             )
         if not self.valid_rows:
             counts = (self.errors + self.unusable).most_common(4)
@@ -248,6 +251,14 @@ class RowStream:
         self.frames, self.valid_rows, self.seen = frames, valid_rows, Counter(seen)
         self.gaps = deque(gaps, maxlen=MAX_GAPS)
         self._is_restored, self._same_clock = True, same_clock
+
+    def _remedy(self, missing: list[Role]) -> str:
+        """What a user can do where roles are missing."""
+        if pids := pids_of(missing, self._messages):
+            return f"the logger has to ask for PID {', '.join(pids)}"
+        if self._answers:
+            return f"{self._answers:,} frames are answers to OBD-II requests: give --config obd2"
+        return remedy(missing, self.seen, self._config.binding)
 
     def _missing_roles(self) -> list[Role]:
         return [role for role in self._needed() if not self.seen[role]]
