@@ -24,7 +24,7 @@ from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 from estimator.streaming import engine_power
-from estimator.streaming.alignment import Aligner, Readings, between
+from estimator.streaming.alignment import SPEEDS, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
 from estimator.streaming.missing_inputs import pids_of, remedy
 from estimator.streaming.resampling import block_bounds
@@ -132,7 +132,9 @@ class RowStream:
 
     def _new(self) -> tuple[Decoder, Aligner]:
         config = self._config
-        aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike)
+        speeds = [s for m in self._messages for s in m.signals if s.role in SPEEDS and not s.signal.is_float]
+        step = max((abs(s.signal.scale * s.conversion.scale) for s in speeds), default=0.0)
+        aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike, step)
         return Decoder(self._messages, config.bus), aligner
 
     @property
