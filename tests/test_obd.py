@@ -4,15 +4,25 @@ from pathlib import Path
 
 import can
 import msgspec
+import numpy as np
 import pytest
 
 from estimator import config
 from estimator.can_io.binding import bind, load_database
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import Frames
+from estimator.can_io.obd2_encoder import EPOCH, frames_of
 from estimator.commands.main import main
 from estimator.daemon.reception.filters import input_filters
 from estimator.errors import ConfigError
+from estimator.estimate import Estimate
+from estimator.signals import Role, Series
+from estimator.simulation.polling import polled
+from estimator.simulation.recording import record
+from estimator.simulation.route import generate_route
+from estimator.simulation.truck import Truck, draw_car
+from estimator.streaming.pipeline import Pipeline
+from estimator.streaming.row_stream import RowStream
 
 # A request and its answer for speed, engine speed, torque and reference torque.
 ANSWERS = """\
@@ -137,3 +147,80 @@ def test_a_logger_may_change_its_rate_on_the_move() -> None:
         decoder.decode(Frames.from_messages(rows), 5.0 * (block + 1))
     assert not decoder.contested
     assert decoder.used == count
+
+
+def car(period: float, minutes: float = 25.0, seed: int = 3) -> tuple[Frames, Truck]:
+    """A drive on level roads, polled."""
+    rng = np.random.default_rng(seed)
+    truck = draw_car(rng)
+    recording = record(truck, generate_route("mixed", 2000.0 * minutes, rng), 60.0 * minutes, rng)
+    return frames_of(polled(recording.signals, period, rng)), truck
+
+
+def estimate(frames: Frames) -> Estimate:
+    pipeline, final = Pipeline(config.load("obd2")), None
+    for item in pipeline.traffic.feed_all([frames]):
+        for final in pipeline.take(item):  # noqa: B007
+            pass
+    for final in pipeline.finish():  # noqa: B007
+        pass
+    assert final is not None
+    return final
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("period", [0.25, 1.0])
+def test_the_mass_of_a_polled_car(period: float) -> None:
+    frames, truck = car(period)
+    found = estimate(frames)
+    assert found.mass is not None, found.reason
+    assert abs(found.mass.mean - truck.mass) < 3 * found.mass.sd
+    assert abs(found.mass.mean / truck.mass - 1) < 0.05
+    assert found.mass.sd < 0.1 * truck.mass
+
+
+@pytest.mark.parametrize("period", [0.2, 0.7, 1.9])
+def test_rows_of_polled_signals_are_the_same_live_and_at_once(period: float) -> None:
+    frames, _ = car(period, 3.0)
+
+    def rows(size: int) -> tuple[np.ndarray, np.ndarray]:
+        stream, parts = RowStream(config.load("obd2")), []
+        for item in stream.feed_all(frames[k : k + size] for k in range(0, len(frames), size)):
+            parts += list(getattr(item, "rows", ()))
+        return np.concatenate([part.speed for part in parts]), np.concatenate([part.power for part in parts])
+
+    for live, at_once in zip(rows(7), rows(len(frames)), strict=True):
+        np.testing.assert_array_equal(live, at_once)
+        assert np.isfinite(live).mean() > 0.9
+
+
+def test_torque_and_engine_speed_count_at_their_own_times() -> None:
+    """An engine that speeds up steadily: its speed is not that of the answer before the torque's."""
+    t = np.arange(0.0, 60.0, 1.0)
+    signals = {
+        Role.SPEED: Series(t + 0.1, np.full(60, 20.0)),
+        Role.ENGINE_SPEED: Series(t + 0.2, 100.0 + 2.0 * (t + 0.2)),
+        Role.TORQUE_FRACTION: Series(t + 0.9, np.full(60, 0.5)),
+        Role.REFERENCE_TORQUE: Series(t + 0.95, np.full(60, 400.0)),
+    }
+    stream = RowStream(config.load("obd2"))
+    parts = [rows for item in stream.feed_all([frames_of(signals)]) for rows in getattr(item, "rows", ())]
+    power = np.concatenate([rows.power for rows in parts])
+    at = np.concatenate([rows.t for rows in parts]) - EPOCH
+    known = np.isfinite(power)
+    assert known.sum() > 500
+    np.testing.assert_allclose(power[known], 200.0 * (100.0 + 2.0 * at[known]), rtol=1e-3)
+
+
+def test_a_lone_reading_far_from_its_neighbours_in_time_is_kept() -> None:
+    t = np.arange(0.0, 60.0, 1.0)
+    torque = np.where(np.arange(60) % 10 == 5, 0.8, 0.2)
+    signals = {
+        Role.SPEED: Series(t, np.full(60, 20.0)),
+        Role.ENGINE_SPEED: Series(t, np.full(60, 200.0)),
+        Role.TORQUE_FRACTION: Series(t, torque),
+        Role.REFERENCE_TORQUE: Series(t, np.full(60, 400.0)),
+    }
+    stream = RowStream(config.load("obd2"))
+    parts = [rows for item in stream.feed_all([frames_of(signals)]) for rows in getattr(item, "rows", ())]
+    assert np.nanmax(np.concatenate([rows.power for rows in parts])) > 0.75 * 400.0 * 200.0

@@ -123,7 +123,7 @@ class EnginePower:
         self._append(t, value * other.held(t), bounds, is_slow=lead.is_slow)
 
     def means(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
-        """`Track.means` of the power [W]; of slow readings the product of both factors' means, each at its own times."""
+        """`Track.means` of the power [W]; of slow readings the product of both factors, each at its own times."""
         if Role.ENGINE_POWER in self._bound or not (other := self._of(self._factors[1])).is_slow:
             return self.track.means(edges, known_to)
         lead, lead_there = self._lead_track.means(edges, known_to)
