@@ -15,7 +15,7 @@ from estimator.can_io.obd2_encoder import EPOCH, frames_of
 from estimator.commands.main import main
 from estimator.daemon.reception.filters import input_filters
 from estimator.errors import ConfigError
-from estimator.estimate import Estimate
+from estimator.estimates import Estimate
 from estimator.signals import Role, Series
 from estimator.simulation.polling import polled
 from estimator.simulation.recording import record
