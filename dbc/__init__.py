@@ -1,1 +1,1 @@
-"""The signal databases shipped with roadload: ``j1939.dbc`` (inputs) and ``roadload.dbc`` (outputs)."""
+"""What is shipped: databases of inputs (``j1939.dbc``, ``obd2.dbc``) and outputs, and configurations of vehicles."""

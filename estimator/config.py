@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterator
 from functools import reduce
 from hashlib import blake2b
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
 
@@ -266,6 +267,8 @@ def _named(place: str, tables: dict[str, Any]) -> str:
 def load(path: Path | str | None = None) -> Config:
     """Read a TOML file, or the defaults when there is none; paths become relative to the file.
 
+    A bare name such as ``obd2`` is that of a configuration that is shipped, unless there is a file of that name.
+
     Raises
     ------
     ConfigError
@@ -273,13 +276,14 @@ def load(path: Path | str | None = None) -> Config:
     """
     if path is None:
         return Config()
-    path = Path(path)
+    path = _located(Path(path))
     try:
         text = read_bounded(path, MAX_FILE_BYTES).decode("utf-8")
         _refuse_long_keys(text)
         tables = tomllib.loads(text)
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
+        there = f"; configurations that are shipped: {', '.join(sorted(_shipped()))}" if _is_bare(path) else ""
+        raise ConfigError(f"{path}: {error.strerror}{there}") from error
     except (ValueError, RecursionError) as error:  # also bytes that are not UTF-8, and numbers of thousands of digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
     try:
@@ -303,6 +307,20 @@ def _beside(path: Path, table: Mqtt | Kuksa | None) -> Mqtt | Kuksa | None:
         return None
     named = {key: name for key, name in msgspec.structs.asdict(table).items() if key.endswith("_file") and name}
     return msgspec.structs.replace(table, **{key: str(path.parent / name) for key, name in named.items()})
+
+
+def _located(path: Path) -> Path:
+    """The file that is meant by a path, or by the name of a configuration that is shipped."""
+    return path if path.is_file() or not _is_bare(path) else _shipped().get(path.name, path)
+
+
+def _is_bare(path: Path) -> bool:
+    return path.name == str(path) and not path.suffix
+
+
+def _shipped() -> dict[str, Path]:
+    """Configurations that are shipped, by name."""
+    return {path.stem: path for path in Path(str(files("estimator.dbc"))).glob("*.toml")}
 
 
 def _refuse_long_keys(text: str) -> None:

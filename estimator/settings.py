@@ -37,7 +37,8 @@ class Bus(Section, frozen=True):
     """How traffic is decoded: databases, and the source address of a message."""
 
     dbc: list[str] = []  # paths relative to the configuration file; empty: the shipped j1939.dbc
-    match: Literal["auto", "pgn", "id"] = "auto"  # auto: by PGN where the DBC is of J1939 (VFrameFormat); pgn: all
+    # auto: by PGN where the DBC is of J1939 (VFrameFormat); pgn: all; obd: answers of any ECU
+    match: Literal["auto", "pgn", "id", "obd"] = "auto"
     source_addresses: dict[str, Address] = {}  # MESSAGE = address; others are found, and contested if they disagree
     channels: list[str | int] = []  # of a log with several, as the log names them; empty: all of them as one bus
     units: dict[str, str] = {}  # MESSAGE.signal = unit, where the DBC has none or a wrong one

@@ -155,12 +155,12 @@ def test_filters_let_through_what_is_decoded_and_little_else() -> None:
     rng = np.random.default_rng(1)
     idents = rng.integers(0, 1 << 29, 2000).tolist()
     idents += [6 << 26 | m.key << 8 | source for m in messages for source in (0, 0x31, 0xFE)]
-    idents += [0x1CECFF00, 0x1CEBFF00]
+    idents += [0x1CECFF00, 0x1CEBFF00, 0x1CECF900, 0x1CEBF900]
     for ident in idents:
         message = can.Message(arbitration_id=ident, data=bytes(8), is_extended_id=True)
         decoder = Decoder(messages, Bus())
         decoder.decode(Frames.from_messages([message]))
-        counted = decoder.used or any(decoder.rejected.values()) or ident & 0x03FFFF00 in (0xECFF00, 0xEBFF00)
+        counted = decoder.used or any(decoder.rejected.values()) or ident & 0x03FF0000 in (0xEC0000, 0xEB0000)
         assert passes(message, filters) == bool(counted)
 
 

@@ -177,15 +177,69 @@ def test_what_is_no_broadcast_is_passed_over() -> None:
     assert Transport().feed(standard) == []
 
 
+def to_node(t: float, source: int, node: int, payload: bytes, window: int = 255, period: float = 0.01) -> list[Row]:
+    """A message by RTS and CTS between two nodes, with what the receiver answers."""
+    rows = [(t, 0x1CEC0000 | node << 8 | source, b"\x10" + announcement(0, source, len(payload))[2][1:])]
+    back = 0x1CEC0000 | source << 8 | node
+    chunks = [payload[k : k + 7] for k in range(0, len(payload), 7)]
+    for k, chunk in enumerate(chunks):
+        t += period
+        if k % window == 0:
+            rows.append((t - period / 2, back, bytes([0x11, min(window, 255), k + 1, 0xFF, 0xFF, 0xE3, 0xFE, 0x00])))
+        rows.append((t, 0x1CEB0000 | node << 8 | source, transfer(0, source, k + 1, chunk)[2]))
+    size = len(payload).to_bytes(2, "little")
+    return [*rows, (t + period, back, b"\x13" + size + bytes([len(chunks), 0xFF, 0xE3, 0xFE, 0x00]))]
+
+
+@pytest.mark.parametrize("window", [1, 4, 255])
+def test_a_message_between_two_nodes_is_joined_while_listening(window: int) -> None:
+    rows = to_node(1.0, 0, 0xF9, PAYLOAD, window)
+    assert feed(rows) == ([MultiPacket(pytest.approx(1.06), EC1, 0, PAYLOAD, 0xF9)], {})
+    # A broadcast of the same node, and its answer to another one, do not disturb it; neither does the other direction.
+    others = [*broadcast(1.005, 0, b"\1" * 20), *to_node(1.004, 0xF9, 0, b"\2" * 30)]
+    messages, rejected = feed(sorted(rows + others))
+    assert sorted((m.payload, m.destination) for m in messages) == [
+        (PAYLOAD, 0xF9),
+        (b"\1" * 20, 0xFF),
+        (b"\2" * 30, 0),
+    ]
+    assert rejected == {}
+
+
+def test_a_receiver_may_wait_and_ask_again_but_not_without_end() -> None:
+    rows = to_node(0.0, 0, 0xF9, PAYLOAD, period=0.1)
+    waited = [(t + 1.4 * (t > 0.31), ident, data) for t, ident, data in rows]
+    assert feed(waited)[1] == {"transport: packet late or lost": 1}
+    wait = (0.9, 0x1CEC00F9, bytes.fromhex("1100FFFFFFE3FE00"))
+    assert [m.payload for m in feed(sorted([*waited, wait]))[0]] == [PAYLOAD]
+    again = sorted([*rows, *[(0.45, ident, data) for _, ident, data in rows[2:4]]])
+    messages, rejected = feed(again)
+    assert [m.payload for m in messages] == [PAYLOAD]
+    assert rejected == {"transport: packet repeated": 2}
+
+
+def test_a_second_message_to_another_node_breaks_off_the_first() -> None:
+    first, second = to_node(0.0, 0, 0xF9, PAYLOAD), to_node(0.035, 0, 0x21, PAYLOAD)
+    messages, rejected = feed(sorted(first + second))
+    assert [m.destination for m in messages] == [0x21]
+    assert rejected == {"transport: broken off": 1}
+
+
 sources = st.integers(0, 255)
 packets = st.tuples(
     st.sampled_from([0.0, 0.05, 0.1, 0.7, 0.8, -0.1]),
-    st.builds(lambda kind, low: kind | low, st.sampled_from([0x1CECFF00, 0x1CEBFF00]), st.integers(0, 3) | sources)
+    st.builds(
+        lambda kind, low: kind | low,
+        st.sampled_from([0x1CECFF00, 0x1CEBFF00, 0x1CEC0100, 0x1CEB0100]),
+        st.integers(0, 3) | sources,
+    )
     | st.integers(0, (1 << 29) - 1),
     st.binary(max_size=8)
     | st.binary(min_size=8, max_size=8)
     | st.builds(lambda k: transfer(0, 0, k)[2], st.integers(0, 4))
-    | st.builds(lambda size: announcement(0, 0, size)[2], st.integers(0, 30)),
+    | st.builds(lambda size: announcement(0, 0, size)[2], st.integers(0, 30))
+    | st.builds(lambda size: b"\x10" + announcement(0, 0, size)[2][1:], st.integers(9, 30))
+    | st.builds(lambda count: bytes([0x11, count, 1, 0xFF, 0xFF, 0xE3, 0xFE, 0x00]), st.integers(0, 2)),
 )
 
 
@@ -213,7 +267,10 @@ def test_many_broadcasts_at_once_are_joined_as_one_by_one(
     sent: list[tuple[int, int, float]], faults: list[tuple[int, str]], cut: int
 ) -> None:
     each = [
-        broadcast(2.0 * i, source, bytes(range(size)), period=period) for i, (source, size, period) in enumerate(sent)
+        to_node(2.0 * i, source, 1, bytes(range(size)), 3, period)
+        if size % 3 == 0
+        else broadcast(2.0 * i, source, bytes(range(size)), period=period)
+        for i, (source, size, period) in enumerate(sent)
     ]
     rows = sorted(itertools.chain(*each))
     for place, fault in faults:
@@ -226,7 +283,7 @@ def test_many_broadcasts_at_once_are_joined_as_one_by_one(
             "repeat": [rows[at], rows[at]],
             "swap": [*rows[at + 1 : at + 2], rows[at]],
             "late": [(t + 1.0, ident, data)],
-            "abort": [(t, 0x1CECFF00 | ident & 0xFF, b"\xff" + data[1:]), rows[at]],
+            "abort": [(t, 0x1CEC0000 | ident & 0xFFFF, b"\xff" + data[1:]), rows[at]],
         }[fault]
 
     def outcome(least: int) -> tuple[list[MultiPacket], dict[str, int]]:
@@ -244,9 +301,10 @@ def test_memory_is_bounded() -> None:
     n = 20_000
     transport = Transport()
     rows = [announcement(0.0, source, MAX_BYTES) for source in range(256)]
+    rows += [(0.0, 0x1CEC0000 | k, b"\x10" + rows[0][2][1:]) for k in range(1 << 16)]  # to every node
     for k in range(n):
         source, kind = int(rng.integers(256)), rng.random()
         rows.append(announcement(0.0, source, MAX_BYTES) if kind < 0.1 else transfer(0.0, source, k % 3 + 1))
     transport.feed(pack(rows))
-    assert len(transport._sessions) <= 256
+    assert len(transport._sessions) <= 512
     assert all(len(s.payload) <= MAX_BYTES + 6 for s in transport._sessions.values())

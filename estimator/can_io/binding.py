@@ -13,8 +13,9 @@ from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.database_limits import read_databases
 from estimator.can_io.database_mending import ORIGINAL_NAME, mend, mended_name
-from estimator.can_io.frames import EXTENDED
-from estimator.can_io.j1939 import MAX_BYTES, pgn_of
+from estimator.can_io.frames import EXTENDED, JOINED_BYTES
+from estimator.can_io.j1939 import pgn_of
+from estimator.can_io.obd import is_answer
 from estimator.can_io.switch_states import SWITCHES, States, configured, states_of
 from estimator.config import Config
 from estimator.errors import ConfigError, DatabaseError
@@ -47,7 +48,7 @@ class BoundMessage:
     """One message and the signals wanted from it.
 
     ``key`` is a PGN where ``by_pgn``, else the arbitration id with bit 31 set for 29-bit ids. Where ``j1939``, the
-    highest raw values are no values.
+    highest raw values are no values. ``of_any_ecu``: the answer of any ECU to OBD-II requests (ISO 15765-4).
     """
 
     name: str
@@ -58,6 +59,20 @@ class BoundMessage:
     cycle: float | None  # s between two of them by the database; None if it has none
     length: int  # bytes by the database
     signals: tuple[BoundSignal, ...]
+    of_any_ecu: bool = False
+
+    @property
+    def names_sender(self) -> bool:
+        """Whether the last byte of its ids is the address of the sender."""
+        return self.by_pgn or self.of_any_ecu
+
+
+def last_byte(signal: Signal) -> int:
+    """Number of payload bytes that a frame needs to carry the whole signal."""
+    if signal.byte_order == "little_endian":
+        return (signal.start + signal.length + 7) // 8
+    first, bit = divmod(signal.start, 8)
+    return first + (7 - bit + signal.length + 7) // 8
 
 
 class VehicleDatabase(Database):
@@ -221,8 +236,8 @@ def _check_layout(signal: Signal, path: str) -> None:
     if signal.length > MAX_SIGNAL_BITS or (signal.is_float and signal.length not in FLOATS):
         kind = "floating-point signal" if signal.is_float else "signal"
         raise DatabaseError(f"{path}: a {kind} of {signal.length} bits is no number; correct the DBC")
-    if signal.start + signal.length > 8 * MAX_BYTES:
-        raise DatabaseError(f"{path}: lies beyond byte {MAX_BYTES} of its message; correct the DBC")
+    if last_byte(signal) > JOINED_BYTES:
+        raise DatabaseError(f"{path}: lies beyond byte {JOINED_BYTES} of its message; correct the DBC")
     if signal.scale == 0:
         raise DatabaseError(f"{path}: has a factor of 0; correct the DBC")
 
@@ -251,10 +266,12 @@ def bound_message(message: Message, signals: tuple[BoundSignal, ...], config: Co
         raise ConfigError(f'bus.match: {name} has an 11-bit id, which holds no PGN; write "auto" or "id"')
     j1939 = extended and (match == "pgn" or message.protocol == "j1939")
     by_pgn = j1939 and match != "id"
+    whole = message.frame_id | (EXTENDED if extended else 0)
+    of_any_ecu = match == "obd" and bool(is_answer(np.array([whole], np.uint32))[0])
     source = config.bus.source_addresses.get(name)
-    if source is not None and not by_pgn:
+    if source is not None and not by_pgn and not of_any_ecu:
         raise ConfigError(f"bus.source_addresses.{name}: matched by its whole id, not by PGN; leave it out")
-    key = _pgn(message.frame_id) if by_pgn else message.frame_id | (EXTENDED if extended else 0)
+    key = _pgn(message.frame_id) if by_pgn else whole
     period: object = message.cycle_time  # [ms]; an attribute of the database may be of any type
     cycle = period / 1000 if isinstance(period, int | float) and period > 0 else None
     return BoundMessage(
@@ -266,6 +283,7 @@ def bound_message(message: Message, signals: tuple[BoundSignal, ...], config: Co
         cycle=cycle,
         length=message.length,
         signals=signals,
+        of_any_ecu=of_any_ecu,
     )
 
 

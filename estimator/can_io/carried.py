@@ -61,7 +61,7 @@ class CarriedMessage:
     @classmethod
     def of(cls, message: BoundMessage, frames: Frames, ends: Floats) -> "CarriedMessage":
         """Signals in frames of a message, in blocks that end at ``ends`` (k,) [s]."""
-        source = frames.ident.astype(np.uint8) if message.by_pgn else np.full(len(frames), NO_ADDRESS, np.uint8)
+        source = frames.ident.astype(np.uint8) if message.names_sender else np.full(len(frames), NO_ADDRESS, np.uint8)
         signals = tuple(_signal(message, bound, frames, source, ends) for bound in message.signals)
         return cls(message, frames.t, signals)
 

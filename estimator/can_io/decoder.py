@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.can_io.binding import BoundMessage, BoundSignal
+from estimator.can_io.binding import BoundMessage, BoundSignal, last_byte
 from estimator.can_io.carried import CarriedMessage, CarriedSignal, path_of
 from estimator.can_io.contradiction import Contradiction
 from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.iso_tp import IsoTp, is_segmented
 from estimator.can_io.j1939 import GROUP_MASK, PDU1_LIMIT, MultiPacket, Transport, pgn_of
-from estimator.can_io.signal_values import WORDS, last_byte
+from estimator.can_io.obd import is_answer
+from estimator.can_io.signal_values import WORDS, needed_bytes
 from estimator.can_io.source_selection import KIND, Kind, Verdict, choice
 from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.errors import StateError
@@ -55,19 +57,21 @@ class Decoder:
         # Of two roles of one signal the stricter one counts.
         each = sorted([(m, b) for m in messages for b in m.signals], key=lambda pair: _strictness(pair[1]))
         self._choices = {path_of(m, b): choice(m, b, bus) for m, b in each}
-        self._by_pgn = {path_of(m, b) for m in messages if m.by_pgn for b in m.signals}
+        self._with_sender = {path_of(m, b) for m in messages if m.names_sender for b in m.signals}
         paths = Counter(path_of(m, b) for m in messages for b in m.signals)
         self._shared = {path for path, count in paths.items() if count > 1}  # by several roles
         self._places = Counter(bound.role for message in messages for bound in message.signals)
-        self._needs = [max(last_byte(s) for b in m.signals for s in (b.signal, *b.multiplexers)) for m in messages]
+        self._needs = [needed_bytes(message) for message in messages]
+        self._reaches = [max(last_byte(s) for b in m.signals for s in (b.signal, *b.multiplexers)) for m in messages]
         self._transport = Transport()
         self._seen: set[str] = set()  # names of messages that came
         self._groups_seen: set[str] = set()  # and of those matched by their whole id, whose group came
+        self._iso_tp = {message.name: IsoTp(message) for message in messages if is_segmented(message)}
 
     @property
     def sources(self) -> dict[str, int]:
-        """Source address that each J1939 signal is taken from, by MESSAGE.signal, where it is known."""
-        found = {path: self._choices[path].source for path in self._choices if path in self._by_pgn}
+        """Source address that each signal of J1939 or OBD-II is taken from, by MESSAGE.signal, where it is known."""
+        found = {path: self._choices[path].source for path in self._choices if path in self._with_sender}
         return {path: source for path, source in found.items() if source is not None}
 
     @property
@@ -77,8 +81,8 @@ class Decoder:
 
     @property
     def transport_rejected(self) -> Counter[str]:
-        """Broken multi-packet broadcasts, by reason."""
-        return self._transport.rejected
+        """Broken multi-packet messages, by reason."""
+        return sum((each.rejected for each in self._iso_tp.values()), self._transport.rejected)
 
     def release(self, is_other_vehicle: bool = False) -> None:
         """Choose the senders again: another node may send now, or that of another vehicle."""
@@ -112,7 +116,7 @@ class Decoder:
         self.contested = contested
         self.used = read(state, "used", Count)
         self.rejected = Counter(read(state, "rejected", dict[str, Count]))
-        self.transport_rejected.update(read(state, "transport", dict[str, Count]))
+        self._transport.rejected.update(read(state, "transport", dict[str, Count]))
 
     def decode(self, frames: Frames, end: float | None = None) -> dict[Role, list[Series]]:
         """Signals in one block of frames, in SI; a role bound to several has a series for each, empty or not.
@@ -135,9 +139,12 @@ class Decoder:
         group = frames.ident & np.uint32(GROUP_MASK)
         packets = self._transport.feed(frames)
         carried = []
-        for message, need in zip(self._messages, self._needs, strict=True):
+        for message, need, reach in zip(self._messages, self._needs, self._reaches, strict=True):
             chosen = frames[is_message(message, frames.ident, group)]
             self._note_presence(message, bool(len(chosen)), group, packets)
+            if message.name in self._iso_tp:
+                chosen = self._iso_tp[message.name].feed(chosen)
+            chosen = chosen.widened(reach)
             whole = chosen.length >= need
             broadcasts = [packet for packet in packets if message.by_pgn and packet.pgn == message.key]
             long = [packet for packet in broadcasts if len(packet.payload) >= need]
@@ -145,7 +152,7 @@ class Decoder:
                 self.rejected[f"{message.name}: short frame"] += short
                 chosen = chosen[whole]
             if long:
-                chosen = Frames.concatenate([chosen, _stack(long, need)])
+                chosen = Frames.concatenate([chosen, _stack(long, reach)])
                 chosen = chosen[np.argsort(chosen.t, kind="stable")]
             carried.append(CarriedMessage.of(message, chosen, ends))
         return carried
@@ -245,6 +252,8 @@ def _strictness(bound: BoundSignal) -> int:
 
 def is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:
     """Which ids (n,) are those of a message; ``group`` is what they have without priority and source address."""
+    if message.of_any_ecu:
+        return is_answer(ident)
     if message.by_pgn:
         return is_group(message.key, group)
     is_same: Mask = ident == message.key
@@ -259,13 +268,13 @@ def is_group(pgn: int, group: NDArray[np.uint32]) -> Mask:
     return is_of_group
 
 
-def _stack(packets: list[MultiPacket], need: int) -> Frames:
-    """Reassembled messages in the form of frames, cut or zero-filled to words that hold the ``need`` bytes wanted."""
-    width = -(-need // WORDS[-1]) * WORDS[-1]
+def _stack(packets: list[MultiPacket], reach: int) -> Frames:
+    """Reassembled messages in the form of frames, cut or zero-filled to words that hold the ``reach`` bytes wanted."""
+    width = -(-reach // WORDS[-1]) * WORDS[-1]
     rows = [np.frombuffer(p.payload[:width].ljust(width, b"\0"), dtype=np.uint8) for p in packets]
     return Frames(
         np.array([p.t for p in packets], dtype=np.float64),
         np.array([EXTENDED | p.pgn << 8 | p.source for p in packets], dtype=np.uint32),
-        np.array([min(len(p.payload), 255) for p in packets], dtype=np.uint8),
+        np.array([len(p.payload) for p in packets], dtype=np.uint16),
         np.array(rows, dtype=np.uint8),
     )

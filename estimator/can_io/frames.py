@@ -1,7 +1,8 @@
 """A batch of CAN frames as arrays: the form in which logs are read and the bus is drained."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import can
 import numpy as np
@@ -12,6 +13,7 @@ from estimator.signals import Floats
 EXTENDED = 1 << 31  # set in `ident` for a 29-bit id, as SocketCAN does (CAN_EFF_FLAG)
 CLASSIC_BYTES = 8  # payload of a classic CAN frame
 FD_BYTES = 64  # payload of the longest CAN FD frame
+JOINED_BYTES = 4095  # payload of the longest message that is joined from frames (ISO 15765-2)
 FIRST_BYTES = np.array([(1 << 8 * n) - 1 for n in range(CLASSIC_BYTES + 1)], np.uint64)  # mask of n bytes of a payload
 
 
@@ -19,13 +21,13 @@ FIRST_BYTES = np.array([(1 << 8 * n) - 1 for n in range(CLASSIC_BYTES + 1)], np.
 class Frames:
     """Data frames in order of arrival.
 
-    ``t`` (n,) [s]; ``ident`` (n,) uint32 with bit 31 set for 29-bit ids; ``length`` (n,) uint8, payload bytes;
-    ``data`` (n, 8) uint8, or (n, 64) when a CAN FD frame is among them, zero beyond ``length``.
+    ``t`` (n,) [s]; ``ident`` (n,) uint32 with bit 31 set for 29-bit ids; ``length`` (n,) payload bytes;
+    ``data`` (n, 8) uint8, or wider when a longer payload is among them (64 for CAN FD), zero beyond ``length``.
     """
 
     t: Floats
     ident: NDArray[np.uint32]
-    length: NDArray[np.uint8]
+    length: NDArray[np.unsignedinteger[Any]]
     data: NDArray[np.uint8]
 
     def __len__(self) -> int:
@@ -37,6 +39,11 @@ class Frames:
         rows = np.flatnonzero(index) if index.dtype == np.bool_ else index
         words = np.take(self.words, rows, axis=0)  # faster than byte by byte, and `take` than an index
         return Frames(self.t.take(rows), self.ident.take(rows), self.length.take(rows), words.view(np.uint8))
+
+    def widened(self, size: int) -> "Frames":
+        """The same with zeros behind payloads that are narrower than ``size`` bytes, in whole words."""
+        width = -(-size // CLASSIC_BYTES) * CLASSIC_BYTES
+        return self if self.data.shape[1] >= width else replace(self, data=widened(self.data, width))
 
     @property
     def words(self) -> NDArray[np.uint64]:
@@ -78,7 +85,7 @@ class Frames:
 
     @classmethod
     def concatenate(cls, parts: "list[Frames]") -> "Frames":
-        """Join batches, widening classic payloads where an FD frame is among them."""
+        """Join batches, widening payloads where a longer one is among them."""
         if len(parts) == 1:
             return parts[0]
         if not parts:

@@ -1,4 +1,4 @@
-"""J1939: parameter group numbers, values that are no values, and multi-packet broadcasts.
+"""J1939: parameter group numbers, values that are no values, and multi-packet messages.
 
 Source: SAE J1939-21 (identifiers, transport protocol) and J1939-71 table 1 (value ranges).
 """
@@ -18,15 +18,17 @@ PDU1_LIMIT = 0xF0  # PDU formats below address one node: their low byte is a des
 TP_CM = 0xEC00  # transport protocol, connection management
 TP_DT = 0xEB00  # transport protocol, data transfer
 BAM = 0x20  # control byte: broadcast announce message
+RTS, CTS, END_OF_MESSAGE = 0x10, 0x11, 0x13  # control bytes: request to send, clear to send, acknowledgement
 ABORT = 0xFF  # control byte: connection abort
 GLOBAL = 0xFF  # destination address of a broadcast
 T1 = 0.75  # s between packets after which a receiver gives up (J1939-21, 5.13.3)
+T2 = 1.25  # s after a CTS until the first packet that it allows; T4, of a CTS that allows none, is shorter
 PACKET_BYTES = 7  # payload of a data packet after its sequence number
 GROUP_MASK = EXTENDED | 0x3FFFF00  # of an id: all but priority and source
-ANNOUNCEMENT = EXTENDED | (TP_CM | GLOBAL) << 8
-PACKET = EXTENDED | (TP_DT | GLOBAL) << 8
-BROADCAST = EXTENDED | (0xE800 | GLOBAL) << 8  # both of these, and of six groups beside them
-BROADCAST_MASK = GROUP_MASK & ~0x70000
+FORMAT_MASK = GROUP_MASK & ~0xFF00  # and but the destination
+ANNOUNCEMENT, PACKET = EXTENDED | TP_CM << 8, EXTENDED | TP_DT << 8
+NEAR = EXTENDED | 0xE800 << 8  # both of these, and six groups beside them
+NEAR_MASK = FORMAT_MASK & ~0x70000
 MIN_AT_ONCE = 32  # frames of the protocol that are worth to be looked at together
 MAX_BYTES = 255 * PACKET_BYTES  # of a message: its packets are numbered from 1 to 255 (J1939-21)
 
@@ -63,9 +65,11 @@ def classify(raw: NDArray[np.uint64], length: int) -> tuple[Mask, Mask, Mask]:
 @dataclass(slots=True, kw_only=True)
 class _Session:
     pgn: int
+    destination: int
     size: int
     packets: int
     t: float
+    until: float  # [s] by which the next packet has to come
     payload: bytearray = field(default_factory=bytearray)
     received: int = 0
 
@@ -78,95 +82,110 @@ class MultiPacket:
     pgn: int
     source: int
     payload: bytes
+    destination: int = GLOBAL
 
 
 class Transport:
-    """Reassembles broadcasts (BAM); one at a time per source, several sources may interleave.
+    """Reassembles messages to all (BAM) and, as a listener, those to one node (RTS and CTS).
 
-    A broken broadcast is dropped whole; ``rejected`` counts why.
+    Of one source there is one of either kind at a time; several sources may interleave. A broken message is dropped
+    whole; ``rejected`` counts why.
     """
 
     def __init__(self) -> None:
         self.rejected: Counter[str] = Counter()
-        self._sessions: dict[int, _Session] = {}
+        self._sessions: dict[tuple[int, bool], _Session] = {}  # by source, and whether to all
 
     def feed(self, frames: Frames) -> list[MultiPacket]:
         """Messages that these frames complete; frames that are not of the transport protocol are passed over."""
-        # Broadcasts only: the destination byte of the id is the global address.
-        rows = np.flatnonzero(frames.ident & np.uint32(BROADCAST_MASK) == BROADCAST)
-        group = frames.ident[rows] & np.uint32(GROUP_MASK)
+        rows = np.flatnonzero(frames.ident & np.uint32(NEAR_MASK) == NEAR)
+        group = frames.ident[rows] & np.uint32(FORMAT_MASK)
         is_known = ((group == ANNOUNCEMENT) | (group == PACKET)) & (frames.length[rows] >= CLASSIC_BYTES)
         if not is_known.all():
             short = ((group == ANNOUNCEMENT) | (group == PACKET)) & ~is_known
             self.rejected["transport: short frame"] += int(np.count_nonzero(short))
             rows, group = rows[is_known], group[is_known]
-        t, source, data = frames.t[rows], frames.ident[rows] & np.uint32(0xFF), frames.data[rows, :CLASSIC_BYTES]
+        t, ident, data = frames.t[rows], frames.ident[rows], frames.data[rows, :CLASSIC_BYTES]
         opens = group == ANNOUNCEMENT
-        whole, left = _whole_broadcasts(t, source, opens, data) if len(rows) >= MIN_AT_ONCE else ({}, range(len(rows)))
-        payload, times, sources, is_opening = data.tobytes(), t.tolist(), source.tolist(), opens.tolist()
+        whole, left = _whole_messages(t, ident, opens, data) if len(rows) >= MIN_AT_ONCE else ({}, range(len(rows)))
+        payload, times, idents, is_opening = data.tobytes(), t.tolist(), ident.tolist(), opens.tolist()
         messages: list[tuple[int, MultiPacket]] = []
         for i in left:
+            source, destination = idents[i] & 0xFF, idents[i] >> 8 & 0xFF
+            packet = payload[CLASSIC_BYTES * i : CLASSIC_BYTES * (i + 1)]
             if i in whole:
-                self._break_off(sources[i])
+                self._break_off(source, destination)
                 messages.append(whole[i])
             elif is_opening[i]:
-                self._open(times[i], sources[i], payload[CLASSIC_BYTES * i : CLASSIC_BYTES * (i + 1)])
-            elif found := self._extend(times[i], sources[i], payload[CLASSIC_BYTES * i : CLASSIC_BYTES * (i + 1)]):
+                self._manage(times[i], source, destination, packet)
+            elif found := self._extend(times[i], source, destination, packet):
                 messages.append((i, found))
         return [message for _, message in sorted(messages, key=itemgetter(0))]
 
-    def _break_off(self, source: int) -> None:
-        if self._sessions.pop(source, None) is not None:
+    def _break_off(self, source: int, destination: int) -> None:
+        if self._sessions.pop((source, destination == GLOBAL), None) is not None:
             self.rejected["transport: broken off"] += 1
 
-    def _open(self, t: float, source: int, data: bytes) -> None:
-        if data[0] not in (BAM, ABORT):
+    def _manage(self, t: float, source: int, destination: int, data: bytes) -> None:
+        """Take a frame of connection management; what a receiver says but "wait" and "go on" is passed over."""
+        pgn = int.from_bytes(data[5:8], "little")
+        if data[0] == CTS:
+            session = self._sessions.get((destination, False))
+            if session is not None and (session.destination, session.pgn) == (source, pgn):
+                session.until = max(session.until, t + T2)
             return
-        self._break_off(source)
+        if data[0] != ABORT and data[0] != (BAM if destination == GLOBAL else RTS):
+            return
+        self._break_off(source, destination)
         if data[0] == ABORT:
             return
         size, packets = int.from_bytes(data[1:3], "little"), data[3]
         if not 8 < size <= MAX_BYTES or packets != -(-size // PACKET_BYTES):
             self.rejected["transport: impossible announcement"] += 1
             return
-        self._sessions[source] = _Session(pgn=int.from_bytes(data[5:8], "little"), size=size, packets=packets, t=t)
+        until = t + (T1 if destination == GLOBAL else T2)
+        self._sessions[source, destination == GLOBAL] = _Session(
+            pgn=pgn, destination=destination, size=size, packets=packets, t=t, until=until
+        )
 
-    def _extend(self, t: float, source: int, data: bytes) -> MultiPacket | None:
-        session = self._sessions.get(source)
-        if session is None:
+    def _extend(self, t: float, source: int, destination: int, data: bytes) -> MultiPacket | None:
+        key = source, destination == GLOBAL
+        session = self._sessions.get(key)
+        if session is None or session.destination != destination:
             return None
         number = data[0]
-        if 0 < number == session.received and session.payload.endswith(data[1:]):
+        if 0 < number <= session.received and session.payload.startswith(data[1:], PACKET_BYTES * (number - 1)):
             self.rejected["transport: packet repeated"] += 1
             return None
-        if not 0 <= t - session.t <= T1 or number != session.received + 1:
+        if not session.t <= t <= session.until or number != session.received + 1:
             self.rejected["transport: packet late or lost"] += 1
-            del self._sessions[source]
+            del self._sessions[key]
             return None
-        session.t, session.received = t, number
+        session.t, session.until, session.received = t, t + T1, number
         session.payload += data[1:]
         if number < session.packets:
             return None
-        del self._sessions[source]
-        return MultiPacket(t, session.pgn, source, bytes(session.payload[: session.size]))
+        del self._sessions[key]
+        return MultiPacket(t, session.pgn, source, bytes(session.payload[: session.size]), destination)
 
 
-def _whole_broadcasts(
-    t: Floats, source: NDArray[np.uint32], opens: Mask, data: NDArray[np.uint8]
+def _whole_messages(
+    t: Floats, ident: NDArray[np.uint32], opens: Mask, data: NDArray[np.uint8]
 ) -> tuple[dict[int, tuple[int, MultiPacket]], Sequence[int]]:
-    """Broadcasts without a fault, by the place of their announcement; and the places that are not inside one.
+    """Messages without a fault, by the place of their announcement; and the places that are not inside one.
 
     With each message comes the place of its last packet. Frames (n,) have times ``t`` [s] and payloads ``data`` (n, 8);
-    those that open a broadcast are announcements, the others packets.
+    those that open a message are of connection management, the others packets.
     """
-    order = np.argsort(source, kind="stable")
-    t, source, opens, data = t[order], source[order], opens[order], data[order]
+    to = ident >> 8 & 0xFF
+    order = np.argsort((ident & 0xFF) << 1 | (to == GLOBAL), kind="stable")
+    t, ident, to, opens, data = t[order], ident[order], to[order], opens[order], data[order]
     words = np.ascontiguousarray(data).view("<u8")[:, 0]
     number = np.where(opens, 0, data[:, 0].astype(np.intp))
-    step = np.diff(t)
-    goes_on = ~opens[1:] & (source[1:] == source[:-1]) & (number[1:] == number[:-1] + 1) & (step >= 0) & (step <= T1)
+    step, pair = np.diff(t), ident & 0xFFFF
+    goes_on = ~opens[1:] & (pair[1:] == pair[:-1]) & (number[1:] == number[:-1] + 1) & (step >= 0) & (step <= T1)
     breaks = np.concatenate([[0], np.cumsum(~goes_on)])
-    first = np.flatnonzero(opens & (data[:, 0] == BAM))
+    first = np.flatnonzero(opens & (data[:, 0] == np.where(to == GLOBAL, BAM, RTS)))
     size, packets = (words[first] >> np.uint64(8) & np.uint64(0xFFFF)).astype(np.intp), data[first, 3].astype(np.intp)
     last = first + packets
     good = (size > CLASSIC_BYTES) & (size <= MAX_BYTES) & (packets == -(-size // PACKET_BYTES)) & (last < len(t))
@@ -180,10 +199,10 @@ def _whole_broadcasts(
     payload, pgn = data[:, 1:].tobytes(), (words[first] >> np.uint64(40)).tolist()
     each = zip(
         order[first].tolist(), order[last].tolist(), first.tolist(), size.tolist(), t[last].tolist(), pgn,
-        source[first].tolist(), strict=True,
+        (ident[first] & 0xFF).tolist(), to[first].tolist(), strict=True,
     )  # fmt: skip
     whole = {}
-    for place, end, at, length, when, group, address in each:
+    for place, end, at, length, when, group, source, destination in each:
         begin = PACKET_BYTES * (at + 1)
-        whole[place] = end, MultiPacket(when, group, address, payload[begin : begin + length])
+        whole[place] = end, MultiPacket(when, group, source, payload[begin : begin + length], destination)
     return whole, left.tolist()

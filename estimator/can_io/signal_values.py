@@ -11,7 +11,7 @@ import numpy as np
 from cantools.database.can import Signal
 from numpy.typing import NDArray
 
-from estimator.can_io.binding import BoundMessage, BoundSignal
+from estimator.can_io.binding import BoundMessage, BoundSignal, last_byte
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939 import classify, highest_valid
 from estimator.signals import Floats, Mask
@@ -57,12 +57,12 @@ def _extract_across_words(data: NDArray[np.uint8], signal: Signal) -> Raw:
     return raw & np.uint64((1 << signal.length) - 1)
 
 
-def last_byte(signal: Signal) -> int:
-    """Number of payload bytes that a frame needs to carry the whole signal."""
-    if signal.byte_order == "little_endian":
-        return (signal.start + signal.length + 7) // 8
-    first, bit = divmod(signal.start, 8)
-    return first + (7 - bit + signal.length + 7) // 8
+def needed_bytes(message: BoundMessage) -> int:
+    """Number of payload bytes without which a frame of the message is refused.
+
+    They hold what every frame carries: what is behind a multiplexer is looked for where that selects it.
+    """
+    return max(last_byte(bound.multiplexers[-1] if bound.multiplexers else bound.signal) for bound in message.signals)
 
 
 def _number(raw: Raw, signal: Signal) -> Floats:
@@ -93,7 +93,7 @@ def present(bound: BoundSignal, frames: Frames) -> Mask:
     here = np.ones(len(frames), dtype=bool)
     for signal, multiplexer in pairwise((bound.signal, *bound.multiplexers)):
         selecting = np.array(signal.multiplexer_ids or [], dtype=np.uint64)
-        here &= np.isin(extract(frames.data, multiplexer), selecting)
+        here &= np.isin(extract(frames.data, multiplexer), selecting) & (frames.length >= last_byte(multiplexer))
     return here
 
 
@@ -103,7 +103,8 @@ def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[F
     raw = extract(frames.data, signal)
     with np.errstate(over="ignore", invalid="ignore"):  # floating-point signals may hold anything
         value = _number(raw, signal)
-        if _are_all_usual(message, bound, value):
+        cut = frames.length < last_byte(signal)
+        if not cut.any() and _are_all_usual(message, bound, value):
             return _scaled(value, conversion.scale, conversion.offset), {}
         si = _scaled(value.copy(), conversion.scale, conversion.offset)
         if bound.tangent:
@@ -112,6 +113,8 @@ def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[F
     if bound.states is not None:
         si = np.isin(value, bound.states.on).astype(np.float64)
         masks["no state"] = np.isin(value, bound.states.unknown) & ~np.any(list(masks.values()), axis=0)
+    if cut.any():
+        masks = {"short frame": cut} | {reason: mask & ~cut for reason, mask in masks.items()}
     for mask in masks.values():
         si[mask] = np.nan
     return si, masks

@@ -95,7 +95,16 @@ class Choice(Protocol):
 class SenderChoice:
     """The address from which a signal that varies is taken; see `choice`."""
 
-    def __init__(self, role: Role, step: float, configured: int | None, highest_rate: float, settings: Bus) -> None:
+    def __init__(
+        self,
+        role: Role,
+        step: float,
+        configured: int | None,
+        highest_rate: float,
+        settings: Bus,
+        *,
+        is_asked_for: bool = False,
+    ) -> None:
         self.source = configured
         self._kind, self._is_state = KIND.get(role, Kind.AUXILIARY), DIMENSION[role] == STATE
         self._magnitude, self._step, self._configured = MAGNITUDE.get(role, 0.0), step, configured
@@ -104,7 +113,8 @@ class SenderChoice:
         # Engine and driveline have a retarder each, and each sends its own torque.
         self._is_of_all = role is Role.RETARDER_FRACTION and configured is None
         self._is_j1939 = bool(np.isfinite(highest_rate))  # how values alternate is known of its groups alone
-        self._is_rated = self._kind is Kind.MEASURED and role is not Role.TORQUE_FRACTION  # comes with the engine speed
+        comes_alone = role is not Role.TORQUE_FRACTION  # which comes with the engine speed
+        self._is_rated = self._kind is Kind.MEASURED and comes_alone and not is_asked_for
         self._contest = Contest(settings.contest_s)
         self._last: dict[int, float] = {}  # time of the newest valid reading [s], by address
         self._agreed: set[int] = set()  # addresses that sent what the chosen one sent
@@ -333,9 +343,10 @@ class ConstantChoice:
 
 def choice(message: BoundMessage, bound: BoundSignal, settings: Bus) -> Choice:
     """How to choose the sender of a signal; where ids hold no address, all readings count as from address 0."""
-    configured = message.source if message.by_pgn else NO_ADDRESS
+    configured = message.source if message.names_sender else NO_ADDRESS
     step = 0.0 if bound.signal.is_float else abs(float(bound.signal.scale) * bound.conversion.scale)
     if KIND.get(bound.role) is Kind.CONSTANT:
         return ConstantChoice(step, configured, settings)
     highest = fastest(message.cycle) if message.j1939 else np.inf
-    return SenderChoice(bound.role, step, configured, highest, settings)
+    # How often a multiplexer selects a signal is up to a tester's requests: no rate is its own.
+    return SenderChoice(bound.role, step, configured, highest, settings, is_asked_for=bool(bound.multiplexers))

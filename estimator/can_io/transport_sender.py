@@ -9,9 +9,19 @@ from dataclasses import dataclass
 import can
 
 from estimator.can_io.frames import CLASSIC_BYTES
-from estimator.can_io.j1939 import ABORT, BAM, GLOBAL, MAX_BYTES, PACKET_BYTES, TP_CM, TP_DT
+from estimator.can_io.j1939 import (
+    ABORT,
+    BAM,
+    CTS,
+    END_OF_MESSAGE,
+    GLOBAL,
+    MAX_BYTES,
+    PACKET_BYTES,
+    RTS,
+    TP_CM,
+    TP_DT,
+)
 
-RTS, CTS, END_OF_MESSAGE = 0x10, 0x11, 0x13  # control bytes: request to send, clear to send, acknowledgement
 PRIORITY = 7  # of both transport groups
 SPACING = 0.05  # s between data packets
 T3 = 1.25  # s without an answer, or without a turn, after which a message is given up; T4, of a CTS for 0, is shorter

@@ -19,7 +19,9 @@ def add_debug(parser: argparse.ArgumentParser) -> None:
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """Add --config and --dbc."""
-    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="settings and signal binding")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE.toml", help="settings and signal binding; obd2: as shipped"
+    )
     parser.add_argument("--dbc", action="append", metavar="FILE.dbc", help="instead of the configuration's databases")
 
 

@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from estimator.can_io.j1939_encoder import frames_of
+from estimator.can_io import j1939_encoder, obd2_encoder
 from estimator.can_io.log_writer import WRITABLE, write_log
 from estimator.commands.arguments import add_output, not_negative, number, whole_number
 from estimator.commands.log_options import check_outputs
@@ -20,10 +20,11 @@ from estimator.signals import Role
 from estimator.simulation.cycle import COLUMNS, cycle_route
 from estimator.simulation.effects.catalogue import KINDS, parse_effect
 from estimator.simulation.itinerary import Shape, shaped
+from estimator.simulation.polling import polled
 from estimator.simulation.recording import record
 from estimator.simulation.route import RoadKind, generate_route
 from estimator.simulation.sensors import OPTIONAL, Sensors
-from estimator.simulation.truck import draw_truck
+from estimator.simulation.truck import draw_car, draw_truck
 
 METRES_PER_MINUTE = 2000.0  # of simulated road, 120 km/h: longer than any drive
 TRUTHS = {"mass": ("kg", "mass", 1e6), "A": ("N", "rolling force", 1e6), "C": ("N s2/m2", "drag coefficient", 1e3)}
@@ -42,6 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name, (unit, what, most) in TRUTHS.items():
         allowed = number(sys.float_info.min, most, f"a positive number up to {most:g}")
         parser.add_argument(f"--{name}", type=allowed, metavar=unit, help=f"{what}, instead of the drawn one")
+    poll = "a car that answers a logger on its OBD-II socket, each PID once in this time, instead of a truck on J1939"
+    parser.add_argument("--poll", type=number(0.05, 10.0, "a time from 0.05 to 10 s"), metavar="s", help=poll)
     noise = "sd of the wheel speed's noise (default: 0.01)"
     parser.add_argument("--speed-noise", type=not_negative, default=0.01, metavar="m/s", help=noise)
     steps = "of the reference torque, in which torque is sent: 0.125 (default) or 1"
@@ -74,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     if late := next((effect for effect in effects if effect.start is not None and effect.start >= duration), None):
         raise InputError(f"effect {late.name}: begins at {late.start:g} s, after a drive of {duration:g} s")
     rng = np.random.default_rng(options.seed)
-    drawn = draw_truck(rng)
+    drawn = draw_truck(rng) if options.poll is None else draw_car(rng)
     chosen = {name: getattr(options, name) for name in ("mass", "A", "C") if getattr(options, name) is not None}
     truck = dataclasses.replace(drawn, **chosen)
     length = options.minutes * METRES_PER_MINUTE
@@ -87,7 +90,10 @@ def run(options: argparse.Namespace) -> int:
     )
     route = shaped(road, duration, options.shape)
     recording = record(truck, route, duration, rng, sensors=sensors, effects=effects)
-    frames = frames_of(recording.signals)
+    if options.poll is None:
+        frames = j1939_encoder.frames_of(recording.signals)
+    else:
+        frames = obd2_encoder.frames_of(polled(recording.signals, options.poll, rng))
     write_log(frames, options.output)
     answer = of_recording(recording, str(options.output), len(frames), duration)
     if options.json:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.can_io.foreign_senders import CVW, ForeignSenders
 from estimator.can_io.frames import EXTENDED, Frames
-from estimator.can_io.j1939 import TP_CM, Transport, pgn_of
+from estimator.can_io.j1939 import GLOBAL, TP_CM, Transport, pgn_of
 from estimator.can_io.j1939_name import BYTES, Name
 from estimator.can_io.j1939_node import ADDRESS_CLAIMED, COMMANDED_ADDRESS, REQUEST, Node, TokenBucket
 from estimator.can_io.publisher import Publisher, output_groups
@@ -139,7 +139,7 @@ class Transmitter:
             for message in frames[ours].messages():
                 self.diagnostics.transport.hear(message.arbitration_id & 0xFF, bytes(message.data), now)
         for whole in self._incoming.feed(frames):
-            if whole.pgn == COMMANDED_ADDRESS and len(whole.payload) == BYTES + 1:
+            if whole.destination == GLOBAL and whole.pgn == COMMANDED_ADDRESS and len(whole.payload) == BYTES + 1:
                 name, address = int.from_bytes(whole.payload[:BYTES], "little"), whole.payload[BYTES]
                 if self.node.take_command(name, address, now):
                     log.info("address %d, as another node commanded", address)

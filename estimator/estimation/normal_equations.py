@@ -6,7 +6,8 @@ same fit the normal matrix is corrected (a corrected score: Nakamura 1990, Stefa
     X'K^-1 X  less  the mean over simulated noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
 
 The scale of the noise is that of an acceleration, found beside the coefficients before they are corrected: the noise of
-the force is that times the mass before the correction.
+the force is that times the mass before the correction. Errors of a speed in coarse steps (OBD-II: whole km/h) last for
+seconds, and are taken for noise of the torque in part: then half of the noise is corrected for, and all of it is doubt.
 
 **Drivers answer slopes** that the model takes as unknown when the force is given: a foot or a governor that keeps the
 speed gives k m g theta more force, so the speed changes by less, and the mass comes out too large. With the covariance
@@ -39,10 +40,12 @@ from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood, limited
 from estimator.model.linear_gaussian import Places
 from estimator.model.road_scales import TORQUE
 from estimator.model.road_score import changed_by_scales
-from estimator.signals import Floats
+from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION
 
 MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction counts as sd (BMW i3: 0.13)
+# Of the noise found, where the speed comes in coarse steps: the rest may be theirs.
+COARSE_SHARE, COARSE_SD = 0.5, 1.0  # and the sd of the correction, over itself
 # Share of the slopes that drivers answer, and its sd. 54 drives of a simulated driver, who changes the force within
 # 0.6 s, have 1.09 +- 0.05; a trace that is followed exactly has 1, a foot that does not move 0.
 ANSWERED, ANSWERED_SD = 1.0, 0.4
@@ -95,10 +98,15 @@ class NormalEquations:
             unit=likelihood.unit,
             present=int(np.count_nonzero(shapes.any(axis=1))),
         )
+        if Quantity.SPEED_STEP in likelihood.model.strides.context:
+            found = replace(found, noise=COARSE_SHARE * found.noise)
         root, noise_moved = _scale_doubt(likelihood, scales, free, power_chance)
         residual = data[:, 0] - data[:, 1 : 1 + len(beta)] @ found.solve()[0]
         changed = changed_by_scales(conditioned, scales, residual)[:, free] @ root
-        return replace(found, moved=-data[:, 1:].T @ conditioned.weighed(changed), noise_moved=noise_moved)
+        moved = -data[:, 1:].T @ conditioned.weighed(changed)
+        if Quantity.SPEED_STEP in likelihood.model.strides.context:
+            moved, noise_moved = np.column_stack([moved, np.zeros(q)]), np.append(noise_moved, COARSE_SD)
+        return replace(found, moved=moved, noise_moved=noise_moved)
 
     def solve(
         self, change: int | None = None, precision: Sequence[float] | Floats = ()

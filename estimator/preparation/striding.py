@@ -153,8 +153,12 @@ class Strider:
             grade=mean(rise / np.hypot(1.0, rise)),
             grade_offset_sd=mean(rows.derived.get(Quantity.GRADE_OFFSET_SD, blank)),
             gravity=np.where(known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
-            context={quantity: there.get(quantity, blank)[middle] for quantity in sorted(self.wanted)},
+            context={q: there.get(q, blank)[middle] for q in sorted(self.wanted | self._always(rows))},
         )
+
+    def _always(self, rows: Rows) -> frozenset[Quantity]:
+        """What strides carry for the fit itself, where the rows have it."""
+        return frozenset({Quantity.SPEED_STEP} & rows.derived.keys())
 
     def _travelled(self, rows: Rows) -> tuple[Floats, Floats]:
         """Distance [m] (n + 1,) at the beginning of each row from the next stride on, and at the end of the last.

@@ -69,7 +69,7 @@ class Gearbox:
             self.engine_speed = synchronous
             if t >= self._until or synchronous < self._slowest:
                 self.phase = Phase.NEUTRAL
-                self._until = t + self._rng.uniform(*NEUTRAL_TIME)
+                self._until = t + self._interruption(NEUTRAL_TIME)
                 self.gearing = self._gearings[self.gear]
         elif phase is Phase.NEUTRAL:
             self.engine_speed += dt / 0.12 * (max(synchronous, self._truck.idle_speed) - self.engine_speed)
@@ -112,7 +112,11 @@ class Gearbox:
     def _shift(self, t: float, gear: int) -> None:
         self.gear = gear
         self.phase = Phase.UNLOAD
-        self._until = t + self._rng.uniform(*UNLOAD_TIME)
+        self._until = t + self._interruption(UNLOAD_TIME)
+
+    def _interruption(self, times: tuple[float, float]) -> float:
+        """How long [s] a part of a gear change takes the traction away."""
+        return 0.0 if self._truck.shifts_under_power else self._rng.uniform(*times)
 
     def _select(self, gear: int) -> None:
         self.gear = gear

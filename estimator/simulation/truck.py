@@ -46,6 +46,8 @@ class Truck:
         Rolling radius [m].
     efficiency
         Share of the engine's power that reaches the wheels [1].
+    shifts_under_power
+        Whether gears change without an interruption: a car with two clutches or a converter.
     """
 
     mass: float
@@ -61,6 +63,7 @@ class Truck:
     final_drive: float = 2.7
     wheel_radius: float = 0.5
     efficiency: float = 1.0
+    shifts_under_power: bool = False
 
     def max_torque(self, engine_speed: float) -> float:
         """Full-load net torque [N.m] at an engine speed [rad/s]."""
@@ -85,6 +88,20 @@ class Truck:
     def start_gear(self) -> int:
         """Gear for moving off: the lighter the truck, the higher."""
         return 1 + (self.mass < 30e3) + (self.mass < 18e3)
+
+
+def draw_car(rng: np.random.Generator) -> Truck:
+    """Draw a passenger car: 1.1-2.2 t, A 120-230 N, C 0.32-0.5 N/(m/s)^2, an engine of 400 N m and 110 kW."""
+    return Truck(
+        mass=rng.uniform(1100.0, 2200.0),
+        A=rng.uniform(120.0, 230.0),
+        C=rng.uniform(0.32, 0.5),
+        reference_torque=400.0,
+        peak_torque=360.0,
+        rated_power=110e3,
+        friction=(12.0, 0.05, 0.0002),
+        shifts_under_power=True,
+    )
 
 
 def draw_truck(rng: np.random.Generator) -> Truck:

@@ -17,7 +17,7 @@ from estimator.checkpoint.validation import State, substate
 from estimator.preparation.past_speed import PastSpeed
 from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
-from estimator.signals import Floats, Mask, Role, Series
+from estimator.signals import Floats, Mask, Quantity, Role, Series
 from estimator.streaming.engine_power import BATTERY, EnginePower, is_electric
 from estimator.streaming.frozen_rows import FrozenRows
 from estimator.streaming.lone_errors import lone_errors
@@ -43,6 +43,7 @@ MEMORY = {Role.ENGINE_SPEED: MAX_FRESH}
 AVERAGED = {Role.LONGITUDINAL_ACCELERATION, Role.ALTITUDE, Role.GRADE, Role.LATITUDE, Role.LONGITUDE}
 
 SPEEDS = {Role.SPEED, Role.WHEEL_SPEEDS}
+COARSE_STEP = 0.1  # m/s of a speed that is a staircase at usual accelerations: whole km/h, not 0.1 km/h
 LONE_ERROR = "contradicted by the readings before and after"
 SAME_TIME = "at the time of another reading, or before it"
 
@@ -54,6 +55,7 @@ class Aligner:
 
     ``bound`` are the roles that the configuration expects: a term of the power that is expected but has not come
     makes the power unknown, not larger. ``despike`` repairs lone gross errors of power, and drops those of speed.
+    ``speed_step`` is the resolution of the speed on the bus [m/s].
 
     Attributes
     ----------
@@ -63,12 +65,20 @@ class Aligner:
         Rows left out, in blocks that begin MAX_SILENCE after speed or power were last read often enough.
     """
 
-    def __init__(self, vehicle: Vehicle, bound: frozenset[Role], despike: bool = True) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        bound: frozenset[Role],
+        despike: bool = True,
+        speed_step: float = 0.0,
+    ) -> None:
         self.refused: Counter[str] = Counter()
+        self._speed_step = speed_step
         self._bound, self._despike = bound, despike
         self._tracks: dict[tuple[Role, int], Track] = {}
         self._hidden = NO_CONTEXT if is_electric(bound) else NO_CONTEXT | BATTERY
-        self._engine = EnginePower(vehicle, bound, despike, self._tracks)
+        # Torque comes in as coarse steps as such a speed does: one of them would count as a gross error.
+        self._engine = EnginePower(vehicle, bound, despike and speed_step < COARSE_STEP, self._tracks)
         self._past, self._frozen = PastSpeed(), FrozenRows()
         self._next: int | None = None
         self._heard_to = -np.inf  # [s], up to where speed or power were read often enough
@@ -124,8 +134,9 @@ class Aligner:
             return
         parts = list(self._parts(np.append(first, horizons), horizons, ends))
         self._next = last
-        for track in [*self._tracks.values(), self._engine.track]:
+        for track in self._tracks.values():
             track.forget(last * STEP - SETTLE)
+        self._engine.forget_readings(last * STEP - SETTLE)
         for part in parts:
             yield self._frozen.finish() if part is None else self._frozen.feed(part)
 
@@ -205,7 +216,7 @@ class Aligner:
         edges = (np.append(index, index[-1] + 1) - 0.5) * STEP
         known_to = np.append(ends[:-1], np.inf)[np.searchsorted(horizons, index, side="right")]
         speed, speed_there = self._speed(edges, known_to)
-        power, power_there = self._engine.track.means(edges, known_to)
+        power, power_there = self._engine.means(edges, known_to)
         at = index * STEP
         context = {
             role: track.means(edges, known_to)[0] if role in AVERAGED else track.held(at)
@@ -218,8 +229,12 @@ class Aligner:
             power=power,
             fresh=np.column_stack([speed_there, power_there]),
             context=context,
-            derived=self._past.follow(index, speed),
+            derived={**self._past.follow(index, speed), **self._coarse(len(index))},
         )
+
+    def _coarse(self, count: int) -> dict[Quantity, Floats]:
+        """The step of a speed that comes in coarse ones, for ``count`` rows."""
+        return {Quantity.SPEED_STEP: np.full(count, self._speed_step)} if self._speed_step >= COARSE_STEP else {}
 
     def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
         """The speed signal, or the mean of the wheel speeds where there is none."""

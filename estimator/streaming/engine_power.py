@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.checkpoint.validation import State, read, substate
 from estimator.settings import Positive, Vehicle
-from estimator.signals import Floats, Role, Series
+from estimator.signals import Floats, Mask, Role, Series
 from estimator.streaming.friction import FrictionCurve
 from estimator.streaming.resampling import Track, block_bounds
 
@@ -72,7 +72,7 @@ class EnginePower:
         self.forget()
 
     def _restart(self) -> None:
-        self.track = Track()
+        self.track, self._lead_track = Track(), Track()
         self._powered_to = -np.inf  # [s]
 
     def forget(self) -> None:
@@ -105,7 +105,7 @@ class EnginePower:
         if Role.ENGINE_POWER in self._bound:
             given = self._of(Role.ENGINE_POWER)
             new = given.t > self._powered_to
-            self._append(given.t[new], given.value[new], block_bounds(given.t[new], ends))
+            self._append(given.t[new], given.value[new], block_bounds(given.t[new], ends), is_slow=given.is_slow)
             return
         lead, other = (self._of(role) for role in self._factors)
         new = lead.t > self._powered_to
@@ -117,7 +117,24 @@ class EnginePower:
             value = self._net_fraction(t, value, bounds) * self._reference_torque(t)
         elif Role.BATTERY_CURRENT in self._factors and self._vehicle.discharge_current == "negative":
             value = -value
-        self._append(t, value * other.held(t), bounds)
+        if not lead.is_slow and np.isfinite(lead.fresh) and not other.is_slow:
+            self._lead_track = Track()
+        else:
+            self._lead_track.add(Series(t, value * self._vehicle.driveline_efficiency))
+        self._append(t, value * other.held(t), bounds, is_slow=lead.is_slow)
+
+    def means(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
+        """`Track.means` of the power [W]; of slow readings the product of both factors, each at its own times."""
+        if Role.ENGINE_POWER in self._bound or not (other := self._of(self._factors[1])).is_slow:
+            return self.track.means(edges, known_to)
+        lead, lead_there = self._lead_track.means(edges, known_to)
+        factor, factor_there = other.means(edges, known_to)
+        return lead * factor, lead_there & factor_there
+
+    def forget_readings(self, before: float) -> None:
+        """Drop what is older than ``before`` [s]."""
+        self.track.forget(before)
+        self._lead_track.forget(before)
 
     def is_settled(self, readings: Mapping[Role, list[Series]], ends: Floats, forgotten: Floats) -> bool:
         """Whether the readings of some blocks change no power before them; see `Track.is_settled`."""
@@ -138,10 +155,10 @@ class EnginePower:
         torque = Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION
         return torque, Role.ENGINE_SPEED
 
-    def _append(self, t: Floats, value: Floats, bounds: NDArray[np.intp]) -> None:
+    def _append(self, t: Floats, value: Floats, bounds: NDArray[np.intp], *, is_slow: bool) -> None:
         if len(t):
             self._powered_to = float(t[-1])
-            value = despike(value, bounds) if self._despike else value
+            value = despike(value, bounds) if self._despike and not is_slow else value
             self.track.add(Series(t, value * self._vehicle.driveline_efficiency))
 
     def _of(self, role: Role) -> Track:

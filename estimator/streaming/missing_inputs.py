@@ -1,8 +1,9 @@
 """What a user can do where a bus lacks inputs that the model needs."""
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
+from estimator.can_io.binding import BoundMessage
 from estimator.settings import SignalPaths
 from estimator.signals import Role
 
@@ -36,6 +37,12 @@ def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[s
     note = f", {UNKNOWN} as in your DBC (--dbc FILE.dbc)" if UNKNOWN in lines[-1] else ""
     note += ", where friction counts as road load" if signals == [Role.FRICTION_FRACTION] else ""
     return f"start the configuration (--config FILE.toml) with {' and '.join(lines)}{note}"
+
+
+def pids_of(missing: Collection[Role], messages: Sequence[BoundMessage]) -> list[str]:
+    """The PIDs of missing roles that an ECU sends when it is asked for them."""
+    asked = [bound for message in messages if message.of_any_ecu for bound in message.signals if bound.role in missing]
+    return [f"0x{pid:02X}" for bound in asked for pid in bound.signal.multiplexer_ids or ()]
 
 
 def _is_needed(role: Role, chosen: list[Role]) -> bool:

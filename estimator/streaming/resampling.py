@@ -13,6 +13,7 @@ FRESH_PERIODS = 3.0  # sender periods after which a reading is stale
 MIN_FRESH = 0.3  # s, for senders whose rate follows the engine speed
 MAX_FRESH = 15.0  # s, for slow senders, and until the period of a sender is known
 MIN_READINGS_FOR_PERIOD = 5
+SLOW_PERIOD = 0.2  # s: readings that are further apart are polled, and no neighbour can contradict a lone one
 
 
 class Track:
@@ -62,6 +63,11 @@ class Track:
     def limit(self) -> float:
         """How long [s] a reading counts."""
         return MAX_FRESH if np.isnan(self.fresh) else self.fresh
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether its readings are known to come slowly."""
+        return self.fresh > FRESH_PERIODS * SLOW_PERIOD
 
     def drop(self, wrong: Mask) -> None:
         """Remove readings (n,)."""

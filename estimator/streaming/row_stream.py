@@ -16,6 +16,7 @@ import numpy as np
 from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import Frames
+from estimator.can_io.obd import current_data
 from estimator.can_io.time_order import MAX_DELAY, TimeOrder
 from estimator.checkpoint.validation import Count, State, read, substate
 from estimator.config import Config
@@ -24,9 +25,9 @@ from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 from estimator.streaming import engine_power
-from estimator.streaming.alignment import MAX_LINE, Aligner, Readings, between
+from estimator.streaming.alignment import MAX_LINE, SPEEDS, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
-from estimator.streaming.missing_inputs import remedy, too_seldom
+from estimator.streaming.missing_inputs import pids_of, remedy, too_seldom
 from estimator.streaming.remarks import SwitchUse, dropped_values
 from estimator.streaming.resampling import block_bounds
 
@@ -131,6 +132,7 @@ class RowStream:
         self._lines = LINES & frozenset(self._names)
         self._first: dict[Role, Floats] = {}  # times [s] of the first readings
         self._switches = SwitchUse()
+        self._answers = 0  # to OBD-II requests, while nothing else was of use
         self._waiting: list[Frames] = []
         self._last: float | None = None  # time of the newest frame, None when all frames have become rows [s]
         self._until: float | None = None  # time of the newest frame ever [s]
@@ -141,7 +143,9 @@ class RowStream:
 
     def _new(self) -> tuple[Decoder, Aligner]:
         config = self._config
-        aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike)
+        speeds = [s for m in self._messages for s in m.signals if s.role in SPEEDS and not s.signal.is_float]
+        step = max((abs(s.signal.scale * s.conversion.scale) for s in speeds), default=0.0)
+        aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike, step)
         return Decoder(self._messages, config.bus), aligner
 
     @property
@@ -191,6 +195,8 @@ class RowStream:
         A frame waits until no other can precede it, for MAX_DELAY of traffic.
         """
         self.frames += len(frames)
+        if not self.used:
+            self._answers += current_data(frames)
         for ordered in self.order.feed(frames):
             yield from self._take(ordered)
 
@@ -224,8 +230,7 @@ class RowStream:
                 )
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             raise MissingInputsError(
-                f"{place}: missing inputs: {', '.join(self.missing)}; "
-                f"{remedy(missing, self.seen, self._config.binding)}; found: {there}"
+                f"{place}: missing inputs: {', '.join(self.missing)}; {self._remedy(missing)}; found: {there}"
             )
         if not self.valid_rows:
             counts = (self.errors + self.unusable).most_common(4)
@@ -278,6 +283,14 @@ class RowStream:
         intervals = {role: float(np.median(np.diff(t))) for role, t in self._first.items() if len(t) > MIN_INTERVALS}
         longest = max(intervals, key=intervals.__getitem__, default=None)
         return "" if longest is None else too_seldom(self._names[longest], intervals[longest], MAX_LINE)
+
+    def _remedy(self, missing: list[Role]) -> str:
+        """What a user can do where roles are missing."""
+        if pids := pids_of(missing, self._messages):
+            return f"the logger has to ask for PID {', '.join(pids)}"
+        if self._answers:
+            return f"{self._answers:,} frames are answers to OBD-II requests: give --config obd2"
+        return remedy(missing, self.seen, self._config.binding)
 
     def _missing_roles(self) -> list[Role]:
         return [role for role in self._needed() if not self.seen[role]]

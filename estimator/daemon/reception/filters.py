@@ -2,12 +2,12 @@
 
 from can.typechecking import CanFilter
 
-from estimator.can_io.binding import BoundMessage
+from estimator.can_io.binding import BoundMessage, last_byte
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED
 from estimator.can_io.j1939 import GLOBAL, PDU1_LIMIT, TP_CM, TP_DT
 from estimator.can_io.j1939_node import ADDRESS_CLAIMED, FREE, REQUEST
+from estimator.can_io.obd import EXTENDED_ANSWER, STANDARD
 from estimator.can_io.publisher import output_groups
-from estimator.can_io.signal_values import last_byte
 
 PDU1_MASK = 0x03FF0000  # of the id: without the destination address
 PDU2_MASK = 0x03FFFF00
@@ -16,10 +16,10 @@ WHOLE_EXTENDED, WHOLE_STANDARD = 0x1FFFFFFF, 0x7FF
 
 
 def input_filters(messages: list[BoundMessage]) -> list[CanFilter]:
-    """What the estimator needs: the bound messages, and the broadcasts that carry those of more than 8 bytes."""
-    filters = [_of_message(message) for message in messages]
+    """What the estimator needs: the bound messages, and the packets that carry those of more than 8 bytes."""
+    filters = [each for message in messages for each in _of_message(message)]
     if any(message.by_pgn and _length(message) > CLASSIC_BYTES for message in messages):
-        filters += [_masked(pgn | GLOBAL, PDU2_MASK) for pgn in (TP_CM, TP_DT)]
+        filters += [of_group(pgn) for pgn in (TP_CM, TP_DT)]
     return filters
 
 
@@ -39,15 +39,17 @@ def of_group(pgn: int) -> CanFilter:
     return _masked(pgn, PDU1_MASK if pgn >> 8 & 0xFF < PDU1_LIMIT else PDU2_MASK)
 
 
-def _of_message(message: BoundMessage) -> CanFilter:
+def _of_message(message: BoundMessage) -> list[CanFilter]:
     if message.by_pgn:
-        return of_group(message.key)
+        return [of_group(message.key)]
+    if message.of_any_ecu:
+        return [
+            {"can_id": STANDARD, "can_mask": WHOLE_STANDARD & ~7, "extended": False},
+            {"can_id": EXTENDED_ANSWER & ~EXTENDED, "can_mask": WHOLE_EXTENDED & ~0xFF, "extended": True},
+        ]
     extended = bool(message.key & EXTENDED)
-    return {
-        "can_id": message.key & ~EXTENDED,
-        "can_mask": WHOLE_EXTENDED if extended else WHOLE_STANDARD,
-        "extended": extended,
-    }
+    mask = WHOLE_EXTENDED if extended else WHOLE_STANDARD
+    return [{"can_id": message.key & ~EXTENDED, "can_mask": mask, "extended": extended}]
 
 
 def _masked(pgn: int, mask: int) -> CanFilter:
