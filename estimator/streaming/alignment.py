@@ -17,11 +17,12 @@ from estimator.checkpoint.validation import State, substate
 from estimator.preparation.past_speed import PastSpeed
 from estimator.samples import STEP, Rows
 from estimator.settings import Vehicle
-from estimator.signals import Floats, Mask, Role, Series
+from estimator.signals import Floats, Mask, Quantity, Role, Series
 from estimator.streaming.engine_power import BATTERY, EnginePower, is_electric
 from estimator.streaming.frozen_rows import FrozenRows
 from estimator.streaming.lone_errors import lone_errors
 from estimator.streaming.resampling import MAX_FRESH, Track
+from estimator.streaming.wheels import Wheels
 
 SETTLE = 3.0  # s, rows lag this far behind the newest reading, so that straight lines have both ends
 NO_CONTEXT = {  # speed and power are computed from them
@@ -50,21 +51,21 @@ class Aligner:
 
     ``bound`` are the roles that the configuration expects: a term of the power that is expected but has not come
     makes the power unknown, not larger. ``despike`` repairs lone gross errors of power, and drops those of speed.
-
-    Attributes
-    ----------
-    refused : collections.Counter[str]
-        Readings that were dropped, by role and reason.
     """
 
     def __init__(self, vehicle: Vehicle, bound: frozenset[Role], despike: bool = True) -> None:
-        self.refused: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
         self._bound, self._despike = bound, despike
         self._tracks: dict[tuple[Role, int], Track] = {}
         self._hidden = NO_CONTEXT if is_electric(bound) else NO_CONTEXT | BATTERY
         self._engine = EnginePower(vehicle, bound, despike, self._tracks)
-        self._past, self._frozen = PastSpeed(), FrozenRows()
+        self._past, self._frozen, self._wheels = PastSpeed(), FrozenRows(), Wheels()
         self._next: int | None = None
+
+    @property
+    def refused(self) -> Counter[str]:
+        """Readings that were dropped, and rows in which a wheel was left out, by role and reason."""
+        return self._dropped + self._wheels.refused
 
     @property
     def reference_torque(self) -> float | None:
@@ -75,6 +76,7 @@ class Aligner:
         """Discard the constants of the engine and the past speeds: the vehicle may be another one."""
         self._engine.forget()
         self._past.forget()
+        self._wheels.forget()
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
         """Add a batch that ends at time ``now`` [s]; yields the rows that have become complete."""
@@ -94,7 +96,7 @@ class Aligner:
             for i, series in enumerate(parts):
                 dropped = self._tracks.setdefault((role, i), Track(MEMORY.get(role, 0.0))).add(series)
                 if dropped:
-                    self.refused[f"{role.value}: {SAME_TIME}"] += dropped
+                    self._dropped[f"{role.value}: {SAME_TIME}"] += dropped
         if self._despike:
             self._drop_lone_errors()
         self._engine.extend(ends)
@@ -139,6 +141,7 @@ class Aligner:
         yield from self.feed({}, now + SETTLE)
         yield from filter(None, [self._frozen.finish()])
         self._engine.finish()
+        self._wheels.pause()
         self._tracks.clear()
         self._next = None
 
@@ -161,14 +164,16 @@ class Aligner:
         """A straight line from the reading before to the one after takes the place of a wrong speed."""
         for (role, _), track in self._tracks.items():
             if role in SPEEDS and (wrong := lone_errors(track.t, track.value)).any():
-                self.refused[f"{role.value}: {LONE_ERROR}"] += int(wrong.sum())
+                self._dropped[f"{role.value}: {LONE_ERROR}"] += int(wrong.sum())
                 track.drop(wrong)
 
     def _rows(self, index: NDArray[np.int64], horizons: NDArray[np.int64], ends: Floats) -> Rows:
         """Rows of blocks that end at ``ends`` (k,) [s], from ``index`` up to their ``horizons`` (k,)."""
         edges = (np.append(index, index[-1] + 1) - 0.5) * STEP
         known_to = np.append(ends[:-1], np.inf)[np.searchsorted(horizons, index, side="right")]
-        speed, speed_there = self._speed(edges, known_to)
+        by_wheels, wheels_there, contradicted = self._wheel_speed(edges, known_to)
+        is_by_wheels = Role.SPEED not in self._bound
+        speed, speed_there = (by_wheels, wheels_there) if is_by_wheels else self._speed(edges, known_to)
         power, power_there = self._engine.track.means(edges, known_to)
         at = index * STEP
         context = {
@@ -176,27 +181,33 @@ class Aligner:
             for (role, i), track in self._tracks.items()
             if i == 0 and role not in self._hidden
         }
+        derived = self._past.follow(index, speed)
+        if is_by_wheels and contradicted.any():
+            derived |= {Quantity.CONTRADICTED: contradicted.astype(float)}
+        elif not is_by_wheels and wheels_there.any():
+            context[Role.WHEEL_SPEEDS] = by_wheels  # to be compared with the speed
         return Rows(
             index=index,
             speed=speed,
             power=power,
             fresh=np.column_stack([speed_there, power_there]),
             context=context,
-            derived=self._past.follow(index, speed),
+            derived=derived,
         )
 
     def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
-        """The speed signal, or the mean of the wheel speeds where there is none."""
-        wheels = [k for k in self._tracks if k[0] == Role.WHEEL_SPEEDS]
-        keys = [(Role.SPEED, 0)] if Role.SPEED in self._bound else wheels
-        if not any(key in self._tracks for key in keys):
-            return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, dtype=bool)
+        """The speed signal."""
+        track = self._tracks.get((Role.SPEED, 0), Track())
+        return track.means(edges, known_to)
+
+    def _wheel_speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask, Mask]:
+        """The speed by the wheels, where any of them has a reading, and where they contradict each other (n,) each."""
+        keys = [key for key in self._tracks if key[0] == Role.WHEEL_SPEEDS]
+        if not keys:
+            return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, bool), np.zeros(len(edges) - 1, bool)
         means, there = zip(*(self._tracks[key].means(edges, known_to) for key in keys), strict=True)
-        # A wheel without a valid speed is left out; where none has one there is none.
-        known = np.isfinite(means)
-        total = np.where(known, means, 0.0).sum(axis=0)
-        count = known.sum(axis=0)
-        return np.where(count > 0, total / np.maximum(count, 1), np.nan), np.any(there, axis=0)
+        speed, contradicted = self._wheels.mean(np.array(means), [place for _, place in keys])
+        return speed, np.any(there, axis=0), contradicted
 
 
 def _horizons(ends: Floats) -> NDArray[np.int64]:
