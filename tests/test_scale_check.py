@@ -8,7 +8,7 @@ import pytest
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config, from_dict
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.estimation.log_counts import LogCounts
 from estimator.estimation.scale_check import Motion, ScaleCheck
 from estimator.estimation.usual_vehicles import Size, unusual

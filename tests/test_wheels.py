@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from estimator.can_io.frames import Frames
 from estimator.config import from_dict
-from estimator.estimate import Estimate, Status
+from estimator.estimates import Estimate, Status
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.wheels import DIFFERS, STANDS_STILL, UNDECIDED, Wheels
 

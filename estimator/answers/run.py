@@ -88,11 +88,15 @@ class Update(Struct, frozen=True, kw_only=True):
 
 
 class RunAnswer(Answer, frozen=True, kw_only=True):
-    """The final estimate, what went in, and every update before it; ``failed_updates``: numerically."""
+    """The final estimate, what went in, and every update before it; ``failed_updates``: numerically.
+
+    ``warnings`` of what widens it.
+    """
 
     status: Status
     reason: str
     advice: str
+    warnings: tuple[str, ...]
     parameters: Parameters
     convergence: Convergence | None
     coverage: Coverage

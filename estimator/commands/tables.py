@@ -9,10 +9,11 @@ from rich.text import Text
 from estimator.answers.inspection import InspectionAnswer
 from estimator.commands.terminal import say
 from estimator.estimates import Marginal, Road, Status
-from estimator.model.effects import BY_NAME
+from estimator.model.effects import BY_NAME, unbound
 from estimator.printable import printable
 from estimator.report import number_format
 from estimator.report.next_step import next_step
+from estimator.report.unbound_warning import warnings_of
 from estimator.streaming.replay import Run
 
 MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
@@ -28,6 +29,8 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     console.print(Text.assemble((final.status.value, f"bold {style}"), printable(reason)), soft_wrap=True)
     if advice := next_step(run):
         say(console, f"to do     {advice}")
+    for warning in warnings_of(run.pipeline.config):
+        say(console, f"warning   {warning}")
     if final.mass is not None:
         console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))
     for key, reason in final.withheld.items():
@@ -43,9 +46,9 @@ def _print_fit(console: Console, run: Run) -> None:
     final, estimator = run.final, run.pipeline.estimator
     if final.road is not None:
         say(console, f"road      {_road(final.road)}")
-    for name in run.pipeline.effects:
+    beside = {effect.name: effect for effect in unbound(run.pipeline.config.binding.keys()).values()}
+    for name, what in ({name: BY_NAME[name] for name in run.pipeline.effects} | beside).items():
         size = final.effects.get(name)
-        what = BY_NAME[name]
         found = "" if size is None else f": {number_format.with_interval(size.mean, size.q05, size.q95, what.unit)}"
         say(console, f"effect    {name}{found}")
     evidence = estimator.evidence

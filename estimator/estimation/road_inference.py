@@ -38,10 +38,11 @@ from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
 from estimator.estimation.usual_vehicles import Size, unusual
 from estimator.estimation.window import Window
-from estimator.model.effects import named, obstacle
+from estimator.model.effects import obstacle
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.model.term import Term
+from estimator.preparation.stage import moving_effects
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -85,7 +86,7 @@ class RoadInference:
         self._config = config
         self._window = window
         self._gate = Gate(config.gate, window.grid)
-        self._effects = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
+        self._effects = moving_effects(config)
         self._given = Belief.configured(config.prior)
         self._rng = rng
         self._loads = Loads()
@@ -165,7 +166,8 @@ class RoadInference:
     def conclude(self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str]) -> Estimate:
         """The estimate at time ``t`` [s].
 
-        ``context`` that the strides carry; ``scale`` of the speed as the bus shows it; rows ``rejected`` before, by reason.
+        ``context`` that the strides carry; ``scale`` of the speed as the bus shows it; rows ``rejected`` before, by
+        reason.
         """
         self.evidence = None
         strides, held = self._window.strides, len(self._window)

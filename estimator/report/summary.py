@@ -8,6 +8,7 @@ from estimator.answers import run as answer
 from estimator.answers.run import RunAnswer
 from estimator.estimates import Estimate
 from estimator.report.next_step import next_step
+from estimator.report.unbound_warning import warnings_of
 from estimator.streaming.replay import Run
 
 
@@ -19,6 +20,7 @@ def of_run(run: Run) -> RunAnswer:
         status=final.status,
         reason=final.reason,
         advice=next_step(run),
+        warnings=warnings_of(pipeline.config),
         parameters=parameters(final),
         convergence=convergence(final),
         coverage=coverage(final),
