@@ -254,6 +254,8 @@ class RoadInference:
 
     def _unusual(self, found: RoadFit, scale: ScaleCheck) -> str:
         """Reason to doubt the unit of the speed, by the size of the vehicle; empty where there is none."""
+        if scale.is_confirmed:
+            return ""
         A, C, m = found.theta[:ROAD_LOAD].tolist()
         sd = np.sqrt(np.maximum(np.diag(found.theta_covariance())[:ROAD_LOAD], 0.0))
         size = Size(A=A, C=C, mass=m, sd=sd, power=float(np.quantile(found.strides.power, PEAK_QUANTILE)))

@@ -130,6 +130,11 @@ class ScaleCheck:
         fastest = self._speed.quantile(1 - max(0.01, MIN_LIMIT_ROWS / len(self._speed)))
         return Motion(fastest, gearing, is_single, felt)
 
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether another signal of the same motion agrees with the speed; the worst is in `verdict`."""
+        return any(len(ratios) >= MIN_ROWS for ratios in self._ratios.values()) and not self.verdict()
+
     def verdict(self) -> str:
         """The worst contradiction in words, with the signal and the factor that fits; empty where there is none."""
         for role, (other, limit) in COMPARED.items():
