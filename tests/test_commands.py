@@ -61,6 +61,7 @@ JSON_KEYS = {
     "status",
     "reason",
     "advice",
+    "warnings",
     "parameters",
     "convergence",
     "coverage",
