@@ -7,7 +7,7 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config, from_dict
 from estimator.estimates import Estimate
 from estimator.model.effects import unbound
-from estimator.report.unbound_warning import warnings_of
+from estimator.report.run_warnings import warnings_of
 from estimator.signals import Role
 from estimator.simulation.recording import simulate
 from estimator.simulation.truck import Truck
@@ -22,10 +22,15 @@ def without(*roles: Role) -> Config:
 
 
 def test_a_warning_has_the_line_that_binds_what_is_missing():
-    assert warnings_of(Config()) == ()
-    (warning,) = warnings_of(without(Role.FRICTION_FRACTION))
+    assert warnings_of(Config(), {}) == ()
+    (warning,) = warnings_of(without(Role.FRICTION_FRACTION), {})
     assert 'friction_fraction = "EEC3.NominalFrictionPercentTorque"' in warning
-    assert len(warnings_of(without(Role.FRICTION_FRACTION, Role.TORQUE_FRACTION_FINE))) == 2
+    assert len(warnings_of(without(Role.FRICTION_FRACTION, Role.TORQUE_FRACTION_FINE), {})) == 2
+
+
+def test_wheels_that_were_left_out_are_told_with_their_rows():
+    errors = {"wheel_speeds 3: differs from the others": 11_954, "CCVS1: too short": 3}
+    assert warnings_of(Config(), errors) == ("wheel_speeds 3: differs from the others, in 11,954 rows",)
 
 
 def test_a_database_without_the_signal_is_told_what_to_look_for(tmp_path):
@@ -40,7 +45,7 @@ def test_a_database_without_the_signal_is_told_what_to_look_for(tmp_path):
             "vehicle": {"reference_torque_Nm": 2500},
         }
     )
-    assert all("SPN" in warning for warning in warnings_of(config))
+    assert all("SPN" in warning for warning in warnings_of(config, {}))
 
 
 @pytest.mark.parametrize("nearer", ["engine_torque", "engine_power"])

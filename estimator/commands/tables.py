@@ -13,7 +13,7 @@ from estimator.model.effects import BY_NAME, unbound
 from estimator.printable import printable
 from estimator.report import number_format
 from estimator.report.next_step import next_step
-from estimator.report.unbound_warning import warnings_of
+from estimator.report.run_warnings import warnings_of
 from estimator.streaming.replay import Run
 
 MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
@@ -29,7 +29,7 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     console.print(Text.assemble((final.status.value, f"bold {style}"), printable(reason)), soft_wrap=True)
     if advice := next_step(run):
         say(console, f"to do     {advice}")
-    for warning in warnings_of(run.pipeline.config):
+    for warning in warnings_of(run.pipeline.config, run.pipeline.traffic.errors):
         say(console, f"warning   {warning}")
     if final.mass is not None:
         console.print(_estimate_table({"mass": final.mass, "A": final.A, "C": final.C}, truth))

@@ -8,7 +8,7 @@ from estimator.answers import run as answer
 from estimator.answers.run import RunAnswer
 from estimator.estimates import Estimate
 from estimator.report.next_step import next_step
-from estimator.report.unbound_warning import warnings_of
+from estimator.report.run_warnings import warnings_of
 from estimator.streaming.replay import Run
 
 
@@ -20,7 +20,7 @@ def of_run(run: Run) -> RunAnswer:
         status=final.status,
         reason=final.reason,
         advice=next_step(run),
-        warnings=warnings_of(pipeline.config),
+        warnings=warnings_of(pipeline.config, traffic.errors),
         parameters=parameters(final),
         convergence=convergence(final),
         coverage=coverage(final),
