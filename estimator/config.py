@@ -56,6 +56,7 @@ FREE_TABLES: dict[str, Any] = {  # keys are the user's
     "table.columns": str,
 }
 
+TABLE_ROLES = {"power": Role.ENGINE_POWER.value, "force": Role.ENGINE_POWER.value}  # other names for them in a table
 RETIRED = {  # keys and values of earlier versions, and what became of them
     "kinematics.acceleration": "is no longer needed: an accelerometer that is bound shows the slope by itself",
     "admission.margin_s": "belonged to the samples of earlier versions: admission.stride_margin_s is the margin",
@@ -121,7 +122,9 @@ class Config(Section, frozen=True):
 
     @property
     def binding(self) -> dict[str, SignalPaths]:
-        """Role to ``MESSAGE.signal``: the file's own, or J1939 where it names none."""
+        """Role to ``MESSAGE.signal``: the file's own, or J1939 where it names none; of a table, role to column."""
+        if self.table is not None:
+            return {TABLE_ROLES.get(key, key): column for key, column in self.table.columns.items()}
         return self.signals or J1939_BINDING
 
 

@@ -65,6 +65,7 @@ class Quantity(StrEnum):
     SPEED_OVER_80_MIN = "speed over 80 min"
     FROZEN = "frozen"  # 1 where speed and power no longer change on the move
     SPEED_STEP = "step of the speed"  # [m/s], where the bus sends it in coarse ones
+    CONTRADICTED = "contradicted"  # 1 where half of the wheels contradict the others
     GRADE_OFFSET_SD = "offset sd of the grade"  # [1], of the constant error of a map's slope
 
 

@@ -61,6 +61,7 @@ JSON_KEYS = {
     "status",
     "reason",
     "advice",
+    "warnings",
     "parameters",
     "convergence",
     "coverage",
@@ -70,7 +71,6 @@ JSON_KEYS = {
     "effects",
     "magnitudes",
     "updates",
-    "remarks",
     "road",
 }
 

@@ -43,6 +43,37 @@ def test_rows_of_a_long_stretch_without_a_change_are_frozen_however_they_are_cut
     assert_array_equal(whole.frozen, expected)
 
 
+def varied(held, coarse=0.0):
+    """Rows of a minute whose power changes in each, but for stretches ``held`` of (first, end); the speed in all."""
+    n = 600
+    rng = np.random.default_rng(4)
+    power = 5e4 + 1e3 * rng.standard_normal(n).cumsum()
+    power = power if not coarse else coarse * np.round(power / coarse)
+    for first, end in held:
+        power[first:end] = power[first]
+    speed = 20 + 0.1 * rng.standard_normal(n)
+    return replace(rows_of(speed), power=power)
+
+
+@given(st.lists(st.integers(0, 600), max_size=6))
+def test_a_power_that_is_held_while_the_speed_changes_is_frozen_however_rows_are_cut(cuts):
+    rows, follower, found = varied([(200, 280), (400, 420), (500, 580)]), FrozenRows(), []
+    for first, end in zip([0, *sorted(cuts)], [*sorted(cuts), 600], strict=True):
+        found += [follower.feed(rows[first:end])] if end > first else []
+    whole = Rows.concatenate(*[part for part in [*found, follower.finish()] if part is not None])
+    expected = np.zeros(600, bool)
+    for first, end in ((200, 280), (500, 580)):
+        expected[first + round(USUAL / STEP) + 1 : end] = True
+    assert_array_equal(whole.index, rows.index)
+    assert_array_equal(whole.frozen, expected)
+
+
+def test_a_coarse_power_that_often_repeats_itself_is_not_frozen():
+    follower = FrozenRows()
+    parts = [follower.feed(varied([(200, 280)], coarse=8e3)), follower.finish()]
+    assert not any(part.frozen.any() for part in parts if part is not None)
+
+
 def test_rows_wait_only_while_nothing_changes():
     follower = FrozenRows()
     usual = round(USUAL / STEP)

@@ -112,7 +112,7 @@ def test_a_switch_that_is_on_for_most_of_the_driving_is_told() -> None:
     tables = {"states": {"CAR.Brake": [1]}, "dbc": [str(CASES / "brake_1_off_2_on.dbc")]}
     signals = {"speed": "CAR.Speed", "engine_power": "CAR.Power", "brake_switch": "CAR.Brake"}
     answer = inspect(CASES / "brake_1_off_2_on.log.gz", from_dict({"signals": signals, "bus": tables}))
-    (remark,) = answer.remarks
+    (remark,) = answer.warnings
     assert remark.startswith("CAR.Brake (brake_switch) is on for 9")
     assert '[bus] states = { "CAR.Brake" = [' in remark
 
@@ -121,11 +121,11 @@ def test_a_switch_that_is_on_for_most_of_the_driving_is_told() -> None:
 def test_values_that_the_range_of_another_model_drops_are_told() -> None:
     config = load(CASES / "range_too_small.toml")
     answer = inspect(CASES / "range_too_small.log.gz", config)
-    (remark,) = answer.remarks
+    (remark,) = answer.warnings
     assert remark.startswith("5 % of the values of CAR.Power (engine_power) lie outside its range -25 .. 25 kW ")
     signals = {str(role): path for role, path in config.signals.items()}
     bus = {"dbc": config.bus.dbc, "ranges": {"CAR.Power": [-500, 500]}}
-    assert inspect(CASES / "range_too_small.log.gz", from_dict({"signals": signals, "bus": bus})).remarks == ()
+    assert inspect(CASES / "range_too_small.log.gz", from_dict({"signals": signals, "bus": bus})).warnings == ()
 
 
 def test_a_j1939_database_that_does_not_say_so_is_told_with_its_cure() -> None:

@@ -44,7 +44,7 @@ class InspectionAnswer(Answer, frozen=True, kw_only=True):
     """What is in a log or on a bus, and whether an estimate can come of it.
 
     ``sources`` and ``senders`` are source addresses by signal and by message, ``contested`` reasons by signal,
-    ``inputs`` and ``missing`` by role; ``remarks`` on what may be wrong in the DBC.
+    ``inputs`` and ``missing`` by role; ``warnings`` of what may be wrong in the DBC.
     """
 
     log: str
@@ -60,4 +60,4 @@ class InspectionAnswer(Answer, frozen=True, kw_only=True):
     status: Status
     reason: str
     coverage: float
-    remarks: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()

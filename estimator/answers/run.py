@@ -145,12 +145,13 @@ class Update(Struct, frozen=True, kw_only=True):
 class RunAnswer(Answer, frozen=True, kw_only=True):
     """The final estimate, what went in, and every update before it.
 
-    ``failed_updates``: numerically; ``remarks`` on what may be wrong in the DBC.
+    ``failed_updates``: numerically; ``warnings`` of what widens it, and of what may be wrong in the DBC.
     """
 
     status: Status
     reason: str
     advice: str
+    warnings: tuple[str, ...]
     parameters: Parameters
     convergence: Convergence | None
     coverage: Coverage
@@ -162,4 +163,3 @@ class RunAnswer(Answer, frozen=True, kw_only=True):
     effects: tuple[str, ...]
     magnitudes: dict[str, Marginal]
     updates: tuple[Update, ...]
-    remarks: tuple[str, ...] = ()

@@ -21,7 +21,7 @@ MIN_MATERIAL_STEP = 0.03  # of the magnitude, and QUANTA: by which a reading of 
 MAX_MATERIAL_SHARE = 0.22  # share of such readings; honest: at most 0.17
 MIN_SLIGHT_STEP, SLIGHT_QUANTA = 0.003, 1.5  # the same, where all of them lie on one side
 MIN_SLIGHT_SHARE = 0.04  # share of such readings
-MAX_ONE_SIDED_SDS = 4.5  # standard deviations of a fair coin for "all on one side"; honest: at most 2.8
+MAX_ONE_SIDED_SDS = 4.0  # standard deviations of a fair coin for "all on one side"; honest: at most 2.8
 MAX_CHANGES = 10  # of a switch or a gear in one block of 5 s; honest: at most 5
 MAGNITUDE = {  # what the quantity usually is on the road, at least: smaller values matter little
     Role.SPEED: 10.0,  # m/s

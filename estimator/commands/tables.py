@@ -10,10 +10,11 @@ from estimator.answers.binding import BindingAnswer
 from estimator.answers.inspection import InspectionAnswer
 from estimator.commands.estimate_table import STYLES, print_estimate
 from estimator.commands.terminal import say
-from estimator.model.effects import BY_NAME
+from estimator.model.effects import BY_NAME, unbound
 from estimator.printable import printable
 from estimator.report import number_format, parameter_text, summary, usual_units
 from estimator.report.next_step import next_step
+from estimator.report.run_warnings import warnings_of
 from estimator.roles import Role
 from estimator.streaming.replay import Run
 
@@ -29,8 +30,8 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     )
     if advice := next_step(run):
         say(console, f"to do     {advice}")
-    for remark in run.pipeline.traffic.remarks:
-        say(console, f"beware    {remark}")
+    for warning in (*run.pipeline.traffic.remarks, *warnings_of(run.pipeline.config, run.pipeline.traffic.errors)):
+        say(console, f"warning   {warning}")
     if final.mass is not None:
         print_estimate(console, summary.parameters(final), truth)
     for key, reason in final.withheld.items():
@@ -46,9 +47,9 @@ def _print_fit(console: Console, run: Run) -> None:
     final, estimator = run.final, run.pipeline.estimator
     if (road := summary.road(final)) is not None:
         say(console, f"road      {parameter_text.road(road)}")
-    for name in run.pipeline.effects:
+    beside = {effect.name: effect for effect in unbound(run.pipeline.config.binding.keys()).values()}
+    for name, what in ({name: BY_NAME[name] for name in run.pipeline.effects} | beside).items():
         size = final.effects.get(name)
-        what = BY_NAME[name]
         found = "" if size is None else f": {number_format.with_interval(size.mean, size.q05, size.q95, what.unit)}"
         say(console, f"effect    {name}{found}")
     evidence = estimator.evidence
@@ -121,8 +122,8 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
         say(console, f"time steps back: {frames.steps_back:,} times, each the start of another drive")
     for reason, count in sorted(frames.errors.items()):
         say(console, f"refused: {reason} {count:,}")
-    for remark in found.remarks:
-        say(console, f"beware: {remark}")
+    for warning in found.warnings:
+        say(console, f"warning: {warning}")
     reason = f": {found.reason}" if found.reason else ""
     say(console, f"{found.status}{reason}; coverage {100 * found.coverage:.0f} %")
 

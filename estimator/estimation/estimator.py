@@ -17,10 +17,10 @@ from estimator.errors import StateError
 from estimator.estimates import Coverage, Estimate, Status
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.gate import has_news
-from estimator.estimation.model_check import SpeedScale
 from estimator.estimation.paper_inference import PaperInference
 from estimator.estimation.road_inference import RoadInference
 from estimator.estimation.road_now import RoadAhead, RoadNow
+from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.window import Window
 from estimator.preparation.admission import Reason
 from estimator.preparation.stage import Piece, StrideStage
@@ -55,7 +55,7 @@ class Estimator:
         self._due: int | None = None
         self._at_last = 0
         self._latest: Estimate | None = None
-        self._scale = SpeedScale()
+        self._scale = ScaleCheck(config.binding)
         self._road = RoadNow(config.admission, is_live)
         self._resting = False  # restored, and the length of the downtime is not known yet
 
@@ -116,7 +116,7 @@ class Estimator:
         self._start_segment()
         if vehicle:
             self._inference.forget_vehicle()
-            self._scale = SpeedScale()
+            self._scale = ScaleCheck(self._config.binding)
 
     def state(self) -> dict[str, Any]:
         """The state that `restore` reads; the evidence is left out, for the next update computes it."""
@@ -193,10 +193,10 @@ class Estimator:
         self._at_last = self.window.added
 
     def _conclude(self, t: float) -> Estimate:
-        context, doubt = self._stage.wanted or frozenset(), self._scale.verdict()
+        context = self._stage.wanted or frozenset()
         before = self._inference.state()
         try:
-            self._latest = self._inference.conclude(t, context, doubt, self.rejected)
+            self._latest = self._inference.conclude(t, context, self._scale, self.rejected)
         except NUMERICAL_ERRORS as error:
             self._inference.recover(before)
             self.failed_updates += 1

@@ -18,6 +18,7 @@ from estimator.estimation import posterior
 from estimator.estimation.evidence import Evidence, Trace
 from estimator.estimation.gate import Gate, Judged, wrong_sign_of
 from estimator.estimation.load_segments import Loads, Segment
+from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.window import Window
 from estimator.model.road_load import design
 from estimator.sampling.clipped import ClippedGaussianTarget
@@ -79,8 +80,8 @@ class PaperInference:
         self.restore(state)
         self.evidence = None
 
-    def conclude(self, t: float, context: frozenset[Quantity], doubt: str, rejected: Counter[str]) -> Estimate:
-        """The estimate at time ``t`` [s]; ``doubt`` about the signals, or empty; rows ``rejected``, by reason."""
+    def conclude(self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str]) -> Estimate:
+        """The estimate at time ``t`` [s]; ``scale`` of the speed as the bus shows it; rows ``rejected``."""
         self.evidence = None
         driven = self._window.strides[self._window.strides.known]
         pulling = driven[driven.power > 0]
@@ -101,7 +102,7 @@ class PaperInference:
         if reason := self._gate.obstacle_to_estimate(judged, coverage):
             return withheld(reason, coverage)
         fitted = np.maximum(X @ target.centre, 0.0)
-        if reason := doubt or _misfit(P, fitted):
+        if reason := scale.verdict() or _misfit(P, fitted):
             return withheld(reason, coverage, Status.INVALID)
         draws = posterior.sample(target, self._config, self._rng)
         if not draws.has_converged:

@@ -27,19 +27,22 @@ from estimator.estimation import posterior
 from estimator.estimation.belief import Belief
 from estimator.estimation.evidence import Coefficients, Evidence, Trace
 from estimator.estimation.gain_changes import gain_changes
-from estimator.estimation.gate import NAMES, Gate, Judged, wrong_sign_of
+from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
 from estimator.estimation.road_fit import MIN_INVERSE_MASS, PROBE_SEED, RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
+from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
+from estimator.estimation.usual_vehicles import Size, unusual
 from estimator.estimation.window import Window
-from estimator.model.effects import named, obstacle
+from estimator.model.effects import obstacle
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.model.term import Term
+from estimator.preparation.stage import moving_effects
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -83,7 +86,7 @@ class RoadInference:
         self._config = config
         self._window = window
         self._gate = Gate(config.gate, window.grid)
-        self._effects = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
+        self._effects = moving_effects(config)
         self._given = Belief.configured(config.prior)
         self._rng = rng
         self._loads = Loads()
@@ -160,10 +163,11 @@ class RoadInference:
         self.restore({**state, "scales": None, "fitted": 0})
         self.evidence = None
 
-    def conclude(self, t: float, context: frozenset[Quantity], doubt: str, rejected: Counter[str]) -> Estimate:
+    def conclude(self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str]) -> Estimate:
         """The estimate at time ``t`` [s].
 
-        ``context`` that the strides carry; ``doubt`` about the signals, or empty; rows ``rejected`` before, by reason.
+        ``context`` that the strides carry; ``scale`` of the speed as the bus shows it; rows ``rejected`` before, by
+        reason.
         """
         self.evidence = None
         strides, held = self._window.strides, len(self._window)
@@ -173,6 +177,8 @@ class RoadInference:
         ) -> Estimate:
             return Estimate(t=t, status=status, reason=reason, coverage=coverage, admitted=held)
 
+        if reason := scale.verdict():
+            return withheld(reason, status=Status.INVALID)
         if reason := obstacle(self._effects, context):
             return withheld(reason)
         if reason := self._gate.missing_rows(held, rejected):
@@ -183,10 +189,10 @@ class RoadInference:
         found = self._fit(strides, held)
         if found is None:
             return withheld("speed and acceleration varied too little to tell A, C and m apart")
-        if doubt:
-            return withheld(doubt, status=Status.INVALID)
         if reason := self._undetermined(found):
             return withheld(reason)
+        if reason := self._unusual(found, scale):
+            return withheld(reason, status=Status.INVALID)
         changes = gain_changes(found)
         contradicted, found = changes.contradiction(found), changes.averaged(found).checked()
         if reason := self._undetermined(found):
@@ -245,6 +251,15 @@ class RoadInference:
         if not draws.has_converged:
             return withheld(draws.complaint, coverage)
         return self._published(t, found, draws, coverage, reasons)
+
+    def _unusual(self, found: RoadFit, scale: ScaleCheck) -> str:
+        """Reason to doubt the unit of the speed, by the size of the vehicle; empty where there is none."""
+        if scale.is_confirmed:
+            return ""
+        A, C, m = found.theta[:ROAD_LOAD].tolist()
+        sd = np.sqrt(np.maximum(np.diag(found.theta_covariance())[:ROAD_LOAD], 0.0))
+        size = Size(A=A, C=C, mass=m, sd=sd, power=float(np.quantile(found.strides.power, PEAK_QUANTILE)))
+        return unusual(size, scale.motion, scale.signal, self._config.prior.mass_kg)
 
     def _undetermined(self, found: RoadFit) -> str:
         """Reason why the drive does not determine the mass; empty where it does."""

@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission
-from estimator.signals import Floats, Mask, Role
+from estimator.signals import Floats, Mask, Quantity, Role
 
 
 class Reason(StrEnum):
     """Why a row is not used, in order of precedence."""
 
     SPEED_STALE = "speed stale"
+    WHEELS_CONTRADICT = "wheel speeds contradict each other"
     SPEED_NOT_AVAILABLE = "speed not available"
     FROZEN = "speed and power frozen"
     SPEED_IMPLAUSIBLE = "speed jumps"
@@ -55,6 +56,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
         standing = rows.speed < admission.minimum_speed_m_s
     masks: dict[Reason, Mask] = {
         Reason.SPEED_STALE: ~rows.fresh[:, 0],
+        Reason.WHEELS_CONTRADICT: rows.derived.get(Quantity.CONTRADICTED, blank) == 1.0,
         Reason.SPEED_NOT_AVAILABLE: np.isnan(rows.speed),
         Reason.FROZEN: rows.frozen,
         Reason.SPEED_IMPLAUSIBLE: np.isnan(rows.plausible_speed),

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.checkpoint.validation import Count, State, optional, read, substate
 from estimator.config import Config
-from estimator.model.effects import Effect, named
+from estimator.model.effects import Effect, named, unbound
 from estimator.model.term import wanted_by
 from estimator.preparation.context import measured
 from estimator.preparation.standstill import Standstill
@@ -31,6 +31,12 @@ class Piece:
     rows: Rows
     strides: Strides
     departs: bool
+
+
+def moving_effects(config: Config) -> tuple[Effect, ...]:
+    """The effects beside the road: those that are asked for, and what the torque leaves out as it is bound."""
+    asked = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
+    return asked + tuple(unbound(config.binding.keys()).values())
 
 
 def _needed(effects: tuple[Effect, ...], rows: Rows) -> frozenset[Quantity]:
@@ -60,7 +66,7 @@ class StrideStage:
         self._heard = 0  # moving rows since the drive began
         self.wanted: frozenset[Quantity] | None = None
         self._config = config
-        self._effects = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
+        self._effects = moving_effects(config)
         self._pending: Rows | None = None  # not yet strided
         self._strider: Strider | None = None
         self._newest: float | None = None

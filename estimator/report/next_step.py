@@ -17,7 +17,7 @@ def next_step(run: Run) -> str:
     if final.status == Status.ESTIMATED:
         return ""
     if final.status == Status.INVALID:
-        return DIAGNOSE
+        return f"check with `roadload inspect` what the reason names; where that is right, {DIAGNOSE}"
     gate = pipeline.config.gate
     if final.admitted < gate.minimum_samples:
         needed = gate.minimum_samples * STEP / 60

@@ -13,6 +13,7 @@ from estimator.estimates import Estimate, Marginal, Slope
 from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION
 from estimator.report import parameter_text
 from estimator.report.next_step import next_step
+from estimator.report.run_warnings import warnings_of
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.replay import Run
 
@@ -25,7 +26,7 @@ def of_run(run: Run) -> RunAnswer:
         status=final.status,
         reason=final.reason,
         advice=next_step(run),
-        remarks=tuple(traffic.remarks),
+        warnings=(*traffic.remarks, *warnings_of(pipeline.config, traffic.errors)),
         parameters=parameters(final),
         convergence=convergence(final),
         coverage=coverage(final),

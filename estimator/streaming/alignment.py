@@ -22,6 +22,7 @@ from estimator.streaming.engine_power import BATTERY, EnginePower, is_electric
 from estimator.streaming.frozen_rows import FrozenRows
 from estimator.streaming.lone_errors import lone_errors
 from estimator.streaming.resampling import MAX_FRESH, Track
+from estimator.streaming.wheels import Wheels
 
 # s, between readings of speed or of power that show how they change. Longer straight lines hide it: a truck read every
 # second is 3 % too light, read every two seconds 6 %.
@@ -59,8 +60,6 @@ class Aligner:
 
     Attributes
     ----------
-    refused : collections.Counter[str]
-        Readings that were dropped, by role and reason.
     silent : int
         Rows left out, in blocks that begin MAX_SILENCE after speed or power were last read often enough.
     """
@@ -72,17 +71,22 @@ class Aligner:
         despike: bool = True,
         speed_step: float = 0.0,
     ) -> None:
-        self.refused: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
         self._speed_step = speed_step
         self._bound, self._despike = bound, despike
         self._tracks: dict[tuple[Role, int], Track] = {}
         self._hidden = NO_CONTEXT if is_electric(bound) else NO_CONTEXT | BATTERY
         # Torque comes in as coarse steps as such a speed does: one of them would count as a gross error.
         self._engine = EnginePower(vehicle, bound, despike and speed_step < COARSE_STEP, self._tracks)
-        self._past, self._frozen = PastSpeed(), FrozenRows()
+        self._past, self._frozen, self._wheels = PastSpeed(), FrozenRows(), Wheels()
         self._next: int | None = None
         self._heard_to = -np.inf  # [s], up to where speed or power were read often enough
         self.silent = 0
+
+    @property
+    def refused(self) -> Counter[str]:
+        """Readings that were dropped, and rows in which a wheel was left out, by role and reason."""
+        return self._dropped + self._wheels.refused
 
     @property
     def reference_torque(self) -> float | None:
@@ -93,6 +97,7 @@ class Aligner:
         """Discard the constants of the engine and the past speeds: the vehicle may be another one."""
         self._engine.forget()
         self._past.forget()
+        self._wheels.forget()
 
     def feed(self, readings: Readings, now: float) -> Iterator[Rows]:
         """Add a batch that ends at time ``now`` [s]; yields the rows that have become complete."""
@@ -112,7 +117,7 @@ class Aligner:
             for i, series in enumerate(parts):
                 dropped = self._tracks.setdefault((role, i), Track(MEMORY.get(role, 0.0))).add(series)
                 if dropped:
-                    self.refused[f"{role.value}: {SAME_TIME}"] += dropped
+                    self._dropped[f"{role.value}: {SAME_TIME}"] += dropped
         if self._despike:
             self._drop_lone_errors()
         self._engine.extend(ends)
@@ -186,6 +191,7 @@ class Aligner:
         yield from self.feed({}, now + SETTLE)
         yield from filter(None, [self._frozen.finish()])
         self._engine.finish()
+        self._wheels.pause()
         self._tracks.clear()
         self._next = None
 
@@ -208,14 +214,16 @@ class Aligner:
         """A straight line from the reading before to the one after takes the place of a wrong speed."""
         for (role, _), track in self._tracks.items():
             if role in SPEEDS and (wrong := lone_errors(track.t, track.value)).any():
-                self.refused[f"{role.value}: {LONE_ERROR}"] += int(wrong.sum())
+                self._dropped[f"{role.value}: {LONE_ERROR}"] += int(wrong.sum())
                 track.drop(wrong)
 
     def _rows(self, index: NDArray[np.int64], horizons: NDArray[np.int64], ends: Floats) -> Rows:
         """Rows of blocks that end at ``ends`` (k,) [s], from ``index`` up to their ``horizons`` (k,)."""
         edges = (np.append(index, index[-1] + 1) - 0.5) * STEP
         known_to = np.append(ends[:-1], np.inf)[np.searchsorted(horizons, index, side="right")]
-        speed, speed_there = self._speed(edges, known_to)
+        by_wheels, wheels_there, contradicted = self._wheel_speed(edges, known_to)
+        is_by_wheels = Role.SPEED not in self._bound
+        speed, speed_there = (by_wheels, wheels_there) if is_by_wheels else self._speed(edges, known_to)
         power, power_there = self._engine.means(edges, known_to)
         at = index * STEP
         context = {
@@ -223,13 +231,18 @@ class Aligner:
             for (role, i), track in self._tracks.items()
             if i == 0 and role not in self._hidden
         }
+        derived = {**self._past.follow(index, speed), **self._coarse(len(index))}
+        if is_by_wheels and contradicted.any():
+            derived |= {Quantity.CONTRADICTED: contradicted.astype(float)}
+        elif not is_by_wheels and wheels_there.any():
+            context[Role.WHEEL_SPEEDS] = by_wheels  # to be compared with the speed
         return Rows(
             index=index,
             speed=speed,
             power=power,
             fresh=np.column_stack([speed_there, power_there]),
             context=context,
-            derived={**self._past.follow(index, speed), **self._coarse(len(index))},
+            derived=derived,
         )
 
     def _coarse(self, count: int) -> dict[Quantity, Floats]:
@@ -237,16 +250,18 @@ class Aligner:
         return {Quantity.SPEED_STEP: np.full(count, self._speed_step)} if self._speed_step >= COARSE_STEP else {}
 
     def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
-        """The speed signal, or the mean of the wheel speeds where there is none."""
-        keys = self._speed_keys
+        """The speed signal."""
+        track = self._tracks.get((Role.SPEED, 0), Track())
+        return track.means(edges, known_to)
+
+    def _wheel_speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask, Mask]:
+        """The speed by the wheels, where any of them has a reading, and where they contradict each other (n,) each."""
+        keys = [key for key in self._tracks if key[0] == Role.WHEEL_SPEEDS]
         if not keys:
-            return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, dtype=bool)
+            return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, bool), np.zeros(len(edges) - 1, bool)
         means, there = zip(*(self._tracks[key].means(edges, known_to) for key in keys), strict=True)
-        # A wheel without a valid speed is left out; where none has one there is none.
-        known = np.isfinite(means)
-        total = np.where(known, means, 0.0).sum(axis=0)
-        count = known.sum(axis=0)
-        return np.where(count > 0, total / np.maximum(count, 1), np.nan), np.any(there, axis=0)
+        speed, contradicted = self._wheels.mean(np.array(means), [place for _, place in keys])
+        return speed, np.any(there, axis=0), contradicted
 
     @property
     def _speed_keys(self) -> list[tuple[Role, int]]:

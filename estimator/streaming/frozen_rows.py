@@ -1,18 +1,23 @@
-"""Rows whose speed and power no longer change on the move: a sender that repeats its last values.
+"""Rows whose speed, power or engine speed no longer changes on the move: a sender that repeats its last values.
 
 A recorder or gateway whose source is gone may send the last values on at the usual rate, so that nothing is stale. The
 values are then those of any moment, an acceleration perhaps, and have no noise: ten seconds of them have more weight in
-a fit than the drive before. On a bus, speed or power change within tenths of a second: on 28 trips of a car they were
+a fit than the drive before. On a bus, speed or power change within tenths of a second: on 28 trips of a car both were
 the same for 0.2 s at most, for 0.3 s on simulated trucks without noise. On one trip of that car they are for 441 s.
+
+One of them alone may be coarse, in steps of 1 km/h, or come once a second. How often it repeats itself is learnt:
+with a share p of rows like the row before, n of them in turn have the probability p^n if each is by itself. They are
+not, so the limit is set by recordings: -n log p is at most 94 on these, of an engine that sends once a second.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.samples import STEP, Rows
-from estimator.signals import Floats, Mask, Quantity
+from estimator.signals import Floats, Mask, Quantity, Role
 
 # Share of a value by which means of equal readings differ: friction that is interpolated moves the power of a truck by
 # 1e-6. One bit of a truck's speed is 4e-5 of it at 100 km/h.
@@ -20,47 +25,126 @@ ROUNDING = 1e-5
 USUAL = 0.5  # s without a change that are not unusual; less than what is kept away from rows that are excluded
 LONGEST = 10.0  # s; coarse signals, in steps of 1 km/h, are steady for a few seconds
 MIN_SPEED = 1.0  # m/s: at a standstill nothing changes
+MAX_IMPROBABLE = 120.0  # -n log p of one signal alone
+LEARNT = (
+    20  # rows of a repetition, 2 s, from which p is learnt: a value that is held for long says nothing of the usual
+)
+PRIOR_ROWS = 20.0  # that are assumed to have been seen, one of them a repetition
 
 
 class FrozenRows:
-    """Tells frozen rows; those of a stretch without a change wait for its end. It does not matter how rows are cut."""
+    """Tells rows in which speed and power, or one of them or the engine speed alone, are frozen.
+
+    Those of a stretch without a change wait for its end. It does not matter how rows are cut.
+    """
 
     def __init__(self) -> None:
-        self._held: Rows | None = None  # they follow on those handed on, and have not changed for up to LONGEST
-        self._held_still = np.empty(0)  # [s], for which each of them has not changed
-        self._last = np.full(2, np.nan)  # speed [m/s] and power [W] of the row before the next one
-        self._count = 0  # rows before that with the same values
+        self._parts = (
+            _Repetition(lambda rows: np.array([rows.speed, rows.power]), is_coarse=True),
+            _Repetition(lambda rows: rows.power[None], is_coarse=False),
+            _Repetition(_engine_speed, is_coarse=False),  # friction that is still sent changes the power
+            _Repetition(lambda rows: rows.speed[None], is_coarse=False),
+        )
 
     def feed(self, rows: Rows) -> Rows | None:
         """The next rows of the grid, at least one: those of which it is now known whether they are frozen."""
-        still = np.concatenate([self._held_still, self._still(rows)])
+        known: Rows | None = rows
+        for part in self._parts:
+            known = None if known is None else part.feed(known)
+        return known
+
+    def finish(self) -> Rows | None:
+        """The rows still waiting, when no row follows without a gap."""
+        held: Rows | None = None
+        for part in self._parts:
+            known = None if held is None else part.feed(held)
+            rest = [each for each in (known, part.finish()) if each is not None]
+            held = Rows.concatenate(*rest) if rest else None
+        return held
+
+
+class _Repetition:
+    """Tells rows whose ``values`` (k, n) are those of the row before for too long.
+
+    Too long is LONGEST where they ``is_coarse``; else what is improbable for this signal, if that is shorter. Those
+    that are told already stay told.
+    """
+
+    def __init__(self, values: Callable[[Rows], Floats], is_coarse: bool) -> None:
+        self._values, self._is_coarse = values, is_coarse
+        self._held: Rows | None = None  # they follow on those handed on, and have not changed for up to LONGEST
+        self._held_still = np.empty(0)  # [s], for which each of them has not changed
+        self._held_long = np.zeros(0, dtype=bool)  # whether that is too long
+        self._last: Floats | None = None  # values (k,) of the row before the next one
+        self._count = 0  # rows before that with the same values
+        self._is_long = False  # of that row
+        self._repeated, self._rows = (
+            1.0,
+            PRIOR_ROWS,
+        )  # rows that p is learnt from, and those of them like the one before
+
+    def feed(self, rows: Rows) -> Rows | None:
+        """The next rows of the grid, at least one: those of which it is now known whether they are frozen."""
+        new_still, new_long, may_be = self._stillness(rows)
+        still, long = np.concatenate([self._held_still, new_still]), np.concatenate([self._held_long, new_long])
         rows = rows if self._held is None else Rows.concatenate(self._held, rows)
         begun = rows.index - np.rint(still / STEP).astype(np.int64)  # where each stretch without a change began
         last = np.searchsorted(begun, begun, side="right") - 1
-        waiting: Mask = (begun == begun[-1]) & (still > USUAL) & (still[-1] <= LONGEST)
-        frozen = (still > USUAL) & (still[last] > LONGEST)
+        waiting: Mask = (begun == begun[-1]) & (still > USUAL) & may_be & ~long[-1]
+        frozen = (still > USUAL) & long[last]
         known = len(rows) - int(waiting.sum())
-        self._held, self._held_still = rows[known:] if known < len(rows) else None, still[known:]
+        self._held = rows[known:] if known < len(rows) else None
+        self._held_still, self._held_long = still[known:], long[known:]
         return _marked(rows, frozen, known)
 
     def finish(self) -> Rows | None:
         """The rows still waiting, when no row follows without a gap."""
-        held, self._held, self._held_still = self._held, None, np.empty(0)
-        self._last, self._count = np.full(2, np.nan), 0
+        held, self._held, self._held_still, self._held_long = self._held, None, np.empty(0), np.zeros(0, dtype=bool)
+        self._last, self._count, self._is_long = None, 0, False
         return None if held is None else _marked(held, np.zeros(len(held), dtype=bool), len(held))
 
-    def _still(self, rows: Rows) -> Floats:
-        """Time [s] (n,) since speed or power changed, 0 at a standstill; a value that is not known is a change."""
-        values = np.column_stack([self._last, [rows.speed, rows.power]])
+    def _stillness(self, rows: Rows) -> tuple[Floats, Mask, bool]:
+        """Time [s] (n,) since a change, 0 at a standstill; whether that is too long (n,); whether it still may be.
+
+        A value that is not known is a change.
+        """
+        values = self._values(rows)
+        before = np.full(len(values), np.nan) if self._last is None else self._last
+        values = np.column_stack([before, values])
         is_same = np.all(np.abs(np.diff(values)) <= ROUNDING * np.abs(values[:, 1:]), axis=0)
-        is_same &= rows.speed > MIN_SPEED
+        is_moving = rows.speed > MIN_SPEED
+        is_same &= is_moving
+        if not self._is_coarse:
+            is_same &= (values[:, 1:] != 0).all(axis=0)  # no power while coasting
         place = np.arange(len(rows))
         changed: NDArray[np.int64] = np.maximum.accumulate(np.where(is_same, -1 - self._count, place))
-        self._last, self._count = values[:, -1], int(place[-1] - changed[-1])
-        return (place - changed) * STEP
+        run = place - changed
+        reached = run * STEP > LONGEST if self._is_coarse else self._improbable(run, is_same, is_moving)
+        newest = np.maximum.accumulate(np.where(reached, place, -1))
+        long: Mask = (newest > changed) & (newest >= 0) | (changed < 0) & self._is_long
+        self._last, self._count, self._is_long = values[:, -1], int(run[-1]), bool(long[-1])
+        return run * STEP, long, bool(run[-1] * STEP <= LONGEST) and self._can_be_improbable()
+
+    def _improbable(self, run: NDArray[np.int64], is_same: Mask, is_moving: Mask) -> Mask:
+        """Where the rows (n,) so far without a change are too many for this signal; learns how often it repeats."""
+        repeated = self._repeated + np.cumsum(is_same & (run <= LEARNT))
+        rows = self._rows + np.cumsum(is_moving & (run <= LEARNT))
+        self._repeated, self._rows = float(repeated[-1]), float(rows[-1])
+        improbable: Mask = (-run * np.log(repeated / rows) > MAX_IMPROBABLE) & (run * STEP <= LONGEST)
+        return improbable
+
+    def _can_be_improbable(self) -> bool:
+        """Whether a stretch of at most LONGEST can be too long."""
+        return self._is_coarse or -LONGEST / STEP * np.log(self._repeated / self._rows) > MAX_IMPROBABLE
+
+
+def _engine_speed(rows: Rows) -> Floats:
+    unknown = np.full(len(rows), np.nan)
+    return rows.context.get(Role.ENGINE_SPEED, unknown)[None]
 
 
 def _marked(rows: Rows, frozen: Mask, number: int) -> Rows | None:
-    """The first ``number`` of rows, with whether they are ``frozen`` (n,); None where there are none."""
+    """The first ``number`` of rows, with whether they are ``frozen`` (n,) or were so; None where there are none."""
+    frozen = frozen | rows.frozen
     derived = {**rows.derived, Quantity.FROZEN: frozen.astype(float)}
     return replace(rows, derived=derived)[:number] if number else None

@@ -141,7 +141,7 @@ class Inspection:
             status=Status.UNESTIMATED if final is None else final.status,
             reason=missing if final is None else final.reason,
             coverage=0.0 if final is None else final.coverage.fraction,
-            remarks=tuple(traffic.remarks),
+            warnings=tuple(traffic.remarks),
         )
 
     def _label(self, role: Role, place: int) -> str:

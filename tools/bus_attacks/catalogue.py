@@ -1,7 +1,7 @@
 """The attacks: each adds to, or changes, the traffic of a drive during a part of it."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -91,6 +91,15 @@ def _sparse(message: tuple[str, str], factor: float, every: int, drive: Frames, 
     return merged(drive, later(scaled(real, *message, factor), JUST_AFTER))
 
 
+def _held(message: str, hold: float, every: float, drive: Frames, start: float, stop: float) -> Frames:
+    """A gateway that sends the newest payload again and again for ``hold`` seconds of ``every`` seconds."""
+    real = between(group(drive, message), start, stop)
+    is_real = np.isin(drive.ident, np.unique(real.ident)) & (drive.t >= start) & (drive.t < stop)
+    phase = (real.t - start) % every
+    place = np.maximum.accumulate(np.where(phase < hold, 0, np.arange(len(real))))
+    return merged(drive[~is_real], replace(real, data=real.data[place]))
+
+
 def _hills(source: int, drive: Frames, start: float, stop: float) -> Frames:
     """Altitudes of a road that rises and falls by 60 m every two minutes, half a period after the real ones."""
     real = between(group(drive, ALTITUDE[0]), start, stop)
@@ -146,6 +155,11 @@ _SUSTAINED: dict[str, Forge] = {
     "CCVS1 speed x 1.1 at random times, same address": partial(_mixed, SPEED, 1.1),
     "CCVS1 speed x 1.1, other address": partial(_interleaved, SPEED, 1.1, source=FOREIGN),
     "EEC3 friction x 3 in turn, same address": partial(_interleaved, ("EEC3", "NominalFrictionPercentTorque"), 3.0),
+    "EEC3 friction 0 at ten times the rate, same address": partial(
+        _flooded, ("EEC3", "NominalFrictionPercentTorque"), 0.0, 10
+    ),
+    "EEC1 held for 8 s of every minute": partial(_held, "EEC1", 8.0, 60.0),
+    "CCVS1 held for 8 s of every minute": partial(_held, "CCVS1", 8.0, 60.0),
     "EEC1 torque x 3, one frame in forty, same address": partial(_sparse, TORQUE, 3.0, 40),
     "CCVS1 speed x 1.3, one frame in forty, same address": partial(_sparse, SPEED, 1.3, 40),
     "VDS altitude of other hills in turn, same address": partial(_hills, GNSS),

@@ -1,0 +1,43 @@
+"""What widens an estimate or was left out of it: torque that is not bound, wheels that contradict the others."""
+
+from collections.abc import Mapping
+
+from estimator.can_io.binding import load_database
+from estimator.config import Config
+from estimator.model.effects import unbound
+from estimator.signals import Role
+from estimator.streaming.wheels import DIFFERS, STANDS_STILL, UNDECIDED
+
+SPNS = {Role.FRICTION_FRACTION: 514, Role.TORQUE_FRACTION_FINE: 4154}  # J1939-71
+WHEELS = (STANDS_STILL, DIFFERS, UNDECIDED)
+
+
+def warnings_of(config: Config, errors: Mapping[str, int]) -> tuple[str, ...]:
+    """The warnings of an estimate with this configuration and counts of what was refused, in one line each.
+
+    Raises
+    ------
+    DatabaseError
+        A database cannot be read.
+    """
+    return (*_unbound(config), *(f"{what}, in {rows:,} rows" for what, rows in errors.items() if what.endswith(WHEELS)))
+
+
+def _unbound(config: Config) -> tuple[str, ...]:
+    """Each part of the torque that is not bound, with the line that binds it where the database has it."""
+    lacking = unbound(config.binding.keys())
+    if not lacking:
+        return ()
+    found = {
+        signal.spn: f'in [signals] write {role} = "{message.name}.{signal.name}" if the bus carries it'
+        for message in load_database(config.bus.dbc).messages
+        for signal in message.signals
+        for role, spn in SPNS.items()
+        if signal.spn == spn
+    }
+    return tuple(
+        f"{role} is not bound: the torque contains {effect.source.split(',')[0]}, whose size ({effect.name}) is "
+        "estimated beside A and C and widens them; "
+        + found.get(SPNS[role], f"bind it where the bus has it (SPN {SPNS[role]} of J1939)")
+        for role, effect in lacking.items()
+    )

@@ -1,0 +1,141 @@
+"""The speed of a vehicle by the wheels that agree.
+
+In a curve and by slip, wheels differ by some per cent, and a locked or spinning one for a moment by more. A wheel is
+left out of the mean
+
+* while its value stands still and the others change: a dead sensor, at zero or at its last value, or a locked wheel;
+* where it differs from the larger part of the wheels at a speed at which no curve explains that: another scale.
+
+Where neither part is larger it cannot be told which is right, and there is no speed.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.signals import Floats, Mask
+
+STILL = 1e-9  # m/s, by which means of equal readings differ
+MAX_STILL_CHANGE = 2.0  # m/s that the others change by while a wheel does not: far beyond any resolution
+MIN_SPEED = 8.0  # m/s, from which wheels are compared: at 6 m/s^2 sideways the curve is wider than 10 m
+MAX_DIFFERENCE = 0.25  # of the faster wheel: in that curve, inner and outer wheel differ by 0.2 and the axles by less
+MIN_ROWS = 20  # 2 s without a change, until a comparison counts: wheels spin and lock for a moment
+MAX_WHEELS = 16  # that one code has bits for; trailers send more than one message
+
+STANDS_STILL, DIFFERS = "stands still while the others change", "differs from the others"
+UNDECIDED = "half of them contradict the others"
+
+
+class Wheels:
+    """The mean of wheel speeds, row by row; it does not matter how rows are cut.
+
+    Attributes
+    ----------
+    refused : collections.Counter[str]
+        Rows in which a wheel was left out, by wheel and reason.
+    """
+
+    def __init__(self) -> None:
+        self.refused: Counter[str] = Counter()
+        self._still: _Still | None = None
+        self._code, self._run, self._counts = 0, 0, 0  # of the newest comparison, rows with it, and that which counts
+
+    def mean(self, speeds: Floats, places: Sequence[int]) -> tuple[Floats, Mask]:
+        """Speed [m/s] (n,) from those of k wheels (k, n), NaN where none is known; and where they contradict (n,).
+
+        ``places`` (k,) are their numbers in the configuration, from 0.
+        """
+        known = np.isfinite(speeds)
+        undecided = np.zeros(speeds.shape[1], dtype=bool)
+        if 2 <= len(speeds) <= MAX_WHEELS:
+            if self._still is None or self._still.wheels != len(speeds):
+                self._still = _Still(len(speeds))
+            still = self._still.feed(speeds)
+            out = self._compared(np.where(still, np.nan, speeds))
+            undecided[:] = known.any(axis=0) & ~(known & ~still & ~out).any(axis=0) & out.any(axis=0)
+            self._count(still & known, out & known & ~undecided, undecided, places)
+            known &= ~still & ~out
+        total = np.where(known, speeds, 0.0).sum(axis=0)
+        count = known.sum(axis=0)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan), undecided
+
+    def pause(self) -> None:
+        """The next rows do not follow without a gap."""
+        self._still, self._run = None, 0
+
+    def forget(self) -> None:
+        """The vehicle may be another one."""
+        self.pause()
+        self._code, self._counts = 0, 0
+
+    def _compared(self, speeds: Floats) -> Mask:
+        """Which wheels (k, n) are left out, by the last comparison that held for MIN_ROWS rows."""
+        bits = 1 << np.arange(len(speeds))
+        code = bits @ _apart(speeds)
+        with np.errstate(invalid="ignore"):
+            decisive = np.flatnonzero((speeds > MIN_SPEED).any(axis=0))
+        codes = np.concatenate([[self._code], code[decisive]])
+        place = np.arange(len(codes))
+        changed = np.maximum.accumulate(np.where(np.diff(codes, prepend=codes[0]) != 0, place, 1 - self._run))
+        run = place - changed + 1
+        run[0] = self._run
+        counts = np.full(speeds.shape[1], -1)
+        counts[decisive] = np.where(run[1:] >= MIN_ROWS, codes[1:], -1)
+        self._code, self._run = int(codes[-1]), int(run[-1])
+        newest = np.maximum.accumulate(np.where(counts >= 0, np.arange(len(counts)), -1))
+        held = np.where(newest >= 0, counts[newest], self._counts)
+        self._counts = int(held[-1]) if len(held) else self._counts
+        out: Mask = (held & bits[:, None]) != 0
+        return out
+
+    def _count(self, still: Mask, out: Mask, undecided: Mask, places: Sequence[int]) -> None:
+        for reason, masks in ((STANDS_STILL, still), (DIFFERS, out & ~still)):
+            for i in np.flatnonzero(masks.any(axis=1)).tolist():
+                self.refused[f"wheel_speeds {places[i] + 1}: {reason}"] += int(masks[i].sum())
+        if undecided.any():
+            self.refused[f"wheel_speeds: {UNDECIDED}"] += int(undecided.sum())
+
+
+def _apart(speeds: Floats) -> NDArray[np.int64]:
+    """1 for each wheel (k, n) that is not of the larger part of those known; for all of them where none is larger."""
+    with np.errstate(invalid="ignore"):
+        faster = np.maximum(speeds[:, None], speeds[None])
+        agree = np.abs(speeds[:, None] - speeds[None]) <= MAX_DIFFERENCE * np.abs(faster)  # False where not known
+    votes = agree.sum(axis=1)
+    largest = votes == votes.max(axis=0)
+    split = (largest[:, None] & largest[None] & ~agree).any(axis=(0, 1)) & np.isfinite(speeds).any(axis=0)
+    apart: NDArray[np.int64] = (np.isfinite(speeds) & (~largest | split)).astype(np.int64)
+    return apart
+
+
+class _Still:
+    """Tells wheels whose value has not changed since the others were at another speed."""
+
+    def __init__(self, wheels: int) -> None:
+        self.wheels = wheels
+        self._last = np.full(wheels, np.nan)  # [m/s] of the row before
+        self._others = np.full(wheels, np.nan)  # [m/s] mean of the others when each last changed
+        self._is_still = np.zeros(wheels, dtype=bool)
+
+    def feed(self, speeds: Floats) -> Mask:
+        """Which wheels (k, n) stand still."""
+        known = np.isfinite(speeds)
+        count = known.sum(axis=0)
+        total = np.where(known, speeds, 0.0).sum(axis=0)
+        still = np.zeros(speeds.shape, dtype=bool)
+        place = np.arange(speeds.shape[1])
+        for i, own in enumerate(speeds):
+            others = np.where(
+                count > known[i], (total - np.where(known[i], own, 0.0)) / np.maximum(count - known[i], 1), np.nan
+            )
+            with np.errstate(invalid="ignore"):
+                is_same = np.abs(np.diff(own, prepend=self._last[i])) <= STILL
+                begun = np.maximum.accumulate(np.where(is_same, -1, place))
+                then = np.where(begun >= 0, others[begun], self._others[i])
+                far = np.abs(others - then) > MAX_STILL_CHANGE
+            last_far = np.maximum.accumulate(np.where(far, place, -1))
+            still[i] = np.where(begun >= 0, last_far > begun, (last_far >= 0) | self._is_still[i])
+            self._last[i], self._others[i], self._is_still[i] = own[-1], then[-1], still[i, -1]
+        return still
