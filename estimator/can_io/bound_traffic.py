@@ -32,7 +32,7 @@ def bound_messages(config: Config) -> list[BoundMessage]:
     """
     if config.table is not None:
         signals = dict(binding_of(config.table))
-        bound = bind(msgspec.structs.replace(config, signals=signals), database_of(config.table))
+        bound = bind(msgspec.structs.replace(config, signals=signals, table=None), database_of(config.table))
         return [replace(message, j1939=False, cycle=None) for message in bound]
     database = load_database(config.bus.dbc)
     if config.lake is None:

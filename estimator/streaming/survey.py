@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.can_io.binding import BoundMessage, BoundSignal, bound_message, last_byte, present, values
+from estimator.can_io.binding import BoundMessage, BoundSignal, bound_message, last_byte
 from estimator.can_io.decoder import is_group, is_message
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939 import GROUP_MASK, pgn_of
 from estimator.can_io.role_candidates import Candidate
+from estimator.can_io.signal_values import present, values
 from estimator.config import Config, from_dict
 from estimator.signals import DIMENSION, STATE
 from estimator.streaming.log_frames import LogFrames, Progress, no_progress
