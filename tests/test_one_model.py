@@ -7,8 +7,10 @@ import pytest
 from simulated_logs import CLIMB, drive, written
 
 from estimator.components.drive_state import DriveState
-from estimator.config import from_dict
+from estimator.config import from_dict, load, replace
 from estimator.diagnosis.result import Diagnosis
+from estimator.report.diagnosis_page import page
+from estimator.settings import Bus
 from estimator.simulation.effects.effect import Effect
 from estimator.streaming.drive_extraction import diagnose_logs, drives_of
 from estimator.streaming.replay import estimate_logs
@@ -61,6 +63,9 @@ def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
     traces = d.traces
     assert rms(traces.measured - traces.base) == pytest.approx(d.rms_base, rel=1e-9) == grade.rms_before
     known = rms(traces.measured - traces.road_known)
+    document = page(d)
+    assert "if the road were known" in document
+    assert "with the effects" not in document.split("What it does to the parameters")[0]
     assert 0.5 * grade.rms_after < known < grade.rms_after < 0.3 * grade.rms_before
     assert mean_square(d, "after") < 0.3 * mean_square(d, "before")
 
@@ -82,3 +87,12 @@ def test_estimate_and_diagnosis_fit_a_drive_alike(kind, request):
     assert len(state.fit.strides) == len(fit.strides)
     assert state.fit.scales.values.tolist() == fit.scales.values.tolist()
     assert state.fit.equations.solve()[0].tolist() == fit.equations.solve()[0].tolist()
+
+
+def test_a_real_trip_is_drawn_as_it_is_stated(recordings):
+    folder = recordings / "bmw_i3"
+    settings = load(Path(__file__).parents[1] / "dbc" / "bmw_i3.toml")
+    d = diagnose_logs(folder / "TripA04.blf", replace(settings, bus=Bus(dbc=[str(folder / "bmw_i3.dbc")])))
+    assert d.effects
+    assert rms(d.traces.measured - d.traces.base) == pytest.approx(d.rms_base, rel=1e-9)
+    assert rms(d.traces.measured - d.traces.extended) == pytest.approx(d.rms_final, rel=1e-9)

@@ -99,17 +99,17 @@ def _power(d: Diagnosis) -> str:
     if traces is None:
         return ""
     most = "the effects change most" if d.effects else "the model misses most"
-    return f'<p class="soft">The five minutes in which {most}.</p>{figures.power(traces, bool(d.effects))}'
+    return f'<p class="soft">The five minutes in which {most}.</p>{figures.power(traces, figures.improved(d, traces))}'
 
 
 def _where(d: Diagnosis) -> str:
-    parts = []
+    parts, traces = [], _complete(d.traces)
+    better = None if traces is None else figures.improved(d, traces)
     if d.gap_map is not None:
-        parts.append("<h3>Over speed and acceleration</h3>" + figures.gap_map(d.gap_map, bool(d.effects)))
-    traces = _complete(d.traces)
+        parts.append("<h3>Over speed and acceleration</h3>" + figures.gap_map(d.gap_map, better))
     if traces is not None:
-        parts.append("<h3>In time</h3>" + figures.in_time(traces, d))
-        parts.append("<h3>Along the road</h3>" + figures.along_the_road(traces, d))
+        parts.append("<h3>In time</h3>" + figures.in_time(traces, d, better))
+        parts.append("<h3>Along the road</h3>" + figures.along_the_road(traces, better))
     if d.where:
         parts.append("<h3>Places that stand out of the noise</h3>" + tables.where(d.where))
     return "".join(parts)

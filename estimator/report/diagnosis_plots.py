@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from estimator.diagnosis.result import Diagnosis
 from estimator.report import wording
 from estimator.report.number_format import MINUS
+from estimator.report.page.figures import improved
 
 MEASURED, PLAIN, WITH_EFFECTS = "#1b3a4b", "#d1495b", "#2e8b57"
 AVERAGED = 15  # rows, 30 s, of the mean line of a residual
@@ -20,8 +21,8 @@ def power(d: Diagnosis) -> Figure:
     t = d.traces.t / 60
     axes.plot(t, d.traces.measured / 1e3, color=MEASURED, lw=0.8, label="measured")
     axes.plot(t, d.traces.base / 1e3, color=PLAIN, lw=0.6, label="plain model")
-    if d.effects:
-        axes.plot(t, d.traces.extended / 1e3, color=WITH_EFFECTS, lw=0.6, label="with the effects")
+    if better := improved(d, d.traces):
+        axes.plot(t, better.power / 1e3, color=WITH_EFFECTS, lw=0.6, label=better.name)
     axes.set_ylabel("power [kW]")
     axes.legend(frameon=False, ncols=3)
     return figure
@@ -30,12 +31,13 @@ def power(d: Diagnosis) -> Figure:
 def gap(d: Diagnosis) -> Figure:
     """Residual [kW] of the plain model, and with the effects, over the time of the logs [min]."""
     assert d.traces is not None
-    curves = [("plain model", d.traces.base, d.rms_base, PLAIN)]
-    if d.effects:
-        curves.append(("with the effects", d.traces.extended, d.rms_final, WITH_EFFECTS))
+    curves = [("plain model", d.traces.base, PLAIN)]
+    if better := improved(d, d.traces):
+        curves.append((better.name, better.power, WITH_EFFECTS))
     figure, panels = _figure(len(curves))
-    for axes, (name, model, rms, colour) in zip(panels, curves, strict=True):
+    for axes, (name, model, colour) in zip(panels, curves, strict=True):
         residual = (d.traces.measured - model) / 1e3
+        rms = 1e3 * float(np.sqrt(np.mean(residual**2)))
         axes.plot(d.traces.t / 60, residual, ".", ms=1, color=colour, alpha=0.4)
         mean = np.convolve(residual, np.full(AVERAGED, 1 / AVERAGED), "same")
         axes.plot(d.traces.t / 60, mean, color=MEASURED, lw=1)

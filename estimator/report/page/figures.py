@@ -2,6 +2,7 @@
 
 import html
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,25 @@ CUT_BREAK = 60.0  # s, their length after the cut
 DETAIL_DURATION = 300.0  # s of the power trace shown
 
 
-def gap_map(cells: GapMap, changed: bool) -> str:
+class Improved(NamedTuple):
+    """The better model that is drawn beside the plain one: its ``name`` and its ``power`` [W] (n,)."""
+
+    name: str
+    power: Floats
+
+
+def improved(d: Diagnosis, traces: Traces) -> Improved | None:
+    """The model that the headline is of: with all that was found, or with a road that no signal shows; None if none."""
+    if not d.effects:
+        return None
+    if any(wording.is_hidden(effect) for effect in d.effects):
+        return Improved("if the road were known", traces.road_known)
+    return Improved("with the effects", traces.extended)
+
+
+def gap_map(cells: GapMap, better: Improved | None) -> str:
     """Mean residual by speed and acceleration, before and after on one scale."""
-    shown = [("plain model", cells.before)] + ([("with the effects", cells.after)] if changed else [])
+    shown = [("plain model", cells.before)] + ([(better.name, cells.after)] if better else [])
     scale = _scale(np.concatenate([values.ravel() for _, values in shown]) / 1e3)
     seen = np.isfinite(cells.before) | np.isfinite(cells.after)
     x = _covered(cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [m/s]")
@@ -61,7 +78,7 @@ def _covered(edges: Floats, seen: NDArray[np.intp], label: str) -> Axis:
     return axis(kept.tolist(), label)
 
 
-def in_time(traces: Traces, d: Diagnosis) -> str:
+def in_time(traces: Traces, d: Diagnosis, better: Improved | None) -> str:
     """Residual over the drive, before and after, with the times in which effects act."""
     clock = _clock(traces)
     acting = [span for effect in d.effects for span in effect.span]
@@ -71,15 +88,15 @@ def in_time(traces: Traces, d: Diagnosis) -> str:
     if _has_several_logs(traces):
         label = "driving time [min], log after log"
     note = '<p class="soft">Shaded: when an effect acts.</p>' if len(spans) else ""
-    return note + _residuals(clock / 60, traces, bool(d.effects), label, spans / 60)
+    return note + _residuals(clock / 60, traces, better, label, spans / 60)
 
 
-def along_the_road(traces: Traces, d: Diagnosis) -> str:
+def along_the_road(traces: Traces, better: Improved | None) -> str:
     """Residual over the distance driven, before and after."""
     # Each drive counts from zero: they are laid end to end.
     steps = np.maximum(np.diff(traces.distance, prepend=traces.distance[:1]), 0.0)
     distance = float(traces.distance[0]) + np.cumsum(steps)
-    return _residuals(distance / 1e3, traces, bool(d.effects), "distance [km]", np.empty((0, 2)))
+    return _residuals(distance / 1e3, traces, better, "distance [km]", np.empty((0, 2)))
 
 
 def _has_several_logs(traces: Traces) -> bool:
@@ -102,10 +119,10 @@ def _placed(span: Span, traces: Traces, clock: Floats) -> Floats:
     return placed
 
 
-def _residuals(position: Floats, traces: Traces, changed: bool, label: str, spans: Floats) -> str:
+def _residuals(position: Floats, traces: Traces, better: Improved | None, label: str, spans: Floats) -> str:
     residuals = [("plain model", "before", (traces.measured - traces.base) / 1e3)]
-    if changed:
-        residuals.append(("with the effects", "after", (traces.measured - traces.extended) / 1e3))
+    if better:
+        residuals.append((better.name, "after", (traces.measured - better.power) / 1e3))
     x = axis(position.tolist(), label)
     binned = [
         (name, kind, _binned(x, position, r, BINS), _binned(x, position, r, BLOCKS)) for name, kind, r in residuals
@@ -139,10 +156,10 @@ def _binned(x: Axis, position: Floats, values: Floats, count: int) -> tuple[Floa
     return centres, low, high, mean
 
 
-def power(traces: Traces, changed: bool) -> str:
+def power(traces: Traces, better: Improved | None) -> str:
     """Measured power and that of the models in the five most informative minutes; empty without data."""
     squared = (traces.measured - traces.base) ** 2
-    worth = np.nan_to_num(squared - (traces.measured - traces.extended) ** 2 if changed else squared)
+    worth = np.nan_to_num(squared - (traces.measured - better.power) ** 2 if better else squared)
     clock = _clock(traces)
     ends = np.minimum(
         np.searchsorted(clock, clock + DETAIL_DURATION, side="right"),
@@ -155,13 +172,11 @@ def power(traces: Traces, changed: bool) -> str:
     late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(clock))  # no line across a stop
     frame = f"the first frame of log {traces.log[start] + 1:.0f}" if _has_several_logs(traces) else "the first frame"
     x = axis((t / 60).tolist(), f"time since {frame} [min]")
-    curves = [("measured", traces.measured), ("before", traces.base)] + (
-        [("after", traces.extended)] if changed else []
-    )
+    curves = [("measured", traces.measured), ("before", traces.base)] + ([("after", better.power)] if better else [])
     values = {kind: np.where(late, np.nan, curve[window] / 1e3) for kind, curve in curves}
     y = axis(np.concatenate(list(values.values())).tolist(), "power [kW]", zero=True, margin=0.04)
     shapes = "".join(line(x, y, t / 60, v, f"line {kind}") for kind, v in values.items())
-    names = {"measured": "measured", "before": "plain model", "after": "with the effects"}
+    names = {"measured": "measured", "before": "plain model", "after": better.name if better else ""}
     key = "".join(f'<span class="{kind}">{names[kind]}</span>' for kind in values)
     words = f"Power from {number(x.low)} to {number(x.high)} min: " + ", ".join(names[k] for k in values)
     return f'<p class="key">{key}</p>' + plot(shapes, x, y, words, kind="trace")
@@ -170,6 +185,7 @@ def power(traces: Traces, changed: bool) -> str:
 def bars(d: Diagnosis) -> str:
     """The residual from the plain model down to the noise floor, one bar an effect."""
     rows = [(name, rms) for name, rms in wording.ladder(d) if math.isfinite(rms)]
+    rows += [("if the road were known", effect.rms_after) for effect in d.effects if wording.is_hidden(effect)]
     floor = d.noise_floor if d.noise_floor is not None and math.isfinite(d.noise_floor) else 0.0
     greatest = max([floor, *(rms for _, rms in rows)], default=0.0)
     if not greatest > 0:

@@ -57,7 +57,7 @@ def parameters(d: Diagnosis) -> str:
         row = [f"{name} [{unit}]", wording.parameter(before, step)]
         if d.final is not None and d.effects:
             after = getattr(d.final, attribute)
-            relative = (after - before) / before if before else math.nan
+            relative = (after - before) / before if before > 0 else math.nan  # no share of what cannot be negative
             share = f" ({number_format.signed(f'{100 * relative:+.1f}')} %)" if math.isfinite(relative) else ""
             row += [wording.parameter(after, step), wording.parameter(after - before, step, "+") + share]
         rows.append(row)
