@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimator.diagnosis.standing import IDLE_SD, MIN_IDLE, REST_SD, REST_SHARE, rests
 from simulated_logs import ask
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
+from estimator.preparation.standing import IDLE_SD, MIN_IDLE, REST_SD, REST_SHARE, rests
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 

@@ -1,17 +1,15 @@
 """Three questions before an estimate, each with its reason when the answer is no."""
 
+from collections import Counter
+
 import numpy as np
-import pytest
-from estimator.estimation.moments import Fit
 
 from estimator.estimates import Coverage
-from estimator.estimation.gate import MIN_PULLING_ACCELERATION, Gate, has_news, wrong_sign_of
-from estimator.estimation.posterior import box
+from estimator.estimation.gate import MIN_PULLING_ACCELERATION, Gate, Judged, has_news, wrong_sign_of
 from estimator.estimation.window import Grid
 from estimator.settings import Gate as GateConfig
-from estimator.settings import Prior
 
-THETA = np.array([1739.0, 3.74, 27_190.0, 0.0])
+THETA = np.array([1739.0, 3.74, 27_190.0])
 GRID = Grid(2.5, 0.1)
 
 
@@ -19,52 +17,24 @@ def gate(**settings) -> Gate:
     return Gate(GateConfig(**settings), GRID)
 
 
-def fit(theta=THETA, relative=0.01) -> Fit:
+def fit(theta=THETA, relative=0.01) -> Judged:
     theta = np.asarray(theta, float)
-    return Fit(
-        theta=theta,
-        covariance=np.diag((relative * np.abs(theta) + 1e-9) ** 2),
-        dof=50.0,
-        kept=np.ones(10, dtype=bool),
-        rms=5e3,
-        effective=100.0,
-    )
+    return Judged(theta, relative * np.abs(theta) + 1e-9)
 
 
 def counts(v, a) -> np.ndarray:
     return np.bincount(GRID.cell(np.asarray(v, float), np.asarray(a, float)), minlength=GRID.size)
 
 
-# Calculable
+# Enough rows
 
 
-def test_a_good_fit_is_calculable():
-    assert gate().obstacle_to_fit(fit(), 5000, box(Prior())) == ""
-
-
-def test_too_few_samples():
+def test_too_few_rows_are_told_with_the_commonest_of_the_others():
     strict = gate(minimum_samples=1200)
-    assert strict.obstacle_to_fit(fit(), 1199, box(Prior())) == "1199 usable samples of the 1200 needed"
-    assert strict.obstacle_to_fit(None, 0, box(Prior())) == "0 usable samples of the 1200 needed"
-    assert strict.obstacle_to_fit(fit(), 1200, box(Prior())) == ""
-
-
-def test_no_fit():
-    assert "varied too little" in gate().obstacle_to_fit(None, 5000, box(Prior()))
-
-
-@pytest.mark.parametrize(("i", "name"), list(enumerate(["A", "C", "mass"])))
-@pytest.mark.parametrize("factor", [-1.0, 10.0])
-def test_conflicts_with_the_prior_are_named(i, name, factor):
-    theta = THETA.copy()
-    theta[i] *= factor
-    reason = gate().obstacle_to_fit(fit(theta), 5000, box(Prior()))
-    assert reason.startswith(f"{name} ")
-    assert "outside its prior" in reason
-
-
-def test_a_fit_that_reaches_into_the_prior_is_no_conflict():
-    assert gate().obstacle_to_fit(fit([-50.0, 3.74, 27_190.0, 0.0], 1.0), 5000, box(Prior())) == ""
+    assert strict.missing_rows(1199, Counter()) == "1199 usable samples of the 1200 needed"
+    others = Counter(braking=7, standing=9)
+    assert strict.missing_rows(0, others) == "0 usable samples of the 1200 needed; most others: standing"
+    assert strict.missing_rows(1200, others) == ""
 
 
 # Covered

@@ -69,7 +69,8 @@ def test_a_deferred_package_that_is_used_at_once_is_imported_at_once(tmp_path):
 
 def test_a_kalman_filter_imported_without_its_statistics_has_them_when_they_are_asked_for():
     program = (
-        "import sys; from estimator.preparation.smoothing import smoother_kernels; smoother_kernels(100.0, 0.1);"
+        "import sys; from estimator.lean_import import import_deferring;"
+        "import_deferring('filterpy.stats', 'filterpy.kalman').KalmanFilter(2, 1).predict();"
         "print('scipy.stats' in sys.modules);"
         "from filterpy.stats import logpdf; print(round(logpdf(0.0, 0.0, 1.0), 3), 'scipy.stats' in sys.modules)"
     )

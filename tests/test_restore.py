@@ -172,7 +172,7 @@ def test_a_short_absence_changes_next_to_nothing(drive, state, uninterrupted, aw
 def test_rows_are_never_joined_over_the_absence(drive, state, away):
     pipeline = restored(state)
     run(pipeline, between(drive, SAVED + away, SAVED + away + 200))
-    strides = pipeline.estimator.window.samples
+    strides = pipeline.estimator.window.strides
     t = strides.t[strides.known] - EPOCH
     assert np.any(t < SAVED)
     assert np.any(t > SAVED + away)
@@ -229,7 +229,7 @@ def test_columns_of_effects_come_back(drive):
     again = restored(state, effects=["warm_up"])
     list(again.feed(between(drive, SAVED + 20, SAVED + 120)))
     assert len(again.estimator.window) > len(pipeline.estimator.window)
-    assert again.estimator.window.samples.context.keys() == pipeline.estimator.window.samples.context.keys() != set()
+    assert again.estimator.window.strides.context.keys() == pipeline.estimator.window.strides.context.keys() != set()
     with pytest.raises(StateError, match="other columns"):
         restored(spoilt(state, ("estimator", "stage", "strider", "wanted"), "cut"), effects=["warm_up"])
 

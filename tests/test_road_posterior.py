@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from estimator.estimation.moments import Belief
 from numpy.testing import assert_allclose
 
 from estimator.config import Config
 from estimator.estimation import posterior
+from estimator.estimation.belief import Belief
 from estimator.estimation.road_posterior import RoadTarget
 
 A, C, M = 1700.0, 3.5, 20_000.0
