@@ -15,6 +15,7 @@ from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import Cause, Chosen, ModelTable
+from estimator.estimation.mixture import between
 from estimator.estimation.shapes import is_free
 from estimator.model.term import Term
 from estimator.signals import Floats
@@ -38,9 +39,7 @@ class OtherSets:
 
 def _mixed(chosen: Moments, each: Sequence[Moments], weights: Floats) -> OtherSets:
     """The moments of a mixture less those of ``chosen`` (the law of total variance)."""
-    shifts = np.array([mean - chosen[0] for mean, _ in each])
-    shift = weights @ shifts
-    spread = (shifts - shift).T @ ((shifts - shift) * weights[:, None])
+    shift, spread = between(weights, np.array([mean - chosen[0] for mean, _ in each]))
     within = sum(w * (covariance - chosen[1]) for w, (_, covariance) in zip(weights.tolist(), each, strict=True))
     return OtherSets(shift, spread + within)
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.estimation.mixture import between
 from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit
 from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
 from estimator.signals import Floats
@@ -52,12 +53,11 @@ class GainChanges:
 
     def averaged(self, found: RoadFit) -> RoadFit:
         """The fit averaged over whether the force changed, and how."""
-        w, mean = self.probability, self.probability @ self.shift
-        apart = self.shift - mean
-        between = (apart.T * w) @ apart + (1 - w.sum()) * np.outer(mean, mean)
-        covariance = found.covariance + between + np.einsum("k,kij->ij", w, self.covariance)
+        w = self.probability
+        shift, spread = between(w, self.shift)
+        covariance = found.covariance + spread + np.einsum("k,kij->ij", w, self.covariance)
         covariance[0, 0] += found.beta[0] ** 2 * float(w @ (self.size**2 + self.sd**2)) / 4
-        return replace(found, beta=found.beta + mean, covariance=covariance)
+        return replace(found, beta=found.beta + shift, covariance=covariance)
 
     def contradiction(self, found: RoadFit) -> str:
         """Reason why parts of the drive contradict each other; empty where noise explains it."""

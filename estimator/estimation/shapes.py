@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.estimation.mixture import between
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, Likelihood
 from estimator.estimation.road_search import RoadScales
@@ -112,9 +113,9 @@ def averaged(strides: Strides, found: RoadFit) -> RoadFit:
         weights /= weights.sum()
         coefficients = np.insert(coefficients[:, :-1], len(beta) - effects + i, coefficients[:, -1], axis=1)
         shifts = coefficients - coefficients[0]  # of these: the fit itself is corrected for noise
-        mean = weights @ shifts
-        beta += mean
-        covariance += (shifts - mean).T @ ((shifts - mean) * weights[:, None])
+        shift, spread = between(weights, shifts)
+        beta += shift
+        covariance += spread
     return replace(found, beta=beta, covariance=covariance)
 
 
