@@ -68,6 +68,7 @@ JSON_KEYS = {
     "rms_kW",
     "samples",
     "frames",
+    "failed_updates",
     "effects",
     "magnitudes",
     "updates",
@@ -392,7 +393,7 @@ def test_a_command_that_is_stopped_says_so_and_leaves_no_file(
     before = signal.getsignal(signal.SIGTERM)
     ignored = signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background it is ignored
 
-    monkeypatch.setattr("estimator.commands.simulate.frames_of", lambda signals: os.kill(os.getpid(), number))
+    monkeypatch.setattr("estimator.can_io.j1939_encoder.frames_of", lambda signals: os.kill(os.getpid(), number))
     assert cli("simulate", tmp_path / "a.log", "--minutes", "0.5") == (1, "", "error: interrupted\n")
     signal.signal(signal.SIGINT, ignored)
     assert list(tmp_path.iterdir()) == []

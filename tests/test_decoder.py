@@ -18,7 +18,7 @@ from estimator.can_io.decoder import Decoder
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.config import from_dict
 from estimator.signals import Floats, Role
-from estimator.units import KNOWN_UNITS
+from estimator.units import conversion_of
 
 # One signal a role, so that every signal has a series of its own.
 UNITS = {
@@ -169,7 +169,7 @@ def test_any_layout_decodes_as_cantools_does(
     for t, row in zip(frames.t[~stray], data[~stray], strict=True):
         for name, value in message.decode(row[: message.length].tobytes(), decode_choices=False).items():
             if name in roles:
-                unit = KNOWN_UNITS.get((message.get_signal_by_name(name).unit or "").lower())
+                unit = conversion_of(message.get_signal_by_name(name).unit)
                 with np.errstate(over="ignore", invalid="ignore"):
                     si = np.float64(value) * unit.scale + unit.offset if unit else np.float64(value)
                 expected.setdefault(name, []).append((t, si if np.isfinite(si) else np.nan))

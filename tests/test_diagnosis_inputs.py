@@ -12,7 +12,7 @@ import pytest
 from simulated_logs import CLIMB, ask, drive, named, written
 
 from estimator.commands.main import main
-from estimator.diagnosis import explanation
+from estimator.diagnosis.case import Case
 from estimator.signals import Role, Series
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.recording import Recording
@@ -259,14 +259,14 @@ def test_of_several_drives_one_that_cannot_be_fitted_is_left_out(tmp_path, monke
     longer = written(drive("mixed", 25, 2), tmp_path / "longer.blf")
     shorter = written(drive("mixed", 20, 2), tmp_path / "shorter.blf")
     alone = ask("diagnose", longer)
-    state = explanation._state
+    state = Case.state
 
-    def of_the_longer(one, is_level):
-        return state(one, is_level) if one.record.strides.t[-1] - one.record.start > 1300.0 else None
+    def of_the_longer(case, is_level):
+        return state(case, is_level) if case.drive.strides.t[-1] - case.drive.start > 1300.0 else None
 
-    monkeypatch.setattr(explanation, "_state", of_the_longer)
+    monkeypatch.setattr(Case, "state", of_the_longer)
     both = ask("diagnose", longer, shorter)
     assert both["verdict"] == alone["verdict"]
     assert both["rms_base_kW"] == pytest.approx(alone["rms_base_kW"], rel=1e-6)
-    monkeypatch.setattr(explanation, "_state", lambda one, is_level: None)
-    assert "less than half a minute" in cannot_tell(longer, shorter)
+    monkeypatch.setattr(Case, "state", lambda case, is_level: None)
+    assert "cannot be told apart" in cannot_tell(longer, shorter)

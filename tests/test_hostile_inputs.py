@@ -267,7 +267,7 @@ def test_a_cycle_of_thirty_million_years(refused: Refused, tmp_path: Path) -> No
 def test_a_signal_that_no_message_can_carry(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "a.dbc").write_text(DBC.format("500000|16"))
     (tmp_path / "a.toml").write_text('bus.dbc = ["a.dbc"]\nsignals = {speed = "M.S", engine_power = "M.S"}\n')
-    assert "M.S: lies beyond byte 1785" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
+    assert "M.S: lies beyond byte 4095" in refused("estimate", plain(tmp_path), "--config", tmp_path / "a.toml")
 
 
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/urandom"])

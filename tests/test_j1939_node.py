@@ -354,7 +354,7 @@ def test_what_we_publish_is_sent_on_request():
         (answer,) = node.hear(request(pgn, destination=destination), 1.0)
         assert answer.arbitration_id == 6 << 26 | pgn << 8 | 0xFB
         assert pgn == CVW or verify(answer)
-    assert kind(node.hear(request(0xFF65, destination=0xFB), 1.0)[0]) == ACK
+    assert kind(node.hear(request(0xFF66, destination=0xFB), 1.0)[0]) == ACK
 
 
 def test_nothing_is_answered_before_the_address_stands():

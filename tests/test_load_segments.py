@@ -64,7 +64,7 @@ def test_what_is_carried_over_is_rolling_coefficient_and_drag():
     belief = segment(15_000, 50).carry_over(0.0, Load(change_sd=0.1, drift_per_hour=0.0))
 
     def distance(A: float, C: float, m: float) -> float:
-        theta = np.array([A, C, m, 0.0])
+        theta = np.array([A, C, m])
         return float(theta @ belief.precision @ theta - 2 * theta @ belief.moment)
 
     best = distance(900, 3.7, 15_000)

@@ -324,9 +324,9 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
             return self.explained() if level > least else None
 
     monkeypatch.setattr(explanation, "Search", Found)
-    monkeypatch.setattr(explanation, "_state", lambda drive, is_level: "level" if is_level else "sloping")
     monkeypatch.setattr(explanation, "_slopes", lambda states, sloping=(): 50.0)
     monkeypatch.setattr(explanation, "log_bayes_factor_of_signals", lambda strides, fit: signals)
-    drives, states = explanation.started([SimpleNamespace(model=SimpleNamespace(terms=()))])
-    found = explanation.explain(drives, states, [], Thresholds())
+    case = SimpleNamespace(terms=(), is_road_given=False, state=lambda is_level: "level" if is_level else "sloping")
+    cases, states = explanation.started([case])
+    found = explanation.explain(cases, states, [], Thresholds())
     assert (found.is_sloping, found.is_hilly) == (is_sloping, is_hilly)

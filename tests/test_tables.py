@@ -142,7 +142,7 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
         (steady(v=["72"] * 20 + ["fast"] + ["72"] * 179), MAP, "row 21, column 'v': 'fast' is no number"),
         (steady(t=["0.1"] * 5 + [""] + ["0.2"] * 194), MAP, "row 6: has no time; fill it in, or delete the row"),
         (steady(), ["--map", "speed=v", "--map", "power=P"], 'speed = "v" has no unit; write it in brackets'),
-        (steady(), ["--map", "speed=v [W]", "--map", "power=P [kW]"], 'speed = "v [W]" needs one of the units m/s'),
+        (steady(), ["--map", "speed=v [W]", "--map", "power=P [kW]"], 'speed = "v [W]" needs one of the units km/h'),
         (steady(), ["--map", "speed=w [m/s]", "--map", "power=P [kW]"], "has no column 'w'; there are 't', 'v', 'P'"),
         (steady(), ["--map", "sped=v [m/s]"], "table.columns.sped: no such role; the roles are "),
         (steady(), ["--map", "speed"], '--map speed: write ROLE="COLUMN [unit]"'),

@@ -61,7 +61,7 @@ def rows():
 def test_stretches_leave_out_what_admission_does(peers, rows):
     config = Config().admission
     first, second = peers.stretches(rows, config, 0.0)
-    margin = round(config.margin_s / STEP)
+    margin = round(config.stride_margin_s / STEP)
     assert len(first.speed) == BRAKING.start - margin
     assert len(second.speed) == len(rows) - BRAKING.stop - margin
 

@@ -156,11 +156,10 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
     The likelihood takes the acceleration from the speed, and the road from the accelerometer.
     """
     text = (ROOT / "dbc" / "bmw_i3.toml").read_text()
-    by_wheel = text.replace('acceleration = "inertial"', 'acceleration = "wheel_speed"')
     texts = {
         "withheld": without(text, "longitudinal_acceleration", "altitude"),
         "elevation": without(text, "longitudinal_acceleration"),
-        "accelerometer": without(by_wheel, "altitude"),
+        "accelerometer": without(text, "altitude"),
     }
     files = {name: work / f"{name}.toml" for name in texts}
     for name, content in texts.items():

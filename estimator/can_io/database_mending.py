@@ -19,7 +19,8 @@ MAX_LAYOUT_BITS = 8 * MAX_BYTES  # cantools lays out every bit of a message, so 
 MAX_SELECTING = 1 << 12  # values of a multiplexer that select a signal; cantools makes a list of them
 ORIGINAL_NAME = "OriginalName"  # attribute of a signal or message whose name is another one here than in the file
 LONG_NAMES = ("SystemSignalLongSymbol", "SystemMessageLongSymbol")
-CYCLE, FORMAT = "GenMsgCycleTime", "VFrameFormat"
+CYCLE, FORMAT, SPN = "GenMsgCycleTime", "VFrameFormat", "SPN"
+MAX_SPN_DIGITS = 6  # of 19 bits (J1939-71)
 FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *["reserved"] * 10, "StandardCAN_FD", "ExtendedCAN_FD"]
 _WORDS_OF_THE_FORMAT = (
     "BA_ BA_DEF_ BA_DEF_DEF_ BA_DEF_DEF_REL_ BA_DEF_REL_ BA_DEF_SGTYPE_ BA_REL_ BA_SGTYPE_ BO_ BO_TX_BU_ BS_ BU_ "
@@ -80,6 +81,7 @@ class _Signal:
     kind: str = ""
     values: str = ""
     comment: str = ""
+    spn: str = ""  # suspect parameter number of J1939
     selection: tuple[str, str] | None = None  # multiplexer, and ranges of its values
 
 
@@ -283,11 +285,15 @@ class _Reader:
         def rename(target: _Signal | _Message) -> None:
             target.written = mended_name(value) if value else target.written
 
+        def number_signal(signal: _Signal) -> None:
+            signal.spn = value if value.isdecimal() and len(value) <= MAX_SPN_DIGITS else ""
+
         def set_attribute(message: _Message) -> None:
             message.attributes[attribute] = value
 
         if ident is not None:
             apply: Callable[[_Signal], None] = rename if attribute in LONG_NAMES else lambda signal: None
+            apply = number_signal if attribute == SPN else apply
             self._of_signal(ident, name, "attributes of signals that do not exist", apply)
         elif of_message is not None:
             set_or_rename = rename if attribute in LONG_NAMES else set_attribute
@@ -386,6 +392,7 @@ class _Reader:
             for signal in message.signals.values():
                 out.append(f" SG_ {f'{signal.written} {signal.marker}'.strip()} : {signal.layout} Vector__XXX")
         out += [f'BA_DEF_ {kind} "{ORIGINAL_NAME}" STRING ;' for kind in ("BO_", "SG_")]
+        out.append(f'BA_DEF_ SG_ "{SPN}" INT 0 524287;')
         out += self._cycles_and_formats()
         for message in self._messages:
             out += _about_message(message)
@@ -430,6 +437,8 @@ def _about_signal(message: _Message, signal: _Signal) -> list[str]:
     out = []
     if signal.written != signal.name:
         out.append(f'BA_ "{ORIGINAL_NAME}" SG_ {path} "{signal.name}";')
+    if signal.spn:
+        out.append(f'BA_ "{SPN}" SG_ {path} {int(signal.spn)};')
     if signal.kind:
         out.append(f"SIG_VALTYPE_ {path} : {signal.kind};")
     if signal.values:

@@ -15,7 +15,7 @@ from estimator.can_io.frames import EXTENDED
 from estimator.errors import ConfigError
 from estimator.roles import DIMENSION, STATE, Role
 from estimator.settings import Table
-from estimator.units import KNOWN_UNITS, conversion_of
+from estimator.units import conversion_of, spellings_of
 
 NUMBER_BYTES = 8
 FIRST_IDENT = 0x18FF0000  # of groups without a meaning of their own (J1939 proprietary B)
@@ -91,16 +91,12 @@ def _misfit(key: str, role: Role, unit: str | None) -> str:
         return ""
     conversion = conversion_of(unit)
     if unit is None:
-        return f'has no unit; write it in brackets, as in {key} = "COLUMN [{_units(dimension)[0]}]"'
+        return f'has no unit; write it in brackets, as in {key} = "COLUMN [{spellings_of(dimension)[0]}]"'
     if conversion is None or (
         conversion.dimension != dimension and (role, conversion.dimension) != (Role.GRADE, "rad")
     ):
-        return f"needs one of the units {' '.join(_units(dimension))}"
+        return f"needs one of the units {' '.join(spellings_of(dimension))}"
     return ""
-
-
-def _units(dimension: str) -> list[str]:
-    return [unit for unit, conversion in KNOWN_UNITS.items() if conversion.dimension == dimension]
 
 
 def binding_of(table: Table) -> Mapping[str, str]:

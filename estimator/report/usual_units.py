@@ -1,7 +1,7 @@
 """Values of signals in the units in which people read them: km/h, degrees, degrees Celsius."""
 
 from estimator.roles import DIMENSION, STATE, Role
-from estimator.units import KNOWN_UNITS
+from estimator.units import conversion_of
 
 USUAL = {  # by dimension: the unit, and its spelling in `units`
     "m/s": ("km/h", "km/h"),
@@ -26,6 +26,7 @@ def between(role: Role, low: float, high: float) -> str:
     if dimension == STATE:
         return f"{low:.4g} .. {high:.4g}"
     unit, spelling = PER_SECOND if role is Role.YAW_RATE else USUAL[dimension]
-    conversion = KNOWN_UNITS[spelling]
+    conversion = conversion_of(spelling)
+    assert conversion is not None  # of the table above
     first, last = ((value - conversion.offset) / conversion.scale for value in (low, high))
     return f"{first:.4g} .. {last:.4g} {unit}"
