@@ -17,7 +17,7 @@ from estimator.can_io.logs.line_table import Lines
 from estimator.can_io.logs.text import CUT
 
 EVENT = re.compile(rb"\s*(?P<time>-?\d+\.\d+)\s+\S")
-COMMA = re.compile(rb"^(\s*-?\d+),(?=\d+\s)", re.MULTILINE)  # in a time, as some countries write it
+COMMA = re.compile(rb"^([ \t]*-?\d+),(?=\d+\s)", re.MULTILINE)  # in a time, as some countries write it
 BASE = re.compile(rb"\s*base\s+(?P<base>hex|dec)(\s+timestamps\s+(?P<times>absolute|relative))?", re.IGNORECASE)
 NO_EVENT = re.compile(rb"\s*(//|date |base |(no )?internal events|begin |end |previous log file)", re.IGNORECASE)
 FRAME = re.compile(r"\s[TR]x\s+[dr]\b")
@@ -35,7 +35,7 @@ class AscLog(LineLog):
 
     def _cleaned(self, text: bytes) -> bytes:
         text = super()._cleaned(text)
-        if self._has_commas is None and (time := re.search(rb"^\s*-?\d+([.,])\d+\s", text, re.MULTILINE)):
+        if self._has_commas is None and (time := re.search(rb"^[ \t]*-?\d+([.,])\d+\s", text, re.MULTILINE)):
             self._has_commas = time[1] == b","
         return COMMA.sub(rb"\1.", text) if self._has_commas else text
 
