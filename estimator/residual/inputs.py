@@ -85,7 +85,8 @@ def checked(
     ------
     InputError
         The message names the array: too few samples, a length that differs, a value that is no finite number or of a
-        size that cannot be squared, times that do not ascend, a column of zeros, a prior that is not positive, a name that the
+        size that cannot be squared, times that do not ascend, a column of zeros, a prior that is not positive, a
+        name that the
         answer uses itself, a unit that is no product of powers, a base whose columns are not independent, or one that
         explains the whole residual.
     """
