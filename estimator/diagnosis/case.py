@@ -1,4 +1,4 @@
-"""A drive with the effects that its model has from the start, and the reasons why a drive cannot be diagnosed."""
+"""A drive with the effects that the configuration gives, and the reasons why a drive cannot be diagnosed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,12 +17,15 @@ from estimator.model.term import Term
 from estimator.preparation.drive import Drive
 
 UNIFORM = "speed and acceleration vary too little, or power is not positive, so A, C and m cannot be told apart"
-MIN_MINUTES = 5.0  # of driving whose force is known: shorter drives seldom determine A, C and m
+MIN_MINUTES = 5.0  # [min] of strides with a known force: shorter drives seldom determine A, C and m
 
 
 @dataclass(frozen=True)
 class Case:
-    """A ``drive``, the effects that are ``given``, and the ``terms`` of those that have columns: slopes are a state."""
+    """A ``drive`` and the effects ``given`` by the configuration.
+
+    ``terms`` hold the given effects that have a column; the slope of the road is a state and has none.
+    """
 
     drive: Drive
     given: tuple[Effect, ...]
@@ -30,12 +33,12 @@ class Case:
 
     @property
     def is_road_given(self) -> bool:
-        """Whether slopes of the road are part of the model from the start."""
+        """True if the configuration gives an effect of gravity, so that the road is a state from the start."""
         return any(effect.is_gravity for effect in self.given)
 
     @classmethod
     def of(cls, drive: Drive, given: Sequence[Effect]) -> "Case | str":
-        """The case of a drive, or why it cannot be diagnosed."""
+        """Case of a drive, or the reason (str) why the drive cannot be diagnosed."""
         minutes = drive.minutes_known
         if minutes < MIN_MINUTES:
             common = drive.rejected.most_common(1)
@@ -52,7 +55,10 @@ class Case:
         return cls(drive, tuple(given), terms)
 
     def state(self, is_level: bool) -> DriveState | None:
-        """The drive as it is started, beside what is given; None where its motion cannot be fitted."""
+        """Fit of the drive with the given terms, where the search starts; None if it does not determine A, C and m.
+
+        ``is_level``: the road has no slope.
+        """
         state = DriveState.of(self.drive.strides, self.drive.rests, is_level)
         if state is None or not PlainModel(state.fit).is_determined:
             return None
@@ -61,7 +67,7 @@ class Case:
 
 
 def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[Term, ...]:
-    """Each effect with the shape of most evidence of the motion, where no signal tells it."""
+    """Terms of ``effects``; a shape that no signal shows is the one with most evidence."""
     strides = drive.strides
 
     def fitted(terms: tuple[Term, ...], known: RoadScales | None) -> RoadFit | None:

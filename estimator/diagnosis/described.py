@@ -1,7 +1,7 @@
-"""A formula for what is left without a name: products of speed, acceleration, force, engine speed, time and distance.
+"""Formula for the residual that no named effect explains.
 
-It describes, and names nothing. It is judged on the motion of the longest drive, beside the road load and the effects
-that were chosen, and on stretches that its fit has not seen.
+A product of speed, acceleration, force, engine speed, time and distance. It describes the residual but names no effect.
+It is judged on the longest drive, beside the road load and the chosen effects, and on stretches left out of the fit.
 """
 
 from collections.abc import Iterator
@@ -17,13 +17,16 @@ from estimator.diagnosis.result import Described
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.signals import Floats, Quantity
 
-MIN_LOG_BF = 5.0  # of a formula, all formulas counted: that of an effect
-SMOOTHED = 5  # strides, 5 s, that the acceleration is averaged over
-FOLDS, STRETCHES = 5, 20  # of the drive
+MIN_LOG_BF = 5.0  # of a formula, less the cost of all formulas that were tried
+SMOOTHED = 5  # strides (5 s) over which the acceleration is averaged
+FOLDS, STRETCHES = 5, 20  # of the drive, for cross-validation
 
 
 def described(drive: DriveState) -> Described | None:
-    """The formula with most evidence; None where it has too little, or explains nothing of stretches left out."""
+    """The formula with most evidence.
+
+    None if its log Bayes factor is below MIN_LOG_BF, or if it does not reduce the residual on held-out stretches.
+    """
     joint = drive.joint
     ours = range(len(drive.chosen))
     power = drive.fit.residual_power
@@ -43,7 +46,7 @@ def described(drive: DriveState) -> Described | None:
 
 
 def _refitted(drive: DriveState, column: Floats, rms: float) -> tuple[float, float]:
-    """Factor of a power ``column`` [W] (n,) and its sd, with the mass that the motion has beside it."""
+    """Factor of a power ``column`` [W] (n,) and its sd, fitted together with A, C, m and the chosen effects."""
     own = Component(
         name="formula",
         columns=lambda frame: frame.as_acceleration(column)[:, None],
@@ -56,11 +59,11 @@ def _refitted(drive: DriveState, column: Floats, rms: float) -> tuple[float, flo
 
 
 def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
-    """Quantities (n,) at the driven strides that hold no noise of the residual."""
+    """Variables (n,) of formulas, by symbol, at the strides with a known force; none holds noise of the residual."""
     s = drive.fit.strides
     A, C, m = drive.fit.theta[:ROAD_LOAD].tolist()
     around = np.pad(s.a, SMOOTHED // 2, mode="symmetric")
-    # Of the measured force, the noise would be in column and residual.
+    # The model's force: noise of the measured one would be in both column and residual.
     a = np.convolve(around, np.full(SMOOTHED, 1 / SMOOTHED), "valid")
     yield "v", Variable(s.speed, "m/s")
     yield "a", Variable(a, "m/s^2")
@@ -73,7 +76,7 @@ def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
 
 
 def _held_out_share(drive: DriveState, column: Floats) -> float:
-    """Share of the squared residual, over means of 2 s, that ``column`` (n,) takes away on stretches left out."""
+    """Share of the squared residual that ``column`` (n,) removes on held-out stretches, over means of 2 s."""
     plain = PlainModel(drive.fit)
     taken = [component.columns(drive.joint.frame)[:, 0] for component in drive.chosen]
     effects = [plain.residual(plain.as_power(each, 1 / drive.fit.beta[:1])[:, 0]) for each in taken]

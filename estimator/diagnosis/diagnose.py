@@ -1,4 +1,4 @@
-"""The diagnosis: where the gap lies, which effect causes it, how far it shrinks, and what is left."""
+"""Diagnosis of drives: where the gap is, which effects cause it, how far they reduce it, and what remains."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,7 +22,7 @@ from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import CATALOGUE, Effect
 from estimator.preparation.drive import Drive
 
-MAX_EXPERIMENTS = 3  # pairs of effects that an experiment is looked for
+MAX_EXPERIMENTS = 3  # pairs of effects for which an experiment is proposed
 
 
 def diagnose(
@@ -33,22 +33,22 @@ def diagnose(
     thresholds: Thresholds | None = None,
     surrogates: int = 0,
 ) -> Diagnosis:
-    """Diagnose one drive, or several of one vehicle.
+    """Diagnose one drive, or several drives of one vehicle.
 
     Parameters
     ----------
     drives
-        Of one vehicle.
+        Drives of one vehicle.
     given
-        Effects that are part of the model from the start.
+        Effects that the configuration has in the model.
     rng
-        Of the bootstrap and of draws from posteriors.
+        Source of the draws from posteriors and of surrogates.
     effects
         Candidates.
     thresholds
-        Evidence that names an effect; None: the defaults.
+        Limits of probabilities and log Bayes factors; None: the defaults.
     surrogates
-        Records of noise alone that effects are looked for in as well, for a p-value.
+        Number of records of noise alone that are searched too, for a p-value; 0: no p-value.
     """
     limits = Thresholds() if thresholds is None else thresholds
     if drives:
@@ -73,7 +73,7 @@ def diagnose(
 
 
 def _obstacle(drives: Sequence[Drive], reason: str) -> str:
-    """Why no drive can be fitted: the ``reason`` of the last, unless all of several are too short."""
+    """Reason why no drive can be fitted: the ``reason`` of the last one, or that all of several are too short."""
     minutes = [drive.minutes_known for drive in drives]
     if len(drives) < 2 or max(minutes) >= MIN_MINUTES:
         return reason
@@ -84,7 +84,7 @@ def _obstacle(drives: Sequence[Drive], reason: str) -> str:
 
 
 def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[NotTestable, ...]) -> Diagnosis:
-    """The diagnosis of a conclusion."""
+    """Diagnosis that states a conclusion; ``missing``: the effects that these drives cannot test."""
     verdict, explained, longest = conclusion.verdict(), conclusion.explained, conclusion.longest
     findings = Findings(conclusion)
     named = findings.named()

@@ -1,11 +1,11 @@
-"""The experiment that would tell two effects apart: a manoeuvre after the drive, and the evidence to expect of it.
+"""Experiment that separates two effects: a manoeuvre after the drive, and the log Bayes factor to expect from it.
 
-If effect i acts with magnitude b, the log Bayes factor of i against j that a drive can be expected to give is
+If effect i acts with magnitude b, the expected log Bayes factor of i against j is
 
-    1/2 b^2 h_i' K^-1 (h_i - what the base and h_j can imitate of h_i),
+    1/2 b^2 h_i' K^-1 (h_i - projection of h_i on the columns of the base and h_j),
 
-which needs the columns only, not the measurement. So it is computed for the strides of the drive followed by those of a
-manoeuvre that nobody has driven yet: level, in the gear that is usual at its speed, without wind from aside.
+which needs the columns but no measurement. So it is computed for the strides of the drive followed by those of a
+manoeuvre that has not been driven: on a level road, in the gear that is usual at its speed, without side wind.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,38 +24,39 @@ from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, ROWS, Strides
 
-PART_GAP = 10.0  # s between parts of a manoeuvre: what happens there is not used
+PART_GAP = 10.0  # s between parts of a manoeuvre, not used in the fit
 STEADY = 120  # strides at each steady speed
 SHARES = (0.35, 0.55, 0.75, 0.95)  # of the drive's highest speed
 START_ACCELERATION, START_SPEED, STARTS = 0.7, 14.0, 10  # m/s^2, m/s at the end, how many
 COASTS, MAX_COAST = 4, 240  # how many, strides of one
 LOWER_GEAR = 1.35  # engine speed in the next lower gear, over that in this one: a usual step of truck gearboxes
-REPEATED, MORE = 600, 1800  # strides of the drive that are driven again on the way back, or once more
+REPEATED, MORE = 600, 1800  # strides of the drive that are repeated on the way back, or in the same direction
 IDLE = AtRest(power=0.0, sd=1.0, engine_speed=63.0)  # W, W, rad/s: 600 1/min
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manoeuvre:
-    """What is driven: speeds [m/s] at the ends of strides, part by part; ``lowered`` parts in the next lower gear."""
+    """Speeds [m/s] at the ends of strides, part by part; ``lowered``: numbers of the parts in the next lower gear."""
 
     name: str
     parts: tuple[Floats, ...]
     lowered: tuple[int, ...] = ()
-    turned: bool = False  # the other way
+    turned: bool = False  # driven in the opposite direction
     from_rest: bool = False  # each part begins after a stop
 
     @property
     def minutes(self) -> float:
-        """That it takes, pauses included."""
+        """Duration [min], with the pauses between parts."""
         return (PART_GAP + sum(len(part) * DURATION + PART_GAP for part in self.parts)) / 60
 
 
 def experiments(
     state: DriveState, pairs: Sequence[tuple[Effect, Effect | None]], evidence: Mapping[str, float]
 ) -> tuple[Experiment, ...]:
-    """For each pair what gives most evidence; None: nothing acts. A pair that the drive cannot judge is left out.
+    """The experiment with the largest expected log Bayes factor for each pair of effects.
 
-    ``evidence``: log Bayes factors of the effects by name, as the search found them.
+    The second effect is None where the alternative is no effect. A pair that the drive cannot test is left out.
+    ``evidence``: log Bayes factors of the effects by name, from the search.
     """
     found = []
     for one, other in pairs:
@@ -70,9 +71,10 @@ def experiments(
 
 
 def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mapping[str, float]) -> list[Experiment]:
-    """All manoeuvres, and the signal of a state where times were fitted, with the evidence to expect.
+    """All experiments for a pair: manoeuvres, idling at rest, and a signal of the state where times were fitted.
 
-    What a manoeuvre adds by this likelihood counts as far as this likelihood and the search agree on the drive itself.
+    The gain of a manoeuvre is scaled by the ratio of the search's evidence to that of this likelihood on the drive
+    itself, between 0 and 1.
     """
     a, b = acting.component.name, "" if other is None else other.component.name
     now = evidence[a] - (max(evidence[b], 0.0) if b else 0.0)
@@ -87,9 +89,9 @@ def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mappi
 
 
 def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Manoeuvre | None) -> float:
-    """Log Bayes factor to expect of ``acting`` against ``other``, from the drive and a manoeuvre after it.
+    """Expected log Bayes factor of ``acting`` against ``other``, from the drive and a manoeuvre after it.
 
-    Against nothing, the width of its prior counts as well.
+    If ``other`` is None, the Occam factor of the prior of ``acting`` is subtracted.
     """
     strides = state.strides if manoeuvre is None else Strides.concatenate([state.strides, driven(state, manoeuvre)])
     fit, end = replace(state.fit, strides=strides[strides.known]), float(strides.t[-1]) + DURATION / 2
@@ -103,7 +105,7 @@ def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Man
 
 
 def _lasting(component: Component, end: float) -> Component:
-    """The component; a load that was taken on stays on until ``end`` [s]."""
+    """The component; one that begins at a standstill (a load) is prolonged to ``end`` [s]."""
     term = component.term
     if term is None or term.effect.timing is not Timing.STEP or not term.spans:
         return component
@@ -112,7 +114,7 @@ def _lasting(component: Component, end: float) -> Component:
 
 
 def _at_rest(acting: Form, other: Form | None) -> float:
-    """Log Bayes factor to expect of the power at idle, which each effect would change by its own share."""
+    """Expected log Bayes factor of a measurement of the power at idle, by the power that each effect takes at rest."""
     terms = [(form.value, form.component.term) for form in (acting, other) if form is not None]
     power = [*(0.0 if term is None else value * term.at_rest(IDLE) for value, term in terms), 0.0]
     sd = IDLE_SD + IDLE_SHARE * abs(power[0])
@@ -120,7 +122,7 @@ def _at_rest(acting: Form, other: Form | None) -> float:
 
 
 def manoeuvres(state: DriveState) -> Iterator[Manoeuvre]:
-    """All that are considered, within the speeds of the drive."""
+    """All manoeuvres that are compared, within the speeds of the drive."""
     strides = state.fit.strides
     top = float(strides.v1.max())
     steady = [share * top for share in SHARES]
@@ -153,7 +155,7 @@ def manoeuvres(state: DriveState) -> Iterator[Manoeuvre]:
 
 
 def _rolled(state: DriveState, speed: float, end: float) -> Floats:
-    """Speeds (n,) [m/s] each stride of a vehicle that rolls out."""
+    """Speeds (n,) [m/s] at the ends of strides of a vehicle that coasts from ``speed`` to ``end`` [m/s]."""
     A, C, m = state.fit.theta[:3].tolist()
     speeds = [speed]
     while speeds[-1] > end and len(speeds) < MAX_COAST:
@@ -170,7 +172,7 @@ def _pieces(strides: Strides) -> Iterator[Floats]:
 
 
 def driven(state: DriveState, manoeuvre: Manoeuvre) -> Strides:
-    """The strides of a manoeuvre after the drive, on level road."""
+    """Strides of a manoeuvre after the drive, on a level road."""
     parts: list[Strides] = []
     for number in range(len(manoeuvre.parts)):
         parts.append(_part(state, parts[-1] if parts else state.strides, manoeuvre, number))
@@ -178,7 +180,7 @@ def driven(state: DriveState, manoeuvre: Manoeuvre) -> Strides:
 
 
 def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int) -> Strides:
-    """Strides of a part of a manoeuvre, by its ``number``, that follow those ``before``."""
+    """Strides of part ``number`` of a manoeuvre, after the strides ``before``."""
     t, s = float(before.t[-1]) + PART_GAP, float(before.s1[-1])
     speeds, factor = manoeuvre.parts[number], LOWER_GEAR if number in manoeuvre.lowered else 1.0
     known, n = state.fit.strides, len(speeds) - 1

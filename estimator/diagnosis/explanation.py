@@ -1,8 +1,8 @@
-"""What explains the drives: the most probable set of effects and processes, on a level road or beside its slopes.
+"""Explanation of the drives: the most probable hypothesis, a set of effects and processes, and the kind of road.
 
-The same search is made with a level road and, where that leaves evidence of slopes, with the road as a state; the one
-with more evidence explains the drives. An unmodelled force may look like slopes to the force alone, so slopes that are
-too small for a road, or that signals of the road deny, are no hills.
+The search runs with a level road and, if there is evidence of slopes, with the road as a state; the result with more
+evidence is the explanation. By the force alone, an unmodelled force can look like slopes. So slopes that are too small
+for a road, or that signals of the road contradict, are not hills.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,10 @@ from estimator.model.effects import Effect
 
 @dataclass(frozen=True)
 class Explanation:
-    """The drives with what acts on them; ``slopes``: log Bayes factor of a road that is not level, None if given."""
+    """The drives with the hypothesis that explains them.
+
+    ``slopes``: log Bayes factor of a sloping road over a level one; None if the configuration gives the road.
+    """
 
     explained: Explained
     is_sloping: bool  # the road is a state in the model
@@ -29,18 +32,18 @@ class Explanation:
 
     @property
     def which(self) -> int:
-        """Number of the drive with most strides, which figures of a single drive are taken from."""
+        """Number of the drive with most strides; results that hold for a single drive are taken from it."""
         drives = self.explained.drives
         return max(range(len(drives)), key=lambda i: len(drives[i].fit.strides))
 
     @property
     def longest(self) -> DriveState:
-        """That drive."""
+        """The drive with most strides."""
         return self.explained.drives[self.which]
 
 
 def started(cases: Sequence[Case]) -> tuple[tuple[Case, ...], tuple[DriveState, ...]]:
-    """The cases whose motion can be fitted, and that fit: on a level road, unless the road is given."""
+    """The cases whose motion can be fitted, and their fits: on a level road unless the road is given."""
     fitted = [(case, case.state(is_level=not case.is_road_given)) for case in cases]
     states = tuple(state for _, state in fitted if state is not None)
     return tuple(case for case, state in fitted if state is not None), states
@@ -49,7 +52,7 @@ def started(cases: Sequence[Case]) -> tuple[tuple[Case, ...], tuple[DriveState, 
 def explain(
     cases: Sequence[Case], plain: tuple[DriveState, ...], effects: Sequence[Effect], thresholds: Thresholds
 ) -> Explanation:
-    """Search for what acts on the drives of ``cases``, ``plain`` being as they are `started`."""
+    """Search for the effects and processes that act on the drives of ``cases``; ``plain``: their fits by `started`."""
     present = {term.effect.name for case in cases for term in case.terms}
     candidates = [e for e in effects if not (e.absorbed or e.is_gravity or e.name in present)]
     if cases[0].is_road_given:
@@ -74,9 +77,10 @@ def _on_either_road(
     forms: FoundForms,
     thresholds: Thresholds,
 ) -> Explanation:
-    """The explanation with more evidence of drives that seem to have slopes; ``level``: that on a level road, if known.
+    """The explanation with more evidence, on a level road or on a sloping one, of drives that seem to have slopes.
 
-    Over hills the search on a level road would take many rounds to explain the slopes by effects, so it comes second.
+    ``level``: the result on a level road, if it is known. Over hills the search on a level road takes many rounds to
+    explain the slopes by effects, so it is second.
     """
     search = Search(sloping, candidates, forms)
     slopes = _slopes(search.alone)
@@ -94,9 +98,9 @@ def _on_either_road(
 
 
 def _slopes(drives: Sequence[DriveState], sloping: Sequence[DriveState] = ()) -> float:
-    """Log Bayes factor of a road with slopes under the drives, beside what they are fitted beside.
+    """Log Bayes factor of a sloping road over a level one, with the effects of each drive's fit in both models.
 
-    ``sloping``: drives on a level road as they are with slopes.
+    ``sloping``: fits of the same drives with slopes; their scales are the start of the search for scales.
     """
     known = [drive.fit.scales for drive in sloping] if sloping else [None for _ in drives]
     pairs = zip(drives, known, strict=True)
@@ -104,6 +108,6 @@ def _slopes(drives: Sequence[DriveState], sloping: Sequence[DriveState] = ()) ->
 
 
 def _is_shown(explained: Explained, thresholds: Thresholds) -> bool | None:
-    """Whether signals of the road confirm the slopes that the force shows or deny them; None: they tell neither."""
+    """True if signals of the road confirm the slopes that the force shows, False if they contradict them, else None."""
     signals = sum(log_bayes_factor_of_signals(d.strides, d.fit) for d in explained.drives if d.fit.scales.readings)
     return None if abs(signals) < thresholds.min_log_bf_signals else bool(signals > 0)

@@ -1,4 +1,4 @@
-"""Facts behind the sentences of a report: doubtful candidate, advice, what is open, effects to configure."""
+"""Facts for the sentences of a report: doubtful candidate, advice, unsettled pairs, effects to configure."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from estimator.components.explained import Explained
 from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Finding
 from estimator.model.effects import BY_NAME, Effect
 
-MIN_RIVAL = 0.05  # probability from which an effect is a rival of the likeliest one
+MIN_RIVAL = 0.05  # probability above which an effect is a rival of the likeliest one
 
 
 def doubtful(explained: Explained, verdict: Verdict, named: Sequence[Finding]) -> str:
@@ -25,7 +25,7 @@ def _likeliest(explained: Explained) -> list[str]:
 def advice(
     explained: Explained, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
 ) -> tuple[Advice, ...]:
-    """The signal or manoeuvre that separates each effect from those that this drive cannot tell it apart from."""
+    """The signal or manoeuvre that separates each effect from those that are equivalent to it on this drive."""
     unsure: list[str] = []
     if verdict is Verdict.CANNOT_TELL:
         unsure += [named[0].name, *named[0].equivalent] if named else _likeliest(explained)[:1]
@@ -39,7 +39,7 @@ def advice(
 def unsettled(
     explained: Explained, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
 ) -> list[tuple[Effect, Effect | None]]:
-    """Pairs of effects that the drive does not tell apart, the likelier one first; None: it may be nothing."""
+    """Pairs of effects that the drive does not separate, the likelier one first; None: the alternative is no effect."""
     by_name = {effect.name: effect for effect in effects}
     pairs = [(found.name, other) for found in named for other in found.equivalent]
     if named and (pairs or verdict is Verdict.EFFECT):
@@ -52,11 +52,11 @@ def unsettled(
 
 
 def streaming_effects(named: Sequence[Finding], given: Sequence[Effect]) -> tuple[str, ...]:
-    """The ``given`` effects of the streaming model and those found that it can take; empty if it can take none.
+    """Effects to configure for the streaming estimator: the ``given`` ones and the named ones that it supports.
 
-    The road is in that model without being asked for.
+    Empty if it supports no named one. The road is always in its model, so it is not listed.
     """
-    sizes = {effect.symbol for effect in BY_NAME.values()}  # those that a configuration can hold
+    sizes = {effect.symbol for effect in BY_NAME.values()}  # magnitudes that a configuration can hold
     effects = [BY_NAME[f.name] for f in named if f.name in BY_NAME and f.magnitude.name in sizes and not f.span]
     added = [effect for effect in effects if effect.is_streaming and not effect.is_gravity]
     kept = [effect for effect in given if not effect.is_gravity]

@@ -1,4 +1,4 @@
-"""What a conclusion says of each effect, the road and the lag, as it is reported."""
+"""Findings of a conclusion, as they are reported: of each effect, the road and the lag."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,8 +26,8 @@ from estimator.model.effects import Effect
 from estimator.model.spans import Spans
 from estimator.signals import Quantity
 
-SLOPE_LENGTH = 300.0  # m, after which a road has another slope
-SHOWN_IN_PART, SHOWN = 0.1, 0.9  # of what a known road would take from the square of the residual, by its signals
+SLOPE_LENGTH = 300.0  # m, beyond which slopes of a road are independent
+SHOWN_IN_PART, SHOWN = 0.1, 0.9  # share of the reduction by a known road that its signals give
 
 
 @dataclass(frozen=True)
@@ -43,19 +43,22 @@ class Findings:
         return (*road, *map(self._finding, self.conclusion.named), *(() if late is None else (late,)))
 
     def candidates(self, named: Sequence[Finding]) -> tuple[Finding, ...]:
-        """All effects, each alone, with their probabilities in the table of models; road, lag, and what has no name."""
+        """All effects, each alone, with their probabilities in the table of models; road, lag and unknown effect.
+
+        Those with most evidence are first.
+        """
         ranking = self.conclusion.explained.ranking
         others = [finding for finding in named if finding.name not in {one.name for one in ranking}]
         beside = [self._candidate(one, self.conclusion.explained.probability[one.name], ranking) for one in ranking]
         return tuple(sorted((*others, *beside, self._left()), key=lambda f: -f.log_bayes_factor))
 
     def remainder(self) -> Remainder:
-        """The process with most evidence beside what was named."""
+        """The nameless processes beside the named effects, and their evidence."""
         left = self._left()
         return Remainder(left.detail, left.magnitude.value, self.conclusion.left_over)
 
     def _road(self) -> Finding:
-        """The finding of a road with slopes, with the signals that show it, if any do."""
+        """Finding of a sloping road; it names the signals that show it, if there are any."""
         found, readings = self._hills(), self.conclusion.longest.fit.scales.readings
         if not readings:
             return found
@@ -76,7 +79,7 @@ class Findings:
         )
 
     def _hills(self) -> Finding:
-        """The finding of a road that no signal shows, with the share of the gap that a signal could close."""
+        """Finding of a road that no signal shows, with the share of the gap that an ideal signal would close."""
         budget = self.conclusion.budget
         slope_sd, sd = _slopes(self.conclusion.explained.drives)
         part = budget.part(ROAD)
@@ -127,7 +130,7 @@ class Findings:
         )
 
     def _rivals(self, choice: Choice) -> tuple[set[str], float]:
-        """Effects that may act in place of a choice, and the probability that it, or a single rival, acts."""
+        """Effects that may act in place of a choice, and the probability that the choice, or it or its rival, acts."""
         least = self.conclusion.thresholds.min_probability
         if choice.probability >= least:
             return set(), choice.probability
@@ -154,7 +157,10 @@ class Findings:
         )
 
     def _alike(self, one: Ranked, ranking: Sequence[Ranked]) -> set[str]:
-        """Names that the drives speak for as well, with a column of the same course, and those declared equivalent."""
+        """Names of effects that a drive cannot separate from ``one``, or that the catalogue declares equivalent.
+
+        They have evidence of their own and a trace with nearly the same course.
+        """
         limits, (drive, form) = self.conclusion.thresholds, one.best
         others = [other for other in ranking if other is not one and other.gain > limits.min_log_bf_alike]
         others = [other for other in others if other.best[0] == drive]
@@ -162,7 +168,7 @@ class Findings:
         return {*near, *one.effect.equivalent}
 
     def _left(self) -> Finding:
-        """The nameless process with most evidence in what the chosen effects leave."""
+        """Finding of the unknown effect: the nameless processes beside the chosen effects."""
         budget, nameless = self.conclusion.budget, self.conclusion.nameless
         parts = [part for part in budget.parts if part.cause.startswith(UNKNOWN) and part.cause != WHITE]
         rms = float(np.sqrt(sum(part.rms**2 for part in parts))) if parts else float("nan")
@@ -183,7 +189,7 @@ class Findings:
         )
 
     def _sized(self, name: str) -> str:
-        """The name of what has none in the catalogue, with its size where it has a single one."""
+        """Name of a nameless process, with its size if it is a power or force that switches."""
         found = [(n, process) for n, process in self.conclusion.nameless.processes.items() if process.name == name]
         if name not in SWITCHES or not found:
             return name
@@ -193,13 +199,13 @@ class Findings:
         return f"{name} ({size:.0f} {SWITCHES[name]})"
 
     def _clock(self, which: int, spans: Spans) -> tuple[Span, ...]:
-        """Times of a drive as its log counts them."""
+        """``spans`` [s] of drive ``which``, in time since the first row of its log."""
         drive = self.conclusion.cases[which].drive
         return tuple(Span(a - drive.log_start, b - drive.log_start, drive.log) for a, b in spans)
 
 
 def _slopes(drives: Sequence[DriveState]) -> tuple[float, float]:
-    """Standard deviation of the slope along the roads of all drives, and how well it is known."""
+    """Standard deviation [1] of the slope along the roads of all drives, and the sd of this value."""
     share = np.array([len(drive.fit.strides) for drive in drives]) / sum(len(drive.fit.strides) for drive in drives)
     own = np.array([drive.slope_sd for drive in drives])
     independent = np.array([max(_length(drive) / SLOPE_LENGTH, 1.0) for drive in drives])
@@ -210,24 +216,24 @@ def _slopes(drives: Sequence[DriveState]) -> tuple[float, float]:
 
 
 def _length(drive: DriveState) -> float:
-    """Of the road driven [m], without the gaps in it."""
+    """Length of the road driven [m], without gaps."""
     return float((drive.strides.s1 - drive.strides.s0).sum())
 
 
 def _closed(part: Part | None) -> GapClosed | None:
-    """Share of what is not noise that is gone once the part's cause is known."""
+    """Share of the gap beyond noise that the cause of a part takes, with its 90 % interval; None without a part."""
     return None if part is None else GapClosed(*part.closed)
 
 
 def _correlation(one: np.ndarray, other: np.ndarray) -> float:
-    """Of two courses, whatever the sign; 0 where one of them is constant."""
+    """|Correlation| of two series (n,); 0 if one of them is constant."""
     if not (np.ptp(one) and np.ptp(other)):
         return 0.0
     return abs(float(np.corrcoef(one, other)[0, 1]))
 
 
 def _magnitude(effect: Effect, value: float, sd: float) -> Magnitude:
-    """The magnitude that belongs to a coefficient."""
+    """Magnitude in the effect's unit, from the amplitude of its column and the sd of that."""
     if effect.sized is None:
         return Magnitude(effect.symbol, value, sd, effect.unit)
     low, high = effect.sized(value - sd), effect.sized(value + sd)
@@ -235,7 +241,7 @@ def _magnitude(effect: Effect, value: float, sd: float) -> Magnitude:
 
 
 def _detail(shape: object, effect: Effect) -> str:
-    """The shape found, in words."""
+    """The fitted shape in words; empty if there is none."""
     if isinstance(shape, Quantity):
         return shape.value
     return effect.describe(shape) if shape is not None and effect.describe is not None else ""

@@ -1,4 +1,4 @@
-"""Which effects this drive can separate, the evidence to expect of each, and those too small to see."""
+"""Effects that a drive can separate, the expected evidence of each, and effects that it cannot show."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from estimator.signals import Quantity
 
 
 def isolability(drive: DriveState, forms: Sequence[Form]) -> Isolability:
-    """Correlation of the power of all effects on a drive, off the plain road load, and the evidence to expect."""
+    """|Correlation| of the power of effects on a drive, less the plain road load, and their expected evidence."""
     ordered = sorted(forms, key=lambda form: form.component.name)
     plain = PlainModel(drive.fit)
     traces = [plain.residual(plain.as_power(form.trace, 1 / drive.fit.beta[:1])[:, 0]) for form in ordered]
@@ -25,18 +25,18 @@ def isolability(drive: DriveState, forms: Sequence[Form]) -> Isolability:
 
 
 def expected_evidence(form: Form) -> float:
-    """Log Bayes factor to be expected of an effect of usual size."""
-    strength = float(np.sqrt(max((form.component.sd / form.sd) ** 2 - 1.0, 0.0)))  # less the prior's own
+    """Expected log Bayes factor of an effect of usual magnitude."""
+    strength = float(np.sqrt(max((form.component.sd / form.sd) ** 2 - 1.0, 0.0)))  # less the information of the prior
     return evidence_of(strength) - form.component.cost
 
 
 def evidence_of(strength: float) -> float:
-    """Log Bayes factor to be expected of a usual size of ``strength`` standard deviations: Laplace's approximation."""
+    """Expected log Bayes factor of a magnitude of ``strength`` standard deviations, by Laplace's approximation."""
     return float(0.5 * strength**2 - np.log(max(strength, 1.0)))
 
 
 def invisible(drive: DriveState, effects: Sequence[Effect], least: float) -> tuple[Invisible, ...]:
-    """Effects that could act at their usual size with a log Bayes factor below ``least``, and the shift they cause."""
+    """Effects with an expected log Bayes factor below ``least`` at usual magnitude, and the shift they cause."""
     known, present = frozenset(drive.strides.context), {component.name for component in drive.chosen}
     lasting = [effect for effect in effects if is_lasting(effect) and effect.name not in present]
     frame, ours = Frame.of(drive.fit), range(len(drive.chosen))
@@ -47,7 +47,7 @@ def invisible(drive: DriveState, effects: Sequence[Effect], least: float) -> tup
     jacobian = theta_jacobian(joint.posterior(ours).mean[: joint.base_size], 0)
     best: dict[str, Invisible] = {}
     for place, sd, (effect, form) in zip(places, sds.tolist(), forms, strict=True):
-        strength = float(np.sqrt(max((form.sd / sd) ** 2 - 1.0, 0.0)))  # less the prior's own
+        strength = float(np.sqrt(max((form.sd / sd) ** 2 - 1.0, 0.0)))  # less the information of the prior
         A, C, m, *_ = (jacobian @ joint.imitated(ours, place)[: joint.base_size] * form.sd).tolist()
         found = Invisible(effect.name, evidence_of(strength), Shift(mass=m, A=A, C=C), effect.breaks)
         most = best.setdefault(effect.name, found)
@@ -57,11 +57,11 @@ def invisible(drive: DriveState, effects: Sequence[Effect], least: float) -> tup
 
 
 def is_lasting(effect: Effect) -> bool:
-    """Whether it acts throughout, so that it can hide in the road load."""
+    """True if the effect acts during the whole drive, so that the fit can take it for road load."""
     return effect.absorbed or effect.timing is Timing.ALWAYS
 
 
 def not_testable(effects: Sequence[Effect], known: frozenset[Quantity]) -> list[NotTestable]:
-    """Effects whose signals this bus does not carry."""
+    """Effects that need a signal which is not among the ``known`` quantities."""
     missing = [effect for effect in effects if not effect.usable_shapes(known)]
     return [NotTestable(effect.name, " or ".join(role.value for role in effect.wanted)) for effect in missing]

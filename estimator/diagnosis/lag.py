@@ -1,4 +1,4 @@
-"""The lag between power and speed as a finding: it is in every model, and named where it is beyond usual delays."""
+"""Finding of the lag between power and speed: every fit has it as a term, and it is named beyond usual delays."""
 
 import numpy as np
 
@@ -12,16 +12,16 @@ from estimator.estimation.road_likelihood import LAG
 from estimator.model.effects import BY_NAME, Effect
 from estimator.signals import Floats
 
-STRETCHES = 20  # of a drive, whose residuals are independent
-LONGEST_LAG = 0.8  # s: shifts of power up to 0.6 s are tried, beyond 0.8 s the columns are extrapolated
-LAG_DOUBT = 0.005  # s, sd from the form of effects: so 90 % intervals held the lag of 54 of 60 simulated drives
-MIN_LOG_BF = 8.0  # of a lag outside USUAL_LAG, that of four standard deviations
+STRETCHES = 20  # of a drive, whose residuals are taken as independent
+LONGEST_LAG = 0.8  # s: shifts of power up to 0.6 s are computed, beyond 0.8 s the columns would be extrapolated too far
+LAG_DOUBT = 0.005  # s, sd from errors of form of effects: 90 % intervals then held the lag of 54 of 60 simulated drives
+MIN_LOG_BF = 8.0  # of a lag outside USUAL_LAG: four standard deviations
 
 
 def evidence_of_lag(explanation: Explanation) -> float | None:
-    """Log Bayes factor of a lag beyond usual delays and of what a low-pass does besides; None: it is not named.
+    """Log Bayes factor of a lag beyond usual delays, with that of a low-pass of the speed; None if it is not named.
 
-    Nor is it where an error of the form of a large effect may give as much.
+    It is not named where an error of form of a large effect can give as much evidence.
     """
     value, sd = _lag(explanation)
     excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value, 0.0) / sd
@@ -31,14 +31,17 @@ def evidence_of_lag(explanation: Explanation) -> float | None:
 
 
 def low_pass_gain(explanation: Explanation) -> float:
-    """Log Bayes factor of a low-pass of the speed, where nothing else without a name has more."""
+    """Log Bayes factor of a low-pass of the speed if no other nameless process has more, else 0."""
     nameless = explanation.explained.nameless
     is_low_pass = any(process.name == LOW_PASS for process in nameless.processes.values())
     return nameless.log_bayes_factor if is_low_pass else 0.0
 
 
 def lag_finding(explanation: Explanation, budget: Budget) -> Finding | None:
-    """The lag, where it is beyond usual delays: the plain model on power as it was measured, and on aligned power."""
+    """Finding of a lag beyond usual delays, else None.
+
+    Its residuals are those of the plain model on power as measured (before) and on power shifted by the lag (after).
+    """
     evidence = evidence_of_lag(explanation)
     if evidence is None:
         return None
@@ -62,26 +65,26 @@ def lag_finding(explanation: Explanation, budget: Budget) -> Finding | None:
 
 
 def unaligned_residual(drive: DriveState, residuals: Residuals) -> Floats:
-    """Residual [W] (k,) of the plain model with what is given, over means of 2 s, on power as it was measured."""
+    """Residual [W] (k,) of the plain model with the given effects, over means of 2 s, on power as measured."""
     plain = PlainModel(drive.fit, is_aligned=False)
     return plain.residual(plain.power) - (residuals.plain - residuals.given)
 
 
 def effect_of(explanation: Explanation) -> Effect:
-    """The effect that a lag is called: power is late, or early where the speed is filtered."""
+    """Catalogue entry of the lag: LATE if power lags speed, else EARLY, as where the speed is low-passed."""
     return BY_NAME[LATE if _lag(explanation)[0] > 0 else EARLY]
 
 
 def _lag(explanation: Explanation) -> tuple[float, float]:
-    """Lag of power [s] and its sd, beside the effects that were chosen."""
+    """Lag of power behind speed [s] and its sd, by the fit of the longest drive with the chosen effects."""
     fit = explanation.longest.fit
     return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG] + LAG_DOUBT**2))
 
 
 def _closed_by_alignment(before: Floats, after: Floats) -> GapClosed:
-    """Share of the squared residual beyond noise that the alignment takes away: all, if it takes any.
+    """Share that the alignment closes: 1, with a 90 % interval below it.
 
-    The interval is that of the reduction over stretches of the drive, in shares of its mean.
+    The interval is that of the mean reduction of the squared residual over STRETCHES, relative to this mean.
     """
     gains = np.array([stretch.mean() for stretch in np.array_split(before - after, STRETCHES)])
     doubt = SDS_OF_90_PERCENT * float(gains.std() / np.sqrt(len(gains)) / max(gains.mean(), 1e-9))

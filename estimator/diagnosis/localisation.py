@@ -1,8 +1,7 @@
-"""Where the model and the vehicle disagree: the residual of the plain model by parts of each axis.
+"""Places where model and vehicle disagree: the mean residual of the plain model in parts of each axis.
 
-The mean of a part is judged against the long-run noise of its own stretches: residuals that stay on one side for
-seconds count once. The rate of false discoveries over all parts of all axes is at most MAX_FALSE_DISCOVERY_RATE
-(Benjamini & Hochberg 1995).
+A mean is tested against the spread of sums over blocks of BLOCK seconds, because residuals are autocorrelated. The
+false discovery rate over all parts of all axes is at most MAX_FALSE_DISCOVERY_RATE (Benjamini & Hochberg 1995).
 """
 
 from collections.abc import Mapping
@@ -17,8 +16,8 @@ from estimator.false_discovery import false_discovery_rates
 from estimator.signals import Floats, Quantity
 
 PARTS = 8
-MAX_FALSE_DISCOVERY_RATE = 0.05  # usual; 1 in 20 of the places listed is expected to be false
-BLOCK = 6.0  # s of rows whose residuals are summed before their spread is taken
+MAX_FALSE_DISCOVERY_RATE = 0.05  # 1 in 20 of the listed places is expected to be false
+BLOCK = 6.0  # s, over which residuals are summed before their spread is computed
 MIN_ROWS = 10  # rows of 2 s in a part
 MIN_BLOCKS = 8  # independent blocks of a part: with fewer, their variance is too uncertain for a test
 SPEED_CELL, ACCELERATION_CELL = 2.5, 0.1  # m/s, m/s^2
@@ -26,7 +25,7 @@ MIN_CELL_ROWS = 2  # rows of 2 s in a cell of the map
 
 
 def places(traces: Traces, context: Mapping[Quantity, Floats]) -> list[Place]:
-    """Parts of all axes, some of which are the ``context``, where the residual is not zero; largest share first."""
+    """Parts of axes where the mean residual is not zero, largest share first; ``context`` (n,): further axes."""
     residual, block = traces.measured - traces.base, _blocks(traces)
     total = float(residual @ residual)
     judged: list[tuple[str, str, float, float, float, float, float]] = []
@@ -56,13 +55,13 @@ def places(traces: Traces, context: Mapping[Quantity, Floats]) -> list[Place]:
 
 
 def _blocks(traces: Traces) -> NDArray[np.int64]:
-    """Number of the block of BLOCK that each row falls into (n,); none holds rows of two logs."""
+    """Number (n,) of the block of BLOCK seconds of each row; no block holds rows of two logs."""
     number = np.floor(traces.t / BLOCK) + traces.log * (np.floor(traces.t.max() / BLOCK) + 1)
     return np.unique(number, return_inverse=True)[1].astype(np.int64)
 
 
 def _axes(traces: Traces, context: Mapping[Quantity, Floats]) -> list[tuple[str, str, Floats, Floats]]:
-    """Name, unit, value of each row and edges of the parts; time and distance are those of a single drive."""
+    """Name, unit, values (n,) and edges of the parts of each axis; time and distance only where time ascends."""
     power = traces.base / 1e3
     axes = [
         ("speed", "m/s", traces.speed, _quantiles(traces.speed)),
@@ -97,7 +96,7 @@ def _equal(x: Floats) -> Floats:
 
 
 def gap_map(traces: Traces, after: Floats) -> GapMap:
-    """Mean residual in cells of speed and acceleration: of the plain model, and of one of power ``after`` [W] (n,)."""
+    """Mean residual [W] in cells of speed and acceleration: plain model, and a model with power ``after`` [W] (n,)."""
     speed = np.arange(0.0, float(traces.speed.max()) + SPEED_CELL, SPEED_CELL)
     low, high = np.quantile(traces.acceleration, [0.001, 0.999])
     acceleration = np.arange(

@@ -1,7 +1,6 @@
-"""Power of the drives, measured and modelled, as every figure, table and file of a diagnosis shows it.
+"""Measured and modelled power of the drives, for every figure, table and file of a diagnosis.
 
-The rows are the means over 2 s that the budget is of, so that the root mean square of a residual here is the one
-stated.
+The rows are the means over 2 s of the budget, so the root mean square of a residual here is the stated one.
 """
 
 from dataclasses import fields
@@ -17,11 +16,11 @@ from estimator.diagnosis.result import Traces
 from estimator.preparation.drive import Drive
 from estimator.signals import Floats, Quantity
 
-CONTEXT = (Quantity.GEAR, Quantity.HEADING, Quantity.TEMPERATURE)  # that a residual is listed along
+CONTEXT = (Quantity.GEAR, Quantity.HEADING, Quantity.TEMPERATURE)  # further axes along which residuals are listed
 
 
 def traces_of(conclusion: Conclusion) -> Traces:
-    """The traces of all drives, one after another."""
+    """Traces of all drives, concatenated in order."""
     is_late = conclusion.lag is not None
     states = zip(conclusion.cases, conclusion.explained.drives, conclusion.budget.residuals, strict=True)
     drives = [_traces(case.drive, state, residuals, is_late) for case, state, residuals in states]
@@ -30,7 +29,7 @@ def traces_of(conclusion: Conclusion) -> Traces:
 
 
 def context_of(conclusion: Conclusion) -> dict[Quantity, Floats]:
-    """Quantities (n,) at the rows of the traces, as far as all drives have them."""
+    """CONTEXT quantities (n,) at the rows of the traces, if they are known throughout all drives."""
     drives = conclusion.explained.drives
     parts = {q: [drive.fit.strides.context.get(q, np.empty(0)) for drive in drives] for q in CONTEXT}
     later = [PlainModel(drive.fit).second for drive in drives]
@@ -39,7 +38,7 @@ def context_of(conclusion: Conclusion) -> dict[Quantity, Floats]:
 
 
 def _traces(drive: Drive, state: DriveState, residuals: Residuals, is_late: bool) -> Traces:
-    """The traces of one drive; where power ``is_late``, the plain model has the power as it was measured."""
+    """Traces of one drive; ``is_late``: a lag is named, so the plain model is fitted to power that is not shifted."""
     plain = PlainModel(state.fit, is_aligned=not is_late)
     driven = state.fit.strides
     measured = plain.paired(plain.power)

@@ -1,4 +1,4 @@
-"""The result of a diagnosis: the verdict and the quantities behind it, for tables, JSON and pages."""
+"""Result of a diagnosis: the verdict and its evidence, for tables, JSON and pages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,9 +9,9 @@ from estimator.columns import EVIDENCE, Column, Row, columns
 from estimator.components.budget import Budget
 from estimator.signals import Floats
 
-HIDDEN_GRADE = "sd of the grade"  # name of the magnitude of a grade that no signal shows
-SHOWN_SLOPE = "slope"  # the same of one that signals show
-LATE, EARLY = "time_lag", "speed_filter"  # effects that a lag of power behind speed is, by its sign
+HIDDEN_GRADE = "sd of the grade"  # magnitude of slopes that no signal shows
+SHOWN_SLOPE = "slope"  # magnitude of slopes that signals show
+LATE, EARLY = "time_lag", "speed_filter"  # effects by the sign of the lag of power behind speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Magnitude:
 
 @dataclass(frozen=True, slots=True)
 class GapClosed:
-    """Share of the mean squared residual above the noise floor that an effect takes away, with its 90 % interval."""
+    """Share of an effect in the mean squared residual beyond noise and given effects, with its 90 % interval."""
 
     fraction: float
     q05: float
@@ -35,7 +35,7 @@ class GapClosed:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """Change of the road-load parameters when an effect is added."""
+    """Change of the road-load parameters between two models; also their values, or their sd."""
 
     mass: float  # [kg]
     A: float  # [N]
@@ -43,7 +43,7 @@ class Shift:
 
 
 class Span(NamedTuple):
-    """When an effect acts: from and to [s] of the time since the first row of a log, and which of the logs."""
+    """Interval in which an effect acts: from and to [s] since the first row of a log, and the number of the log."""
 
     start: float
     end: float
@@ -52,24 +52,24 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One candidate effect, judged on the log."""
+    """Evidence and magnitude of one effect, of the road, of the lag, or of the unknown effect."""
 
     name: str
-    probability: float  # of one that is named: that it or an equivalent one acts
+    probability: float  # that it acts; of a named effect, that it or its rival acts
     log_bayes_factor: float  # against the model without it; natural logarithm
-    equivalent: tuple[str, ...]  # effects that the log cannot separate from it
+    equivalent: tuple[str, ...]  # effects that these drives cannot separate from it
     magnitude: Magnitude
-    gap_closed: GapClosed | None  # None where it was not worth computing
-    rms_before: float  # [W], of held-out residuals
-    rms_after: float  # [W]
-    shift: Shift | None
+    gap_closed: GapClosed | None  # None for candidates, and without a part in the budget
+    rms_before: float  # [W], plain model with the given effects
+    rms_after: float  # [W], with the effect too, on held-out stretches; rms_before if not computed
+    shift: Shift | None  # from the plain model to the one with all chosen effects; None for candidates
     span: tuple[Span, ...] = ()  # when it acts; empty: always
-    detail: str = ""  # shape found, e.g. "from 31 deg"
+    detail: str = ""  # fitted shape, e.g. "from 31 deg"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """A part of an axis where the residual is not zero."""
+    """A part of an axis where the mean residual is not zero."""
 
     axis: str
     start: float
@@ -77,12 +77,12 @@ class Place:
     unit: str
     bias: float  # [W]
     share: float  # of the squared residual
-    q_value: float  # false discovery rate at which it is found
+    q_value: float  # smallest false discovery rate at which it is listed
 
 
 @dataclass(frozen=True, slots=True)
 class NotTestable:
-    """An effect that this log cannot test, and the signal that is missing."""
+    """An effect that these drives cannot test, and the signal that is missing."""
 
     name: str
     needs: str
@@ -90,17 +90,17 @@ class NotTestable:
 
 @dataclass(frozen=True, slots=True)
 class Invisible:
-    """An effect that could act at its usual size without evidence, and the shift of the parameters it would cause."""
+    """An effect that these drives cannot show at its usual magnitude, and the shift of A, C, m that it would cause."""
 
     name: str
     expected_log_bayes_factor: float
     shift: Shift
-    breaks: str  # the signal or manoeuvre that would show it
+    breaks: str  # signal or manoeuvre that would show it
 
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """The process with most evidence in the residual of the final model."""
+    """The nameless processes beside the named effects: their names, rms in the residual, and log Bayes factor."""
 
     name: str
     rms: float  # [W]
@@ -109,10 +109,10 @@ class Remainder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Described:
-    """A formula for what is left without a name: ``value`` +- ``sd`` [``unit``] x ``text``, a power [W].
+    """Formula for the residual that no named effect explains: ``value`` +- ``sd`` [``unit``] x ``text``, a power [W].
 
-    ``log_bayes_factor`` counts all formulas that were tried; ``share`` of the squared residual, averaged over seconds,
-    is gone on stretches left out of the fit.
+    ``log_bayes_factor`` is less the cost of all formulas that were tried. ``share``: reduction of the squared residual,
+    over means of 2 s, on stretches left out of the fit.
     """
 
     text: str
@@ -125,7 +125,7 @@ class Described:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The signal or manoeuvre that separates an effect from those equivalent to it on this drive."""
+    """The signal or manoeuvre that separates an effect from those that are equivalent to it on these drives."""
 
     name: str
     breaks: str
@@ -133,9 +133,10 @@ class Advice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """What would tell effect ``a``, as it was found, from ``b``, or from none where ``b`` is empty.
+    """Experiment ``what`` that separates effect ``a``, at its fitted magnitude, from ``b`` (empty: from no effect).
 
-    Log Bayes factors: of the drive alone (``now``), and to be expected with it. ``minutes`` that it takes; 0: a signal.
+    Log Bayes factors: ``now``, of the drive alone, and ``expected``, with the experiment. ``minutes``: its duration
+    [min], 0 for a signal.
     """
 
     a: str
@@ -148,40 +149,40 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Isolability:
-    """|Correlation| (k, k) of the traces of all candidates on this log; effects with 1 cannot be separated."""
+    """|Correlation| (k, k) of the traces of all candidates on the longest drive; 1: they cannot be separated."""
 
     names: tuple[str, ...]
     correlation: Floats
-    expected_log_bayes_factor: Floats  # (k,), at the usual magnitude
+    expected_log_bayes_factor: Floats  # (k,), at usual magnitude
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapMap:
-    """Mean residual [W] in cells of speed x acceleration (rows, columns), NaN where there is little data."""
+    """Mean residual [W] in cells of speed x acceleration (rows, columns); NaN in cells with few samples."""
 
     speed_edges: Floats  # [m/s]
     acceleration_edges: Floats  # [m/s^2]
-    before: Floats
-    after: Floats
-    samples: Floats
+    before: Floats  # plain model
+    after: Floats  # with the named effects
+    samples: Floats  # means over 2 s in each cell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traces:
-    """Means over 2 s of the driving whose force is known, log by log; all arrays (n,).
+    """Means over 2 s of strides with a known force, log by log; all arrays (n,).
 
-    Their root mean squares of `measured` less a model are those that the diagnosis states.
+    The root mean square of ``measured`` less a model is the residual that the diagnosis states.
     """
 
     t: Floats  # [s] since the first row of the log
-    distance: Floats  # [m], of the drive
+    distance: Floats  # [m] since the start of the drive
     speed: Floats  # [m/s]
     acceleration: Floats  # [m/s^2]
     measured: Floats  # [W]
-    base: Floats  # [W], plain model, with what is given
-    extended: Floats  # [W], with all that was found, on stretches that its fit has not seen
-    road_known: Floats  # [W], the same with the slopes of the state: what a signal of the road could show
-    log: Floats  # which of the logs
+    base: Floats  # [W], plain model with the given effects
+    extended: Floats  # [W], with all chosen effects and the road, on held-out stretches
+    road_known: Floats  # [W], extended, but with the slopes of the state, as an ideal signal would show them
+    log: Floats  # number of the log
 
 
 CANDIDATES = (
@@ -197,51 +198,54 @@ CANDIDATES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
-    """The whole answer. Without a fit (log too short, standing, no power) only verdict and obstacle are meaningful."""
+    """The whole answer.
+
+    Without a fit (log too short, standing, no power) only `verdict`, `obstacle` and `not_testable` are meaningful.
+    """
 
     verdict: Verdict
-    obstacle: str = ""  # to a fit
-    effects: tuple[Finding, ...] = ()  # what is named: the road, effects by their evidence, the lag
-    candidates: tuple[Finding, ...] = ()  # the whole ranking against the plain model, best first
+    obstacle: str = ""  # reason why there is no fit
+    effects: tuple[Finding, ...] = ()  # named: the road, effects by their evidence, the lag
+    candidates: tuple[Finding, ...] = ()  # all effects, each alone, road, lag, unknown effect; best first
     remaining_verdict: Verdict = Verdict.CANNOT_TELL
     remaining_log_bayes_factor: float | None = None
     remainder: Remainder | None = None
-    formula: Described | None = None  # of what is left without a name
-    doubtful: str = ""  # the likeliest effect of a "cannot tell" that names none
-    noise_floor: float | None = None  # [W]
-    rms_base: float | None = None  # [W], of the plain model
-    rms_final: float | None = None  # [W], with all that was found
+    formula: Described | None = None  # of the residual that no named effect explains
+    doubtful: str = ""  # the likeliest effect if the verdict is "cannot tell" and none is named
+    noise_floor: float | None = None  # [W], rms of sensor noise and white force
+    rms_base: float | None = None  # [W], plain model with the given effects
+    rms_final: float | None = None  # [W], with all chosen effects, on held-out stretches
     base: Shift | None = None  # A, C, m of the plain model
-    base_deviation: Shift | None = None  # and their sd
-    final: Shift | None = None  # with the effects
-    deviation: Shift | None = None
+    base_deviation: Shift | None = None  # sd of base
+    final: Shift | None = None  # A, C, m with all chosen effects
+    deviation: Shift | None = None  # sd of final
     where: tuple[Place, ...] = ()
     isolability: Isolability | None = None
     not_testable: tuple[NotTestable, ...] = ()
     invisible: tuple[Invisible, ...] = ()
     advice: tuple[Advice, ...] = ()
     experiments: tuple[Experiment, ...] = ()
-    p_value: float | None = None  # of the best effect's evidence among records of noise alone
-    streaming_effects: tuple[str, ...] = ()  # to configure; empty: nothing to add
-    budget: Budget | None = None  # of the plain model's residual, with the road as a state
+    p_value: float | None = None  # share of records of noise with as much evidence of an effect
+    streaming_effects: tuple[str, ...] = ()  # effects to configure; empty: none to add
+    budget: Budget | None = None  # of the plain model's residual
     gap_map: GapMap | None = None
     traces: Traces | None = None
     logs: tuple[str, ...] = field(default=())
     doubts: tuple[str, ...] = ()  # why the logs may not be of one vehicle
-    mixed_channels: Mapping[str, int] = field(default_factory=dict)  # frames by channel, where several are one bus
+    mixed_channels: Mapping[str, int] = field(default_factory=dict)  # frames by channel, if several are read as one bus
 
     @property
     def ranking(self) -> tuple[Finding, ...]:
-        """All effects, those that are named as they are beside all others, the rest alone; most evidence first."""
+        """All findings, most evidence first: named ones beside all other terms, the others alone."""
         named = {found.name for found in self.effects}
         others = [found for found in self.candidates if found.name not in named]
         return tuple(sorted((*self.effects, *others), key=lambda found: -found.log_bayes_factor))
 
     @property
     def table(self) -> dict[str, Any]:
-        """A row for each effect, those of the verdict first, as arrays (n,) by column.
+        """One row for each finding, named ones first, as arrays (n,) by column; missing numbers are NaN.
 
-        ``pandas.DataFrame`` and ``polars.DataFrame`` take it. Numbers that are missing are NaN.
+        ``pandas.DataFrame`` and ``polars.DataFrame`` accept it.
         """
         named = {found.name for found in self.effects}
         others = [found for found in self.candidates if found.name not in named]

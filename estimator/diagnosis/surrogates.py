@@ -1,8 +1,8 @@
-"""How often noise alone would give causes as much evidence: surrogates of the drive at hand.
+"""P-value of the best effect's evidence, by surrogates of the drive.
 
-A surrogate has the speeds and signals of the drive, and the acceleration of its fit plus a residual whose Fourier
-phases are drawn anew: noise of the same spectrum in which no effect acts (Theiler et al., Physica D 58, 77, 1992). What
-the model lacks and has not named is in that spectrum, which makes the p-value larger.
+A surrogate has the speeds and signals of the drive, and the acceleration of its fit plus a residual with random Fourier
+phases: noise of the same spectrum in which no effect acts (Theiler et al., Physica D 58, 77, 1992). An effect that the
+model lacks is in that spectrum, which makes the p-value larger.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ from estimator.signals import Floats
 
 
 def p_value(explained: Explained, count: int, rng: np.random.Generator) -> float:
-    """Share of records whose best effect has as much evidence as that of the drives: ``count`` of noise, and this one.
+    """Share of records whose best effect has at least the evidence of the drives' best one.
 
-    Effects that are given are in no record and no candidates.
+    Records are ``count`` surrogates and the drives themselves. Given effects act in no surrogate and are no candidates.
     """
     here = max((one.gain for one in explained.ranking), default=-np.inf)
     effects = [one.effect for one in explained.ranking]
@@ -32,7 +32,7 @@ def p_value(explained: Explained, count: int, rng: np.random.Generator) -> float
 
 
 def best_evidence(drives: Sequence[DriveState], effects: Sequence[Effect]) -> float:
-    """The largest log Bayes factor of an effect alone, the cost of its times and forms counted."""
+    """The largest log Bayes factor of an effect alone, less the costs of its times and forms."""
     return max((one.gain for one in ranked(drives, effects)), default=-np.inf)
 
 

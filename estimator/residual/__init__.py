@@ -1,1 +1,1 @@
-"""The diagnosis of any model's residual: which columns explain it, where it is, and how far it shrinks."""
+"""Diagnosis of the residual of any model: which columns explain it, where it is, and how far they reduce it."""

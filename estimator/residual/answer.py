@@ -1,4 +1,4 @@
-"""The answer of a residual's diagnosis."""
+"""Result of the diagnosis of a residual."""
 
 from dataclasses import dataclass
 
@@ -7,10 +7,10 @@ from estimator.answers.diagnosis import Verdict
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Share of the residual's mean square by one cause, "sensor noise" and processes among them, with 90 % interval.
+    """Share of one cause in the mean square of the residual, with its 90 % interval.
 
-    ``reached``: rms on stretches left out of the fit, once the cause is in the model; None where it is not chosen.
-    ``expected``: rms if its magnitude were known exactly.
+    Causes are candidates, nameless processes and "sensor noise". ``reached``: rms on held-out stretches, with the cause
+    in the model; None if it is not named. ``expected``: rms if its magnitude were known exactly.
     """
 
     cause: str
@@ -23,10 +23,10 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """One candidate: probability that it acts, and log Bayes factor alone against the base.
+    """One candidate: the probability that it acts, and its log Bayes factor alone against the base.
 
-    ``value`` +- ``sd``: its magnitude if it acts, averaged over what acts beside it. ``hidden``: rms of the residual
-    that it could cause without having been seen (95 %).
+    ``value`` +- ``sd``: its magnitude if it acts, averaged over the other causes in the model. ``hidden``: 95 % upper
+    bound of the rms of its part in the residual.
     """
 
     name: str
@@ -40,21 +40,22 @@ class Suspect:
 
 @dataclass(frozen=True, kw_only=True)
 class Disagreement:
-    """A part of an axis where the residual is not zero on average: ``bias`` in its unit."""
+    """A part of an axis where the mean residual is not zero; ``bias``: this mean, in the unit of the residual."""
 
     axis: str
     start: float
     end: float
     unit: str
     bias: float
-    q_value: float  # false discovery rate at which it is found
+    q_value: float  # smallest false discovery rate at which it is listed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """A formula for what has no name: ``value`` +- ``sd`` [``unit``] x ``text``; it is no name.
+    """Formula for the residual that no named cause explains: ``value`` +- ``sd`` [``unit``] x ``text``.
 
-    ``log_bayes_factor`` counts all formulas that were tried; ``reached``: rms on left-out stretches with it.
+    It describes but names no cause. ``log_bayes_factor`` is less the cost of all formulas that were tried; ``reached``:
+    rms on held-out stretches with the formula.
     """
 
     text: str
@@ -67,30 +68,31 @@ class Description:
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualDiagnosis:
-    """Which, how far and where.
+    """Which causes explain a residual, how far they reduce it, and where it is.
 
-    ``named``: candidates that act with a probability of at least the level. ``between``: where the verdict is "cannot
-    tell", the smallest set of candidates of which one acts with that probability. ``budget``: parts that sum to one.
-    ``max_false_alarms`` bounds the probability that a name or "unknown effect" is given to noise of the fitted kind;
-    ``p_value`` is the share of surrogates of such noise with as large odds, None without surrogates.
+    ``named``: candidates that act with at least the probability LEVEL. ``between``: if the verdict is "cannot tell", a
+    few causes (nameless processes among them) of which at least one acts with that probability. ``budget``: parts whose
+    shares sum to one. ``max_false_alarms``: upper bound of the probability that noise of the fitted kind gives a named
+    cause or "unknown effect". ``p_value``: share of surrogates of such noise with at least these odds, None without
+    surrogates.
     """
 
     verdict: Verdict
     named: tuple[str, ...]
     between: tuple[str, ...]
     suspects: tuple[Suspect, ...]  # most probable first
-    unknown: float  # probability that something without a name acts beside
+    unknown: float  # probability that a nameless process acts
     budget: tuple[Part, ...]  # largest share first
     rms: float
-    reached: float  # rms on left-out stretches with all that is named
+    reached: float  # rms on held-out stretches with all named causes
     noise: float  # rms of the noise
     where: tuple[Disagreement, ...]
-    formula: Description | None  # of a gap without a name
+    formula: Description | None  # if an unknown effect is likely
     max_false_alarms: float
     p_value: float | None
 
     def part(self, cause: str) -> Part:
-        """Of the budget.
+        """Part of the budget with this cause.
 
         Raises
         ------

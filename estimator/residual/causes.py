@@ -1,4 +1,4 @@
-"""What may act, with its prior: candidates of one column each, and nameless processes along each axis."""
+"""Causes of a residual, with priors: candidates of one column each, and a nameless process along each axis."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,16 +13,19 @@ from estimator.residual.inputs import PROCESS, Record
 from estimator.residual.noise import Noise
 from estimator.signals import Floats
 
-ODDS_OF_CANDIDATES = 0.37  # prior odds of all candidates together: no effect is e times as probable
-ODDS_OF_PROCESSES = 0.1  # the same of all nameless processes
-HATS = (4, 16)  # distances between hats in the range of an axis
+ODDS_OF_CANDIDATES = 0.37  # prior odds of all candidates together: e^-1 to one
+ODDS_OF_PROCESSES = 0.1  # prior odds of all nameless processes together
+HATS = (4, 16)  # number of distances between hats in the range of an axis
 STRENGTHS = (0.1, 0.3, 1.0)  # of a process, in rms of the residual
-BASE_SD = 1e4  # of the base's amplitudes, in rms: free, and yet determined on rows that do not show one of them
+BASE_SD = 1e4  # prior sd of the base's amplitudes, in rms: practically free, and finite on rows without information
 
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """One form of a cause: columns (n, k) whose amplitudes have the prior N(0, ``sd``^2), or half of it."""
+    """One form of a cause: columns (n, k) whose amplitudes have the prior N(0, ``sd``^2).
+
+    ``positive``: the prior is the half of it above zero.
+    """
 
     cause: str
     columns: Floats
@@ -34,7 +37,7 @@ class Form:
 
 
 def forms_of(record: Record) -> tuple[list[Form], list[Cause]]:
-    """All forms of all causes."""
+    """All forms of all causes, and the causes with the numbers of their forms and their prior odds."""
     forms: list[Form] = []
     causes: list[Cause] = []
 
@@ -69,7 +72,7 @@ def _process(name: str, values: Floats, record: Record) -> Iterator[Form]:
 
 
 class ResidualLikelihood(SetLikelihood):
-    """The likelihood of one record for sets of ``forms``, under a ``noise``; ``rows``: those that it is given (n,)."""
+    """Likelihood of one record for sets of ``forms``, under a ``noise``; ``rows``: numbers of the samples it uses."""
 
     def __init__(
         self, record: Record, forms: Sequence[Form], noise: Noise, rows: NDArray[np.int64] | None = None
@@ -85,6 +88,6 @@ class ResidualLikelihood(SetLikelihood):
         super().__init__(noise.gram(self.data), free, forms, places, unit)
 
     def projected(self, chosen: Sequence[int], columns: Floats) -> tuple[Floats, Floats]:
-        """Products (c, c) and scores (c,) of further ``columns`` (n, c), off a set of forms."""
+        """Products (c, c) and scores (c,) of further ``columns`` (n, c), after projection off a set of forms."""
         beside = [0, *(1 + self._set(chosen)[0])]
         return self.off(chosen, self._noise.gram(np.hstack([self.data[:, beside], columns])))

@@ -1,8 +1,8 @@
-"""The diagnosis of a residual that any model leaves: which causes, how far it shrinks with them, and where it is.
+"""Diagnosis of the residual of any model: which causes explain it, how far they reduce it, and where it is.
 
-The residual is the difference of a measurement and a model, sample by sample. Candidates are columns: the residual that
-a cause of magnitude 1 would leave. Nameless processes along every axis stand for what is no candidate. All sets of them
-are judged by one likelihood, and the verdict is read from their probabilities.
+The residual is measurement less model, sample by sample. A candidate is a column: the residual that a cause of
+magnitude 1 would leave. Nameless processes along every axis describe causes that are not candidates. One likelihood
+gives the evidence of sets of causes, and their probabilities give the verdict.
 """
 
 from collections.abc import Mapping
@@ -24,10 +24,10 @@ from estimator.residual.places import disagreements
 from estimator.residual.shares import budget, held_out
 from estimator.signals import Floats
 
-LEVEL = 0.95  # probability from which a cause is named
+LEVEL = 0.95  # smallest probability of a cause to name it
 MIN_PROBABILITY_NO_GAP = 0.5  # of no cause at all, for the verdict "no gap"
-MIN_PROBABILITY = 1e-3  # of a set that a magnitude is averaged over
-MAX_ROUNDS = 4  # of noise and table, each found beside the other
+MIN_PROBABILITY = 1e-3  # of a set, to include it in the average of a magnitude
+MAX_ROUNDS = 4  # of fitting the noise scales and weighing the sets in turn
 ONE_SIDED_95 = 1.645  # standard deviations
 
 
@@ -43,7 +43,7 @@ def diagnose_residual(
     unit: str = "",
     surrogates: int = 0,
 ) -> ResidualDiagnosis:
-    """Which causes explain a residual, how far it shrinks with them, and where it is.
+    """Diagnose a residual: which causes explain it, how far they reduce it, and where it is.
 
     Parameters
     ----------
@@ -52,23 +52,23 @@ def diagnose_residual(
     columns
         Candidates by name.
     time
-        Of the samples [s] (n,), ascending; steps may differ.
+        Times [s] (n,) of the samples, ascending; steps may differ.
     rng
         Source of the draws for intervals and surrogates.
     base
-        Columns (n, b) of the parameters that the model would fit anew: derivatives of its prediction. A cause that
-        they can imitate is not visible.
+        Columns (n, b) of the parameters of the model that are refitted: derivatives of its prediction. A cause in the
+        span of these columns is not visible.
     along
-        Quantities that something without a name may go with, by name; time is always one of them.
+        Axes of nameless processes, by name; time is always one of them.
     unit
-        Of the residual, as a product of powers ("m/s^2"): the unit of a formula's coefficient follows from it.
+        Unit of the residual, as a product of powers ("m/s^2"); gives the unit of a formula's coefficient.
     surrogates
-        Records of pure noise that the whole search is run on, for a p-value; 99 give one in steps of 1 %.
+        Number of records of noise alone on which the whole search is repeated, for a p-value; 99 give steps of 1 %.
 
     Raises
     ------
     InputError
-        Naming what cannot be used and why.
+        An argument cannot be used; the message names it and the reason.
     """
     if not isinstance(rng, np.random.Generator):
         raise InputError("rng: is no generator; give numpy.random.default_rng(seed)")
@@ -102,7 +102,7 @@ def diagnose_residual(
 
 
 def _judged(record: Record, forms: list[Form], causes: list[Cause]) -> tuple[Scales, ResidualLikelihood, ModelTable]:
-    """The scales of the noise beside the most probable set, and the table under that noise."""
+    """Noise scales fitted with the most probable set in the model, and the table of sets under this noise."""
     chosen: Chosen = ()
     for _ in range(MAX_ROUNDS):
         scales = _scales(record, [forms[i] for i in chosen])
@@ -131,7 +131,7 @@ def _verdict(is_named: bool, unknown: float, none: float) -> Verdict:
 
 
 def _between(table: ModelTable, causes: list[Cause]) -> tuple[str, ...]:
-    """Few causes of which one acts with the probability LEVEL, each the best beside those before; or none."""
+    """Names of few causes of which at least one acts with the probability LEVEL, chosen greedily; empty if none do."""
     found, forms, left = list[str](), list[int](), list(causes)
     while left and table.holding(forms) < LEVEL:
         best = max(left, key=lambda cause: table.holding([*forms, *cause.forms]))
@@ -165,9 +165,9 @@ def _suspects(
 
 
 def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, cause: Cause) -> tuple[float, float]:
-    """Value and sd of a candidate's magnitude if it acts, averaged over what acts beside it."""
+    """Value and sd of a candidate's magnitude if it acts, averaged over the other causes in the set."""
     (form,) = cause.forms
-    log: dict[Chosen, float] = {}  # probability of what is beside it, up to a factor
+    log: dict[Chosen, float] = {}  # log probability of the other causes, up to a constant
     each = {}
     likely = max(int(np.searchsorted(-table.probability, -MIN_PROBABILITY)), 1)  # sets, the most probable first
     for p, own in zip(table.probability[:likely].tolist(), table.sets, strict=False):
@@ -187,7 +187,7 @@ def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, cause: Cause) 
 def _described(
     record: Record, likelihood: ResidualLikelihood, chosen: Chosen, scales: Scales, unit: str
 ) -> Description | None:
-    """The formula that explains most beside those chosen, if it has evidence."""
+    """The formula with most evidence beside the chosen forms; None if its log Bayes factor is not above 0."""
     variables = {name: Variable(axis.values, axis.unit) for name, axis in record.axes.items()}
     found = best_formula(variables, unit, record.rms, lambda columns: judged(*likelihood.projected(chosen, columns)))
     if found is None or found.gain <= 0:
@@ -201,16 +201,17 @@ def _described(
 
 
 def _max_false_alarms(causes: list[Cause]) -> float:
-    """Bound on the probability that noise alone gives a cause the probability LEVEL.
+    """Upper bound of the probability that noise alone gives a cause the probability LEVEL.
 
-    Under noise the posterior odds have the prior odds as mean, so they exceed x with at most that over x (Markov).
+    Under noise the mean of the posterior odds is the prior odds, so they exceed x with a probability of at most prior
+    odds / x (Markov's inequality).
     """
     odds = float(np.prod([1 + np.exp(cause.log_odds) for cause in causes])) - 1
     return float(odds * (1 - LEVEL) / LEVEL)
 
 
 def _p_value(record: Record, table: ModelTable, surrogates: int, rng: np.random.Generator) -> float:
-    """Share of records of noise, this one among them, whose odds of any cause are as large."""
+    """Share of records (surrogates of noise, and this one) whose odds of any cause are at least those of this one."""
     noise = Noise(record.t, _scales(record, []))
     larger = 0
     for _ in range(surrogates):

@@ -1,4 +1,4 @@
-"""What a residual may be explained by, checked: candidate columns with priors, and axes."""
+"""Checked inputs of a residual's diagnosis: candidate columns with priors, base, and axes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,20 +9,20 @@ from estimator.components.formula import units_of
 from estimator.errors import InputError
 from estimator.signals import Floats
 
-MIN_SAMPLES = 100  # of a residual: its noise has three scales, and 4 of 5 stretches have to tell them
-MAX_BASE_SHARE = 0.5  # columns of the base, of the samples: fits to 4 of 5 stretches have to determine them
+MIN_SAMPLES = 100  # of a residual: 4 of 5 stretches have to determine three scales of noise
+MAX_BASE_SHARE = 0.5  # columns of the base over samples: 4 of 5 stretches have to determine them
 MIN_TURN = 1e-9  # smallest singular value of the base's columns, scaled to one, that counts as independent
-MIN_LEFT = 1e-12  # of a column's rms, off the base: less is rounding
-MIN_STEP = 1e-6  # of the median step of time: shorter ones are repeated times, and the noise's memory cancels
-SIZES = (1e-25, 1e25)  # of the largest value: squares of products of two cubes stay within the range of a number
-TIME, NOISE, PROCESS = "time", "sensor noise", "unknown over "  # names of what is always there
+MIN_LEFT = 1e-12  # of a column's rms, left by projection off the base: less is rounding
+MIN_STEP = 1e-6  # of the median step of time: a shorter one is a repeated time, and the noise is then nearly singular
+SIZES = (1e-25, 1e25)  # of the largest value: squares of products of two cubes are then finite
+TIME, NOISE, PROCESS = "time", "sensor noise", "unknown over "  # names of causes that the answer uses
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause that may act: the residual (n,) it gives at magnitude 1, and the prior N(0, ``sd``^2) of its magnitude.
+    """A cause that may act: its residual (n,) at magnitude 1, and the prior N(0, ``sd``^2) of its magnitude.
 
-    ``sd`` is the magnitude that is usual; ``positive``: it cannot be negative. ``unit`` is that of the magnitude.
+    ``sd``: usual magnitude; ``positive``: the magnitude cannot be negative; ``unit``: unit of the magnitude.
     """
 
     column: Floats
@@ -33,7 +33,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Axis:
-    """A quantity that the residual may depend on (n,), and its unit, as in "m/s^2"."""
+    """A quantity (n,) that the residual may depend on, and its unit, such as "m/s^2"."""
 
     values: Floats
     unit: str = ""
@@ -41,10 +41,10 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """A residual at times ``t`` [s] (n,), and the columns (n, b) of the parameters that its model would fit anew.
+    """A residual at times ``t`` [s] (n,), with the base (n, b): columns of the parameters that are refitted.
 
-    The base is orthogonal, of rms 1. Residual and candidates are what it cannot fit of them: nothing that is asked of
-    a record depends on the rest, and large common parts would cancel badly. ``axes`` begin with time.
+    Base columns are orthogonal, with rms 1. Residual and candidates are projected off the base: no result depends on
+    the part in its span, and large common parts would cancel with rounding errors. The first of ``axes`` is time.
     """
 
     t: Floats
@@ -55,17 +55,17 @@ class Record:
 
     @property
     def rms(self) -> float:
-        """Of the residual."""
+        """Root mean square of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
     def off(self, columns: Floats) -> Floats:
-        """What the base cannot fit of ``columns`` (n,) or (n, c), by least squares."""
+        """``columns`` (n,) or (n, c) projected off the base: residuals of their least-squares fit by it."""
         return _off(self.base, columns)
 
 
 def _off(base: Floats, columns: Floats) -> Floats:
     rest = columns
-    for _ in range(2):  # the second time takes away the rounding of the first
+    for _ in range(2):  # the second projection removes the rounding of the first
         rest = rest - base @ (base.T @ rest) / len(base)
     size, left = (np.sqrt(np.mean(part**2, axis=0)) for part in (columns, rest))
     known: Floats = np.where(left > MIN_LEFT * size, rest, 0.0)
@@ -79,13 +79,14 @@ def checked(
     base: Floats | None,
     along: Mapping[str, Axis] | None,
 ) -> Record:
-    """The record.
+    """Check the inputs and project them off the base.
 
     Raises
     ------
     InputError
-        Naming the array: too few samples, a length that differs, a value that is no finite number or of a size that
-        cannot be squared, times that do not ascend, a column of zeros, a prior that is not positive, a name that the
+        The message names the array: too few samples, a length that differs, a value that is no finite number or of a
+        size that cannot be squared, times that do not ascend, a column of zeros, a prior that is not positive, a
+        name that the
         answer uses itself, a unit that is no product of powers, a base whose columns are not independent, or one that
         explains the whole residual.
     """
@@ -113,7 +114,7 @@ def checked_unit(what: str, unit: str) -> None:
     Raises
     ------
     InputError
-        Naming ``what`` has it.
+        The message names ``what`` has this unit.
     """
     try:
         units_of(unit)
@@ -157,7 +158,7 @@ def _candidate(name: str, candidate: Candidate, base: Floats) -> Candidate:
 
 
 def _base(base: Floats | None, y: Floats) -> Floats:
-    """The same space, by orthogonal columns of rms 1."""
+    """Orthogonal columns with rms 1 that span the same space as ``base``, after checks against the residual ``y``."""
     columns = np.zeros((len(y), 0)) if base is None else _array("base", base, dimensions=2)
     _same_length("base", columns, y)
     count = columns.shape[1]

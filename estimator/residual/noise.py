@@ -1,6 +1,6 @@
-"""Noise of a residual: white, plus a part with a memory (Ornstein-Uhlenbeck); O(n) in the length of the record.
+"""Noise of a residual: white noise plus an Ornstein-Uhlenbeck process; cost O(n) in the length of the record.
 
-The memory is at most a fiftieth of the record: what wanders more slowly is no noise, but something the model lacks.
+The correlation time is at most 1/50 of the record: a slower variation is not noise but an effect that the model lacks.
 """
 
 from collections.abc import Callable
@@ -14,13 +14,16 @@ from estimator.model.ornstein_uhlenbeck import Chain
 from estimator.signals import Floats
 
 MAX_MEMORY_SHARE = 1 / 50  # of the record's duration
-MIN_SD_SHARE = 1e-3  # of the residual's rms: less noise is rounding, and the products would cancel
-STARTS = (0.05, 0.5)  # of the range of log memory, at which the search for the scales begins
+MIN_SD_SHARE = 1e-3  # of the residual's rms: with less noise, products would cancel to rounding errors
+STARTS = (0.05, 0.5)  # of the range of log memory: starts of the search for the scales
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Standard deviations of the white part and of the part with a memory, in the residual's unit; memory [s]."""
+    """Standard deviations of the white and of the slow (Ornstein-Uhlenbeck) part, in the residual's unit.
+
+    ``memory``: correlation time [s] of the slow part.
+    """
 
     white: float
     slow: float
@@ -28,12 +31,12 @@ class Scales:
 
     @property
     def variance(self) -> float:
-        """Of one sample."""
+        """Variance of one sample."""
         return self.white**2 + self.slow**2
 
 
 class Noise:
-    """The noise at times ``t`` [s] (n,), ascending; K is its covariance."""
+    """Noise at ascending times ``t`` [s] (n,), with covariance K (n, n)."""
 
     def __init__(self, t: Floats, scales: Scales) -> None:
         self._chain = Chain(t, np.arange(len(t)), np.ones(len(t) - 1, dtype=bool))
@@ -53,7 +56,7 @@ class Noise:
         return products
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        """One record (n,) of the noise."""
+        """Draw one record (n,) of the noise."""
         precision = np.zeros((2, len(self._chain.t)))
         self._chain.add_precision(precision, self._scales.slow, self._scales.memory)
         normal = rng.standard_normal((len(self._chain.t), 2))
@@ -62,16 +65,16 @@ class Noise:
 
 
 def fit_noise(t: Floats, rms: float, log_evidence: Callable[[Noise], float]) -> Scales:
-    """The scales of largest marginal likelihood.
+    """Fit the scales by maximum marginal likelihood.
 
     Parameters
     ----------
     t
         Times [s] (n,).
     rms
-        Of the residual: bounds the scales.
+        Root mean square of the residual; bounds the scales.
     log_evidence
-        Of the data under a noise, its determinant counted.
+        Log evidence of the data under a noise, with its log determinant.
     """
     step = float(np.median(np.diff(t)))
     shortest, longest = 0.5 * step, max(MAX_MEMORY_SHARE * float(t[-1] - t[0]), step)

@@ -1,4 +1,4 @@
-"""Where: parts of each axis in which the residual is not zero, at a rate of false discoveries over all parts."""
+"""Parts of each axis where the mean residual is not zero, with one false discovery rate over all parts."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -13,13 +13,13 @@ from estimator.residual.causes import ResidualLikelihood
 from estimator.residual.inputs import Record
 from estimator.signals import Floats
 
-PARTS = 8  # of an axis, of equally many samples; one for each value where there are no more values
-MAX_FALSE_DISCOVERY_RATE = 0.05  # Benjamini & Hochberg 1995: 1 in 20 of the places listed is expected to be false
-MIN_SHARE = 0.01  # of the samples, in a part
+PARTS = 8  # of an axis, with equal numbers of samples; one for each value if there are at most as many
+MAX_FALSE_DISCOVERY_RATE = 0.05  # Benjamini & Hochberg 1995: 1 in 20 of the listed places is expected to be false
+MIN_SHARE = 0.01  # of the samples that a part has to hold
 
 
 def disagreements(record: Record, likelihood: ResidualLikelihood) -> tuple[Disagreement, ...]:
-    """Parts that the base does not explain, by the likelihood's noise; the surest first."""
+    """Parts whose mean residual is significant under the likelihood's noise, after the base; smallest q-value first."""
     parts, indicators = [], []
     for name, axis in record.axes.items():
         for start, end, inside in _parts(axis.values):
@@ -41,7 +41,7 @@ def disagreements(record: Record, likelihood: ResidualLikelihood) -> tuple[Disag
 
 
 def _parts(values: Floats) -> Iterator[tuple[float, float, NDArray[np.bool_]]]:
-    """Start, end and samples (n,) of each part; an axis of few values, as a switch has, has a part for each."""
+    """Start, end and mask (n,) of each part; an axis with at most PARTS values (a switch) has one for each value."""
     own = np.unique(values)
     if len(own) <= PARTS:
         yield from ((value, value, values == value) for value in own.tolist())

@@ -1,7 +1,7 @@
-"""How far: the residual's mean square split into its causes, and what is left on stretches that the fit has not seen.
+"""Split of the residual's mean square into its causes, and the residual on stretches left out of the fit.
 
-With M the projection off the base's columns, M r = sum of M X b + M noise. For a draw of a set from the table and of
-its amplitudes b, the share of a cause is (M r)'(M X b) / (M r)'(M r), and that of the noise is the rest.
+Let M be the projection off the base's columns: M r = sum of M X b + M noise. For a draw of a set from the table and of
+its amplitudes b, the share of a cause is (M r)'(M X b) / (M r)'(M r); the noise has the rest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,8 +18,8 @@ from estimator.residual.noise import Noise, Scales
 from estimator.signals import Floats
 
 DRAWS = 400
-MAX_TRIES = 50  # draws of a positive amplitude, before it is set to zero
-FOLDS, STRETCHES = 5, 20  # of the record
+MAX_TRIES = 50  # draws for positive amplitudes; after them, negative ones are set to zero
+FOLDS, STRETCHES = 5, 20  # of the record, for cross-validation
 
 
 def budget(
@@ -31,7 +31,7 @@ def budget(
     scales: Scales,
     rng: np.random.Generator,
 ) -> tuple[Part, ...]:
-    """Parts of all causes that any draw holds, and of the noise; ``named``: forms that were chosen."""
+    """Parts of the noise and of all causes that are in any draw; ``named``: numbers of the chosen forms."""
     rest, columns = record.residual, likelihood.data[:, 1 + likelihood.base_size :]
     weights = columns.T @ rest / (rest @ rest)
     products = columns.T @ columns / len(rest)
@@ -69,7 +69,7 @@ def _part(cause: str, shares: Floats, reached: float | None, expected: float) ->
 def _draws(
     likelihood: ResidualLikelihood, table: ModelTable, rng: np.random.Generator
 ) -> Iterator[tuple[tuple[int, ...], Floats]]:
-    """Sets by their probability, each with amplitudes of base and set from its posterior."""
+    """Draw sets by their probability, each with amplitudes of base and set from its posterior."""
     posteriors: dict[int, Posterior] = {}
     for model in rng.choice(len(table.sets), size=DRAWS, p=table.probability).tolist():
         own = table.sets[model]
@@ -81,12 +81,12 @@ def _draws(
 def _amplitudes(
     likelihood: ResidualLikelihood, own: Sequence[int], posterior: Posterior, rng: np.random.Generator
 ) -> Floats:
-    """One draw (p,) with signs as they must be."""
+    """Draw amplitudes (p,) from a posterior; amplitudes with a positive prior are not negative."""
     before = likelihood.base_size + np.cumsum([0, *(len(likelihood.places[form]) for form in own)])
     positive = [at for at, form in zip(before[:-1], own, strict=True) if likelihood.priors[form].positive]
     size = np.sqrt(np.diag(posterior.covariance))
     values, axes = np.linalg.eigh(posterior.covariance / np.outer(size, size))
-    root = axes * np.sqrt(np.maximum(values, 0.0))  # also where two causes have one course, and rounding decides
+    root = axes * np.sqrt(np.maximum(values, 0.0))  # finite also if two columns are collinear up to rounding
     for _ in range(MAX_TRIES):
         amplitudes: Floats = posterior.mean + size * (root @ rng.standard_normal(len(root)))
         if np.all(amplitudes[positive] >= 0):

@@ -90,7 +90,7 @@ class Aligner:
 
     @property
     def reference_torque(self) -> float | None:
-        """Of the engine [N m], as the bus sent it last."""
+        """Newest reference torque of the engine [N m] that the bus sent."""
         return self._engine.reference_torque
 
     def forget(self) -> None:

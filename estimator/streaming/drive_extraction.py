@@ -77,7 +77,7 @@ def _require_different(paths: Sequence[Path]) -> None:
 
 
 def _other_engines(torques: Sequence[float | None]) -> Iterator[str]:
-    """Why logs with these reference torques [N m] of their engines may not be of one vehicle."""
+    """Reasons why logs with these reference torques [N m] may not be of one vehicle."""
     known = [(i, torque) for i, torque in enumerate(torques, start=1) if torque is not None]
     for i, torque in known[1:]:
         first, other = known[0]

@@ -149,7 +149,7 @@ class EnginePower:
 
     @property
     def _factors(self) -> tuple[Role, Role]:
-        """What the power is a product of; there is one at the times of the first."""
+        """The two roles whose product is the power, which is computed at the times of the first."""
         if is_electric(self._bound):
             return Role.BATTERY_CURRENT, Role.BATTERY_VOLTAGE
         torque = Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION

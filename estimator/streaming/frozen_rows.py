@@ -81,7 +81,7 @@ class _Repetition:
         self._repeated, self._rows = (
             1.0,
             PRIOR_ROWS,
-        )  # rows that p is learnt from, and those of them like the one before
+        )  # rows equal to the row before, and all rows from which p is learnt
 
     def feed(self, rows: Rows) -> Rows | None:
         """The next rows of the grid, at least one: those of which it is now known whether they are frozen."""
@@ -134,7 +134,7 @@ class _Repetition:
         return improbable
 
     def _can_be_improbable(self) -> bool:
-        """Whether a stretch of at most LONGEST can be too long."""
+        """True if a stretch of at most LONGEST can be too long."""
         return self._is_coarse or -LONGEST / STEP * np.log(self._repeated / self._rows) > MAX_IMPROBABLE
 
 

@@ -1,4 +1,4 @@
-"""What a user can do where a bus lacks inputs that the model needs."""
+"""Advice where a bus lacks inputs that the model needs."""
 
 import json
 from collections.abc import Collection, Mapping, Sequence

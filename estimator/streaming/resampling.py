@@ -61,12 +61,12 @@ class Track:
 
     @property
     def limit(self) -> float:
-        """How long [s] a reading counts."""
+        """Duration [s] for which a reading is valid."""
         return MAX_FRESH if np.isnan(self.fresh) else self.fresh
 
     @property
     def is_slow(self) -> bool:
-        """Whether its readings are known to come slowly."""
+        """True if the period of the sender is known to be above SLOW_PERIOD."""
         return self.fresh > FRESH_PERIODS * SLOW_PERIOD
 
     def drop(self, wrong: Mask) -> None:

@@ -83,7 +83,7 @@ class Interruption:
 
     @property
     def is_step_back(self) -> bool:
-        """Whether time was set back: another recording, or the same one again."""
+        """True if time was set back: another recording, or the same one again."""
         return self.start is not None and self.end < self.start
 
 
@@ -176,7 +176,7 @@ class RowStream:
 
     @property
     def reference_torque(self) -> float | None:
-        """Of the engine [N m], as the bus sent it last."""
+        """Newest reference torque of the engine [N m] that the bus sent."""
         return self._aligner.reference_torque
 
     @property
@@ -279,13 +279,13 @@ class RowStream:
         self._is_restored, self._same_clock = True, same_clock
 
     def _too_seldom(self) -> str:
-        """Why needed inputs come too seldom to be used, empty where they do not."""
+        """Reason why needed inputs come too seldom to be used; empty if they do not."""
         intervals = {role: float(np.median(np.diff(t))) for role, t in self._first.items() if len(t) > MIN_INTERVALS}
         longest = max(intervals, key=intervals.__getitem__, default=None)
         return "" if longest is None else too_seldom(self._names[longest], intervals[longest], MAX_LINE)
 
     def _remedy(self, missing: list[Role]) -> str:
-        """What a user can do where roles are missing."""
+        """Advice to the user where roles are missing."""
         if pids := pids_of(missing, self._messages):
             return f"the logger has to ask for PID {', '.join(pids)}"
         if self._answers:
@@ -428,7 +428,7 @@ class RowStream:
             self._counted_to = float(parts[end - 1].index[-1] + 1) * STEP
 
     def _count_run(self, parts: Sequence[Rows]) -> None:
-        """The same of rows without a gap."""
+        """Count the usable rows of one run without a gap, and note the times of the others."""
         self._switches.feed(parts)
         speed = np.isfinite(np.concatenate([rows.speed for rows in parts]))
         power = np.isfinite(np.concatenate([rows.power for rows in parts]))

@@ -22,7 +22,7 @@ MIN_CHANGES = 10  # of a value that is alive: fewer are start and end
 
 @dataclass(slots=True, kw_only=True)
 class Presence:
-    """What came of one candidate; values in SI."""
+    """Readings of one candidate in a log; values in SI."""
 
     readings: int = 0
     known: int = 0  # of them with a value
@@ -39,7 +39,7 @@ class Presence:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the value changes."""
+        """True if the value changes at least MIN_CHANGES times."""
         return self.changes >= MIN_CHANGES
 
 
