@@ -1,4 +1,4 @@
-"""What is known of A, C and m before the data, as a Gaussian: from a weigh ticket, a data sheet, an earlier load."""
+"""Gaussian prior of A, C and m, from sources other than the drive: a weigh ticket, a data sheet, an earlier load."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,9 @@ PARAMETERS = 3  # A [N], C [N s^2/m^2], m [kg]
 
 @dataclass(frozen=True)
 class Belief:
-    """A Gaussian in information form: ``precision`` (3, 3) and ``moment`` (3,) = precision @ mean, of [A, C, m].
+    """Gaussian of [A, C, m] in information form: ``precision`` (3, 3) and ``moment`` (3,) = precision @ mean.
 
-    Beliefs from independent sources add up.
+    The sum of two beliefs combines independent sources.
     """
 
     precision: Floats
@@ -25,18 +25,18 @@ class Belief:
 
     @classmethod
     def none(cls) -> "Belief":
-        """Nothing is known."""
+        """Return the belief without information: zero precision."""
         return cls(np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS))
 
     @classmethod
     def about(cls, i: int, mean: float, sd: float) -> "Belief":
-        """Parameter ``i`` is ``mean`` give or take ``sd``."""
+        """Return the belief that parameter ``i`` has this ``mean`` and standard deviation ``sd``."""
         unit = np.eye(PARAMETERS)[i]
         return cls(np.outer(unit, unit) / sd**2, unit * mean / sd**2)
 
     @classmethod
     def configured(cls, prior: Prior) -> "Belief":
-        """The beliefs of a configuration."""
+        """Return the sum of the beliefs in a configuration."""
         belief = cls.none()
         for i, mean_and_sd in enumerate((prior.A_belief_N, prior.C_belief_N_s2_m2, prior.mass_belief_kg)):
             if mean_and_sd is not None:

@@ -26,7 +26,7 @@ from estimator.preparation.admission import Reason
 from estimator.preparation.stage import Piece, StrideStage
 from estimator.samples import STEP, Rows
 
-# What an update may raise where floating point does not reach; one that is not positive definite is an ArithmeticError.
+# Errors of an update beyond the range of floating point; a matrix that is not positive definite is an ArithmeticError.
 NUMERICAL_ERRORS = (np.linalg.LinAlgError, ArithmeticError)
 
 
@@ -40,13 +40,13 @@ class Estimator:
     rng
         Source of all randomness.
     is_live
-        Whether the road under the vehicle is followed between two estimates.
+        True if the road under the vehicle is estimated between two conclusions.
     """
 
     def __init__(self, config: Config, rng: np.random.Generator, is_live: bool = False) -> None:
         self.window = Window(config)
         self.segment = 0  # number of the load, counted since the start of this process
-        self.failed_updates = 0  # those that failed numerically, since the start of this process
+        self.failed_updates = 0  # updates that failed numerically, since the start of this process
         self._config = config
         self._stage = StrideStage(config)
         inference = RoadInference if config.sampler.likelihood == "road" else PaperInference
@@ -57,7 +57,7 @@ class Estimator:
         self._latest: Estimate | None = None
         self._scale = ScaleCheck(config.binding)
         self._road = RoadNow(config.admission, is_live)
-        self._resting = False  # restored, and the length of the downtime is not known yet
+        self._resting = False  # restored, and `resume` has not been called: the downtime is not known yet
 
     @property
     def latest(self) -> Estimate | None:
@@ -66,26 +66,29 @@ class Estimator:
 
     @property
     def road_now(self) -> RoadAhead | None:
-        """The road under the vehicle and ahead of it by the newest fit; None while there is none."""
+        """Road under the vehicle and ahead of it by the newest fit; None without a fit or before `resume`."""
         return None if self._resting else self._road.here()
 
     @property
     def progress(self) -> tuple[int, int, int]:
-        """Rows in motion, samples admitted, and those at the last estimate: equal while there is nothing new."""
+        """Counts of rows in motion, of rows admitted to the window, and of rows admitted at the last estimate.
+
+        The last two are equal while there is no new data.
+        """
         return self._stage.moving, self.window.added, self._at_last
 
     @property
     def evidence(self) -> Evidence | None:
-        """Trace and draws behind the newest estimate; None while there is none."""
+        """Trace and draws of the newest estimate; None without an estimate."""
         return self._inference.evidence
 
     @property
     def rejected(self) -> Counter[str]:
-        """Rows not used, by reason."""
+        """Counts of the rows not used, by reason."""
         return self._stage.rejected + Counter({Reason.EVICTED.value: self.window.evicted})
 
     def feed(self, rows: Rows) -> Iterator[Estimate]:
-        """Take the next rows of the grid; yields an estimate whenever one falls due."""
+        """Process the next rows of the grid; yield an estimate whenever one is due."""
         if self._next is not None and rows.index[0] != self._next:
             yield from self.finish()
             self._stage.pause(max(int(rows.index[0] - self._next), 0))
@@ -95,7 +98,7 @@ class Estimator:
         self._road.feed(rows, self._stage.wanted)
 
     def finish(self) -> Iterator[Estimate]:
-        """Use the rows that still wait, at the end of a log or before a gap, and yield the estimates due."""
+        """Process the buffered rows, at the end of a log or before a gap, and yield the estimates due."""
         end = self._stage.waiting
         if end is None:
             return
@@ -119,7 +122,7 @@ class Estimator:
             self._scale = ScaleCheck(self._config.binding)
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads; the evidence is left out, for the next update computes it."""
+        """Return the state that `restore` reads, without the evidence, which the next update computes."""
         return {
             "likelihood": self._config.sampler.likelihood,
             "window": self.window.state(),
@@ -134,12 +137,12 @@ class Estimator:
         }
 
     def restore(self, state: State) -> None:
-        """Take the state of another estimator; `resume` must follow. Discard this estimator if it fails.
+        """Load the state of another estimator; `resume` must follow. After an error, discard this estimator.
 
         Raises
         ------
         StateError
-            The state is not that of an estimator with this configuration.
+            The state does not belong to an estimator with this configuration.
         """
         if read(state, "likelihood", str) != self._config.sampler.likelihood:
             raise StateError("likelihood: is another one")
@@ -158,7 +161,7 @@ class Estimator:
         self._resting = True
 
     def resume(self, same_load: bool) -> Iterator[Estimate]:
-        """Continue after `restore`: use the rows that waited, and keep the window if the load is the ``same_load``."""
+        """Continue after `restore`: process the buffered rows; keep the window only if ``same_load``."""
         self._resting = False
         yield from self.finish()
         if not same_load:
@@ -181,7 +184,7 @@ class Estimator:
                 yield self._conclude(newest * STEP)
 
     def _start_segment(self, departure: float | None = None) -> None:
-        """Begin a load segment, after a stop at ``departure`` [s]: discard the mass, keep A / m and C."""
+        """Begin a load segment at ``departure`` [s] from a stop: discard the mass, keep A / m and C."""
         self.segment += 1
         kept_from = self._inference.start_segment(departure)
         if kept_from is None:

@@ -1,4 +1,4 @@
-"""The data and draws behind an estimate, for plots and files."""
+"""Data and posterior draws of an estimate, for plots and files."""
 
 from dataclasses import dataclass
 
@@ -14,10 +14,10 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """The data that the model was fitted to; all arrays (n,).
+    """Data that the model was fitted to; all arrays (n,).
 
-    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` [W] measured and ``fitted`` [W], ``density`` of the air [kg/m^3], NaN
-    where it is not known; ``spacing`` [s] of consecutive elements.
+    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` measured power [W], ``fitted`` power [W], ``density`` of the air
+    [kg/m^3], NaN where unknown; ``spacing`` [s] is the time between consecutive elements.
     """
 
     t: Floats
@@ -30,7 +30,7 @@ class Trace:
 
     @property
     def relative_density(self) -> Floats:
-        """Density (n,) of the air over its mean here [1]; 1 where it is not known."""
+        """Air density (n,) over its mean in this trace [1]; 1 where it is unknown."""
         return over_mean(self.density)
 
 
@@ -46,8 +46,8 @@ class Coefficients:
 class Evidence:
     """Trace, draws, lag of power behind speed [s], rows per cell of the grid, residual [W], independent residuals.
 
-    ``coefficients`` are those of the drive by itself, without beliefs and box, and ``fit`` is what they were found in,
-    where the road is a state.
+    ``coefficients`` is the likelihood of the drive without beliefs and box, and ``fit`` the fit that gave it; both
+    None by the paper's method.
     """
 
     trace: Trace

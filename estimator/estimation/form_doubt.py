@@ -1,8 +1,8 @@
-"""What the form of the model leaves in doubt, beyond what noise does.
+"""Uncertainty from the form of the model, in addition to that from noise.
 
-A floor for the sd of the mass (FORM_SD) holds on any road. Effects have a form of their own: a fan speeds up within
-seconds and turns while it is released, tyres warm with speed. No drive shows evidence of a hundredth of an effect; a
-hundredth of a fan of 59 kW moves A by 2 standard deviations.
+The relative sd of the mass is at least FORM_SD on any road. The forms of effects are approximate too: a fan speeds up
+within seconds and turns on after release, tyres warm with speed. No drive shows evidence of a hundredth of an effect,
+but a hundredth of a fan of 59 kW moves A by 2 standard deviations.
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ from estimator.signals import Floats
 
 FORM_SD = 0.0025  # relative sd of 1/m from the form of the model on any road (friction in steps of 1 %)
 EFFECT_DOUBT = 0.03  # sd of an effect from its form, as a share of it: the worst of four fans was off by 5 %
-ROAD_DOUBT = 0.8  # share of their sd by which A / m and C / m are wider there: real roads are no Matern process
+ROAD_DOUBT = 0.8  # sd of A / m and C / m added over hidden hills, over their sd: real roads are no Matern process
 
 
 def with_doubt_of_form(beta: Floats, covariance: Floats, slope_sd: float, hidden: bool) -> Floats:
-    """The covariance (p, p) of beta (p,), with the uncertainty from the form of the model added.
+    """Return the covariance (p, p) of beta (p,), with the uncertainty from the form of the model added.
 
-    A / m and C / m are proportional to 1 / m, so an error of the form changes the mass alone. Over hidden hills the sd
-    of A and C is larger by ROAD_DOUBT, in proportion to the slopes up to an sd of 0.4 %.
+    The relative error is common to 1 / m, A / m and C / m, so it changes the mass and not A or C. On ``hidden`` roads
+    an independent sd of ROAD_DOUBT times theirs is added to A / m and C / m, in proportion to ``slope_sd`` up to 0.4 %.
     """
     form = FORM_SD * np.concatenate([beta[:ROAD_LOAD], np.zeros(len(beta) - ROAD_LOAD)])
     wider = covariance.copy()
@@ -30,10 +30,10 @@ def with_doubt_of_form(beta: Floats, covariance: Floats, slope_sd: float, hidden
 
 
 def with_doubt_of_effects(beta: Floats, covariance: Floats, effects: int) -> Floats:
-    """The covariance (p, p) of beta (p,), with each of the last ``effects`` uncertain by EFFECT_DOUBT of itself.
+    """Return the covariance (p, p) of beta (p,), with a relative sd EFFECT_DOUBT added to each of the last ``effects``.
 
-    The other coefficients follow as the data make them follow: a large effect moves A and C by what little of it looks
-    like them, however well the drive determines all three.
+    The other coefficients move by their regression on the effect's coefficient: the part of a large effect that
+    resembles A and C moves them, however well the drive determines all three.
     """
     wider = covariance.copy()
     for place in range(len(beta) - effects, len(beta)):

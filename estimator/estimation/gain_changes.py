@@ -1,17 +1,18 @@
-"""Whether the force per acceleration changed under a load: a torque that drifts, a load that changed unnoticed.
+"""Test for a change of the force per acceleration under one load: a drifting torque, or an unnoticed change of load.
 
-The model says that 1/m is one number. Each of some shapes g(t) of a change, from -1/2 to 1/2 while the load is driven
-(a ramp, and steps between its PARTS), would add
+The model has a constant 1/m. A change of shape g(t), from -1/2 to 1/2 over the driving with the load (a ramp, and
+steps between its PARTS), gives
 
     a = F / m (1 + r g(t)) - (A / m) (1 + r_A g(t)) - (C / m) (1 + r_C g(t)) rho v^2 ...
 
-A and C may change too, as tyres, oil and wind do: so r follows from acceleration, as the mass does, and not from the
-level of the force. With w_k the posterior probability of change k, which has one of the shapes and one of the priors of
-its size, and beta_k the coefficients beside it (law of total variance, over the changes and none),
+A and C may change too, with tyres, oil and wind: so r is determined by acceleration, as the mass is, and not by the
+level of the force. Change k is a shape with a prior of its size, w_k its posterior probability, and beta_k are the
+coefficients fitted with it (law of total variance, over the changes and none):
 
     mean = sum w_k beta_k,   covariance = sum w_k (covariance_k + (beta_k - mean) (beta_k - mean)')
 
-No drive tells at which end of a change the force was right, so 1/m has the relative variance w_k E[r_k^2] / 4 more.
+No drive determines at which end of a change the force was right: this adds the relative variance w_k E[r_k^2] / 4 to
+that of 1/m.
 """
 
 from dataclasses import dataclass, replace
@@ -24,25 +25,25 @@ from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
 from estimator.signals import Floats
 from estimator.strides import DURATION
 
-# Prior sd of a change, as a share of 1/m, and rate per second of driving. The first are loads and sensors that change;
-# the second are efficiencies that warm up: on 28 trips of a BMW i3 it gains 11 in log evidence with the road hidden and
-# 9 with it shown, nearly the most of sds from 0.01 to 0.04.
+# Prior sd of a change, as a share of 1/m, and rate per second of driving. First: changes of loads and sensors. Second:
+# warm-up of efficiencies; on 28 trips of a BMW i3 it gains 11 in log evidence with the road hidden and 9 with it shown,
+# nearly the maximum over sds from 0.01 to 0.04.
 CHANGES = ((0.1, 0.6 / 3600), (0.02, 6 / 3600))
 MAX_EXPECTED = 0.6  # prior probability of a change, however long the drive
-BESIDE_SDS = (0.3, 0.3)  # prior sd of the changes beside it, as a share of A/m and C/m (warm-up, wind)
-# Prior sd that the coefficient of a change of 1/m is found with; its own is added after the correction of the normal
-# equations, for a prior is no noise.
+BESIDE_SDS = (0.3, 0.3)  # prior sd of the simultaneous changes of A/m and C/m, as a share of these (warm-up, wind)
+# Vague prior sd of a change in the normal equations, as a share of 1/m; replaced by the one in CHANGES after their
+# correction for noise, because the correction applies to the data and not to the prior.
 VAGUE_SD = 3.0
-MIN_PROBABILITY = 0.99  # of a change, from which on parts of a drive contradict each other
-MIN_SHARE = 0.04  # and its size, as a share of 1/m: a smaller one widens the estimate and does not withhold it
+MIN_PROBABILITY = 0.99  # of a change, from which parts of a drive contradict each other
+MIN_SHARE = 0.04  # smallest size of a contradiction, as a share of 1/m: a smaller change only widens the estimate
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainChanges:
-    """Changes with their posterior probability, and what each of them does to a fit.
+    """Possible changes with their posterior ``probability`` (k,), and the difference that each makes to a fit.
 
-    ``probability`` (k,); ``shift`` (k, p) of the coefficients; ``covariance`` (k, p, p) beyond that without a change;
-    ``size`` (k,) of the change as a share of 1/m, and its ``sd`` (k,).
+    ``shift`` (k, p) of the coefficients and additional ``covariance`` (k, p, p), both relative to the fit without a
+    change; ``size`` (k,) of the change as a share of 1/m, and its ``sd`` (k,).
     """
 
     probability: Floats
@@ -52,7 +53,7 @@ class GainChanges:
     sd: Floats
 
     def averaged(self, found: RoadFit) -> RoadFit:
-        """The fit averaged over whether the force changed, and how."""
+        """Return the fit averaged over all changes and none, see the module."""
         w = self.probability
         shift, spread = between(w, self.shift)
         covariance = found.covariance + spread + np.einsum("k,kij->ij", w, self.covariance)
@@ -60,7 +61,7 @@ class GainChanges:
         return replace(found, beta=found.beta + shift, covariance=covariance)
 
     def contradiction(self, found: RoadFit) -> str:
-        """Reason why parts of the drive contradict each other; empty where noise explains it."""
+        """Message that parts of the drive contradict each other; empty if a change is improbable or small."""
         k = int(np.argmax(self.probability))
         probability = self.probability.sum()
         if probability < MIN_PROBABILITY or self.probability @ np.abs(self.size) < MIN_SHARE * probability:
@@ -74,7 +75,7 @@ class GainChanges:
 
 
 def gain_changes(found: RoadFit) -> GainChanges:
-    """The changes of force under the present load that a fit shows, at its scales."""
+    """Return the posterior of the changes of force under the present load, at the scales of a fit."""
     equations, m = found.equations, found.road_load[2]
     p, unit = len(equations.prior), equations.unit
     whole = unit[:ROAD_LOAD] * [found.beta[0], *(found.road_load[:2] / m)]

@@ -1,9 +1,8 @@
-"""The coverage gate: whether a window is enough for an estimate, and whether a new one is due.
+"""The coverage gate: tests whether a window is sufficient for an estimate, and whether a new one is due.
 
-`missing_rows`: is there enough driving for a fit; `obstacle_to_estimate`: were enough of the reachable
-speed-acceleration cells driven, and is the predicted standard deviation small enough. Both return the reason why not,
-empty where there is none. `has_news`: was enough added since the last estimate. `wrong_sign_of`: does the vehicle
-accelerate without power.
+`missing_rows` tests for enough driving; `obstacle_to_estimate` for enough of the reachable speed-acceleration cells
+and a small enough predicted standard deviation. Both return the reason of a failure, else an empty string. `has_news`
+tests for enough rows since the last estimate, `wrong_sign_of` for acceleration without power.
 """
 
 from collections import Counter
@@ -17,33 +16,31 @@ from estimator.model.road_load import design
 from estimator.settings import Gate as GateConfig
 from estimator.signals import Floats
 
-PEAK_QUANTILE = 0.999  # of the measured power: the power that this vehicle can give
+PEAK_QUANTILE = 0.999  # of the measured power: taken as the vehicle's maximum
 MIN_PULLING_ACCELERATION = 0.1  # m/s^2, where most power must be positive: gravity alone gives it on a slope of 1 %
 NAMES = ("A", "C", "mass")
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Parameters [A, C, m, ...] (p,) and their standard deviations (p,), as a gate judges them."""
+    """Parameters [A, C, m, ...] (p,) and their standard deviations (p,), the input of a gate."""
 
     theta: Floats
     sd: Floats
 
 
 class Gate:
-    """Judges a window by its settings; has no other state."""
+    """Tests of a window against the limits of the settings; has no other state."""
 
     def __init__(self, config: GateConfig, grid: Grid) -> None:
         self._config = config
         self._speed, self._acceleration = grid.centres()
 
     def coverage(self, counts: "np.ndarray[tuple[int], np.dtype[np.int64]]", theta: Floats, power: Floats) -> Coverage:
-        """Occupied cells among those reachable with ``theta`` = [A, C, m] (3,) and the measured ``power`` (n,) [W].
+        """Count the occupied cells among those reachable with ``theta`` = [A, C, m] (3,) and ``power`` (n,) [W].
 
-        ``counts`` (cells,) are rows of each cell of the grid.
-
-        A cell is reachable when holding it takes more than no power and no more than the vehicle has shown, and
-        its speed is not beyond the fastest that was driven.
+        ``counts`` (cells,) are the rows in each cell of the grid. A cell is reachable if its road load is positive and
+        at most the PEAK_QUANTILE of the measured power, and its speed and acceleration are at most the largest driven.
         """
         occupied = counts >= self._config.cell_count
         seen = counts > 0
@@ -57,14 +54,14 @@ class Gate:
         return Coverage(int((occupied & reachable).sum()), int(reachable.sum()), wanted)
 
     def missing_rows(self, held: int, rejected: Counter[str]) -> str:
-        """Reason why ``held`` rows are too few for a fit, with the commonest of those that were ``rejected``."""
+        """Reason if ``held`` rows are too few for a fit, with the most common reason of rejection; else empty."""
         if held >= self._config.minimum_samples:
             return ""
         others = f"; most others: {rejected.most_common(1)[0][0]}" if rejected else ""
         return f"{held} usable samples of the {self._config.minimum_samples} needed{others}"
 
     def obstacle_to_estimate(self, fit: Judged, coverage: Coverage) -> str:
-        """Reason why a fit is no estimate yet: coverage, or a predicted sd; empty where it is one."""
+        """Reason to withhold an estimate: the coverage or a predicted sd; empty if both are sufficient."""
         if reason := self.missing_coverage(coverage):
             return reason
         for name, value, sd, limit in zip(NAMES, fit.theta, fit.sd, self._config.relative_sd, strict=False):
@@ -75,7 +72,7 @@ class Gate:
         return ""
 
     def obstacle_to_value(self, i: int, value: float, sd: float) -> str:
-        """Reason why parameter ``i`` of NAMES, of this value and sd, is withheld; empty where it is not."""
+        """Reason to withhold parameter ``i`` of NAMES with this value and sd; empty if the sd is small enough."""
         limit = self._config.relative_sd[i]
         if sd < limit * abs(value):
             return ""
@@ -83,7 +80,7 @@ class Gate:
         return f"sd of {NAMES[i]} is {share} of its value, above {100 * limit:.0f} %"
 
     def missing_coverage(self, coverage: Coverage) -> str:
-        """Share of the reachable cells that were driven, as a reason; empty where it is enough."""
+        """Message with the share of the reachable cells that were driven; empty if it is sufficient."""
         if coverage.occupied >= self._config.minimum_cells and coverage.fraction >= self._config.coverage:
             return ""
         share = f"{100 * coverage.fraction:.0f} % of the reachable speed-acceleration cells"
@@ -91,12 +88,12 @@ class Gate:
 
 
 def has_news(config: GateConfig, added: int, at_last_estimate: int, held: int) -> bool:
-    """Whether enough of the rows ``added`` so far came after the last estimate, relative to those ``held``."""
+    """True if enough of the rows ``added`` so far came after the last estimate, relative to those ``held``."""
     return added - at_last_estimate >= max(config.new_samples * held, 1)
 
 
 def wrong_sign_of(power: Floats, acceleration: Floats) -> str:
-    """Reason why ``power`` (n,) [W] has the wrong sign for an ``acceleration`` (n,) [m/s^2]; empty if it has not."""
+    """Message if ``power`` (n,) [W] is not positive at positive ``acceleration`` (n,) [m/s^2]; else empty."""
     pulling = power[acceleration > MIN_PULLING_ACCELERATION]
     if len(pulling) and np.median(pulling) <= 0:
         return "power is not positive while the vehicle accelerates: check the sign of the torque"

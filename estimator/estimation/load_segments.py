@@ -1,11 +1,11 @@
-"""Load segments: a new one after a long stop, the belief carried over, and the probability that the mass changed.
+"""Load segments: the driving between two long stops, with the belief carried over and the probability of a new mass.
 
-While a vehicle moves its mass is constant. After a stop that is long enough to load or unload, the mass is unknown.
+The mass of a moving vehicle is constant. After a stop that is long enough to load or unload, the mass is unknown.
 The drag coefficient C and the rolling coefficient A / m (rolling resistance is proportional to the load) are carried
 over, with a variance that grows with time.
 
-After a stop of less than SHORT_STOP the driving before stays in use instead: its loads have masses of their own, and
-A / m, C, road and noise are those of all of it.
+With a `load.stop_s` below SHORT_STOP the earlier driving stays in the window instead: each load has its own mass, and
+A / m, C, road and noise are common to all loads.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from estimator.settings import Load
 from estimator.signals import Floats
 from estimator.units import HOUR
 
-SHORT_STOP = 300.0  # s of `load.stop_s`: between shorter stops is too little driving to find road and noise from
+SHORT_STOP = 300.0  # s of `load.stop_s`: the driving between shorter stops is too short to determine road and noise
 KEPT_LOADS = 15  # loads before the present one whose driving stays in use after short stops
 MAX_LOG_ODDS = 700.0  # exp overflows beyond; the probability is 0 or 1 in floating point
 
@@ -37,17 +37,17 @@ class Segment:
     t: float
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """Return the state that `restore` reads."""
         return {"mean": self.mean, "covariance": self.covariance, "t": self.t}
 
     @classmethod
     def restore(cls, state: State) -> "Segment":
-        """A segment from its state.
+        """Return the segment that a state describes.
 
         Raises
         ------
         StateError
-            It is not that of a segment.
+            The state does not belong to a segment.
         """
         mean, covariance = array(state, "mean", (PARAMETERS,)), array(state, "covariance", (PARAMETERS, PARAMETERS))
         variance = np.diag(covariance)
@@ -56,12 +56,12 @@ class Segment:
         return cls(mean, covariance, read(state, "t", float))
 
     def carry_over(self, t: float, load: Load) -> Belief:
-        """Belief about the next load at time ``t`` [s]: C and A / m as before, with the variance of the drift."""
+        """Return the belief for the next load at time ``t`` [s]: C and A / m of this one, with variance of drift."""
         A, C, m = self.mean
         doubt = load.drift_per_hour**2 * max(t - self.t, 0.0) / HOUR + load.change_sd**2
         ratio = np.array([1 / m, -A / m**2]) @ self.covariance[np.ix_([0, 2], [0, 2])] @ np.array([1 / m, -A / m**2])
         sd_ratio, sd_C = sqrt(ratio + doubt * (A / m) ** 2), sqrt(self.covariance[1, 1] + doubt * C**2)
-        # A - (A / m) m = 0 with the sd of A / m times the old mass; C with its own sd.
+        # A - (A / m) m = 0 with the sd of A / m times the mass of this segment; C with the sd sd_C.
         rolling, drag = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
         rolling[0], rolling[2] = 1.0, -A / m
         drag[1] = 1.0
@@ -71,15 +71,15 @@ class Segment:
 
 
 class Loads:
-    """The segments of the present load and of the one before it."""
+    """Segments of the present load and of the load before it."""
 
     def __init__(self) -> None:
         self._shown: Segment | None = None
         self._before: Segment | None = None
-        self._carried: Segment | None = None  # the newest whose driving is used no longer
+        self._carried: Segment | None = None  # newest segment whose driving is no longer in the window
 
     def start_segment(self, kept: bool = False) -> None:
-        """Begin a new load: the present segment becomes the one before; its driving is ``kept`` in use, or not."""
+        """Begin a new load: the present segment becomes the previous one; ``kept`` if its driving stays in use."""
         if self._shown is not None:
             self._before = self._shown
         self._shown = None
@@ -87,22 +87,22 @@ class Loads:
             self._carried = self._before
 
     def forget_vehicle(self) -> None:
-        """Discard the segments before the present one: they may be another vehicle's."""
+        """Discard the segments before the present one: they may belong to another vehicle."""
         self._before = self._carried = None
 
     def carried_over(self, t: float, load: Load) -> Belief:
-        """Belief at time ``t`` [s] from driving that is used no longer; empty where there was none."""
+        """Return the belief at time ``t`` [s] from driving no longer in use; without information if there was none."""
         if self._carried is None:
             return Belief.none()
         return self._carried.carry_over(t, load)
 
     def show(self, segment: Segment) -> LoadChange | None:
-        """Store the segment of the present load; returns whether the mass differs from the load before."""
+        """Store the segment of the present load; return its change of mass from the load before, None without one."""
         self._shown = segment
         return None if self._before is None else load_change(self._before, segment)
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """Return the state that `restore` reads."""
         return {
             "shown": None if self._shown is None else self._shown.state(),
             "before": None if self._before is None else self._before.state(),
@@ -110,12 +110,12 @@ class Loads:
         }
 
     def restore(self, state: State) -> None:
-        """Take the state of another one.
+        """Load the state of another instance.
 
         Raises
         ------
         StateError
-            The state is not that of loads.
+            The state does not belong to loads.
         """
         self._shown = optional(state, "shown", Segment.restore)
         self._before = optional(state, "before", Segment.restore)
@@ -123,10 +123,10 @@ class Loads:
 
 
 def load_change(before: Segment, after: Segment) -> LoadChange:
-    """Probability that the mass [kg] of two segments differs.
+    """Return the probability that the masses [kg] of two segments differ.
 
-    Two hypotheses of equal prior probability: the same mass, so the means differ by their sd; or another mass, Gaussian
-    about the old one with the relative sd NEW_LOAD_SD.
+    Two hypotheses have equal prior probability: one mass, so that the means differ by their sd alone; or a new mass,
+    Gaussian about the old one with the relative sd NEW_LOAD_SD.
     """
     m0, m1 = float(before.mean[2]), float(after.mean[2])
     noise = float(before.covariance[2, 2] + after.covariance[2, 2])

@@ -1,4 +1,4 @@
-"""Counts of positive values by their logarithm: quantiles of any number of them, in bounded memory."""
+"""Histogram of positive values by their logarithm: quantiles of any number of values in bounded memory."""
 
 from typing import Any
 
@@ -8,19 +8,19 @@ from estimator.checkpoint.validation import State, array
 from estimator.errors import StateError
 from estimator.signals import Floats
 
-WIDTH = 0.02  # of a bin, in the logarithm: 2 %
-LOWEST, HIGHEST = -7.0, 9.0  # logarithms that are told apart: 1e-3 to 8e3
+WIDTH = 0.02  # width of a bin in the natural logarithm: 2 %
+LOWEST, HIGHEST = -7.0, 9.0  # range of the logarithm: values from 1e-3 to 8e3
 BINS = round((HIGHEST - LOWEST) / WIDTH)
 
 
 class LogCounts:
-    """Counts in bins of WIDTH; what lies beyond the ends is counted in the outermost bins."""
+    """Counts in bins of WIDTH; values beyond the range are counted in the outermost bins."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(BINS)
 
     def add(self, values: Floats) -> None:
-        """Take positive values (n,); others, and those not known, are left out."""
+        """Count the finite positive values (n,); others are ignored."""
         positive = values[np.isfinite(values) & (values > 0)]
         bins = np.clip((np.log(positive) - LOWEST) / WIDTH, 0, BINS - 1).astype(np.int64)
         self._counts += np.bincount(bins, minlength=BINS)
@@ -29,22 +29,22 @@ class LogCounts:
         return int(self._counts.sum())
 
     def quantile(self, share: float) -> float:
-        """Value that this share of them is below; there must be some."""
+        """Return the quantile at probability ``share``; at least one value must have been counted."""
         below = np.cumsum(self._counts)
         place = int(np.searchsorted(below, share * below[-1]))
         return float(np.exp(LOWEST + (min(place, BINS - 1) + 0.5) * WIDTH))
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """Return the state that `restore` reads."""
         return {"counts": self._counts.copy()}
 
     def restore(self, state: State) -> None:
-        """Take the state of other counts.
+        """Load the state of another histogram.
 
         Raises
         ------
         StateError
-            The state is not that of counts.
+            The state does not belong to a histogram.
         """
         counts = array(state, "counts", (BINS,))
         if np.any(counts < 0):

@@ -14,7 +14,7 @@ TIMES_PER_COSINE = 3.0  # autocorrelation times that one cosine transform must s
 
 
 def autocorrelation_time(x: Floats) -> float:
-    """Integrated autocorrelation time [samples] of ``x`` (n,), at least 1, with Sokal's window of 5 times itself."""
+    """Integrated autocorrelation time [samples] of ``x`` (n,), at least 1, with Sokal's window of 5 times that time."""
     n = len(x)
     size = next_fast_len(2 * n)
     spectrum = np.fft.rfft(x - x.mean(), size)
@@ -29,8 +29,8 @@ def autocorrelation_time(x: Floats) -> float:
 def cosine_transform(x: Floats, count: int) -> Floats:
     """Orthonormal cosine transforms 1 .. ``count`` <= n / 2, of type II, of the columns of ``x`` (n, p).
 
-    By the Fourier transform of the even rows followed by the odd ones backwards (Makhoul 1980). `scipy.fft` has it
-    ready, but keeps tables for the last sixteen lengths, and here each length is another: 27 MB for ever.
+    Computed by the Fourier transform of the even rows followed by the reversed odd ones (Makhoul 1980). `scipy.fft.dct`
+    caches tables of the last sixteen lengths; here every length differs, so it would hold 27 MB.
     """
     n = len(x)
     turn = np.exp(-0.5j * np.pi * np.arange(1, count + 1) / n) * np.sqrt(2 / n)

@@ -1,15 +1,15 @@
-"""Beliefs of the configuration are compared with the fit of the drive alone."""
+"""Comparison of the beliefs of the configuration with the fit of the drive alone."""
 
 import numpy as np
 
 from estimator.estimation.gate import Judged
 from estimator.settings import Prior
 
-MAX_BELIEF_SDS = 5.0  # sd by which a belief and the drive may differ
+MAX_BELIEF_SDS = 5.0  # largest difference of a belief and the drive, over the sd of the difference
 
 
 def contradiction(prior: Prior, drive: Judged) -> str:
-    """The worst contradiction of the drive alone with a belief of the configuration; empty if there is none."""
+    """Message of the largest contradiction between the drive alone and a belief; empty if there is none."""
     beliefs = {"A": prior.A_belief_N, "C": prior.C_belief_N_s2_m2, "mass": prior.mass_belief_kg}
     worst, found = MAX_BELIEF_SDS, ""
     for i, (name, belief) in enumerate(beliefs.items()):

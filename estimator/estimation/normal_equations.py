@@ -1,17 +1,17 @@
-"""Normal equations of a fit, corrected for the two ways in which the force is no given regressor.
+"""Normal equations of a fit, corrected for noise in the force and for the drivers' response to slopes.
 
-**Noise of the measured torque** sits in the regressors and would pull 1/m towards zero. With its scale known from the
-same fit the normal matrix is corrected (a corrected score: Nakamura 1990, Stefanski 1989):
+**Noise of the measured torque** is in the regressors and biases 1/m towards zero. The normal matrix is corrected with
+the noise scale of the fit (a corrected score: Nakamura 1990, Stefanski 1989):
 
     X'K^-1 X  less  the mean over simulated noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
 
-The scale of the noise is that of an acceleration, found beside the coefficients before they are corrected: the noise of
-the force is that times the mass before the correction. Errors of a speed in coarse steps (OBD-II: whole km/h) last for
-seconds, and are taken for noise of the torque in part: then half of the noise is corrected for, and all of it is doubt.
+The noise scale is an acceleration, estimated with the uncorrected coefficients: the noise of the force is the scale
+times the uncorrected mass. Errors of a speed in coarse steps (OBD-II: whole km/h) last for seconds, and part of them is
+estimated as noise of the torque: then COARSE_SHARE of the noise is subtracted, with an uncertainty of all of it.
 
-**Drivers answer slopes** that the model takes as unknown when the force is given: a foot or a governor that keeps the
-speed gives k m g theta more force, so the speed changes by less, and the mass comes out too large. With the covariance
-K of the data and S that of the accelerations with what the slopes make of them, the moments lack
+**Drivers respond to slopes**, but the model has slopes independent of the force: a driver or a governor that keeps the
+speed adds the force k m g theta on a slope, so the speed changes by less, and the mass is overestimated. With the
+covariance K of the data and S that of the accelerations with the part due to slopes, the moments lack
 
     E[X_j' K^-1 (-g theta)] = -k m sum_i (K^-1 S)_ii dX_ij / dF
 
@@ -19,16 +19,16 @@ In the simplest case, one regressor, the mass is too large by k R with
 
     R = s^2 sum_i (K^-1 S)_ii
 
-its relative sd s, and the effective number of parameters that the slopes take up. The share k is a matter of the
-driver, ANSWERED on average.
+where s is its relative sd, and the sum is the effective number of parameters of the slopes. The share k depends on the
+driver; its mean is ANSWERED.
 
-The corrections' doubts widen the covariance, and so do the scales, which are found from the same drive. With V_i the
-derivative of K by the logarithm of scale i, the moments of a residual r change by
+The covariance includes the uncertainty of both corrections and of the scales, which are estimated from the same drive.
+With V_i the derivative of K by the logarithm of scale i, the moments of a residual r change by
 
     -X' K^-1 V_i K^-1 r
 
-What that makes of the coefficients counts twice: as a variance of their own (Kackar & Harville 1984), and because the
-covariance at the scales found is too small by as much on average (Kenward & Roger 1997).
+The resulting variance of the coefficients is added twice: for the error of the scales (Kackar & Harville 1984), and
+because the covariance at the estimated scales is too small by as much on average (Kenward & Roger 1997).
 """
 
 from collections.abc import Sequence
@@ -43,29 +43,31 @@ from estimator.model.road_score import changed_by_scales
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION
 
-MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction counts as sd (BMW i3: 0.13)
-# Of the noise found, where the speed comes in coarse steps: the rest may be theirs.
-COARSE_SHARE, COARSE_SD = 0.5, 1.0  # and the sd of the correction, over itself
-# Share of the slopes that drivers answer, and its sd. 54 drives of a simulated driver, who changes the force within
-# 0.6 s, have 1.09 +- 0.05; a trace that is followed exactly has 1, a foot that does not move 0.
+MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole correction is added as sd (BMW i3: 0.13)
+# Share of the noise scale that is due to the torque where the speed has coarse steps, and the relative sd of the
+# correction there.
+COARSE_SHARE, COARSE_SD = 0.5, 1.0
+# Share of the slope force that drivers add, and its sd. 54 drives of a simulated driver, who changes the force within
+# 0.6 s, have 1.09 +- 0.05; a speed trace that is followed exactly has 1, a constant pedal 0.
 ANSWERED, ANSWERED_SD = 1.0, 0.4
-MAX_ANSWERED = 0.3  # relative change of 1/m by answers up to which it is small enough to be of first order
+MAX_ANSWERED = 0.3  # largest relative change of 1/m by the drivers' response: the correction is of first order
 
 
 @dataclass(frozen=True, kw_only=True)
 class NormalEquations:
-    """Of p coefficients, in the likelihood's own units, and of 1/m, A/m and C/m once more for each of k changes.
+    """Normal equations of p coefficients and of changes of 1/m, A/m and C/m with each of k shapes; q = p + 3 k.
 
-    Changes have shapes of their own over the present load, and coefficients behind the p; q = p + 3 k.
+    The shapes are functions of time over the present load; their coefficients follow the p. All are in the units of
+    the likelihood.
     """
 
     gram: Floats  # (1 + q, 1 + q) products of the data, the response first
-    noise: Floats  # (q, q) part of them that is noise
-    answered: Floats  # (q,) part of the moments that slopes take away where they are answered in full, times 1/m
+    noise: Floats  # (q, q) part of the products of the regressors that is noise
+    answered: Floats  # (q,) moments lost if drivers respond to slopes in full, times 1/m
     moved: Floats  # (q, d) change of the moments by one sd of each of d independent directions of the scales
-    noise_moved: Floats  # (d,) relative change of the noise by the same
+    noise_moved: Floats  # (d,) relative change of the noise by one sd of each direction
     prior: Floats  # (p,) precisions
-    unit: Floats  # (p,) a coefficient in own units, over that in SI
+    unit: Floats  # (p,) a coefficient in the likelihood's units, over its value in SI
     present: int  # strides of the present load
 
     @classmethod
@@ -78,10 +80,10 @@ class NormalEquations:
         shapes: Floats,
         rng: np.random.Generator,
     ) -> "NormalEquations":
-        """At ``scales`` (k,), of which those at the places ``free`` were found.
+        """Compute the equations at ``scales``, of which those with the indices ``free`` were estimated.
 
-        ``power_chance`` that what was found as noise of the torque is that of the power, for which nothing is
-        corrected; ``shapes`` (n, k) of changes at the driven strides; ``rng`` is the source of the simulated noise.
+        ``power_chance`` is the probability that the noise of the torque is noise of the power, which needs no
+        correction; ``shapes`` (n, k) of changes at the driven strides; ``rng`` is the source of the simulated noise.
         """
         conditioned, plain = likelihood.at(scales)
         data = likelihood.with_changes(shapes)
@@ -111,9 +113,9 @@ class NormalEquations:
     def solve(
         self, change: int | None = None, precision: Sequence[float] | Floats = ()
     ) -> tuple[Floats, Floats, float]:
-        """Coefficients, their covariance, and the share of noise in the information on 1/m.
+        """Return the corrected coefficients, their covariance, and the share of noise in the information on 1/m.
 
-        With the number of a ``change`` and the prior precisions of its three coefficients these come last.
+        With the number of a ``change`` and the prior ``precision`` (3,) of its coefficients, these are appended.
         """
         p = len(self.prior)
         places: Places = np.arange(p)
@@ -139,7 +141,7 @@ class NormalEquations:
         )
 
     def _answers(self, corrected: Floats, beta: Floats, places: Places) -> Floats:
-        """What full answers to the slopes took away from the coefficients, to first order."""
+        """Return the bias to add to the coefficients if drivers respond to slopes in full, to first order."""
         if not beta[0] > 0:
             return np.zeros_like(beta)
         taken: Floats = corrected @ self.answered[places] / beta[0]
@@ -147,9 +149,9 @@ class NormalEquations:
 
 
 def of_first_order(taken: float, coefficient: float) -> float:
-    """Share of a correction that ``taken`` away from the ``coefficient`` 1/m is small enough for; both in one unit.
+    """Return the factor (at most 1) that limits the correction ``taken`` to MAX_ANSWERED of the ``coefficient`` 1/m.
 
-    0 where the coefficient is not positive, as of no mass.
+    0 where the coefficient is not positive, which is no mass.
     """
     return min(1.0, MAX_ANSWERED * max(coefficient, 0.0) / max(taken, 1e-300))
 
@@ -157,10 +159,10 @@ def of_first_order(taken: float, coefficient: float) -> float:
 def _scale_doubt(
     likelihood: Likelihood, scales: Floats, free: Sequence[int], power_chance: float
 ) -> tuple[Floats, Floats]:
-    """What one sd of each of d independent directions changes: logarithms of ``free`` scales (k, d), the noise (d,).
+    """Change by one sd of d independent directions: of the logarithms of ``free`` scales (k, d), of the noise (d,).
 
     The noise is the variance of a stride's mean noise of the torque, 2 sd^2 (u - 1 + exp(-u)) / u^2 with u = T / time.
-    In the last direction it is there in full, or not at all: the scales stay.
+    The last direction is the doubt whether the noise is of the torque (``power_chance``); the scales are constant.
     """
     spread = np.array([likelihood.model.scales[i].spread for i in free])
     information = likelihood.score(scales).information[np.ix_(free, free)] + np.diag(spread**-2.0)

@@ -2,8 +2,9 @@
 
     log p = -chi2 / (2 sigma^2),   chi2 = sum (P - max(A v + C v^3 + m v a, 0))^2   over the strides with P > 0
 
-It knows of no road, no noise of the speed and no memory of the residual: on a level road it is near, and its intervals
-are too narrow. Source: Miller, Konan, Duran, "Bayesian Parameter Estimation for Heavy-Duty Vehicles", NREL.
+It models no slopes, no noise of the speed and no autocorrelation of the residual. On a level road its means are near
+the truth, but its intervals are too narrow. Source: Miller, Konan, Duran, "Bayesian Parameter Estimation for Heavy-Duty
+Vehicles", NREL.
 """
 
 from collections import Counter
@@ -30,7 +31,7 @@ NOTHING_COVERED = Coverage(0, 0)
 
 
 class PaperInference:
-    """Makes estimates from a window of strides; see `RoadInference` for what its methods do.
+    """Estimates from a window of strides by the paper's method; same interface as `RoadInference`.
 
     Parameters
     ----------
@@ -51,26 +52,26 @@ class PaperInference:
         self._loads = Loads()
 
     def start_segment(self, departure: float | None = None) -> float | None:
-        """Begin a new load: the present one becomes the one before, and none of its driving stays in use."""
+        """Begin a new load: the present one becomes the previous one, and all its driving is discarded."""
         self._loads.start_segment()
         self.evidence = None
         return None
 
     def forget_vehicle(self) -> None:
-        """Discard the segments: the vehicle may be another one."""
+        """Discard the segments before the present one: they may belong to another vehicle."""
         self._loads.forget_vehicle()
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads; the evidence is left out, for the next update computes it."""
+        """Return the state that `restore` reads, without the evidence, which the next update computes."""
         return {"generator": generator_state(self._rng), "loads": self._loads.state()}
 
     def restore(self, state: State) -> None:
-        """Take the state of another one.
+        """Load the state of another instance.
 
         Raises
         ------
         StateError
-            The state is not that of such an inference.
+            The state does not belong to this class.
         """
         set_generator(self._rng, state, "generator")
         self._loads.restore(substate(state, "loads"))
@@ -81,7 +82,10 @@ class PaperInference:
         self.evidence = None
 
     def conclude(self, t: float, context: frozenset[Quantity], scale: ScaleCheck, rejected: Counter[str]) -> Estimate:
-        """The estimate at time ``t`` [s]; ``scale`` of the speed as the bus shows it; rows ``rejected``."""
+        """Return the estimate at time ``t`` [s].
+
+        ``context`` is not used; ``scale`` compares the speed with other signals; ``rejected`` rows by reason.
+        """
         self.evidence = None
         driven = self._window.strides[self._window.strides.known]
         pulling = driven[driven.power > 0]
@@ -112,7 +116,7 @@ class PaperInference:
     def _published(
         self, t: float, pulling: Strides, fitted: Floats, draws: posterior.Posterior, coverage: Coverage
     ) -> Estimate:
-        """The estimate of converged draws; keeps its evidence and its load."""
+        """Return the estimate from converged draws; store its evidence and the segment of its load."""
         rms = float(np.sqrt(np.mean((pulling.power - fitted) ** 2)))
         self.evidence = Evidence(
             trace=Trace(
@@ -149,7 +153,7 @@ class PaperInference:
 
 
 def _misfit(P: Floats, fitted: Floats) -> str:
-    """Reason why the road load does not describe the power (n,) [W]; empty where it does."""
+    """Message if the road load explains too little variance of the power ``P`` (n,) [W]; else empty."""
     explained = 1 - float(np.var(P - fitted)) / max(float(np.var(P)), np.finfo(float).tiny)
     if explained >= MIN_EXPLAINED:
         return ""

@@ -1,4 +1,4 @@
-"""From samples to draws to a summary: the Bayesian part of one update."""
+"""Posterior draws of one update, their convergence and their summary."""
 
 from dataclasses import dataclass
 
@@ -11,30 +11,30 @@ from estimator.sampling.run import MAX_R_HAT, run
 from estimator.settings import Prior
 from estimator.signals import Floats
 
-MIN_ESS = 100.0  # effective draws: the mean is then known to a tenth of the sd
-MAX_USUAL_MAGNITUDES = 20.0  # bound of an effect's magnitude, over its usual one
+MIN_ESS = 100.0  # effective draws: the Monte Carlo error of the mean is then a tenth of the sd
+MAX_USUAL_MAGNITUDES = 20.0  # bound of an effect's magnitude, over its usual magnitude
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws (chains, draws, p) and how they came about; parameters in the order A, C, m and then nuisances."""
+    """Draws (chains, draws, p) of [A, C, m, effects' magnitudes ...] and the diagnostics of their convergence."""
 
     draws: Floats
     convergence: Convergence
 
     @property
     def has_converged(self) -> bool:
-        """Whether R-hat and the effective number of draws are within their limits."""
+        """True if R-hat and the effective number of draws are within their limits."""
         c = self.convergence
         return c.r_hat < MAX_R_HAT and c.ess_bulk > MIN_ESS
 
     @property
     def complaint(self) -> str:
-        """That the chains have not converged, in words."""
+        """Message for chains that have not converged."""
         return f"chains did not converge: R-hat {self.convergence.r_hat:.3f}, ESS {self.convergence.ess_bulk:.0f}"
 
     def marginal(self, i: int) -> Marginal:
-        """Summary of parameter ``i``."""
+        """Return mean, sd and quantiles of parameter ``i``."""
         x = self.draws[:, :, i]
         q05, q50, q95 = np.quantile(x, [0.05, 0.5, 0.95]).tolist()
         return Marginal(mean=float(x.mean()), sd=float(x.std(ddof=1)), q05=q05, q50=q50, q95=q95)
@@ -62,7 +62,7 @@ def sample(target: Target, config: Config, rng: np.random.Generator) -> Posterio
     return Posterior(
         result.draws,
         Convergence(
-            # The diagnostics of one parameter may be NaN: then the worst is NaN, which is not converged.
+            # If the diagnostics of one parameter are NaN, the worst is NaN too, which counts as not converged.
             r_hat=float(np.max([diagnosis.r_hat for diagnosis in road_load])),
             ess_bulk=float(np.min([diagnosis.ess_bulk for diagnosis in road_load])),
             acceptance=result.acceptance,

@@ -1,4 +1,4 @@
-"""Evidence of the road itself: whether there are hills, and whether the signals of the road show them."""
+"""Bayes factors for the road: hills against a level road, and one road common to the force and the signals of it."""
 
 from dataclasses import replace
 
@@ -13,10 +13,10 @@ from estimator.strides import Strides
 
 
 def log_bayes_factor_of_road(strides: Strides, found: RoadFit, sloping: RoadScales | None = None) -> float:
-    """Of the road that was ``found`` under strides against a level one, the other scales found again without it.
+    """Log Bayes factor of a road with slopes against a level road; scales are refitted under each hypothesis.
 
-    A road that was found to be level gets slopes; ``sloping`` are scales of the strides with slopes. Noise that was
-    found on a level road may hold the slopes, and none are found from there alone.
+    If the fit ``found`` has a level road, its road gets slopes. ``sloping`` are further scales to start from: noise
+    scales of a level road may include the slopes, and a search from them alone then finds none.
     """
     starts = [found.scales, *([] if sloping is None else [sloping])]
     hills = max(_log_evidence(strides, found, start, is_level=False) for start in starts)
@@ -24,9 +24,9 @@ def log_bayes_factor_of_road(strides: Strides, found: RoadFit, sloping: RoadScal
 
 
 def log_bayes_factor_of_signals(strides: Strides, found: RoadFit) -> float:
-    """Of one road that moves force and signals, against a road that moves the force and signals that show none.
+    """Log Bayes factor of one road in force and signals, against a road in the force that the signals do not show.
 
-    Where an unmodelled force is taken for a road, its signals do not follow.
+    If the road of the fit is an unmodelled force, the signals are not correlated with it.
     """
     blank = np.full(len(strides), np.nan)
     hidden = replace(strides, altitude=blank, grade=blank, gravity=blank)
@@ -34,13 +34,13 @@ def log_bayes_factor_of_signals(strides: Strides, found: RoadFit) -> float:
 
 
 def _log_evidence(strides: Strides, found: RoadFit, start: RoadScales, is_level: bool) -> float:
-    """Of strides with the effects that were found; the scales are found again from ``start``, with its orders."""
+    """Log evidence of strides with the terms of the fit; scales are refitted from ``start`` at its orders."""
     sloping = ALPHAS[0] if start.alpha == LEVEL else start.alpha
     scales = replace(start, alpha=LEVEL if is_level else sloping)
     model = scales.model_of(strides)
-    terms = [term for term in found.terms if not (is_level and term.effect.is_gravity)]  # stretches of the road
+    terms = [term for term in found.terms if not (is_level and term.effect.is_gravity)]  # stretches
     likelihood = Likelihood(model, terms, found.road_load, scales.lag, taken=found.taken)
-    first = scales.values[: len(model.scales)]  # those of signals come last
+    first = scales.values[: len(model.scales)]  # scales of signals come last
     free = [i for i in scales.free if i < len(first)]
     values, _ = most_probable(likelihood, first, free)
     return likelihood.log_evidence(values) - scales.price

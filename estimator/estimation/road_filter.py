@@ -1,22 +1,22 @@
 """A Kalman filter of the road over strides: slope and height under the vehicle, given all strides up to the newest.
 
-It is the model of `model/road.py` with the scales and parameters of a fit, stride by stride, at the middle of each:
+The model is that of `model/road.py` with the scales and parameters of a fit. Its state, at the middle of each stride:
 
     slope and its derivatives     a Matern process over distance, see `state_space`
-    height since the start        the slope's integral; the altitude of the start beside it
+    height since the start        the slope's integral; the altitude of the start, if an altitude is measured
     wander of each signal         a Matern process over time, of order 1 or 2
-    e, f, p                       at both ends of the stride
+    e, f, p                       errors of speed, torque and power at both ends of the stride
 
-Motion and readings of a stride are scalar observations, one after the other. The slope changes continuously here, while
-`road` joins nodes 25 m apart by straight lines and takes a signal as read at the nearest of them; and as nothing is
-known of the road ahead, it has no end there. The filter is filterpy's, with Joseph's form of the covariance.
+Motion and readings of a stride are scalar observations, processed one by one. Here the slope is continuous; `road`
+interpolates linearly between nodes 25 m apart, assigns a reading to the nearest node, and has a free end at the last.
+The filter is filterpy's, with Joseph's form of the covariance.
 
-The mean x depends linearly on the coefficients beta of the fit, so their doubt is in the covariance exactly, as far as
-the fit's Gaussian is (Schmidt 1966, "consider" parameters):
+The mean x depends linearly on the coefficients beta of the fit, so the covariance includes their uncertainty exactly
+for a Gaussian beta (Schmidt 1966, "consider" parameters):
 
     cov = P + S cov(beta) S',   S = dx/d(beta),   S <- F S,   S <- S - K (X + H S)
 
-The doubt of the scales is not in it.
+It does not include the uncertainty of the scales.
 """
 
 from dataclasses import dataclass, replace
@@ -41,10 +41,10 @@ MOST_COUNTED = 10.0  # readings near a node that count, as in `RoadModel.varianc
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal of the road: white ``noise``, and its wander's ``sd`` and ``rate`` [1/s] at ``places`` of the state.
+    """Signal of the road: sd of white ``noise``; ``sd`` and ``rate`` [1/s] of its wander, at ``places`` of the state.
 
-    ``offsets``: places of its lasting errors among the coefficients; the second is in proportion to the square of the
-    speed over ``mean_square`` [m^2/s^2]. An altitude counts from ``origin`` [m].
+    ``offsets`` are the indices of its constant errors among the coefficients; the second is proportional to the squared
+    speed over ``mean_square`` [m^2/s^2]. An altitude is relative to ``origin`` [m].
     """
 
     name: str
@@ -59,10 +59,10 @@ class Signal:
 
 @dataclass(frozen=True, kw_only=True)
 class Belief:
-    """Mean (alpha + 1,) and covariance of slope, its scaled derivatives and the height [m] after a stride.
+    """Mean (alpha + 1,) and covariance of slope [1], its scaled derivatives and the height [m], given a stride.
 
-    ``t`` [s] of the stride's middle. The process of the slope has the order ``alpha`` and the standard deviation
-    ``sd``, and changes by ``rate`` [1/m].
+    ``t`` [s] is the time of the stride's middle. The process of the slope has the order ``alpha``, the standard
+    deviation ``sd`` and the ``rate`` [1/m], see `state_space`.
     """
 
     t: float
@@ -73,25 +73,25 @@ class Belief:
     rate: float
 
     def ahead(self, metres: float) -> "Belief":
-        """The same ``metres`` further on."""
+        """Return the predicted belief ``metres`` further along the road."""
         forth, noise = _onward(self.alpha, self.rate * metres, metres)
         covariance = forth @ self.covariance @ forth.T + self.sd**2 * noise
         return replace(self, mean=forth @ self.mean, covariance=covariance)
 
 
 class RoadFilter:
-    """State after the newest stride.
+    """Kalman filter of the road; its state is that at the newest stride.
 
     Parameters
     ----------
     fit
         Scales, coefficients and their covariance.
     strides
-        Those that it was fitted to, with and without known force.
+        All strides of the fit, with and without known force.
     begin
-        Number of the stride to begin with.
+        Index of the first stride to filter.
     height
-        Since the start at that stride, and its standard deviation [m].
+        Height since the start at that stride, and its standard deviation [m].
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class RoadFilter:
         self.follow(strides[begin:], fit.departures)
 
     def _lay_out(self, strides: Strides) -> None:
-        """Places of everything in the state, and of the offsets among the coefficients."""
+        """Assign the indices of the state's parts, and of the offsets among the coefficients."""
         fit, nodes = self._fit, Nodes.under(strides)
         size = self._alpha + 1
         self._has_altitude = "altitude" in fit.scales.readings
@@ -151,7 +151,7 @@ class RoadFilter:
         self._first_end, self._size = size, size + 2 * (2 + fit.scales.has_power)
 
     def _ends(self) -> None:
-        """Transition and noise of the errors at a stride's ends: after a stride that it is joined to, and else."""
+        """Compute transition and noise of the errors at a stride's ends: if joined to the stride before, and if not."""
         values, size = self._fit.scales.values, self._size
         self._white = float(values[DISTURBANCE]) ** 2
         self._noises = [TORQUE, POWER][: 1 + self._fit.scales.has_power]
@@ -167,7 +167,7 @@ class RoadFilter:
             self._unjoined[1, at : at + 2, at : at + 2] = sd**2 * np.array([[1.0, keep], [keep, 1.0]])
 
     def follow(self, strides: Strides, departures: tuple[float, ...] = ()) -> None:
-        """Take the next strides; the load of the fit is that after the last of the ``departures`` [s]."""
+        """Filter the next strides; the mass of the fit is that after the last of the ``departures`` [s]."""
         if not len(strides):
             return
         known = np.flatnonzero(strides.known)
@@ -193,7 +193,7 @@ class RoadFilter:
             self.heights.append((float(strides.t[i]), *self._risen()))
 
     def belief(self) -> Belief:
-        """Of the road at the middle of the newest stride, with the doubt of the coefficients."""
+        """Return the belief of the road at the middle of the newest stride, uncertainty of coefficients included."""
         n = self._alpha + 1
         assert self._last is not None
         by = self._by_coefficients[:n]
@@ -207,17 +207,20 @@ class RoadFilter:
         )
 
     def _risen(self) -> tuple[float, float]:
-        """Height since the start, and its standard deviation [m]."""
+        """Return the height since the start [m] and its standard deviation [m]."""
         at, by = self._alpha, self._by_coefficients[self._alpha]
         return float(self._kalman.x[at, 0]), float(np.sqrt(self._kalman.P[at, at] + by @ self._fit.covariance @ by))
 
     @property
     def is_shown(self) -> bool:
-        """Whether a signal shows the road, so that the height is known."""
+        """True if a signal shows the road, so that the height is known."""
         return bool(self._signals)
 
     def _regressors(self, driven: Strides, departures: tuple[float, ...]) -> Floats:
-        """Of the acceleration of strides with a known force (n, p); no earlier load is in new ones."""
+        """Regressors (n, p) of the acceleration of strides with a known force.
+
+        Strides without an earlier load have zeros in its column.
+        """
         fit, terms = self._fit, self._fit.terms
         density = driven.density / self._usual_density
         density = np.where(np.isfinite(density), density, 1.0)
@@ -232,16 +235,16 @@ class RoadFilter:
         return found
 
     def _shares(self, driven: Strides) -> Floats:
-        """Of the noises of torque and power in each stride's force (k, n)."""
+        """Factors (k, n) of the noises of torque and, if in the model, power in each stride's acceleration."""
         turned = np.isfinite(driven.gearing)
         gearing = np.where(turned, driven.gearing, self._usual_turns / driven.speed)
         shares: Floats = np.array([gearing / self._usual_gearing, self._usual_speed / driven.speed])
         return shares[: len(self._noises)]
 
     def _readings(self, signal: Signal, strides: Strides, length: Floats) -> tuple[Floats, Floats, Floats]:
-        """Values less their offsets (n,), their variances (n,), and the offsets' shapes (n, p)."""
+        """Return readings less their offsets (n,), their variances (n,), and regressors of the offsets (n, p)."""
         values = getattr(strides, signal.name) / (STANDARD_GRAVITY if signal.name == "gravity" else 1.0)
-        near = np.maximum(SPACING / np.maximum(length, 0.01), 1.0)  # readings in the place of one of a node
+        near = np.maximum(SPACING / np.maximum(length, 0.01), 1.0)  # readings per node of the road
         variances = signal.noise**2 * np.maximum(near / MOST_COUNTED, 1.0)
         squares = np.maximum(strides.speed**2, 1e-6)
         if signal.name == "gravity":
@@ -252,7 +255,7 @@ class RoadFilter:
         return values - signal.origin - shapes @ self._fit.beta, variances, shapes
 
     def _predict(self, t: float, middle: float, factor: float, known: bool) -> None:
-        """Go on to the next stride, or begin."""
+        """Predict the state at the next stride, or set its prior at the first one."""
         if self._last is None:
             self._begin()
         else:
@@ -264,7 +267,7 @@ class RoadFilter:
                 u = self._rate * 0.5 * (warped + factor) * metres
                 forth[: alpha + 1, : alpha + 1], own = _onward(alpha, u, metres)
                 noise[: alpha + 1, : alpha + 1] = self._sd**2 * own
-            else:  # another road
+            else:  # after a gap, the slope is independent of that before
                 forth[alpha, alpha] = 1.0
                 noise[:alpha, :alpha] = self._sd**2 * stationary(alpha)
                 noise[alpha, alpha] = START_HEIGHT_SD**2
@@ -289,7 +292,7 @@ class RoadFilter:
         self._kalman.x[alpha, 0], spread[alpha, alpha] = self._height[0], self._height[1] ** 2
 
     def _motion(self, shares: Floats) -> Floats:
-        """What a stride's acceleration shows of the state (size,)."""
+        """Return the observation row (size,) of a stride's acceleration."""
         row, at = np.zeros(self._size), self._first_end
         row[0] = -STANDARD_GRAVITY
         row[at : at + 2] = -1 / DURATION, 1 / DURATION
@@ -297,11 +300,11 @@ class RoadFilter:
         return row
 
     def _noise(self, shares: Floats) -> float:
-        """Variance [m^2/s^4] of a stride's acceleration about it."""
+        """Return the observation variance [m^2/s^4] of a stride's acceleration."""
         return self._white + float(np.dot(self._own, shares**2))
 
     def _shown(self, signal: Signal) -> Floats:
-        """What a reading shows of the state (size,)."""
+        """Return the observation row (size,) of a signal's reading."""
         row = np.zeros(self._size)
         if signal.name == "altitude":
             row[self._alpha : self._alpha + 2] = 1.0
@@ -311,16 +314,16 @@ class RoadFilter:
         return row
 
     def _see(self, value: float, row: Floats, variance: float, coefficients: Floats) -> None:
-        """Take one observation: a ``value`` less the coefficients' part."""
+        """Update with one scalar observation: a ``value`` from which the coefficients' part is subtracted."""
         self._kalman.update(np.array([[value]]), R=np.array([[variance]]), H=row[None])
         gain: Floats = self._kalman.K
         self._by_coefficients -= gain * (coefficients + row @ self._by_coefficients)
 
 
 def _onward(alpha: int, u: float, metres: float) -> tuple[Floats, Floats]:
-    """Transition of slope, its derivatives and height over ``metres``, ``u`` scaled, and the noise for a sd of 1.
+    """Return transition of slope, its derivatives and height over ``metres``, and process noise for a slope sd of 1.
 
-    The height rises by the trapezoid rule.
+    ``u`` is the distance times the rate [1]. The height is integrated by the trapezoid rule.
     """
     forth, noise = np.zeros((alpha + 1, alpha + 1)), np.zeros((alpha + 1, alpha + 1))
     forth[:alpha, :alpha], noise[:alpha, :alpha] = passage(alpha, u)

@@ -1,7 +1,7 @@
-"""The vehicle's parameters from strides, with the road as a state: scales by their posterior mode, then the vehicle.
+"""Fit of the vehicle's parameters to strides, with the road as a state: scales at their posterior mode, then beta.
 
-The coefficients beta = [1/m, A/m, C/m, lag/m, drag/m, earlier loads ..., offsets ..., -b/m ...] are those of
-`road_likelihood`, from its `normal_equations` at the scales; the doubt of the model's form (`form_doubt`) widens them.
+The coefficients beta = [1/m, A/m, C/m, lag/m, drag/m, earlier loads ..., offsets ..., -b/m ...] of `road_likelihood`
+solve the `normal_equations` at the scales; `form_doubt` adds the uncertainty of the model's form.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
-PROBE_SEED = 20_041  # of the simulated noise in the correction of every fit: the same strides give the same numbers
+PROBE_SEED = 20_041  # seed of the simulated noise in the correction of every fit: equal strides give equal numbers
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
 
@@ -34,26 +34,26 @@ class RoadFit:
     """Gaussian approximation of the likelihood of beta, nuisances' priors included; see the module."""
 
     beta: Floats  # (p,)
-    covariance: Floats  # (p, p), doubts included
+    covariance: Floats  # (p, p), with the uncertainties of corrections, scales and form
     scales: RoadScales
-    log_evidence: float  # with the prior of the scales, where these were searched for
+    log_evidence: float  # includes the prior of the scales, if these were searched for
     terms: tuple[Term, ...]
     strides: Strides  # those with a known force
-    fitted: Floats  # (n,) acceleration by the vehicle's part and the road [m/s^2]
-    slope: Floats  # (n,) of the road at the strides
-    slope_sd: float  # expected, of the slope along this road; that of the process is among the scales
-    slope_doubt: float  # posterior sd of the slope at a place, rms
-    climbed: float  # [m], all rises of the road together
+    fitted: Floats  # (n,) acceleration of the model, with the road [m/s^2]
+    slope: Floats  # (n,) posterior mean of the slope [1] at the strides
+    slope_sd: float  # expected sd of the slope along this road [1]; the sd of its process is among the scales
+    slope_doubt: float  # posterior sd of the slope [1], rms over the nodes
+    climbed: float  # [m], sum of all rises of the road
     equations: NormalEquations = field(repr=False)
     departures: tuple[float, ...] = ()  # times [s] before which the load may have changed
 
     def checked(self) -> "RoadFit":
-        """The fit itself.
+        """Return this fit if it is finite.
 
         Raises
         ------
         FloatingPointError
-            Its coefficients or their covariance are not finite.
+            The coefficients or their covariance are not finite.
         """
         if not (np.isfinite(self.beta).all() and np.isfinite(self.covariance).all()):
             raise FloatingPointError("the coefficients of the fit are not finite")
@@ -61,33 +61,33 @@ class RoadFit:
 
     @property
     def theta(self) -> Floats:
-        """A [N], C [N s^2/m^2], m [kg], lag [s] and then the effects' magnitudes (4 + effects,), at beta."""
+        """Parameters (4 + effects,): A [N], C [N s^2/m^2], m [kg], lag [s] and the effects' magnitudes."""
         return theta_of(self.beta, len(self.terms))
 
     @property
     def road_load(self) -> Floats:
-        """[A, C, m] (3,) that effects scale with, see `scaled_by`."""
+        """Road load [A, C, m] (3,) that effects and priors scale with, see `scaled_by`."""
         return scaled_by(self.beta)
 
     @cached_property
     def taken(self) -> Floats:
-        """Force [N] (n,) that the effects take from acceleration, but for those computed from it."""
+        """Force (n,) [N] of the terms, without those computed from the acceleration."""
         force = self.strides.force[:, self.scales.lag]
         return taken_by(self.strides, force, self.road_load, self.terms, self.theta[LAG + 1 :])
 
     @property
     def lag(self) -> float:
-        """By how much power comes after speed [s]."""
+        """Lag of power behind speed [s]."""
         return float(LAGS[self.scales.lag] + self.beta[LAG] / self.beta[0])
 
     def theta_covariance(self) -> Floats:
-        """Covariance (4 + effects, 4 + effects) of `theta`, to first order."""
+        """Return the covariance (4 + effects, 4 + effects) of `theta`, to first order."""
         jacobian = theta_jacobian(self.beta, len(self.terms))
         spread: Floats = jacobian @ self.covariance @ jacobian.T
         return spread
 
     def mixed(self, shift: Floats, covariance: Floats) -> "RoadFit":
-        """The same, with what other models add to the first coefficients: a shift (b,) and covariance (b, b)."""
+        """Return a copy with ``shift`` (b,) and ``covariance`` (b, b) added to those of the first b coefficients."""
         b, beta, wider = len(shift), self.beta.copy(), self.covariance.copy()
         beta[:b] += shift
         wider[:b, :b] += covariance
@@ -95,10 +95,10 @@ class RoadFit:
 
     @property
     def slope_length(self) -> float:
-        """Length [m] over which the slope changes; where that depends on the speed, at those of the drive.
+        """Correlation length of the slope [m]; on a designed road, at the mean warping of the drive.
 
-        A drive determines sd^2 / length^(2 nu) of a process of smoothness nu (Zhang 2004), and each of both badly: a
-        road of single hills has the slopes of a process with a larger sd and a greater length.
+        A drive determines sd^2 / length^(2 nu) of a process of smoothness nu well (Zhang 2004), but sd and length
+        badly. So the length is rescaled from the sd of the process to `slope_sd`.
         """
         nu = max(self.scales.alpha, 1) - 0.5
         ratio = self.slope_sd / float(self.scales.values[SLOPE])
@@ -107,19 +107,19 @@ class RoadFit:
 
     @property
     def residual_power(self) -> Floats:
-        """Residual power [W] (n,) of the model with the road, at the strides."""
+        """Residual power (n,) [W] of the model with the road, measured less fitted, at the strides."""
         left: Floats = (self.fitted - self.strides.a) / float(self.beta[0]) * self.strides.speed
         return left
 
 
 def theta_of(beta: Floats, effects: int) -> Floats:
-    """A, C, m, lag and magnitudes from coefficients (p,)."""
+    """Return A, C, m, lag and magnitudes (4 + effects,) from coefficients (p,)."""
     m = 1 / beta[0]
     return np.concatenate([[beta[1] * m, beta[2] * m, m, beta[LAG] * m], -beta[len(beta) - effects :] * m])
 
 
 def theta_jacobian(beta: Floats, effects: int) -> Floats:
-    """Derivative (4 + effects, p) of `theta_of`."""
+    """Return the Jacobian (4 + effects, p) of `theta_of`."""
     m, p = 1 / beta[0], len(beta)
     theta = theta_of(beta, effects)
     jacobian = np.zeros((4 + effects, p))
@@ -141,28 +141,28 @@ def fit(
     level: bool = False,
     rests: Sequence[AtRest] = (),
 ) -> RoadFit | None:
-    """Fit strides, with the most probable scales of road and noise.
+    """Fit strides with the most probable scales of road and noise.
 
-    None where too few strides have a known force, or none of these accelerates (a speed that is stuck).
+    Returns None if too few strides have a known force, or if the acceleration of all of these is zero (frozen speed).
 
     Parameters
     ----------
     strides
-        With and without known force, in order of time.
+        All strides, with and without known force, in order of time.
     rng
         Source of the simulated noise of the correction.
     terms
         Effects beyond the road load.
     known
-        Scales found before, to start from.
+        Scales of an earlier fit, to start from.
     longest_lag
         Largest lag of power behind speed that is tried [s].
     departures
         Times [s] before which the load may have changed; the mass is that after the last of them.
     level
-        Whether the road has no slopes.
+        True if a search without ``known`` scales has a level road.
     rests
-        The power while the vehicle stood, as far as it is known.
+        Measured power while the vehicle stood.
     """
     search = _search(strides, terms, longest_lag, departures)
     if search is None:
@@ -182,9 +182,9 @@ def fit_given(
     departures: Sequence[float] = (),
     rests: Sequence[AtRest] = (),
 ) -> RoadFit | None:
-    """Fit strides as `fit` does, with ``scales`` as they are.
+    """Fit strides as `fit` does, but with fixed ``scales``.
 
-    They are found anew where other signals show the road, or where they lie too far apart for floating point.
+    Scales are searched anew if other signals show the road, or if they differ too much for floating point.
     """
     search = _search(strides, terms, longest_lag, departures)
     if search is None:
@@ -196,7 +196,7 @@ def fit_given(
 
 
 def _search(strides: Strides, terms: Sequence[Term], longest_lag: float, departures: Sequence[float]) -> Search | None:
-    """None where too few strides have a known force, or none of these accelerates."""
+    """Return the search over strides, or None under the conditions of `fit`."""
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES or not driven.a.any():
         return None
@@ -206,18 +206,18 @@ def _search(strides: Strides, terms: Sequence[Term], longest_lag: float, departu
 def refit(
     found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term], rests: Sequence[AtRest] = ()
 ) -> RoadFit:
-    """Fit the ``strides`` of a fit with other terms: scales are found again, orders and the design of the road kept.
+    """Fit the ``strides`` of a fit with other terms: scales are refitted; orders and design of the road are kept.
 
-    Its equations have no changes during the drive. ``rests``: the power while the vehicle stood.
+    Its equations have no changes of force. ``rests`` is the power while the vehicle stood.
     """
     search = Search(strides, terms, found.road_load, taken=found.taken)
     return _concluded(*search.improved(found.scales), rng, rests, with_changes=False)
 
 
 def _beside(rest: AtRest, beta: Floats, covariance: Floats, terms: Sequence[Term]) -> tuple[Floats, Floats, float]:
-    """Coefficients (p,) and their covariance with the power at rest, which ``terms`` take, and its log density.
+    """Update coefficients (p,) and covariance with the power at rest; return both and its log predictive density.
 
-    To first order, as the update of a Kalman filter.
+    The power at rest is the sum over ``terms``. The update is a Kalman filter's, to first order.
     """
     power = np.array([term.at_rest(rest) for term in terms]) / rest.sd  # per unit of each magnitude
     missed = rest.power / rest.sd - float(power @ theta_of(beta, len(terms))[LAG + 1 :])
@@ -236,7 +236,7 @@ def _concluded(
     rests: Sequence[AtRest],
     with_changes: bool = True,
 ) -> RoadFit:
-    """Coefficients with all doubts in their covariance, and the road that they leave."""
+    """Return the fit at ``scales``: coefficients, their covariance with all uncertainties, and the road given them."""
     model, unit = likelihood.model, likelihood.unit
     conditioned, _ = likelihood.at(scales.values)
     shapes = shapes_of(model.driven.t >= max(likelihood.departures, default=-np.inf))[:, : None if with_changes else 0]
