@@ -1,4 +1,4 @@
-"""The gap budget: the plain model's residual split into the power of every component, the road and the sensors.
+"""Gap budget: the residual of the plain model split into the power of every term, the road and the sensors.
 
 The equation of motion, times -m v, is an identity in power:
 
@@ -8,9 +8,9 @@ Least squares fits the columns of the plain road load to P. With M the projectio
 
     r = M P = sum of M effects + M (m g theta v) + M errors.
 
-For every draw from the posterior of amplitudes, road and errors the parts sum to r exactly; the share of a part is
-mean(r part) / mean(r^2), over means of 2 s, and shares sum to one. Effects that may act without having been chosen
-(a wind too weak to be sure of) are drawn too, each with its prior: the interval of the road is wide by them.
+For every draw from the posterior of amplitudes, road and errors the parts sum to r exactly. The share of a part is
+mean(r part) / mean(r^2), over means of 2 s; the shares sum to one. Effects that are possible but not chosen (such as a
+weak wind) are drawn too, each with its prior. They widen the interval of the road.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -30,24 +30,24 @@ from estimator.units import STANDARD_GRAVITY
 UNKNOWN = "unknown: "  # before the name of a nameless process
 ROAD, NOISE, WHITE, OTHERS = "road", "sensor noise", f"{UNKNOWN}white force", "other effects"
 DRAWS = 200
-TOGETHER = 20  # draws whose unknowns are looked up at once: bounds the memory beside the draws themselves
-MAX_TRIES = 50  # draws of the amplitudes for each that is kept: draws with wrong signs are rejected
-MIN_SYSTEMATIC = 1e-6  # share that is not noise
-FORM_DOUBT = 0.5  # sd of a share s from wrong forms of the model, over s (1 - s): measured on simulated drives
+TOGETHER = 20  # draws whose sensor errors and slopes are computed at once: bounds the memory
+MAX_TRIES = 50  # draws of the amplitudes per draw kept: those with the largest sign violations are rejected
+MIN_SYSTEMATIC = 1e-6  # lower bound of a share that divides another one
+FORM_DOUBT = 0.5  # sd of a share s by errors of the model's form, over s (1 - s): measured on simulated drives
 SDS_OF_90_PERCENT = 1.645  # standard deviations to either side that hold 90 % of a Gaussian
-MIN_SHARE = 0.01  # of the gap: effects that were not chosen and are below it are summed to one part
-FOLDS, STRETCH = 3, 60  # strides in a row in the same fold: more than noise and road remember, less than most episodes
+MIN_SHARE = 0.01  # of the gap: effects that were not chosen and are smaller are summed to one part
+FOLDS, STRETCH = 3, 60  # and strides per stretch: longer than the memory of noise and road, shorter than most episodes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """What one cause adds to the gap.
+    """Contribution of one cause to the gap.
 
-    ``share`` of the mean square of the plain model's residual with its 90 % interval; ``rms`` [W] of its own;
-    ``reached`` [W]: residual on stretches left out of the fit with it and all that is given, by the signals there are,
-    None where nothing can be added; ``expected`` [W]: residual with both if they were known exactly, as by signals of
-    their own. ``closed``: its share of all that was found; its 90 % interval allows for what may act without having
-    been found.
+    ``share`` of the mean square of the plain model's residual, with its 90 % interval; ``rms`` [W] of the contribution.
+    ``reached`` [W]: held-out residual rms of the model with the given causes and this one, None without a held-out fit.
+    ``expected`` [W]: residual rms if this cause and the given ones were known exactly, as by signals of their own.
+    ``closed``: its share in all that was found (chosen effects, nameless processes, road), with a 90 % interval that
+    allows for effects not found.
     """
 
     cause: str
@@ -62,11 +62,11 @@ class Part:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Residuals:
-    """Residuals [W] (k,) of one drive over means of 2 s: measured power less that of a model.
+    """Residuals [W] (k,) of one drive over means of 2 s: measured power minus modelled power.
 
-    ``plain``: of the road load on a level road; ``given``: with what is given; ``reached``: with all that was chosen,
-    on stretches left out of the fit; ``road_known``: the same with the slopes that the state has, in place of those
-    that the signals of the road show on such stretches.
+    ``plain``: of the road load on a level road; ``given``: with the given effects; ``reached``: with all chosen terms,
+    held out (stretches left out of the fit). ``road_known``: as ``reached``, but with the slopes of the road's state
+    instead of those that the road signals show on the held-out stretches.
     """
 
     plain: Floats
@@ -77,31 +77,31 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """The gap of all drives: root mean squares [W] of `Residuals`, the parts, and the residuals of each drive."""
+    """Gap of all drives: root mean squares [W] of `Residuals`, the parts, and the residuals of each drive."""
 
-    total: float  # of the plain road load
-    base: float  # with what is given
-    reached: float  # with all that was chosen
+    total: float  # plain road load
+    base: float  # with the given effects
+    reached: float  # with all chosen terms, held out
     parts: tuple[Part, ...]
     residuals: tuple[Residuals, ...] = field(default=(), repr=False)
 
     def part(self, cause: str) -> Part | None:
-        """The part of one cause, None where it has none."""
+        """Part of one cause, None if it has none."""
         return next((part for part in self.parts if part.cause == cause), None)
 
     def renamed(self, cause: str, to: str) -> "Budget":
-        """The same with another name for a cause."""
+        """Copy of the budget with another name for a cause."""
         return replace(self, parts=tuple(replace(p, cause=to) if p.cause == cause else p for p in self.parts))
 
     @property
     def floor(self) -> float:
-        """Root mean square [W] of what the sensors' noise and forces without memory leave."""
+        """Root mean square [W] of sensor noise and white forces together."""
         return float(np.sqrt(sum(part.rms**2 for part in self.parts if part.cause in (NOISE, WHITE))))
 
 
 @dataclass(frozen=True)
 class _Powers:
-    """Of one drive, over means of 2 s: the residual (n,), draws of each cause (n, d), held-out parts (n,)."""
+    """Powers [W] of one drive, means over 2 s: residual (n,), draws (n, d) of each cause, held-out estimates (n,)."""
 
     residual: Floats
     draws: dict[str, Floats]
@@ -115,10 +115,10 @@ def budget(
     rng: np.random.Generator,
     given: Collection[str] = (),
 ) -> Budget:
-    """The budget of one drive, or of several together.
+    """Gap budget of one drive, or of several together.
 
-    For each drive ``possible`` effects that were not chosen, and the nameless processes that count. Causes that are
-    ``given`` are part of the model that others are added to, and not part of what is closed.
+    For each drive ``possible`` holds effects that were not chosen, and ``unnamed`` the nameless processes to include.
+    Causes that are ``given`` are in the base model of every part, and do not count as closed gap.
     """
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
@@ -150,9 +150,9 @@ def budget(
 
 
 def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
-    """By cause the powers of all drives, one after another; ``blank`` on a drive without the cause.
+    """Powers of all drives by cause, concatenated; ``blank`` on a drive without the cause.
 
-    They are taken out of ``drives``, so that none is in memory twice.
+    The arrays are removed from ``drives``, so that none is in memory twice.
     """
     causes = dict.fromkeys(cause for each in drives for cause in each)
     return {
@@ -161,7 +161,7 @@ def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dic
 
 
 def _residuals(drive: _Powers, given: Collection[str]) -> Residuals:
-    """The residuals of one drive."""
+    """Residuals of one drive, with the causes ``given``."""
     with_road = dict(drive.held_out)
     reached = _without(drive.residual, drive.held_out, drive.held_out)
     if ROAD in drive.draws:
@@ -175,9 +175,9 @@ def _residuals(drive: _Powers, given: Collection[str]) -> Residuals:
 
 
 def _without(residual: Floats, powers: Mapping[str, Floats], causes: Collection[str]) -> Floats:
-    """A residual (n,) less the powers (n,) or (n, d) of causes, where they have any: (n,) or (n, d)."""
+    """Residual (n,) minus the powers (n,) or (n, d) of ``causes``, where present: (n,) or (n, d)."""
     left = residual
-    for cause, power in powers.items():  # in this order on every run, which a set has not
+    for cause, power in powers.items():  # order of the mapping: floating-point sums must not depend on set order
         if cause in causes:
             left = (left if left.ndim == power.ndim else left[:, None]) - power
     return left
@@ -196,7 +196,7 @@ def _part(
     given: Collection[str],
     systematic: tuple[Floats, Floats],
 ) -> Part:
-    """The part of a cause; ``systematic`` (d,): shares of all that was found, and of all that is not noise."""
+    """Part of a cause; ``systematic`` (d,), (d,): total share of what was found, and of everything but noise."""
     draws, added = drawn[cause], {cause, *given}
     shares = residual @ draws / (residual @ residual)
     mean = float(shares.mean())
@@ -244,7 +244,7 @@ def _powers(
 def _rest(
     drive: DriveState, joint: JointLikelihood, amplitudes: Floats, rng: np.random.Generator
 ) -> Iterator[tuple[str, Floats]]:
-    """Draws of the acceleration (n, d) by the road, by forces without memory and by the sensors, with their causes."""
+    """Draws of the acceleration (n, d) [m/s^2] by the road, white forces and sensor noise, with their causes."""
     residuals = joint.residual(amplitudes)
     unknowns = joint.conditioned.draws(residuals, rng)
     some = [unknowns[:, at : at + TOGETHER] for at in range(0, DRAWS, TOGETHER)]
@@ -267,7 +267,10 @@ def _rest(
 
 
 def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np.random.Generator) -> Floats:
-    """Draws (p, DRAWS) of all amplitudes, in the joint's own units; signs as they must be where MAX_TRIES allow it."""
+    """Posterior draws (p, DRAWS) of all amplitudes, in the scaled units of `SetLikelihood`.
+
+    The draws that violate the sign constraints least are kept, of MAX_TRIES times as many; the rest is clipped at zero.
+    """
     posterior = joint.posterior(range(len(components)))
     root = np.linalg.cholesky(posterior.covariance * np.outer(joint.unit, joint.unit))
     mean = (posterior.mean * joint.unit)[:, None]
@@ -284,7 +287,7 @@ def _name(component: Component) -> str:
 
 
 def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
-    """Acceleration (n,) by each effect and the road on stretches that the fit has not seen."""
+    """Acceleration (n,) [m/s^2] by each effect and the road on stretches left out of the fit."""
     strides = drive.strides
     places = np.flatnonzero(strides.known)
     found: dict[str, Floats] = {name: np.zeros(len(places)) for name in (*names, *([] if drive.is_level else [ROAD]))}

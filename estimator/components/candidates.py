@@ -1,4 +1,4 @@
-"""What may act on a drive: effects in all their forms, with signals or with times, and nameless processes."""
+"""Candidates of a drive: forms of effects, with signals or fitted times, nameless processes, and stretches of road."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence, Set
@@ -22,7 +22,10 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """One form of a ``cause``, told from its others by ``form``; ``is_event``: on another drive it is another cause."""
+    """One possible form of a ``cause``, identified among its other forms by ``form``.
+
+    ``is_event``: the cause is specific to its drive; on another drive it counts as another cause.
+    """
 
     cause: str
     is_event: bool
@@ -32,34 +35,34 @@ class Candidate:
 
 @dataclass(frozen=True)
 class _Proposed:
-    """Times that effects may have ``beside`` what was chosen, with the slow noise (2,) of that fit."""
+    """Times proposed for effects ``beside`` the chosen terms, with the slow noise (2,) of that fit."""
 
     beside: object
     noise: Floats
     times: set[Spans]
 
     def is_outdated(self, beside: object, drive: DriveState) -> bool:
-        """Whether other causes are chosen on the drive, or its slow noise has halved or doubled."""
+        """True if the chosen terms or their times differ, or the slow noise of the drive has halved or doubled."""
         changed = np.abs(np.log2(slow_noise(drive.fit.scales.values) / self.noise))
         return self.beside != beside or bool(changed.max() >= 1.0)
 
 
 class FoundForms:
-    """Times and shapes that searches on the same drives have found, for each drive by its number.
+    """Times and shapes found by searches on the same drives, by drive number.
 
-    A search from another start, or beside another road, need not find them round by round again.
+    A search from another start, or with another road, reuses them instead of finding them round by round again.
     """
 
     def __init__(self) -> None:
         self.times: dict[int, set[Spans]] = defaultdict(set)
-        self.shapes: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)  # the last of an effect; its size
+        self.shapes: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)  # latest term of an effect, size
 
     def shape(self, number: int, term: Term, size: float) -> None:
-        """An effect with this ``term`` may have this ``size``."""
+        """Record a ``term`` with a free shape and its magnitude ``size`` for drive ``number``."""
         self.shapes[number][term.effect.name] = term, size
 
     def add(self, number: int, drive: DriveState) -> None:
-        """The forms of all that was chosen on a drive, and stretches of its road."""
+        """Record times and terms of everything chosen on a drive, and the times of its stretches of road."""
         for one, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
             if one.is_timed and one.spans:
                 self.times[number].add(one.spans)
@@ -70,15 +73,16 @@ class FoundForms:
 
 
 class Candidates:
-    """All that may act on the drives of a vehicle, for ``effects`` of the catalogue, beside those ``given`` for each.
+    """Candidates on the drives of one vehicle: ``effects`` of the catalogue, beside the terms ``given`` for each drive.
 
-    An effect's times are those proposed beside the effects chosen last, anew once other ones are chosen, their times
-    have changed, or the slow noise has halved or doubled, and those beside none with times nor stretches of the road.
-    Two effects may share the times that one of them has, so those in the place of all effects with times are proposed
-    too, whenever effects of other names are chosen, or the first stretches of the road.
+    Fitted times of effects come from four proposals. Those beside the latest chosen terms are renewed once these or
+    their times change, or the slow noise halves or doubles. Those of fits without timed terms and stretches are kept.
+    Those that replace all timed terms are renewed once effects of other names or the first stretches of road are
+    chosen, because two effects may share the times that one of them has. Those ``found`` by earlier searches are
+    reused.
 
-    Effects that were chosen have shapes near theirs, and so have those ``found`` before: what was chosen first would
-    else gain by that alone.
+    Shapes near those of chosen effects are candidates, and shapes near those ``found`` by earlier searches too.
+    Otherwise the effect chosen first would have an advantage by its finer shapes alone.
     """
 
     def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]], found: FoundForms) -> None:
@@ -91,9 +95,9 @@ class Candidates:
         self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
 
     def on(self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool) -> Iterator[Candidate]:
-        """On the drive with this ``number``; of two equal forms the later one counts.
+        """Candidates on the drive with this ``number``; of two equal forms the later one counts.
 
-        ``with_stretches``: of a road that no signal shows.
+        ``with_stretches``: include stretches of a road that no signal shows.
         """
         frame, times = Frame.of(drive.fit), self._times(number, drive)
         yield from self._as_the_bus_tells(frame, drive)
@@ -105,7 +109,7 @@ class Candidates:
             yield from _nameless(frame, drive, times, len(self._given[number]))
 
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
-        """At which effects may act; what two of those chosen do, one may do."""
+        """Times at which effects may act: those of chosen terms, unions of two of these, and the proposed ones."""
         steep = None if drive.stretches is None else drive.stretches.spans
         beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
         if number not in self._latest or self._latest[number].is_outdated(beside, drive):
@@ -125,7 +129,7 @@ class Candidates:
         return _different({*own, *both, *proposed}, own, drive.fit.strides.t)
 
     def _as_the_bus_tells(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
-        """Effects that act always, or when signals show it."""
+        """Effects that act always, that a signal shows, or that begin at a standstill."""
         known = frozenset(drive.strides.context)
         for effect in self._effects:
             for component in of_effect(frame, effect, known):
@@ -139,7 +143,7 @@ class Candidates:
                 )
 
     def _finer(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
-        """Shapes near those that were chosen and those found before; effects that are given keep theirs."""
+        """Shapes near those of chosen effects and of effects found before; given effects keep their shapes."""
         chosen = [(one.term, size) for one, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if one.term]
         own = {term.effect.name: (term, size) for term, size in chosen}
         for term, size in (self._found.shapes[number] | own).values():
@@ -147,21 +151,21 @@ class Candidates:
                 continue
             for finer in near(term, size):
                 effect, component = term.effect, of_term(frame, finer)
-                # Of several drives each may have a size of its own.
+                # Finer shapes depend on the size, which differs between drives: the key is the coarse shape.
                 shape = finer.shape if finer.shape in effect.shapes else effect.alike(finer.shape)
                 yield Candidate(cause=effect.name, is_event=False, form=str(shape), component=component)
 
     def _at_times(
         self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
     ) -> Iterator[Candidate]:
-        """Effects at fitted times, and at those that were chosen for them with others added or taken away."""
-        before = self._costs[number]  # of the last round: most times come again
+        """Effects at fitted times, and at the times of chosen effects with other times added or subtracted."""
+        before = self._costs[number]  # costs of the last round: most times recur
         costs = self._costs[number] = {}
         for effect in self._timed:
             own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
             for spans in _different({*times, *changed}, own, frame.strides.t):
-                key = effect.timing, effect.dwells, spans  # many effects have the same dwells
+                key = effect.timing, effect.dwells, spans  # many effects share dwells
                 if key not in costs:
                     costs[key] = before[key] if key in before else _cost(spans, effect, frame.strides.t)
                 cost = costs[key]
@@ -170,9 +174,9 @@ class Candidates:
                     yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
 
     def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
-        """Stretches of the road at fitted times, and at all that were chosen so far.
+        """Stretches of the road at fitted times, and at all times of stretches chosen so far.
 
-        The last ones that were chosen have times that are proposed beside them added or taken away.
+        The times of the latest chosen stretches are also united with, reduced by and cut at the proposed times.
         """
         own, changed = None if drive.stretches is None else drive.stretches.spans, set[Spans]()
         if own:
@@ -184,25 +188,25 @@ class Candidates:
 
 
 def _different(times: Set[Spans], own: Sequence[Spans], t: Floats) -> list[Spans]:
-    """Times, in order, that do not look the same on a drive with strides at ``t`` (n,) [s]; its ``own`` ones stay.
+    """Sorted times that differ on the strides at ``t`` (n,) [s]; the term's ``own`` times take precedence.
 
-    What differs in gaps alone looks the same, and would count as many times.
+    Times that differ only within gaps have the same column and would be counted several times.
     """
     alike = {seen(spans, t): spans for spans in [*sorted(times), *own]}
     return sorted(alike.values())
 
 
 def _cost(spans: Spans, effect: Effect, t: Floats) -> float | None:
-    """Of times of an effect on a drive with strides at ``t`` (n,) [s]; None where they are not usual."""
+    """Prior cost [nats] of the times of an effect on strides at ``t`` (n,) [s]; None if they are not usual."""
     return prior_cost(spans, effect, t) if is_usual(spans, effect, t) else None
 
 
 def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: int) -> Iterator[Candidate]:
-    """Processes without a name."""
+    """Nameless processes; ``given`` is the number of given terms of the drive."""
     for spans in times:
         for process in switched(frame, spans):
             yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
-    number: Counter[str] = Counter()  # of the forms of each, which are the same on all drives
+    number: Counter[str] = Counter()  # forms of each process so far; they are the same on all drives
     for process in processes(frame):
         yield Candidate(cause=process.name, is_event=False, form=number[process.name], component=process)
         number[process.name] += 1

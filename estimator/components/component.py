@@ -1,11 +1,14 @@
-"""Components of a drive: effects and processes beside the road load and the road, each a set of columns with a prior.
+"""Terms of the model on one drive: effects, nameless processes and stretches of road as columns with a prior.
+
+A `Component` is one form of such a term: fixed shape, times and prior. A hypothesis is a set of them. A `Term` of
+`model.term` is the effect of the catalogue with its shape and times that a component is made from.
 
 An effect of the catalogue has one column, its power per unit of magnitude. A nameless process has many: hat functions
-along an axis, times what it is proportional to, all with the same prior. So both are judged by the same likelihood.
+along an axis, times a profile (such as the speed), all with the same prior. One likelihood evaluates both.
 
-In the equation of motion a power h comes as the acceleration -h / (m v). Columns that hold the acceleration take the
-one that the force gives the vehicle on level ground, less what effects chosen before have taken of it: the measured one
-has the road in it.
+In the equation of motion a power h appears as the acceleration -h / (m v). Columns computed from the acceleration use
+that of the measured force on level ground, less the force of the effects in the fit: the measured acceleration contains
+the slope.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,17 +29,17 @@ from estimator.strides import DURATION, Strides
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """The strides of a drive and an estimate of the vehicle, from which columns are computed."""
+    """Strides of a drive and an estimate of the vehicle, from which columns are computed."""
 
     strides: Strides  # those whose force is known
-    force: Floats  # (n,) [N] at the lag of the drive
+    force: Floats  # (n,) [N], at the lag of the drive
     road_load: Floats  # [A, C, m]
-    lag: float  # s of power behind speed
-    taken: Floats  # (n,) [N] of the force, by effects that are known
+    lag: float  # s, by which power comes after speed
+    taken: Floats  # (n,) [N], force of the fit's effects that are not computed from the force
 
     @classmethod
     def of(cls, fit: RoadFit) -> "Frame":
-        """From a fit of the road model."""
+        """Frame of a fit of the road model."""
         return cls(
             strides=fit.strides,
             force=fit.strides.force[:, fit.scales.lag],
@@ -46,12 +49,12 @@ class Frame:
         )
 
     def disturbed(self, error: Floats) -> "Frame":
-        """With an error [N] (n,) in the measured force."""
+        """Copy with an ``error`` (n,) [N] added to the measured force."""
         return replace(self, force=self.force + error)
 
     @cached_property
     def view(self) -> View:
-        """The quantities that effects are computed from, with the acceleration on level ground."""
+        """Quantities that effects are computed from, with the acceleration on level ground."""
         return view_of(self.strides, self.force, self.road_load, self.taken)
 
     def column(self, term: Term) -> Floats:
@@ -59,7 +62,7 @@ class Frame:
         return self.as_acceleration(term.column(self.view))
 
     def as_acceleration(self, power: Floats) -> Floats:
-        """Acceleration [m/s^2] (n, ...) lost by a power [W] (n, ...)."""
+        """Acceleration -P / (m v) [m/s^2] (n, ...) caused by a consumed power P [W] (n, ...)."""
         taken: Floats = -(power.T / (self.strides.speed * self.road_load[2])).T
         return taken
 
@@ -68,7 +71,7 @@ Columns = Callable[[Frame], Floats]
 
 
 class Kind(Enum):
-    """What a component is to the answer."""
+    """Category of a component in the answer."""
 
     EFFECT = "an effect of the catalogue"
     PROCESS = "what acts and has no name"
@@ -77,12 +80,12 @@ class Kind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """One form that a component may take.
+    """One form of a term: columns with a prior.
 
-    ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes, whose prior is
-    N(0, ``sd``^2), or half of it where ``positive``; a size beyond ``largest``, or above ``highest``, is something
-    else. ``cost`` is the log prior probability of its times, with the sign changed. ``is_noisy``: noise of the measured
-    force is in its columns. ``is_slope``: it is part of the road.
+    ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes. Their prior is N(0,
+    ``sd``^2), restricted to positive values if ``positive``. A magnitude beyond ``largest``, or above ``highest``, is
+    impossible. ``cost`` [nats]: minus the log prior probability of its times, or of a swing's period. ``is_noisy``: its
+    columns contain noise of the measured force. ``is_slope``: it is part of the road.
     """
 
     name: str
@@ -94,24 +97,24 @@ class Component:
     cost: float = 0.0
     is_noisy: bool = False
     is_slope: bool = False
-    term: Term | None = None  # of an effect
-    spans: Spans | None = None  # when it acts; None: always, or as its columns say
+    term: Term | None = None  # None: it is no effect of the catalogue
+    spans: Spans | None = None  # when it acts; None: always, or as its columns define
 
     @property
     def kind(self) -> Kind:
-        """What it is to the answer."""
+        """Category of the component in the answer."""
         if self.term is not None:
             return Kind.EFFECT
         return Kind.ROAD if self.is_slope else Kind.PROCESS
 
     @property
     def is_timed(self) -> bool:
-        """Whether its times were fitted: neither always nor from a standstill on."""
+        """True if its times were fitted: it acts neither always nor from a standstill on."""
         return self.spans is not None and (self.term is None or self.term.effect.timing is not Timing.STEP)
 
 
 def of_effect(frame: Frame, effect: Effect, known: frozenset[Quantity]) -> list[Component]:
-    """All forms of an effect whose times are given: its shapes, or each standstill that it may begin at."""
+    """All forms of an effect that need no fitted times: its shapes, or the standstills that it may begin at."""
     shapes = effect.usable_shapes(known)
     terms = [Term(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None]
     if effect.timing is Timing.STEP:
@@ -120,7 +123,7 @@ def of_effect(frame: Frame, effect: Effect, known: frozenset[Quantity]) -> list[
 
 
 def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
-    """A term of the catalogue as a component."""
+    """Component of a term of the catalogue."""
     effect = term.effect
     return Component(
         name=effect.name,
@@ -137,13 +140,13 @@ def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
 
 
 def as_terms(frame: Frame, process: Component) -> list[Term]:
-    """The columns of what is no effect as terms of a fit, each with the prior of its amplitude."""
+    """Columns of a process or of stretches as terms of a fit, each with the prior of its amplitude."""
     power = _Powers(frame, process)
     return [Term(_of_process(process, power, k), usual_sds=1.0) for k in range(power.count)]
 
 
 class _Powers:
-    """Power [W] (n, k) of a process, for the force that a view of the frame's strides has; kept for the last view."""
+    """Power [W] (n, k) of a process for the force of a view of the frame's strides; the last view is cached."""
 
     def __init__(self, frame: Frame, process: Component) -> None:
         self._frame, self._process = frame, process
@@ -163,7 +166,7 @@ class _Powers:
 
 
 def _of_process(process: Component, power: _Powers, k: int) -> Effect:
-    """An effect whose power is that of one column of a process."""
+    """Effect whose power is column ``k`` of a process."""
     return Effect(
         name=process.name,
         equation="",
@@ -173,13 +176,13 @@ def _of_process(process: Component, power: _Powers, k: int) -> Effect:
         power=lambda view, shape: power(view)[:, k],
         usual=lambda road_load: process.sd,
         positive=False,
-        is_noisy=True,  # or its columns are known at the frame's strides only
+        is_noisy=True,  # otherwise its columns would be asked for at other strides than the frame's
         is_gravity=process.is_slope,
     )
 
 
 def _from_standstills(strides: Strides) -> Iterator[Spans]:
-    """From each standstill to the end of the drive, where enough was driven on both sides."""
+    """Spans from each standstill to the end of the drive, with more than 5 % of the strides on either side."""
     stops = strides.context.get(Quantity.STOPS, np.zeros(len(strides)))
     for k in range(1, int(np.nanmax(stops, initial=0)) + 1):
         after = stops >= k

@@ -1,4 +1,4 @@
-"""One drive, the components chosen for it so far, and the fit of road and noise beside them."""
+"""One drive: the terms chosen so far, and the fit of road and noise with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,27 +24,30 @@ from estimator.signals import Floats
 from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
 
-# Of the logarithms of the slow noise of torque and power, by the priors of their scales.
+# Prior sd (2,) of the logarithms of the slow noise of torque and power.
 _SPREADS = np.array([np.hypot(SCALES[i].spread, 0.5 * SCALES[i + 1].spread) for i in (TORQUE, POWER)])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """The best form of an effect on one drive: gain in log evidence, costs and all forms counted; value and sd."""
+    """Best form of an effect on one drive.
+
+    ``gain``: log Bayes factor, less the costs, averaged over forms; ``value`` and ``sd`` of its magnitude.
+    """
 
     component: Component
     gain: float
     value: float
     sd: float
-    trace: Floats  # (n,) its column
+    trace: Floats  # (n,) its column [m/s^2]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveState:
-    """One drive, the components chosen for it so far, and the fit of the road beside them.
+    """One drive: the terms chosen so far, and the fit of the road with them.
 
-    ``rests``: the power while the vehicle stood, as far as it is known. ``stretches`` of the road that are steeper than
-    its process has them.
+    ``rests``: power at standstill, where it is known. ``stretches`` of the road that are steeper than its Gaussian
+    process allows.
     """
 
     strides: Strides
@@ -55,12 +58,12 @@ class DriveState:
 
     @property
     def is_level(self) -> bool:
-        """Whether the road has no slopes."""
+        """True if the model of the road has no slopes."""
         return self.fit.scales.alpha == LEVEL
 
     @property
     def is_hidden(self) -> bool:
-        """Whether the road has slopes that no signal shows."""
+        """True if the road has slopes and no signal shows them."""
         return not (self.is_level or self.fit.scales.readings)
 
     @property
@@ -77,7 +80,10 @@ class DriveState:
     def of(
         cls, strides: Strides, rests: tuple[AtRest, ...] = (), is_level: bool = False, known: RoadScales | None = None
     ) -> "DriveState | None":
-        """The plain start, from scales ``known`` before; None where too little is known."""
+        """Drive without chosen terms; None if no fit is possible or its 1/m is not positive.
+
+        ``known``: scales of an earlier fit to start from.
+        """
         found = fit(strides, np.random.default_rng(PROBE_SEED), (), known, level=is_level, rests=rests)
         if found is None or not found.beta[0] > 0:
             return None
@@ -89,9 +95,9 @@ class DriveState:
         processes: tuple[Component, ...] = (),
         stretches: Component | None = None,
     ) -> "DriveState":
-        """With other effects and ``stretches`` of the road; scales of road and noise are found again beside them.
+        """Copy with other ``chosen`` effects and ``stretches`` of the road, its scales of road and noise refitted.
 
-        Beside nameless ``processes`` too.
+        Nameless ``processes`` are in this fit too, but not among the chosen terms.
         """
         frame, further = Frame.of(self.fit), (*processes, *(() if stretches is None else (stretches,)))
         terms = [replace(component.term, usual_sds=1.0) for component in chosen if component.term is not None]
@@ -101,12 +107,12 @@ class DriveState:
 
     @property
     def sizes(self) -> Floats:
-        """Magnitudes (c,) of the effects chosen, each in its own unit."""
+        """Magnitudes (c,) of the chosen effects, each in its own unit."""
         return self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
 
     @property
     def log_evidence(self) -> float:
-        """Of the drive beside the effects chosen, with the priors that these have in every set of a table."""
+        """Log evidence of the drive with the chosen effects, under the priors they have in every hypothesis."""
         sds = np.sqrt(np.diag(self.fit.theta_covariance()))[LAG + 1 : LAG + 1 + len(self.chosen)]
         positive = np.array([component.positive for component in self.chosen], dtype=np.bool_)
         signs = log_evidence_of_sign(self.sizes / sds)[positive]
@@ -114,12 +120,12 @@ class DriveState:
 
     @property
     def has_unusual_noise(self) -> bool:
-        """Whether slow noise of torque or power is larger than usual: effects that were not found may be in it."""
+        """True if slow noise of torque or power exceeds its prior centre by one prior sd: it may hide effects."""
         usual = slow_noise(np.array([scale.centre for scale in SCALES]))
         return bool(np.any(np.log(slow_noise(self.fit.scales.values) / usual) > _SPREADS))
 
     def with_usual_noise(self) -> "DriveState":
-        """With no more noise of torque and power, and for no longer, than usual."""
+        """Copy with noise sd and correlation time of torque and power capped at the centres of their priors."""
         values = self.fit.scales.values.copy()
         for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):
             values[i] = min(values[i], SCALES[i].centre)
@@ -129,7 +135,7 @@ class DriveState:
         return self if found is None else replace(self, fit=found)
 
     def is_possible(self, given: int) -> bool:
-        """Whether no effect behind the first ``given`` ones is larger than it can be on the vehicle as it is found."""
+        """True if every effect after the first ``given`` ones is within its limits for the fitted road load."""
         own = zip(self.chosen[given:], self.sizes[given:].tolist(), strict=True)
         effects = [(c.term.effect, size) for c, size in own if c.term is not None]
         load = Frame.of(self.fit).road_load
@@ -141,15 +147,15 @@ class DriveState:
 
     @cached_property
     def joint(self) -> JointLikelihood:
-        """The likelihood of those chosen; stretches are in every set."""
+        """Likelihood of the chosen terms; the stretches are in every hypothesis."""
         return self.joint_with(())
 
     def joint_with(self, candidates: Sequence[Component]) -> JointLikelihood:
-        """The same, with ``candidates`` after those chosen."""
+        """Likelihood of the chosen terms followed by ``candidates``; the stretches are in every hypothesis."""
         return self.likelihood_of([*self.chosen, *candidates], self.stretches)
 
     def likelihood_of(self, components: Sequence[Component], stretches: Component | None = None) -> JointLikelihood:
-        """The likelihood of any ``components``; ``stretches`` are in every set."""
+        """Likelihood of any ``components`` with the power at standstill; ``stretches`` are in every hypothesis."""
         rng = np.random.default_rng(PROBE_SEED)
         joint = JointLikelihood(self._conditioned, self.fit, components, rng, stretches)
         for rest in self.rests:
@@ -160,7 +166,7 @@ class DriveState:
         return joint
 
     def forms(self, effects: Sequence[Effect]) -> dict[str, Form]:
-        """The best form of each of ``effects`` that this drive can test and that is not chosen."""
+        """Best form of each of ``effects`` that is not chosen and that this drive can test, by name."""
         known, frame = frozenset(self.strides.context), Frame.of(self.fit)
         present = {component.name for component in self.chosen}
         absent = [effect for effect in effects if effect.name not in present]
@@ -180,17 +186,20 @@ class DriveState:
 
 
 def slow_noise(scales: Floats) -> Floats:
-    """Square root of the spectral density [m/s^1.5] of noise of torque and power (2,) over times that effects last."""
+    """Slow noise (2,) [m/s^1.5] of torque and power: sd times the square root of the correlation time.
+
+    It is proportional to the root of the spectral density at the low frequencies of effects.
+    """
     return np.array([scales[i] * np.sqrt(scales[i + 1]) for i in (TORQUE, POWER)])
 
 
 def has_free_times(effect: Effect) -> bool:
-    """Whether no signal shows when it acts, so that its times are fitted."""
+    """True if no signal shows when the effect acts, so that its times are fitted."""
     return effect.timing in (Timing.WINDOW, Timing.SWITCHING) and None in effect.shapes
 
 
 def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
-    """The form with fitted times."""
+    """Form of ``effect`` with fitted times; None if none are found."""
     times = switching.best(ours, effect)
     if times is None:
         return None
@@ -211,7 +220,7 @@ def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect
 
 
 def _best(frame: Frame, given: Sequence[Component], judged: Judged, places: Sequence[int]) -> Form:
-    """The form of most evidence, averaged over forms of equal prior probability."""
+    """Form with most evidence; its gain is the mean of the Bayes factors of forms of equal prior probability."""
     gains = judged.gain[list(places)] - np.array([given[i].cost for i in places])
     best = places[int(np.argmax(gains))]
     gain = float(logsumexp(gains)) - np.log(len(places))

@@ -1,7 +1,7 @@
-"""Edges of times, moved where that adds evidence.
+"""Refinement of fitted times: edges of spans are moved where that adds evidence.
 
-The blocks that are found first end at whole strides, and noise displaces their ends by some strides. Moving an edge
-changes the column of a few strides, so the evidence of any moves follows from the products of these strides.
+Blocks of `switching.py` end at whole strides, and noise displaces their ends by some strides. Moving an edge changes
+the column of a few strides, so the evidence of any move follows from the products of these strides.
 """
 
 from collections.abc import Sequence
@@ -22,15 +22,15 @@ from estimator.strides import DURATION
 
 STEPS = np.concatenate([np.arange(1, 11) / 10, np.arange(1.5, 4.5, 0.5)])  # s, by which an edge is moved
 MOVES = np.concatenate([-STEPS, STEPS])
-MAX_SWEEPS = 60  # over all edges: bounds the cost
-MIN_SWEEP_GAIN = 1e-3  # in log evidence, for one sweep more
-TOGETHER = 100  # moves whose products are computed at once: with many edges those of all would fill memory
+MAX_SWEEPS = 60  # over all edges: bounds the run time
+MIN_SWEEP_GAIN = 1e-3  # of log evidence, for another sweep
+TOGETHER = 100  # moves whose products are computed at once: bounds the memory with many edges
 
 
 def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
-    """Spans of ``term`` whose beginnings and ends are moved by up to the last of STEPS where that adds evidence.
+    """Spans of ``term`` with beginnings and ends moved by up to STEPS.max() where that adds evidence.
 
-    More than it costs to leave the gap that one lies in.
+    An edge leaves the gap that it lies in if the gain exceeds the cost of leaving.
     """
     spans, t = term.spans or (), joint.frame.strides.t
     edges = [(i, side) for i in range(len(spans)) for side in (0, 1) if t[0] < spans[i][side] < t[-1]]
@@ -48,9 +48,10 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
 def _products(
     joint: JointLikelihood, chosen: list[int], term: Term, edges: Sequence[tuple[int, int]], moves: Floats
 ) -> tuple[Floats, Floats, sp.csc_array]:
-    """Products (1 + n, 1 + n) and scores (1 + n,) of a term's column and of the strides near its edges.
+    """Products (1 + n, 1 + n), scores (1 + n,) and composition (1 + n, 1 + k) of a column and its moves.
 
-    And what the column (the first), and what each move of each edge adds to it, are made of: (1 + n, 1 + k).
+    Products and scores are of the term's column and of each of n strides near its edges. The composition states the
+    column (its first column) and the change by each move of each edge as sums of these.
     """
     spans, t = term.spans or (), joint.frame.strides.t
     profile, column = joint.frame.column(replace(term, spans=None)), joint.frame.column(term)
@@ -63,7 +64,7 @@ def _products(
 
 
 def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.intp]:
-    """Strides (k,) whose share may change when ``edges`` [s] are moved by up to ``furthest`` [s]."""
+    """Strides (k,) whose covered share may change when ``edges`` [s] are moved by up to ``furthest`` [s]."""
     reached = np.zeros(len(t), dtype=bool)
     for edge in edges:
         reached |= np.abs(t - edge) < furthest + DURATION / 2
@@ -71,17 +72,17 @@ def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.i
 
 
 def _moved(t: Floats, edge: float, moves: Floats, side: int) -> Floats:
-    """Change (k, n) of the share of each stride that is covered, when a span's ``edge`` makes each of k ``moves``."""
-    before = np.clip((edge - t) / DURATION + 0.5, 0.0, 1.0)  # share of each stride that is before the edge
+    """Change (k, n) of the covered share of each stride when the ``edge`` [s] of a span makes k ``moves`` [s]."""
+    before = np.clip((edge - t) / DURATION + 0.5, 0.0, 1.0)  # share of each stride before the edge
     after = np.clip((edge + moves[:, None] - t) / DURATION + 0.5, 0.0, 1.0)
     more: Floats = after - before
     return more if side == 1 else -more
 
 
 def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> list[int]:
-    """Which of the ``number`` moves each edge makes, -1 for none; ``leaving``: the cost of any move of it.
+    """Move of each edge, among ``number``, or -1 for none; ``leaving``: cost [nats] of any move of an edge.
 
-    One edge after the other takes its best move beside those of the others, until that gains no more.
+    Coordinate ascent: one edge after the other takes its best move given those of the others, until the gain is small.
     """
     taken, paid = [-1] * len(leaving), 0.0
     best = float(column.evidence())
@@ -105,9 +106,10 @@ def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> lis
 
 
 class _Column:
-    """A column, the first of those ``made`` (n, 1 + k) of parts, to which the others may be added.
+    """A column with optional changes: the first of ``made`` (n, 1 + k) is the column, the others may be added to it.
 
-    ``G`` (n, n): products, ``s`` (n,): scores of the parts, off everything else; ``sd``: of the prior of its amplitude.
+    ``G`` (n, n): products, ``s`` (n,): scores of the n parts, everything else eliminated; ``sd``: prior of its
+    amplitude.
     """
 
     def __init__(self, G: Floats, s: Floats, made: sp.csc_array, sd: float) -> None:
@@ -118,22 +120,22 @@ class _Column:
         self._score, self._strength, self._cross = float(self._s[0]), float(self._squares[0]), self._products_with(0)
 
     def _products_with(self, k: int) -> Floats:
-        """Products (1 + k,) of one column with all."""
+        """Products (1 + k,) of column ``k`` with all columns."""
         own = slice(self._made.indptr[k], self._made.indptr[k + 1])
         products: Floats = self._transposed @ (self._G[:, self._made.indices[own]] @ self._made.data[own])
         return products
 
     def change(self, k: int, sign: float) -> None:
-        """Add the column ``k``, or take it away again."""
+        """Add the change ``k`` (``sign`` 1), or remove it again (-1)."""
         self._score += sign * float(self._s[k])
         self._strength += 2 * sign * float(self._cross[k]) + float(self._squares[k])
         self._cross += sign * self._products_with(k)
 
     def evidence(self) -> Floats:
-        """Log evidence of its amplitude."""
+        """Log evidence of the amplitude of the column."""
         return amplitude_evidence(np.array(self._score), np.array(self._strength), self._sd, positive=False)
 
     def evidence_with(self, own: NDArray[np.intp]) -> Floats:
-        """The same with each of its ``own`` (c,) columns added, each alone."""
+        """Log evidence (c,) of the amplitude with each of the changes ``own`` (c,) added alone."""
         score, strength = self._score + self._s[own], self._strength + 2 * self._cross[own] + self._squares[own]
         return amplitude_evidence(score, strength, self._sd, positive=False)

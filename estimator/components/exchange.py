@@ -1,11 +1,11 @@
-"""Blocks of a drive that are on, by exchange of runs of blocks.
+"""Blocks of a drive in which an effect is on, found by exchanging runs of blocks.
 
 Amplitude b and times z (one of two states a block) have the log evidence
 
     1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - costs of changes of state
 
-with s and G the scores and products of a profile cut into blocks, off everything else in the model (costs:
-`time_prior.py`). A run of blocks is switched on or off as long as that gains; every run is tried.
+with s and G the scores and products of a profile cut into blocks, everything else in the model eliminated (costs:
+`time_prior.py`). Every run of blocks is tried; the best is switched on or off as long as that adds evidence.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,17 @@ from numpy.typing import NDArray
 from estimator.components.time_prior import Costs
 from estimator.signals import Floats, Mask
 
-MAX_RUN = 2000.0  # s, of the blocks exchanged at once
-MAX_EXCHANGES = 60  # bounds the cost
+MAX_RUN = 2000.0  # s, of blocks exchanged at once
+MAX_EXCHANGES = 60  # bounds the run time
 
 
 def exchanged(
     G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats, costs: Sequence[Costs]
 ) -> Mask:
-    """Blocks (b,) that are on; ``lengths`` [s] of them, ``costs`` (b - 1,) between. ``single``: at most one run."""
+    """Blocks (b,) that are on; ``lengths`` (b,) [s] of blocks, ``costs`` (b - 1,) of changes between them.
+
+    ``single``: at most one run of blocks is on.
+    """
     b = len(s)
     on, changes = np.zeros(b, dtype=bool), Changes(costs)
     first, last = np.triu_indices(b)
@@ -39,7 +42,7 @@ def exchanged(
         score, strength = float(s @ active), float(active @ G @ active)
         scores, crosses, counts = (np.insert(np.cumsum(each), 0, 0.0) for each in (s, G @ active, active))
         in_run = counts[last] - counts[first]
-        runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # in one state
+        runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # all of one state
         begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
         more, edges = changes.by_run(on, begin, end)
         scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
@@ -57,7 +60,7 @@ def exchanged(
 
 
 class Changes:
-    """Costs of the states of b blocks, from the ``costs`` (b - 1,) between them."""
+    """Prior costs [nats] of the states of b blocks, from the ``costs`` (b - 1,) of transitions between them."""
 
     def __init__(self, costs: Sequence[Costs]) -> None:
         self._begins, self._ends, self._stays = (
@@ -65,14 +68,14 @@ class Changes:
         )
 
     def cost(self, on: Mask) -> float:
-        """Of states (b,)."""
+        """Prior cost [nats] of states ``on`` (b,)."""
         before, after = on[:-1], on[1:]
         return float(self._begins @ (~before & after) + self._ends @ (before & ~after) + self._stays @ (before & after))
 
     def by_run(self, on: Mask, first: NDArray[np.intp], last: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Cost (r,) and changes (r,) that the blocks from ``first`` to before ``last`` (r,) make by being on, not off.
+        """Change of prior cost (r,) [nats] and number of edges (r,) if a run of blocks is on, relative to off.
 
-        They are in one state before.
+        Run i has the blocks from ``first[i]`` to before ``last[i]``, all in one state at present.
         """
         b = len(on)
         left = np.append(np.where(on[:-1], self._stays - self._ends, self._begins), 0.0)
@@ -84,7 +87,10 @@ class Changes:
 
 
 def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: bool) -> Floats:
-    """Log evidence (k,) of one amplitude, against none, by its scores (k,) and products (k,) off everything else."""
+    """Log Bayes factor (k,) of one amplitude against none; minus infinity if ``positive`` and the score is negative.
+
+    ``score`` (k,) and ``strength`` (k,): moment and squared norm of its column, everything else eliminated.
+    """
     precision = np.maximum(strength, 0.0) + sd**-2.0
     gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * sd**2)
     allowed: Floats = np.where((score > 0) | (not positive), gain, -np.inf)
@@ -92,5 +98,5 @@ def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: boo
 
 
 def _count(on: Mask) -> int:
-    """Changes of state."""
+    """Number of changes of state."""
     return int(np.count_nonzero(np.diff(on)))

@@ -1,4 +1,4 @@
-"""What a table of models says of drives: which effects act, how probable they are, and what has no name."""
+"""Result of a search: effects that act on the drives, their probabilities, and nameless processes."""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -16,24 +16,24 @@ from estimator.model.effects.effect import Effect, Timing
 
 @dataclass(frozen=True)
 class Ranked:
-    """An effect over all drives; its form on each, None where it cannot be tested."""
+    """An effect and its best form on each drive, None where it cannot be tested."""
 
     effect: Effect
     each: tuple[Form | None, ...]
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect.name
 
     @property
     def is_event(self) -> bool:
-        """Whether it may act on one drive and not on another."""
+        """True if it may act on one drive and not on another."""
         return self.effect.timing is not Timing.ALWAYS
 
     @property
     def gain(self) -> float:
-        """In log evidence of all drives together."""
+        """Log Bayes factor over all drives; the largest one of a drive if the effect is an event."""
         gains = [form.gain for form in self.each if form is not None]
         return max(gains) if self.is_event else sum(gains)
 
@@ -46,10 +46,11 @@ class Ranked:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """An effect that acts: how probable, its log Bayes factor beside all others, and the longest drive it acts on.
+    """An effect of the chosen hypothesis.
 
-    ``rival``: another effect that acts, more likely than not, where this one does not; empty if there is none.
-    ``either``: the probability that one of the two acts.
+    ``log_bayes_factor``: given all other terms of the hypothesis. ``drive``: number of the longest drive that it acts
+    on. ``rival``: another effect that likely (p > 0.5) acts if this one does not, empty if there is none. ``either``:
+    probability that one of the two acts.
     """
 
     effect: Effect
@@ -61,13 +62,16 @@ class Choice:
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect.name
 
 
 @dataclass(frozen=True)
 class Nameless:
-    """The nameless process with most evidence, by the numbers of the drives, and how probable it is that any acts."""
+    """The nameless process with most evidence, by drive number.
+
+    ``log_bayes_factor``: averaged over its forms; ``probability``: that any nameless process considered acts.
+    """
 
     processes: Mapping[int, Component]
     log_bayes_factor: float
@@ -76,15 +80,15 @@ class Nameless:
 
 @dataclass(frozen=True, kw_only=True)
 class Explained:
-    """The drives with what acts on them, and the evidence for it.
+    """Result of a search: the drives with the terms of the chosen hypothesis, and the evidence for them.
 
-    ``choices``: the effects of the most probable set, those with most evidence first. ``ranking``: all effects, each
-    alone; ``beside``: each beside the choices. ``probability`` of all effects by name. ``nameless``: what has no name
-    beside the choices; ``beyond_low_pass``: that but a low-pass of the speed, beside this too; ``low_pass``: that
-    alone, None where it is no candidate. ``by_effects`` and ``by_processes``: log Bayes factors of the most probable
-    effects without any process, and of the most probable processes without any effect. ``log_posterior``: log evidence
-    of the drives with the most probable set, and its log prior odds. ``others``: what less probable sets add to the
-    road load of each drive.
+    ``choices``: the effects of the chosen hypothesis, those with most evidence first. ``ranking``: all effects, each
+    alone; ``beside``: each in addition to the choices. ``probability`` of all effects by name. ``nameless``: processes
+    in addition to the choices; ``low_pass``: only the low-pass of the speed, None where it is no candidate;
+    ``beyond_low_pass``: the other processes, in addition to the low-pass too. ``by_effects`` and ``by_processes``: log
+    Bayes factors of the best hypothesis without any process, and of the best one without any effect. ``log_posterior``:
+    log evidence of the drives with the chosen hypothesis plus its log prior odds. ``others``: what other hypotheses add
+    to the mean and covariance of the road load, for each drive.
     """
 
     drives: tuple[DriveState, ...]
@@ -92,7 +96,7 @@ class Explained:
     ranking: tuple[Ranked, ...]
     beside: tuple[Ranked, ...]
     probability: Mapping[str, float]
-    none: float  # probability that nothing acts
+    none: float  # probability that no effect and no process acts
     nameless: Nameless
     beyond_low_pass: Nameless
     by_effects: float
@@ -103,19 +107,19 @@ class Explained:
 
     @property
     def error_of_form(self) -> float:
-        """Log Bayes factor that errors of the form of the largest choice may give to what does not act."""
+        """Log Bayes factor that errors in the form of the strongest choice may give to an effect that does not act."""
         return MIN_GAIN * max((choice.log_bayes_factor for choice in self.choices), default=0.0)
 
 
 def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ranked, ...]:
-    """All effects that some drive can test and that are not chosen, most evidence first."""
+    """Effects that some drive can test and that are not chosen, those with most evidence first."""
     each = [drive.forms(effects) for drive in drives]
     joined = [Ranked(effect, tuple(found.get(effect.name) for found in each)) for effect in effects]
     return tuple(sorted((one for one in joined if any(one.each)), key=lambda one: -one.gain))
 
 
 def log_evidence(drives: Sequence[DriveState]) -> float:
-    """Of all drives together."""
+    """Log evidence of all drives together."""
     return sum(drive.log_evidence for drive in drives)
 
 
@@ -127,10 +131,10 @@ def explained_by(
     first: tuple[Ranked, ...],
     effects: Sequence[Effect],
 ) -> Explained:
-    """What a ``table`` of the sets of ``joint`` says.
+    """Result of a ``table`` of hypotheses among the forms of ``joint``.
 
-    ``best``: the set that was chosen from it, and ``states`` the drives fitted beside that; ``first``: the ranking of
-    all ``effects``, each alone.
+    ``best``: the hypothesis chosen from it; ``states``: the drives fitted with it; ``first``: the ranking of all
+    ``effects``, each alone.
     """
     causes, forms = joint.causes(), range(len(joint.keys))
     forms_of = {effect.name: [i for i in forms if joint.component(i).name == effect.name] for effect in effects}
@@ -144,7 +148,7 @@ def explained_by(
     none = joint.unlimited(road)
 
     def without(others: Set[int]) -> float:
-        """Log Bayes factor of the most probable set without ``others``; 0 where it is of no use."""
+        """Log Bayes factor of the most probable hypothesis without ``others``; 0 where it is negative."""
         alone = next(own for own in table.sets if not others & set(own))
         return max(joint.unlimited(alone) - none, 0.0)
 
@@ -168,7 +172,7 @@ def explained_by(
 def _choice(
     joint: Hypotheses, table: ModelTable, best: Chosen, effect: Effect, forms_of: Mapping[str, Sequence[int]]
 ) -> Choice:
-    """Of an ``effect`` in the set that was chosen."""
+    """Choice of an ``effect`` that is in the chosen hypothesis ``best``."""
     forms = forms_of[effect.name]
     own = [i for i in best if i in forms]
     absent = {name: others for name, others in forms_of.items() if not set(others) & set(best)}
@@ -186,7 +190,7 @@ def _choice(
 def _nameless(
     joint: Hypotheses, table: ModelTable, causes: Sequence[Cause], named: Sequence[int], forms: Set[int]
 ) -> Nameless:
-    """Of the processes with these ``forms``, beside ``named`` ones."""
+    """Nameless process with most evidence, among ``forms``, in addition to the terms ``named``."""
     beside = joint.unlimited(named)
     gains = list[tuple[float, int]]()
     for cause in (cause for cause in causes if cause.forms[0] in forms):

@@ -1,4 +1,4 @@
-"""Folds of a record for a residual on stretches left out of a fit."""
+"""Folds of a record for residuals on stretches left out of a fit."""
 
 from collections.abc import Iterator
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from estimator.signals import Mask
 
-SEED = 20_044  # of the order in every round
+SEED = 20_044  # of the random order
 
 
 def left_out(n: int, folds: int, length: int) -> Iterator[Mask]:
-    """Which of ``n`` rows (n,) each of the ``folds`` leaves out: stretches of ``length`` rows, one each in a round.
+    """Mask (n,) of the rows that each of ``folds`` leaves out: in every round of ``folds`` stretches, one of each fold.
 
-    Every round has an order of its own: at equal distances a fan that switches with their period would act in the
-    stretches of one fold alone, and none of the others would show its size.
+    A stretch has ``length`` rows. The order is random in every round. At equal distances a fan that switches with their
+    period would act in the stretches of one fold only, and none of the others would show its size.
     """
     stretch = np.arange(n) // max(length, 1)
     rounds = np.tile(np.arange(folds), (n // (folds * max(length, 1)) + 1, 1))

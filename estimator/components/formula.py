@@ -1,7 +1,8 @@
-"""A formula for what has no name: the product of a few powers of known quantities that explains most.
+"""Formula of a nameless residual: the product of one or two powers of known quantities with most evidence.
 
 A factor is x, |x|, x^2, x |x|, x^3, max(x, 0) or x^-1; a formula is a factor, or the product of two of different
-quantities. Its column has the amplitude's prior N(0, 1) in rms of the residual, and all formulas are equally probable.
+quantities. Its column is scaled to the rms of the residual; the prior of its amplitude is N(0, 1). All formulas have
+equal prior probability.
 """
 
 import re
@@ -13,15 +14,15 @@ import numpy as np
 
 from estimator.signals import Floats
 
-BATCH = 64  # columns that are judged at once: bounds the memory
-MIN_RELATIVE_DISTANCE = 1e-3  # from zero, of the range of a quantity in a denominator
+BATCH = 64  # columns judged at once: bounds the memory
+MIN_RELATIVE_DISTANCE = 1e-3  # of a denominator from zero, over the range of the quantity
 
-Judge = Callable[[Floats], tuple[Floats, Floats, Floats]]  # gain in log evidence, value, sd (c,) of columns (n, c)
+Judge = Callable[[Floats], tuple[Floats, Floats, Floats]]  # log Bayes factor, value, sd (c,) of columns (n, c)
 
 
 @dataclass(frozen=True)
 class Variable:
-    """Values of a quantity (n,), and its unit as a product of powers, as in "m/s^2"."""
+    """Values of a quantity (n,), and its unit as a product of powers such as "m/s^2"."""
 
     values: Floats
     unit: str
@@ -29,7 +30,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Factor:
-    """A power of a quantity: its text, as in "v^2"; values (n,); exponents by unit."""
+    """A power of a quantity: text such as "v^2", values (n,), exponents by unit."""
 
     text: str
     values: Floats
@@ -38,7 +39,10 @@ class Factor:
 
 @dataclass(frozen=True, kw_only=True)
 class Formula:
-    """``value`` +- ``sd`` x ``text``; ``unit`` that of the value; ``gain`` in log evidence, all formulas counted."""
+    """``value`` +- ``sd`` times ``text``; ``unit`` of the value; ``gain``: log Bayes factor less log(number).
+
+    The number is that of all formulas tried, which have equal prior probability.
+    """
 
     text: str
     value: float
@@ -49,26 +53,26 @@ class Formula:
 
 
 def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, judge: Judge) -> Formula | None:
-    """The formula with most evidence; None where no quantity varies.
+    """Formula with most evidence; None if no quantity varies.
 
     Parameters
     ----------
     variables
         Quantities by name.
     unit
-        Of the residual.
+        Unit of the residual.
     rms
-        Of the residual.
+        Root mean square of the residual.
     judge
-        Gives the evidence of columns (n, c) of the rms of the residual, each alone beside everything else in the model,
-        with the prior N(0, 1) of their amplitudes.
+        Returns log Bayes factor, value and sd (c,) of columns (n, c) that have the rms of the residual. Each is judged
+        alone beside everything else in the model, with the prior N(0, 1) of its amplitude.
     """
     found: list[tuple[float, float, float, Sequence[Factor]]] = []
     formulas = list(_formulas(variables))
     for start in range(0, len(formulas), BATCH):
         batch = formulas[start : start + BATCH]
         columns = np.column_stack([_column(factors) for factors in batch])
-        there = np.flatnonzero(columns.any(axis=0)).tolist()  # two positive parts may have no time in common
+        there = np.flatnonzero(columns.any(axis=0)).tolist()  # a product of two positive parts may be zero everywhere
         if not there:
             continue
         columns, batch = columns[:, there], [batch[k] for k in there]
@@ -90,7 +94,7 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, judge
 
 
 def judged(products: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
-    """Gain, value and sd (c,) of columns with products (c, c) and scores (c,) under the prior N(0, 1)."""
+    """Log Bayes factor, value and sd (c,) of columns with ``products`` (c, c) and ``score`` (c,); prior N(0, 1)."""
     precision = np.maximum(np.diag(products), 0.0) + 1.0
     return 0.5 * score**2 / precision - 0.5 * np.log(precision), score / precision, precision**-0.5
 
@@ -149,7 +153,7 @@ def units_of(text: str) -> dict[str, int]:
 
 
 def _quotient(unit: str, factors: Sequence[Factor]) -> str:
-    """Unit of a coefficient: that of the residual over those of the factors."""
+    """Unit of a coefficient: unit of the residual divided by those of the factors."""
     powers = units_of(unit)
     for factor in factors:
         for symbol, power in factor.unit.items():

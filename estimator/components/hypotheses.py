@@ -1,6 +1,6 @@
-"""Sets of candidates, and their evidence over all drives of a vehicle.
+"""Hypotheses (sets of forms of candidates), and their evidence over all drives of a vehicle.
 
-An effect of the vehicle has to hold in all drives, so its evidence adds up; an event is a cause on one drive.
+An effect of the vehicle acts in all drives, so its evidence is summed. An event is specific to one drive.
 """
 
 from collections import Counter, defaultdict
@@ -20,10 +20,10 @@ from estimator.estimation.shapes import is_free
 from estimator.model.term import Term
 from estimator.signals import Floats
 
-ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: no effect is e times as probable
-ODDS_OF_PROCESSES = 0.05  # the same of all nameless processes
-MIN_PROBABILITY = 1e-4  # of a set that counts for the doubt of the base
-MIN_GAIN, MIN_GAIN_TIMED = 0.001, 0.01  # of the log BF of the largest effect: errors of its form have as much
+ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: "no effect" is e times as probable
+ODDS_OF_PROCESSES = 0.05  # prior odds of all nameless processes together
+MIN_PROBABILITY = 1e-4  # of a hypothesis that widens the covariance of the base, or names a rival
+MIN_GAIN, MIN_GAIN_TIMED = 0.001, 0.01  # over the log BF of the strongest effect: errors of its form give as much
 
 Key = tuple[object, ...]
 Moments = tuple[Floats, Floats]  # mean (b,), covariance (b, b)
@@ -31,30 +31,32 @@ Moments = tuple[Floats, Floats]  # mean (b,), covariance (b, b)
 
 @dataclass(frozen=True)
 class OtherSets:
-    """What sets beside the chosen one add to the coefficients of the base: a shift (b,) and covariance (b, b)."""
+    """Contribution of other hypotheses to the base coefficients: a shift (b,) and covariance (b, b)."""
 
     shift: Floats
     covariance: Floats
 
 
 def _mixed(chosen: Moments, each: Sequence[Moments], weights: Floats) -> OtherSets:
-    """The moments of a mixture less those of ``chosen`` (the law of total variance)."""
+    """Moments of a mixture minus those of ``chosen`` (law of total variance)."""
     shift, spread = between(weights, np.array([mean - chosen[0] for mean, _ in each]))
     within = sum(w * (covariance - chosen[1]) for w, (_, covariance) in zip(weights.tolist(), each, strict=True))
     return OtherSets(shift, spread + within)
 
 
 class Hypotheses:
-    """All that may act on ``drives``, each thing in all its forms, and the evidence of sets of forms.
+    """All candidates on ``drives``, each cause in all its forms, and the evidence of hypotheses (sets of forms).
+
+    Forms are numbered in the order of ``keys``.
 
     Parameters
     ----------
     drives
-        Of one vehicle, with the scales of road and noise.
+        Drives of one vehicle, with the scales of road and noise.
     given
-        Components that are in every set, for each drive; they may be of any size.
+        Terms in every hypothesis, for each drive; their magnitudes are not limited.
     candidates
-        That may act besides, for each drive.
+        Further terms that may act, for each drive.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class Hypotheses:
         own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
         known = [
             tuple(replace(component, largest=np.inf, highest=np.inf) for component in each) for each in given
-        ]  # of any size
+        ]  # without limits of their sizes
         self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, known, own, strict=True)]
         count = [len(start) for start in given]
         self._places: list[dict[int, int]] = []
@@ -82,7 +84,7 @@ class Hypotheses:
                 count[number] += 1
 
     def before(self) -> Chosen:
-        """The effects, without those given, and the stretches that the scales of the drives were found beside."""
+        """Numbers of the forms, without given ones, that the scales of the drives were fitted with."""
         acting = [
             (*drive.chosen[len(given) :], *([] if drive.stretches is None else [drive.stretches]))
             for drive, given in zip(self.drives, self.given, strict=True)
@@ -92,19 +94,19 @@ class Hypotheses:
         return tuple(i for i, is_there in enumerate(found) if is_there)
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
-        """Of a set of forms; minus infinity for a set with an effect of impossible size. Those given may be any."""
+        """Log evidence of a hypothesis, less costs; minus infinity if a size is impossible, given terms excepted."""
         return sum(joint.log_evidence(self._here(chosen, n)) for n, joint in enumerate(self._joints))
 
     def unlimited(self, chosen: Sequence[int]) -> float:
-        """Log evidence of a set of forms, whatever the sizes are."""
+        """Log evidence of a hypothesis, less costs, without limits of the sizes."""
         return sum(joint.unlimited(self._here(chosen, n)) for n, joint in enumerate(self._joints))
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """`log_evidence` (c,) of the set with each of ``others`` added."""
+        """`log_evidence` (c,) of the hypothesis with each of ``others`` added."""
         return self._with_each(chosen, others, JointLikelihood.log_evidence, JointLikelihood.with_each)
 
     def unlimited_with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """`unlimited` (c,) of the set with each of ``others`` added."""
+        """`unlimited` (c,) of the hypothesis with each of ``others`` added."""
         return self._with_each(chosen, others, JointLikelihood.unlimited, JointLikelihood.unlimited_with_each)
 
     def _with_each(
@@ -114,7 +116,7 @@ class Hypotheses:
         alone: Callable[[JointLikelihood, Sequence[int]], float],
         with_each: Callable[[JointLikelihood, Sequence[int], Sequence[int]], Floats],
     ) -> Floats:
-        """The sum over the drives of what sets have in each; ``alone`` on those where what is added does not act."""
+        """Sum (c,) over the drives of ``with_each``, or of ``alone`` on drives where the added form does not act."""
         total = np.zeros(len(others))
         for n, joint in enumerate(self._joints):
             here, acting = self._here(chosen, n), [k for k, i in enumerate(others) if n in self.each[i]]
@@ -124,14 +126,14 @@ class Hypotheses:
         return total
 
     def _here(self, chosen: Sequence[int], number: int) -> list[int]:
-        """Numbers of the components of a set, and those given before them, in the likelihood of one drive."""
+        """Numbers of the given terms and of a hypothesis' terms in the likelihood of one drive."""
         own = [self._places[i][number] for i in chosen if number in self._places[i]]
         return [*range(len(self.given[number])), *own]
 
     def others(self, table: ModelTable, chosen: Chosen) -> tuple[OtherSets, ...]:
-        """What sets of other causes add to what ``chosen`` says of the base, for each drive.
+        """Contribution of hypotheses with other causes to the base coefficients, for each drive.
 
-        Other forms of the same causes are left to where shapes are averaged.
+        Other forms of the same causes are left to the averaging of shapes in the fit.
         """
         likely = table.probability > MIN_PROBABILITY
         weights = table.probability[likely] / table.probability[likely].sum()
@@ -144,9 +146,9 @@ class Hypotheses:
         )
 
     def rivals(self, table: ModelTable) -> Iterator[tuple[int, Term, float]]:
-        """Effects with a free shape that are in probable sets, but not in the best: drive, term and magnitude.
+        """Effects with a free shape in probable hypotheses but not in the best: drive, term and magnitude.
 
-        Each as in the most probable set that has it.
+        Each is taken from the most probable hypothesis that contains it.
         """
         names = {self.component(i).name for i in table.best}
         for own in (own for own, p in zip(table.sets, table.probability, strict=True) if p > MIN_PROBABILITY):
@@ -159,11 +161,11 @@ class Hypotheses:
                         yield number, component.term, self._joints[number].value(here, place)
 
     def component(self, i: int) -> Component:
-        """One of the components that are form ``i``: they have the same name."""
+        """One of the components of form ``i``; all have the same name."""
         return next(iter(self.each[i].values()))
 
     def causes(self) -> list[Cause]:
-        """All forms by the cause that they are of."""
+        """Causes with their forms and prior odds."""
         grouped: dict[Key, list[int]] = defaultdict(list)
         for i, key in enumerate(self.keys):
             grouped[key[:2]].append(i)
@@ -186,31 +188,31 @@ class Hypotheses:
         ]
 
     def log_prior(self, chosen: Chosen, causes: Sequence[Cause]) -> float:
-        """Log prior odds of a set of forms of ``causes`` against none, their times included."""
+        """Log prior odds of a hypothesis among ``causes`` against none, costs of its times included."""
         own = [(cause.log_prior, form) for cause in causes for form in cause.forms if form in chosen]
         return sum(log_odds - self.component(form).cost for log_odds, form in own)
 
     def gain(self, chosen: Chosen, form: int) -> float:
-        """Log Bayes factor of one form beside the others of a set, its cost not counted."""
+        """Log Bayes factor of one form given the others of a hypothesis, less its cost."""
         return self.unlimited(chosen) - self.unlimited([i for i in chosen if i != form])
 
     def worthwhile(self, chosen: Chosen) -> Chosen:
-        """A set without effects that gain less than the largest one's form may be wrong by."""
+        """Hypothesis without effects whose gain is within the error of form of the strongest effect."""
         gains = {i: self.gain(chosen, i) for i in chosen if self.kind(i) is Kind.EFFECT}
         most = max(gains.values(), default=0.0)
         small = {i for i in gains if gains[i] < most * (MIN_GAIN_TIMED if self.component(i).is_timed else MIN_GAIN)}
         return tuple(i for i in chosen if i not in small)
 
     def kind(self, i: int) -> Kind:
-        """What form ``i`` is to the answer."""
+        """Category of form ``i`` in the answer."""
         return self.component(i).kind
 
     def _parts(self, chosen: Chosen, number: int, kind: Kind) -> tuple[Component, ...]:
-        """What is of one kind in a set, on the drive with this ``number``."""
+        """Components of one kind in a hypothesis, on the drive with this ``number``."""
         return tuple(self.each[i][number] for i in chosen if self.kind(i) is kind and number in self.each[i])
 
     def fitted(self, chosen: Chosen) -> tuple[DriveState, ...]:
-        """The drives with the effects and stretches of a set, and scales found beside its processes too."""
+        """Drives with the effects and stretches of a hypothesis, scales refitted with its processes too."""
         return tuple(
             drive.having(
                 (*given, *self._parts(chosen, n, Kind.EFFECT)),

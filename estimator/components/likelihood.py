@@ -1,9 +1,9 @@
-"""One likelihood for all components: the evidence of any set of them beside the road load and the road.
+"""Joint likelihood of all terms on a drive: the evidence of any hypothesis beside the road load and the road.
 
-K is the covariance of everything that is not a component: road, noise of torque and speed (see `model.road`). All sets
-share it, so the products of all columns are computed once, and each set is a small system of equations. What noise of
-the measured force adds to the products, and what drivers' answers to slopes take from the moments, is corrected first
-(see `estimation.normal_equations`).
+K is the covariance of everything that is not a component: road, noise of torque and speed (see `model.road`). All
+hypotheses share it, so the products of all columns are computed once, and each hypothesis is a small linear system. Two
+corrections come first (see `estimation.normal_equations`): for noise of the measured force in the products, and for
+drivers' feedback to slopes in the moments.
 """
 
 from collections.abc import Sequence
@@ -23,20 +23,20 @@ from estimator.signals import Floats
 
 
 class JointLikelihood(SetLikelihood):
-    """The likelihood of one drive for sets of ``components``.
+    """Likelihood of one drive for sets of ``components``.
 
     Parameters
     ----------
     conditioned
-        The road model of the drive at the scales of a fit.
+        Road model of the drive at the scales of ``fit``.
     fit
-        That fit.
+        Fit of the drive.
     components
-        All that may be asked about.
+        All terms that a hypothesis may contain.
     rng
         Source of the simulated noise of the correction.
     stretches
-        Of the road, that are in every set; None where its slopes are those of the process alone.
+        Stretches of the road in every hypothesis; None if all slopes are those of the Gaussian process.
     """
 
     def __init__(
@@ -52,11 +52,11 @@ class JointLikelihood(SetLikelihood):
         base = Likelihood(self.model, (), fit.theta[:3], fit.scales.lag)
         steep = np.empty((len(self.model.driven), 0)) if stretches is None else stretches.columns(self.frame)
         plain, base_size = base.data.shape[1] - 1, base.data.shape[1] - 1 + steep.shape[1]
-        self.stretches = np.arange(plain, base_size)  # their places among the amplitudes
+        self.stretches = np.arange(plain, base_size)  # places of the stretches among the amplitudes
         columns, places = _shared(components, self.frame, base_size)
         self.response = base.data[:, 0]
         parts = [sp.csc_array(base.data[:, 1:]), *(self._tall(part) for part in (steep, columns))]
-        self.columns = sp.hstack(parts, format="csc")  # of all amplitudes: most are zero at most times
+        self.columns = sp.hstack(parts, format="csc")  # of all amplitudes; most entries are zero
         unit = np.concatenate([base.unit, np.ones(self.columns.shape[1] - plain)])
         of_stretches = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
         base_precision = np.concatenate([np.diag(base.prior), of_stretches])
@@ -69,14 +69,14 @@ class JointLikelihood(SetLikelihood):
         self._moment = self._moment + ANSWERED * self._answered(base, fit)
 
     def _tall(self, columns: Floats | sp.sparray) -> sp.csc_array:
-        """Columns (m, c) as columns of all data: rows behind the m are zero."""
+        """Columns (m, c) extended with zero rows to the length of the data (n, c)."""
         found = sp.csc_array(columns)
         return sp.csc_array((found.data, found.indices, found.indptr), (len(self.response), found.shape[1]))
 
     def _products(self, columns: sp.csc_array) -> Floats:
-        """Of the data and of ``columns`` (n, c), weighted by K^-1: (1 + c, 1 + c)."""
+        """Products (1 + c, 1 + c) of the response and ``columns`` (n, c), weighted by K^-1."""
         data = sp.hstack([sp.csc_array(self.response[:, None]), columns], format="csc")
-        return self.conditioned.gram(data.tocsr())  # by columns first: four times as fast as to rows at once
+        return self.conditioned.gram(data.tocsr())  # via columns: four times as fast as directly to rows
 
     def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
@@ -87,7 +87,7 @@ class JointLikelihood(SetLikelihood):
         return total
 
     def _answered(self, base: Likelihood, fit: RoadFit) -> Floats:
-        """What slopes take from the moments (p,) of all columns where drivers answer them in full."""
+        """Loss of the moments (p,) of all columns if drivers compensate slopes in full."""
         n = len(self.frame.strides)
         places, data = self._by_force(np.ones(n), np.zeros(n))
         taken = np.zeros(len(self.unit))
@@ -97,7 +97,7 @@ class JointLikelihood(SetLikelihood):
         return taken * of_first_order(shift, float(fit.beta[0] * base.unit[0]))
 
     def _by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
-        """What an error (n,) [N] of the force, with its rate [N/s], adds to columns of the data, and their places."""
+        """Places and change of the data columns by an ``error`` (n,) [N] of the force with ``rate`` (n,) [N/s]."""
         components, clean, places = self._noisy
         force = self.frame.force
         drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
@@ -107,7 +107,7 @@ class JointLikelihood(SetLikelihood):
 
     @cached_property
     def _noisy(self) -> tuple[list[Component], sp.csc_array, NDArray[np.int64]]:
-        """Components that hold the measured force, their columns, and the places of those of the force and of these."""
+        """Components that contain the measured force, their columns, and the places of force, lag, drag and these."""
         noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
         components = [self.components[i] for i in noisy]
         columns, own = _shared(components, self.frame, 0)
@@ -118,34 +118,34 @@ class JointLikelihood(SetLikelihood):
         return components, columns, places
 
     def projected(self, chosen: Sequence[int], columns: Floats | sp.sparray) -> tuple[Floats, Floats]:
-        """Products (c, c) and scores (c,) of further ``columns``, off a set of components.
+        """Products (c, c) and scores (c,) of further ``columns``, the terms of a hypothesis eliminated.
 
-        They have (m, c) elements, m <= n; the other rows are zero.
+        The columns have shape (m, c), m <= n; their other rows are zero.
         """
         beside = self.columns[:, self._set(chosen)[0]]
         return self.off(chosen, self._products(sp.hstack([beside, self._tall(columns)], format="csc")))
 
     def weighed_residual(self, chosen: Sequence[int]) -> Floats:
-        """K^-1 (a - X b) (n,) of the motion beside a set of components: its products with columns are their scores."""
+        """K^-1 (a - X b) (n,) of the accelerations a given a hypothesis; its products with columns are their scores."""
         places, information, _ = self._set(chosen)
         residual = self.response - self.columns[:, places] @ np.linalg.solve(information, self._moment[places])
         return self.conditioned.weighed(residual)[: len(self.frame.strides)]
 
     def residual(self, amplitudes: Floats) -> Floats:
-        """Data (n, ...) less what all columns with ``amplitudes`` (p, ...) add."""
+        """Response (n, ...) minus all columns times ``amplitudes`` (p, ...)."""
         added: Floats = self.columns @ amplitudes
         return np.subtract(self.response, added.T, out=added.T).T
 
     def acceleration(self, places: NDArray[np.int64], amplitudes: Floats) -> Floats:
-        """Acceleration (n, ...) of the strides by the columns at ``places`` (k,) of ``amplitudes`` (k, ...)."""
+        """Acceleration (n, ...) [m/s^2] of the strides: columns at ``places`` (k,) times ``amplitudes`` (k, ...)."""
         added: Floats = self.columns[:, places][: len(self.frame.strides)] @ amplitudes
         return added
 
 
 def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[sp.csc_array, list[NDArray[np.int64]]]:
-    """The columns (n, k) of ``components``, and their places for each, the first of which is ``first``.
+    """Distinct columns (n, k) of ``components``, and the places of each component, numbered from ``first``.
 
-    Strengths of one process share its columns, and stretches of the road those of the same times.
+    Strengths of one process share its columns; stretches of the road with the same times share theirs.
     """
     at: dict[object, int] = {}
     rows, values = [np.empty(0, dtype=np.int64)], [np.empty(0)]
@@ -159,6 +159,6 @@ def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[
                 rows.append(np.flatnonzero(column))
                 values.append(column[rows[-1]])
         places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
-    ends = np.cumsum([len(one) for one in rows])  # the first, without rows, begins them
+    ends = np.cumsum([len(one) for one in rows])  # the first, empty list gives the leading 0
     columns = sp.csc_array((np.concatenate(values), np.concatenate(rows), ends), (len(frame.strides), len(at)))
     return columns, [places[id(one.columns)] for one in components]
