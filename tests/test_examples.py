@@ -64,7 +64,7 @@ def test_live_listener(mixed: Recording, monkeypatch: pytest.MonkeyPatch, capsys
         example("live_listener")(["--interface", "virtual", "--channel", "example", "--period", "0.1"])
     masses = re.findall(r"^mass (\d+) kg", capsys.readouterr().out, re.MULTILINE)
     assert float(masses[-1]) == pytest.approx(TRUCK.mass, rel=0.02)
-    assert {message.arbitration_id >> 8 & 0xFFFF for message in buses[0].sent} == {*range(0xFF60, 0xFF65)}
+    assert {message.arbitration_id >> 8 & 0xFFFF for message in buses[0].sent} == {*range(0xFF60, 0xFF66)}
 
 
 def with_pump(recording: Recording, k: float) -> Recording:

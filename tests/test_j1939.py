@@ -194,7 +194,7 @@ def to_node(t: float, source: int, node: int, payload: bytes, window: int = 255,
 @pytest.mark.parametrize("window", [1, 4, 255])
 def test_a_message_between_two_nodes_is_joined_while_listening(window: int) -> None:
     rows = to_node(1.0, 0, 0xF9, PAYLOAD, window)
-    assert feed(rows) == ([MultiPacket(pytest.approx(1.06), EC1, 0, PAYLOAD, 0xF9)], {})
+    assert feed(rows) == ([MultiPacket(pytest.approx(1.06), EC1, 0, PAYLOAD, destination=0xF9)], {})
     # A broadcast of the same node, and its answer to another one, do not disturb it; neither does the other direction.
     others = [*broadcast(1.005, 0, b"\1" * 20), *to_node(1.004, 0xF9, 0, b"\2" * 30)]
     messages, rejected = feed(sorted(rows + others))

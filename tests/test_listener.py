@@ -65,7 +65,7 @@ def test_a_bus_that_fails_under_a_notifier_is_not_lost(drive: Frames) -> None:
     with (
         pytest.raises(RoadloadError, match="the bus failed 3 times: Network is down") as raised,
         bus,
-        Listener(worker, lambda t, estimate: None) as listener,
+        Listener(worker, lambda t, estimate, slope: None) as listener,
         can.Notifier(bus, [listener], timeout=0.01),
     ):
         assert bus.has_failed.wait(60)

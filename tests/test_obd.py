@@ -99,7 +99,7 @@ def test_a_log_of_answers_is_recognised_and_the_advice_works(
     text = " ".join((said.err or said.out).split())
     assert "missing inputs" not in text
     if command == "inspect":
-        assert "OBD2.VehicleSpeed 0xE8 0.0 % 16.67" in text
+        assert "OBD2.VehicleSpeed 0xE8 0.0 % 60 .. 60 km/h" in text
 
 
 def test_what_the_logger_did_not_ask_for_is_named_by_its_pid(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,6 +48,8 @@ REBUILT = {  # what traffic or the configuration shows again
         "_block_end",
         "_counted_to",
         "_first",
+        "_answers",
+        "_switches",
         "_lines",
         "_is_restored",
         "_same_clock",
@@ -374,8 +376,8 @@ def drive_end(drive) -> Frames:
 @pytest.mark.parametrize(
     ("path", "how"),
     [
-        (("estimator", "window", "samples", "v0"), "not finite"),
-        (("estimator", "window", "samples", "force"), "cut"),
+        (("estimator", "window", "strides", "v0"), "not finite"),
+        (("estimator", "window", "strides", "force"), "cut"),
         (("estimator", "window", "lengths"), "negative"),
         (("estimator", "inference", "loads", "shown", "covariance"), "negative"),
         (("estimator", "inference", "scales", "values"), "negative"),

@@ -37,7 +37,7 @@ SECONDS = 900.0
 Z90 = 1.645
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Heard:
     """Contents of the road's message by time since the start [s] (n,), NaN where not available."""
 

@@ -5,7 +5,7 @@ Source: SAE J1939-21 (identifiers, transport protocol) and J1939-71 table 1 (val
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from operator import itemgetter
 
 import numpy as np
@@ -82,6 +82,7 @@ class MultiPacket:
     pgn: int
     source: int
     payload: bytes
+    _: KW_ONLY
     destination: int = GLOBAL
 
 
@@ -166,7 +167,7 @@ class Transport:
         if number < session.packets:
             return None
         del self._sessions[key]
-        return MultiPacket(t, session.pgn, source, bytes(session.payload[: session.size]), destination)
+        return MultiPacket(t, session.pgn, source, bytes(session.payload[: session.size]), destination=destination)
 
 
 def _whole_messages(
@@ -204,5 +205,5 @@ def _whole_messages(
     whole = {}
     for place, end, at, length, when, group, source, destination in each:
         begin = PACKET_BYTES * (at + 1)
-        whole[place] = end, MultiPacket(when, group, source, payload[begin : begin + length], destination)
+        whole[place] = end, MultiPacket(when, group, source, payload[begin : begin + length], destination=destination)
     return whole, left.tolist()

@@ -39,7 +39,7 @@ from estimator.units import STANDARD_GRAVITY
 MOST_COUNTED = 10.0  # readings near a node that count, as in `RoadModel.variances`
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Signal:
     """Signal of the road: sd of white ``noise``; ``sd`` and ``rate`` [1/s] of its wander, at ``places`` of the state.
 
