@@ -1,5 +1,6 @@
-"""Every example of the README is run, and prints what the README shows."""
+"""Every example of the README and of the manual is run or understood, and prints what the README shows."""
 
+import csv
 import re
 import shlex
 import time
@@ -7,19 +8,28 @@ import tomllib
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 from played_bus import PlayedBus
 from printed_text import assert_same
 from simulated_logs import TRUCK, drive
 
+from estimator import read
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.commands.main import main
 from estimator.config import Config, from_dict, load
 from estimator.errors import RoadloadError
 from estimator.roles import Role
+from estimator.samples import Rows
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "README.md").read_text(encoding="utf-8")
+PATHS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in PATHS}
+PAGE = PAGES["README.md"]
+RUN = ["README.md", "docs/logs.md", "docs/diagnosis.md"]  # pages whose commands on logs are run
+SUFFIXES = ("npy", "parquet", "py")  # of files that are called as a table of the configuration is
+ANSWERS = (("load", "probability"), ("transmit", "trouble_codes"))  # keys of JSON answers
+MAX_LINES, MAX_WORDS = 150, 1_500
 SAMPLED = 0.002  # relative difference of sampled numbers between machines
 ON_FILES = ("inspect", "estimate", "replay", "diagnose", "simulate")
 ON_A_BUS = ("run", "check", "status")
@@ -42,9 +52,29 @@ def tools(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
 
 
-def block(language: str, word: str) -> str:
+def block(page: str, language: str, word: str) -> str:
     """The block of the page in ``language`` that holds ``word``."""
-    return next(text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if word in text)
+    return next(text for text in re.findall(rf"```{language}\n(.*?)```", PAGES[page], re.DOTALL) if word in text)
+
+
+def anchors(text: str) -> set[str]:
+    """What a link to a heading of ``text`` may name."""
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def table_of(log: Path, path: Path) -> dict[str, np.ndarray]:
+    """Times, speed and power of a log; ``path`` gets them as a table."""
+    rows = Rows.concatenate(*read(log).pieces)
+    columns = {"t": rows.t - rows.t[0], "v": 3.6 * rows.speed, "P": rows.power / 1e3}
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([list(columns), *zip(*columns.values(), strict=True)])
+    return columns
+
+
+def test_the_front_page_is_short() -> None:
+    assert len(PAGE.splitlines()) <= MAX_LINES
+    assert len(PAGE.split()) <= MAX_WORDS
 
 
 @pytest.mark.slow
@@ -65,14 +95,19 @@ def test_commands_on_logs_run(
 
     monkeypatch.chdir(tmp_path)
     Path("out").mkdir()
+    Path("examples").symlink_to(ROOT / "examples")
     assert main(["simulate", "out/drive.blf", "--minutes", "8", "--seed", "1"]) == 0
+    data = table_of(Path("out/drive.blf"), Path("table.csv"))
     written = set()
-    for words in readme.commands(PAGE):
-        if words[0] in ON_FILES and "out/hills.blf" not in words:
+    for words in (words for page in RUN for words in readme.commands(PAGES[page])):
+        if words[0] in (*ON_FILES, "init") and "out/hills.blf" not in words:
             assert main(words) == 0, words
             written |= {word for word in words if word.startswith("out/")}
     assert {path for path in written if Path(path).stat().st_size > 0} == written
-    assert capsys.readouterr().err == ""
+    (note,) = capsys.readouterr().err.splitlines()
+    assert note.startswith("note: out/van.toml is written")
+    for page in ("README.md", "docs/tables.md"):
+        exec(block(page, "python", "from_table"), {"data": data})
 
 
 def test_commands_on_a_bus_or_a_fleet_are_understood(
@@ -83,11 +118,11 @@ def test_commands_on_a_bus_or_a_fleet_are_understood(
     from estimator.commands import main as program
 
     monkeypatch.chdir(tmp_path)
-    calls = [words for words in readme.commands(PAGE) if words[0] not in ON_FILES]
-    assert {words[0] for words in calls} >= {*ON_A_BUS}
+    calls = [words for page in PAGES.values() for words in readme.commands(page)]
+    assert {words[0] for words in calls} >= {*ON_A_BUS, *ON_FILES, "init", "fleet", "watch"}
     for words in calls:
         assert program._parser(words).parse_args(words).command == words[0]
-    service = next(line for line in PAGE.splitlines() if line.endswith("# all settings in force"))
+    service = next(line for line in PAGES["docs/gateway.md"].splitlines() if line.endswith("# all settings in force"))
     words = shlex.split(service, comments=True)[1:]
     at = words.index("/etc/roadload/roadload.toml")
     words[at] = str(ROOT / "tools" / "systemd" / "roadload.toml")
@@ -95,22 +130,36 @@ def test_commands_on_a_bus_or_a_fleet_are_understood(
     assert isinstance(from_dict(tomllib.loads(capsys.readouterr().out)), Config)
 
 
-def test_files_that_the_page_names_exist() -> None:
-    links = {link.partition("#")[0] for link in re.findall(r"\]\(([^)]+)\)", PAGE)}
-    named = set(re.findall(r"`((?:tools|docs|dbc|estimator|examples)/[\w./-]+\w)`", PAGE))
-    assert {path for path in links | named if path and not (ROOT / path).exists()} == set()
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_somewhere(name: str) -> None:
+    """To a file of the project, and to a heading that is on the page."""
+    for link in re.findall(r"\]\(([^)\s]+)\)", PAGES[name]):
+        if not link.startswith(("http://", "https://")):
+            place, _, anchor = link.partition("#")
+            target = (ROOT / name).parent / place if place else ROOT / name
+            assert target.exists(), link
+            assert not anchor or anchor in anchors(target.read_text(encoding="utf-8")), link
 
 
-def test_headings_that_the_page_links_to_exist() -> None:
-    headings = {re.sub(r"[^\w -]", "", line.lstrip("# ").lower()).replace(" ", "-") for line in PAGE.splitlines()}
-    assert {anchor for anchor in re.findall(r"\]\(#([^)]+)\)", PAGE) if anchor not in headings} == set()
+@pytest.mark.parametrize("name", PAGES)
+def test_files_that_a_page_names_exist(name: str) -> None:
+    named = set(re.findall(r"`((?:tools|docs|dbc|estimator|examples)/[\w./-]+\w)`", PAGES[name]))
+    assert {path for path in named if not (ROOT / path).exists()} == set()
 
 
-def test_settings_that_the_page_names_exist() -> None:
+def test_the_index_names_every_page() -> None:
+    linked = set(re.findall(r"\]\((\w+\.md)\)", PAGES["docs/README.md"]))
+    assert linked == {path.name for path in PATHS[1:]} - {"README.md"}
+
+
+def test_settings_that_the_pages_name_exist() -> None:
     defaults = {name: getattr(Config(), name) for name in Config.__struct_fields__}
-    named = re.findall(r"`(\w+)\.(\w+)(?: = ([^`]+))?`", PAGE)
-    settings = [(table, key, value) for table, key, value in named if hasattr(defaults.get(table), "__struct_fields__")]
-    assert len(settings) >= 8
+    named = re.findall(r"`(\w+)\.(\w+)(?: = ([^`]+))?`", "\n".join(PAGES.values()))
+    tables = {table for table, value in defaults.items() if hasattr(value, "__struct_fields__")}
+    settings = [
+        found for found in named if found[0] in tables and found[1] not in SUFFIXES and found[:2] not in ANSWERS
+    ]
+    assert len(settings) >= 20
     for table, key, value in settings:
         assert key in defaults[table].__struct_fields__, f"{table}.{key}"
         if value:
@@ -118,7 +167,7 @@ def test_settings_that_the_page_names_exist() -> None:
 
 
 def test_the_configuration_of_a_vehicle_loads(tmp_path: Path) -> None:
-    (tmp_path / "truck.toml").write_text(block("toml", "my_truck.dbc"))
+    (tmp_path / "truck.toml").write_text(block("docs/configuration.md", "toml", "my_truck.dbc"))
     (tmp_path / "my_truck.dbc").write_text(DBC)
     found = load(tmp_path / "truck.toml")
     assert found.binding[Role.ENGINE_TORQUE] == "MOTOR.Torque"
@@ -143,7 +192,7 @@ def test_the_listener_estimates(
     Path("truck.toml").touch()
     monkeypatch.setattr(can, "Bus", open_bus)
     monkeypatch.setattr(time, "sleep", lambda duration: buses[0].has_failed.wait())
-    code = compile(block("python", "import can"), "README.md", "exec")
+    code = compile(block("docs/gateway.md", "python", "import can"), "gateway.md", "exec")
     with pytest.raises(RoadloadError, match="Network is down"):
         exec(code, {"__name__": "__main__"})
     mass = re.search(r"mass=Marginal\(mean=([0-9.]+)", capsys.readouterr().out)

@@ -43,7 +43,7 @@ TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KEY = "power loss"
 PIECE = 1.0  # s of driving read at a time
 INTERVAL = 5.0  # s of driving between saves
-BLOCKS = 10.0  # s of driving that wait in blocks, and are in no state yet (README, State)
+BLOCKS = 10.0  # s of driving that wait in blocks, and are in no state yet (docs/gateway.md, State)
 MOVING = 1.0  # m/s; a vehicle at rest adds nothing to save
 MAX_LIFE = 60.0  # s of driving until a child is killed
 MAX_WAIT = 60.0  # s for a child to drive or to write

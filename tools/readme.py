@@ -15,16 +15,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
-PROGRAM = ".venv/bin/roadload "
-RANKED = 1  # rows of the ranking that are shown: further ones have no evidence
+PROGRAM = re.compile(r"(?:\.venv/bin/)?roadload ")
 BLOCK = re.compile(r"(?<=<!-- output of )(\w+)( -->\n+```\n)(.*?)(?=```)", re.DOTALL)
 
 
 def commands(page: str) -> list[list[str]]:
     """Arguments of every call of `roadload` in the shell blocks of ``page``, in order."""
     blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
-    lines = [line for block in blocks for line in block.splitlines() if line.startswith(PROGRAM)]
-    return [shlex.split(line.removeprefix(PROGRAM), comments=True) for line in lines]
+    lines = [line for block in blocks for line in block.splitlines() if PROGRAM.match(line)]
+    return [shlex.split(PROGRAM.sub("", line, count=1), comments=True) for line in lines]
 
 
 def blocks(page: str) -> dict[str, str]:
@@ -46,14 +45,15 @@ def demo(folder: Path) -> str:
 
 
 def hills(folder: Path) -> str:
-    """The diagnosis of the drive in hills: down to the first rows of the ranking, the budget, and the last line."""
+    """The diagnosis of the drive in hills: what is found, and the budget."""
     (folder / "out").mkdir(exist_ok=True)
     drive, diagnosis = (words for words in commands(README.read_text(encoding="utf-8")) if "out/hills.blf" in words)
     output_of(["-m", "estimator", *drive], folder)
     lines = output_of(["-m", "estimator", *diagnosis], folder)
-    heading = next(i for i, line in enumerate(lines) if line.startswith("effect "))
-    budget, where = (next(i for i, line in enumerate(lines) if line.startswith(head)) for head in ("gap ", "where "))
-    return "\n".join([*lines[: heading + 1 + RANKED], "...", *lines[budget:where], "...", lines[-1]])
+    effect, budget, where = (
+        next(i for i, line in enumerate(lines) if line.startswith(head)) for head in ("effect ", "gap ", "where ")
+    )
+    return "\n".join([*lines[:effect], "...", *lines[budget:where]])
 
 
 EXAMPLES: dict[str, Callable[[Path], str]] = {"demo": demo, "hills": hills}
