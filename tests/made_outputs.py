@@ -26,7 +26,8 @@ def made_evidence(n: int = 300) -> Evidence:
     a = np.gradient(v)
     power = 2e4 + 2.7e3 * v * a
     grid = Grid(0.5, 0.1)
-    trace = Trace(v=v, a=a, P=power, fitted=power + rng.normal(0, 100, n), density=np.full(n, 1.2), spacing=1.0)
+    t = np.arange(float(n))
+    trace = Trace(t=t, v=v, a=a, P=power, fitted=power + rng.normal(0, 100, n), density=np.full(n, 1.2), spacing=1.0)
     draws = np.array([1300, 3.5, 20e3]) + rng.standard_normal((8, 100, 3)) * [50, 0.1, 200]
     return Evidence(
         trace=trace,

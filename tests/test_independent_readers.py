@@ -39,7 +39,7 @@ def bench() -> Bench:
     bench = Bench(config=settings, transmit=True)
     bench.turn()
     bench.traffic(20.0, frame(0x18FEF100, bytes([0xFF, 0, 80]) + b"\xff" * 5))
-    bench.traffic(0.1, frame(0x18EAFBF9, b"\x61\xff\x00"), frame(0x18EAFBF9, b"\x66\xff\x00"))
+    bench.traffic(0.1, frame(0x18EAFBF9, b"\x61\xff\x00"), frame(0x18EAFBF9, b"\x6a\xff\x00"))
     return bench
 
 
