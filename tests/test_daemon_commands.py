@@ -24,7 +24,6 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import open_log
 from estimator.checkpoint.store import StateStore
-from estimator.commands.main import main
 from estimator.daemon.service import folder_lock
 from estimator.daemon.service.assembly import Plan, plan, restored
 from estimator.daemon.service.loop import Daemon
@@ -40,19 +39,6 @@ from estimator.streaming.pipeline import Pipeline
 Outcome = tuple[int, str, str]
 DBC = Path(__file__).parents[1] / "dbc"
 PATIENCE = 20.0  # s for threads to get somewhere
-
-
-@pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
-    def call(*arguments: object) -> Outcome:
-        try:
-            status = main([str(argument) for argument in arguments])
-        except SystemExit as end:
-            status = int(end.code or 0)
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return call
 
 
 @pytest.fixture

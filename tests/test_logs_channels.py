@@ -17,7 +17,6 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.logs import Log, open_log
 from estimator.can_io.logs.blf_objects import MIN_RUN
-from estimator.commands.main import main
 from estimator.config import Config, from_dict
 from estimator.fleet.engine import Serial
 from estimator.fleet.run import run_fleet
@@ -148,16 +147,6 @@ def test_a_gzipped_mf4_that_is_cut_is_refused(tmp_path: Path) -> None:
 
 
 # Commands
-
-
-@pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
-    def call(*arguments: object) -> tuple[int, str, str]:
-        status = main([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return call
 
 
 TRUCKS = (Truck(mass=20_000.0, A=1300.0, C=3.7), Truck(mass=36_000.0, A=2300.0, C=5.0))

@@ -18,7 +18,6 @@ from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands import watch
-from estimator.commands.main import main
 from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service import assembly, status_file
 from estimator.daemon.service.assembly import Plan
@@ -33,19 +32,6 @@ from estimator.streaming.replay import MAX_HELD, SLICE, paced_frames
 Outcome = tuple[int, str, str]
 MINUTES = 6.0
 INTERRUPTED = "note: interrupted; the answer is that of the first 0:0"
-
-
-@pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
-    def call(*arguments: object) -> Outcome:
-        try:
-            status = main([str(argument) for argument in arguments])
-        except SystemExit as end:
-            status = int(end.code or 0)
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return call
 
 
 @pytest.fixture(scope="module")
