@@ -279,7 +279,7 @@ def load(path: Path | str | None = None) -> Config:
     """
     if path is None:
         return Config()
-    path = _located(Path(path))
+    path = located(Path(path))
     try:
         text = read_bounded(path, MAX_FILE_BYTES).decode("utf-8")
         _refuse_long_keys(text)
@@ -312,7 +312,7 @@ def _beside(path: Path, table: Mqtt | Kuksa | None) -> Mqtt | Kuksa | None:
     return msgspec.structs.replace(table, **{key: str(path.parent / name) for key, name in named.items()})
 
 
-def _located(path: Path) -> Path:
+def located(path: Path) -> Path:
     """The file that is meant by a path, or by the name of a configuration that is shipped."""
     return path if path.is_file() or not _is_bare(path) else _shipped().get(path.name, path)
 

@@ -1,5 +1,6 @@
 """From a database and a log to a configuration that estimates, without reading a manual."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,7 +8,6 @@ import pytest
 
 from estimator.can_io.binding import load_database
 from estimator.can_io.role_candidates import candidates, wheels
-from estimator.commands.main import main
 from estimator.config import Config, load
 from estimator.settings import Section
 from estimator.settings_comments import comments_of
@@ -35,19 +35,6 @@ VAL_ 301 BrakePedal 1 "Not_Applied" 2 "Applied" ;
 VAL_ 301 ParkBrake 0 "A" 1 "B" ;
 VAL_ 301 Gear 0 "P" 1 "R" 2 "N" 3 "D" ;
 """
-
-
-@pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
-    def run(*arguments: object) -> tuple[int, str, str]:
-        try:
-            status = main([str(argument) for argument in arguments])
-        except SystemExit as stop:
-            status = int(stop.code or 0)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 def car(folder: Path) -> Path:
@@ -101,6 +88,24 @@ def test_the_same_goes_to_standard_output(tmp_path: Path, cli: Cli) -> None:
     cli("init", car(tmp_path), "-o", output)
     status, out, err = cli("init", car(tmp_path))
     assert (status, out, err) == (0, output.read_text(), "")
+
+
+def test_check_says_that_power_is_missing(tmp_path: Path, cli: Cli) -> None:
+    path = tmp_path / "weak.toml"
+    database = tmp_path / "car.dbc"
+    database.write_text(CAR)
+    path.write_text(f'[bus]\ndbc = ["{database}"]\n[signals]\nspeed = "ENGINE_DATA.VehicleSpeed"\n')
+    status, out, _ = cli("check", "--config", path)
+    assert status == 1
+    reason = "no signal for torque_fraction, engine_speed, reference_torque"
+    assert f"the model cannot be fed: {reason}" in " ".join(out.split())
+    status, out, _ = cli("check", "--config", path, "--json")
+    assert status == 1
+    assert json.loads(out)["reason"].startswith(reason)
+
+
+def test_a_shipped_configuration_is_checked_by_its_name(cli: Cli) -> None:
+    assert cli("check", "--config", "obd2")[::2] == (0, "")
 
 
 def test_nothing_is_overwritten(tmp_path: Path, cli: Cli) -> None:

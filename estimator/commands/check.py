@@ -26,6 +26,7 @@ from estimator.daemon.reception.uptime import since_start
 from estimator.daemon.service.assembly import settle
 from estimator.report.binding import of_binding
 from estimator.streaming import inspection
+from estimator.streaming.missing_inputs import unbound
 
 SECONDS = number(1.0, 86_400.0, "a number of seconds from 1 to 86400")
 
@@ -52,9 +53,11 @@ def run(options: argparse.Namespace) -> int:
     complain_of_databases(settings)
     spec = spec_of(options, settings.reception)
     if options.log is None and not spec.is_named:
-        binding = of_binding(settings, messages, load_database(settings.bus.dbc).remarks)
+        bound = {signal.role for message in messages for signal in message.signals}
+        reason = unbound(settings, bound)
+        binding = of_binding(settings, messages, load_database(settings.bus.dbc).remarks, reason)
         print_json(binding) if options.json else print_binding(standard_output(), binding)
-        return 0
+        return 1 if reason else 0
     if options.log is not None:
         chosen = getattr(options, "channel", None)
         channels = settings.bus.channels if chosen is None else [chosen]

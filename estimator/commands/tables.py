@@ -137,4 +137,7 @@ def print_binding(console: Console, found: BindingAnswer) -> None:
         on = "" if x.on is None else ", ".join(f"{value:g}" for value in x.on)
         table.add_row(role, Text(printable(x.signal)), x.message, Text(printable(x.unit or "")), x.range, on)
     console.print(table)
-    say(console, "the configuration fits the DBC; give a log or a bus to see whether its signals come")
+    if found.reason:
+        say(console, f"the configuration fits the DBC, but the model cannot be fed: {found.reason}")
+    else:
+        say(console, "the configuration fits the DBC; give a log or a bus to see whether its signals come")

@@ -9,8 +9,11 @@ from estimator.config import Config
 from estimator.signals import Role
 
 
-def of_binding(config: Config, messages: Iterable[BoundMessage], remarks: Iterable[str]) -> BindingAnswer:
-    """Bound signals by role, numbered where a role has several, in the order of the configuration."""
+def of_binding(config: Config, messages: Iterable[BoundMessage], remarks: Iterable[str], reason: str) -> BindingAnswer:
+    """Bound signals by role, numbered where a role has several, in the order of the configuration.
+
+    ``reason`` why the model cannot be fed, or empty.
+    """
     bound = {
         (signal.role, signal.place): _input(message, signal, config)
         for message in messages
@@ -21,6 +24,7 @@ def of_binding(config: Config, messages: Iterable[BoundMessage], remarks: Iterab
     keys = sorted(bound, key=lambda key: (order.index(key[0]), key[1]))
     return BindingAnswer(
         inputs={f"{role} {place + 1}" if role in several else role.value: bound[role, place] for role, place in keys},
+        reason=reason,
         remarks=tuple(remarks),
     )
 

@@ -1,11 +1,13 @@
 """Advice where a bus lacks inputs that the model needs."""
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Set
 
 from estimator.can_io.binding import BoundMessage
-from estimator.settings import SignalPaths
+from estimator.config import Config
+from estimator.settings import SignalPaths, Vehicle
 from estimator.signals import Role
+from estimator.streaming import engine_power
 
 UNKNOWN = "MESSAGE.signal"
 SETTINGS = {  # that do instead of a signal
@@ -14,6 +16,18 @@ SETTINGS = {  # that do instead of a signal
 }
 FINER_UNITS = {"milliseconds": 1_000, "microseconds": 1_000_000, "nanoseconds": 1_000_000_000}  # in a second
 SLOWEST = 1.0  # s, between readings of speed or power on a bus
+
+
+def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:
+    """Roles without which there is no speed or no power, given those that are ``bound``."""
+    speed = Role.SPEED if Role.SPEED in bound else Role.WHEEL_SPEEDS
+    return [speed, *engine_power.needed(vehicle, bound)]
+
+
+def unbound(config: Config, bound: Set[Role]) -> str:
+    """What is needed and not ``bound``, with what would do; empty where nothing lacks."""
+    missing = [role for role in needed(config.vehicle, bound) if role not in bound]
+    return f"no signal for {', '.join(missing)}; {remedy(missing, bound, config.binding)}" if missing else ""
 
 
 def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:

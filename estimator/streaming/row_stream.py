@@ -24,10 +24,9 @@ from estimator.errors import MissingInputsError
 from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
-from estimator.streaming import engine_power
 from estimator.streaming.alignment import MAX_LINE, SPEEDS, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
-from estimator.streaming.missing_inputs import pids_of, remedy, too_seldom
+from estimator.streaming.missing_inputs import needed, pids_of, remedy, too_seldom
 from estimator.streaming.remarks import SwitchUse, dropped_values
 from estimator.streaming.resampling import block_bounds
 
@@ -293,11 +292,7 @@ class RowStream:
         return remedy(missing, self.seen, self._config.binding)
 
     def _missing_roles(self) -> list[Role]:
-        return [role for role in self._needed() if not self.seen[role]]
-
-    def _needed(self) -> list[Role]:
-        needed = [Role.SPEED if Role.SPEED in self._names else Role.WHEEL_SPEEDS]
-        return [*needed, *engine_power.needed(self._config.vehicle, self._names.keys())]
+        return [role for role in needed(self._config.vehicle, self._names.keys()) if not self.seen[role]]
 
     def _take(self, frames: Frames) -> Iterator[Block | Interruption]:
         """Go on with frames in order of time, or with another recording."""

@@ -54,6 +54,7 @@ def settle(path: Path | None, dbc: list[str] | None, options: argparse.Namespace
     ConfigError
         The file is wrong, or every user may write it.
     """
+    path = None if path is None else configuration.located(path)
     settings = configuration.load(path)
     if dbc:
         settings = configuration.replace(settings, bus=msgspec.structs.replace(settings.bus, dbc=dbc))
