@@ -231,6 +231,8 @@ def test_the_steps_of_the_residual_begin_with_the_power_as_it_came() -> None:
     steps = [("plain model", 4_680.0), ("+ time lag", 3_900.0), ("+ auxiliary cycling", 3_000.0)]
     assert wording.ladder(d) == steps
     assert wording.reason(d).endswith("in the model the residual falls from 4.7 kW to 3.0 kW.")
+    worse = dataclasses.replace(d, rms_final=4_800.0)
+    assert wording.reason(worse).endswith("does not fall on stretches kept from the fit (4.7 kW, then 4.8 kW).")
     alone = dataclasses.replace(d, effects=(fan,), rms_base=3_900.0)
     assert wording.ladder(alone) == [("plain model", 3_900.0), steps[2]]
 

@@ -102,8 +102,12 @@ def _improvement(d: Diagnosis) -> str:
         )
     effects = " and ".join(f"{f.name} ({f.magnitude.name} {_value(f.magnitude)})" for f in d.effects)
     steps = ladder(d)
-    fall = f"from {kilowatts(steps[0][1])} to {kilowatts(steps[-1][1])}"
-    return f"With {effects} in the model the residual falls {fall}."
+    before, after = steps[0][1], steps[-1][1]
+    if after >= before:
+        change = f"does not fall on stretches kept from the fit ({kilowatts(before)}, then {kilowatts(after)})"
+    else:
+        change = f"falls from {kilowatts(before)} to {kilowatts(after)}"
+    return f"With {effects} in the model the residual {change}."
 
 
 def advice(d: Diagnosis) -> list[str]:
