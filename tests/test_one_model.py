@@ -92,7 +92,7 @@ def test_estimate_and_diagnosis_fit_a_drive_alike(kind, request):
 def test_a_real_trip_is_drawn_as_it_is_stated(recordings):
     folder = recordings / "bmw_i3"
     settings = load(Path(__file__).parents[1] / "dbc" / "bmw_i3.toml")
-    d = diagnose_logs(folder / "TripA04.blf", replace(settings, bus=Bus(dbc=[str(folder / "bmw_i3.dbc")])))
+    d = diagnose_logs(folder / "TripA06.blf", replace(settings, bus=Bus(dbc=[str(folder / "bmw_i3.dbc")])))
     assert d.effects
     assert rms(d.traces.measured - d.traces.base) == pytest.approx(d.rms_base, rel=1e-9)
     assert rms(d.traces.measured - d.traces.extended) == pytest.approx(d.rms_final, rel=1e-9)

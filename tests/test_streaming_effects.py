@@ -114,7 +114,6 @@ def test_names_are_checked(bends, tmp_path, capsys):
 
 CONFLICTS = [
     ('[sampler]\nlikelihood = "paper"\n', 'sampler.likelihood: "paper" has the plain road load only'),
-    ('[kinematics]\nacceleration = "inertial"\n', 'kinematics.acceleration: "inertial" contains the grade already'),
 ]
 
 
