@@ -15,6 +15,7 @@ from estimator.components.switching import Switching
 from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
 from estimator.estimation.road_search import RoadScales
+from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
 from estimator.model.conditioned import Conditioned
 from estimator.model.effects.effect import AtRest, Effect, Timing
 from estimator.model.road import LEVEL
@@ -206,9 +207,8 @@ def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect
     component = of_term(joint.frame, Term(effect, None, times[0]), times[1])
     column = component.columns(joint.frame)
     products, score = joint.projected(ours, column)
-    precision = max(float(products[0, 0]), 0.0) + component.sd**-2.0
-    value, sd = float(score[0]) / precision, precision**-0.5
-    gain = 0.5 * (value / sd) ** 2 - np.log(component.sd / sd)
+    value, sd = map(float, posterior_of(score[0], products[0, 0], component.sd))
+    gain = log_bayes_factor(value, sd, component.sd)
     gain += log_evidence_of_sign(value / sd) if component.positive else 0.0
     return Form(
         component=component,

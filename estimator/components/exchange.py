@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.components.time_prior import Costs
+from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
 from estimator.signals import Floats, Mask
 
 MAX_RUN = 2000.0  # s, of blocks exchanged at once
@@ -91,8 +92,7 @@ def amplitude_evidence(score: Floats, strength: Floats, sd: float, positive: boo
 
     ``score`` (k,) and ``strength`` (k,): moment and squared norm of its column, everything else eliminated.
     """
-    precision = np.maximum(strength, 0.0) + sd**-2.0
-    gain = 0.5 * score**2 / precision - 0.5 * np.log(precision * sd**2)
+    gain = log_bayes_factor(*posterior_of(score, strength, sd), sd)
     allowed: Floats = np.where((score > 0) | (not positive), gain, -np.inf)
     return allowed
 

@@ -7,6 +7,7 @@ import numpy as np
 from estimator.signals import Mask
 
 SEED = 20_044  # of the random order
+FOLDS, STRETCHES = 5, 20  # of a record, for cross-validation
 
 
 def left_out(n: int, folds: int, length: int) -> Iterator[Mask]:
@@ -20,3 +21,8 @@ def left_out(n: int, folds: int, length: int) -> Iterator[Mask]:
     turn = np.random.default_rng(SEED).permuted(rounds, axis=1).ravel()[stretch]
     for k in range(folds):
         yield turn == k
+
+
+def cross_validation(n: int) -> Iterator[Mask]:
+    """Masks (n,) of the rows that each of FOLDS leaves out, in STRETCHES of equal length."""
+    return left_out(n, FOLDS, n // STRETCHES)

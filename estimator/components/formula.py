@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
 from estimator.signals import Floats
 
 BATCH = 64  # columns judged at once: bounds the memory
@@ -95,8 +96,8 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, judge
 
 def judged(products: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
     """Log Bayes factor, value and sd (c,) of columns with ``products`` (c, c) and ``score`` (c,); prior N(0, 1)."""
-    precision = np.maximum(np.diag(products), 0.0) + 1.0
-    return 0.5 * score**2 / precision - 0.5 * np.log(precision), score / precision, precision**-0.5
+    value, sd = posterior_of(score, np.diag(products), prior_sd=1.0)
+    return log_bayes_factor(value, sd, prior_sd=1.0), value, sd
 
 
 def _formulas(variables: Mapping[str, Variable]) -> Iterator[tuple[Factor, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
-from estimator.components.folds import left_out
+from estimator.components.folds import cross_validation
 from estimator.components.formula import Variable, best_formula, judged
 from estimator.components.plain_model import PlainModel
 from estimator.diagnosis.result import Described
@@ -19,7 +19,6 @@ from estimator.signals import Floats, Quantity
 
 MIN_LOG_BF = 5.0  # of a formula, less the cost of all formulas that were tried
 SMOOTHED = 5  # strides (5 s) over which the acceleration is averaged
-FOLDS, STRETCHES = 5, 20  # of the drive, for cross-validation
 
 
 def described(drive: DriveState) -> Described | None:
@@ -85,7 +84,7 @@ def _held_out_share(drive: DriveState, column: Floats) -> float:
     narrow = np.column_stack([np.ones(n), *effects])
     wide = np.column_stack([narrow, extra / np.sqrt(np.mean(extra**2))])
     left = {False: 0.0, True: 0.0}
-    for out in left_out(n, FOLDS, n // STRETCHES):
+    for out in cross_validation(n):
         for with_column, X in ((False, narrow), (True, wide)):
             amplitudes = np.linalg.lstsq(X[~out], y[~out], rcond=None)[0]
             left[with_column] += float(np.sum((y[out] - X[out] @ amplitudes) ** 2))

@@ -22,6 +22,7 @@ import numpy as np
 from estimator.estimation.mixture import between
 from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit
 from estimator.estimation.road_likelihood import PARTS, ROAD_LOAD
+from estimator.estimation.savage_dickey import log_bayes_factor
 from estimator.signals import Floats
 from estimator.strides import DURATION
 
@@ -90,7 +91,7 @@ def gain_changes(found: RoadFit) -> GainChanges:
             believed = (whole[0] * sd) ** -2.0
             variance = 1 / (1 / vague + believed - (whole[0] * VAGUE_SD) ** -2.0)
             size = beta[p] * variance / vague
-            log_odds.append(np.log(chance / PARTS) + 0.5 * (size**2 / variance + np.log(variance * believed)))
+            log_odds.append(np.log(chance / PARTS) + log_bayes_factor(size, np.sqrt(variance), believed**-0.5))
             shifts.append((beta[:p] + with_it * (size - beta[p]) / vague - without) / unit)
             wider = covariance[:p, :p] - np.outer(with_it, with_it) * (1 - variance / vague) / vague - spread
             spreads.append(wider / np.outer(unit, unit))

@@ -21,6 +21,7 @@ from estimator.estimation.mixture import between
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, Likelihood
 from estimator.estimation.road_search import RoadScales
+from estimator.estimation.savage_dickey import log_bayes_factor
 from estimator.model.conditioned import Conditioned
 from estimator.model.effects import Effect
 from estimator.model.term import Term
@@ -144,7 +145,7 @@ class ShapeLikelihood:
         score = gram[1 + base :, 0] - information[base:, :base] @ weights[:, -1]
         believed = np.diag(likelihood.prior)[base:]
         wrong = np.array([term.effect.positive for term in shapes]) & (score > 0)  # a coefficient is -b / m
-        gain = np.where(wrong, 0.0, 0.5 * score**2 / strength) - 0.5 * np.log(strength / believed)
         own = score / strength
+        gain = log_bayes_factor(np.where(wrong, 0.0, own), strength**-0.5, believed**-0.5)
         others = (weights[:, -1:] - weights[:, :-1] * own) / likelihood.unit[:base, None]
         return gain, np.column_stack([others.T, own / likelihood.unit[base:]])

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from estimator.components.folds import left_out
+from estimator.components.folds import cross_validation
 from estimator.components.model_table import Cause, ModelTable
 from estimator.components.set_likelihood import Posterior
 from estimator.residual.answer import Part
@@ -19,7 +19,6 @@ from estimator.signals import Floats
 
 DRAWS = 400
 MAX_TRIES = 50  # draws for positive amplitudes; after them, negative ones are set to zero
-FOLDS, STRETCHES = 5, 20  # of the record, for cross-validation
 
 
 def budget(
@@ -99,7 +98,7 @@ def held_out(record: Record, forms: Sequence[Form], scales: Scales) -> float:
     """Rms of the residual on stretches left out of the fit, with the base and ``forms`` in the model."""
     n = len(record.t)
     left = np.empty(n)
-    for out in left_out(n, FOLDS, n // STRETCHES):
+    for out in cross_validation(n):
         kept = np.flatnonzero(~out)
         likelihood = ResidualLikelihood(record, forms, Noise(record.t[kept], scales), kept)
         mean = likelihood.posterior(range(len(forms))).mean
