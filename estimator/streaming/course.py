@@ -1,4 +1,4 @@
-"""Direction of travel from positions, row by row, and the slope of a map there."""
+"""Direction of travel from positions, row by row, and the slope that a map gives for it."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ class Course:
 
 
 def _courses(here: Floats, passed: Floats) -> Floats:
-    """Direction [rad] (n,) to ``here`` (n, 3) from BASE before, of what was ``passed`` (k, 3); NaN where unknown."""
+    """Direction [rad] (n,) to points ``here`` (n, 3) from the points ``passed`` (k, 3) BASE before; NaN if unknown."""
     before = np.searchsorted(passed[:, 0], here[:, 0] - BASE, side="right") - 1
     way = here - passed[np.maximum(before, 0)]
     north, east = EARTH_RADIUS * way[:, 1], EARTH_RADIUS * np.cos(here[:, 1]) * way[:, 2]
@@ -57,13 +57,13 @@ def _courses(here: Floats, passed: Floats) -> Floats:
 
 
 class MapGrade:
-    """Adds the slope of a map to rows, as the grade signal that the bus lacks; nothing where the map has no place."""
+    """Adds the slope of a map to rows as their grade signal; adds nothing where the map has no value."""
 
     def __init__(self, road_map: RoadMap) -> None:
         self._map, self._course = road_map, Course()
 
     def feed(self, rows: Rows) -> Rows:
-        """The next rows with their grade."""
+        """Return the next rows with their grade."""
         course = self._course.feed(rows)
         blank = np.full(len(rows), np.nan)
         latitude, longitude = (rows.context.get(role, blank) for role in (Role.LATITUDE, Role.LONGITUDE))

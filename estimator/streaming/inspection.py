@@ -29,14 +29,14 @@ MIN_GAP = 1.0  # s: shorter gaps are not listed
 
 @dataclass
 class Input:
-    """One bound signal as found in a log."""
+    """Readings of one bound signal in a log."""
 
     name: str
     times: list[Floats] = field(default_factory=list)
     values: list[Floats] = field(default_factory=list)
 
     def describe(self, end: float, start: float) -> InputAnswer:
-        """Describe the readings, of which there are some, between two times [s]."""
+        """Describe the readings, at least one, of a log from ``start`` to ``end`` [s]."""
         t, value = np.concatenate(self.times), np.concatenate(self.values)
         period = float(np.median(np.diff(t))) if len(t) > 1 else float("inf")
         known = value[np.isfinite(value)]
@@ -85,7 +85,7 @@ class Inspection:
             self._begun = item.end
 
     def _count(self, block: Block) -> None:
-        """Count the frames, and keep the readings, of a block."""
+        """Count the frames of a block and keep its readings."""
         if len(block.frames):
             if not self._idents:
                 self._start = self._begun = float(block.frames.t[0])
@@ -99,9 +99,9 @@ class Inspection:
                     self._inputs[role, place].values.append(part.value)
 
     def report(self, place: str, skipped: Counter[str], mixed: Mapping[str, int] | None = None) -> InspectionAnswer:
-        """All that was found at ``place``; nothing can be added after.
+        """Finish, and describe the traffic of ``place``, a log or bus; no frames can be added afterwards.
 
-        Frames were ``skipped`` for a reason; those of ``mixed`` channels were read as one bus.
+        ``skipped`` counts frames that were not read, by reason; ``mixed`` frames by channel, if read as one bus.
         """
         traffic = self._pipeline.traffic
         for item in traffic.finish():
@@ -148,7 +148,7 @@ class Inspection:
         return f"{role.value} {place + 1}" if role in self._several else role.value
 
     def _senders(self) -> dict[str, tuple[int, ...]]:
-        """Source addresses that send a bound message in single frames, by its name."""
+        """Source addresses that send each bound message in single frames, by message name."""
         idents = np.array([ident for ident in self._idents if ident & EXTENDED], dtype=np.uint32)
         found: dict[str, list[int]] = {}
         for ident, pgn in sorted(zip((idents & 0xFF).tolist(), pgn_of(idents).tolist(), strict=True)):
@@ -158,7 +158,7 @@ class Inspection:
 
 
 def inspect(path: Path, config: Config, progress: Progress = no_progress) -> InspectionAnswer:
-    """Describe one log; inputs that the log lacks are no error, unreadable content is.
+    """Describe one log. Missing inputs are no error; unreadable content is.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which candidates of a database are in a log: how often their messages come, and whether their values change."""
+"""Search of a log for candidate signals of a database: rate of their messages, and whether their values change."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ MIN_CHANGES = 10  # of a value that is alive: fewer are start and end
 
 @dataclass(slots=True, kw_only=True)
 class Presence:
-    """Readings of one candidate in a log; values in SI."""
+    """Statistics of the readings of one candidate in a log; values in SI."""
 
     readings: int = 0
     known: int = 0  # of them with a value
@@ -34,7 +34,7 @@ class Presence:
 
     @property
     def rate(self) -> float:
-        """Readings a second [Hz] from the first to the last; 0 if there are not two."""
+        """Rate of readings [Hz] from the first to the last; 0 if there are fewer than two."""
         return (self.readings - 1) / (self.last - self.first) if self.last > self.first else 0.0
 
     @property
@@ -45,14 +45,14 @@ class Presence:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """Presences by MESSAGE.signal, and whether messages come by their parameter group alone."""
+    """Presences by MESSAGE.signal; ``is_by_group`` if most messages match by their parameter group alone."""
 
     presences: dict[str, Presence]
     is_by_group: bool
 
 
 def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_progress) -> Survey:
-    """Read a log once.
+    """Read a log and count the readings of each candidate.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
 
 
 def _bound(candidate: Candidate, config: Config) -> BoundMessage:
-    """The message with that signal alone."""
+    """Message of a candidate with its signal alone bound."""
     by_name = {signal.name: signal for signal in candidate.message.signals}
     chain = []
     signal = candidate.signal

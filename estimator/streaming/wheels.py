@@ -1,12 +1,12 @@
-"""The speed of a vehicle by the wheels that agree.
+"""Vehicle speed as the mean of the wheel speeds that agree.
 
-In a curve and by slip, wheels differ by some per cent, and a locked or spinning one for a moment by more. A wheel is
+Wheels differ by some per cent in a curve and by slip, and a locked or spinning one for a moment by more. A wheel is
 left out of the mean
 
-* while its value stands still and the others change: a dead sensor, at zero or at its last value, or a locked wheel;
-* where it differs from the larger part of the wheels at a speed at which no curve explains that: another scale.
+* while its value is constant and the others change: a dead sensor, at zero or at its last value, or a locked wheel;
+* where it differs from the majority of the wheels by more than a curve explains at that speed: a wrong scale.
 
-Where neither part is larger it cannot be told which is right, and there is no speed.
+Without a majority the right wheels are unknown, and so is the speed.
 """
 
 from collections import Counter
@@ -29,7 +29,7 @@ UNDECIDED = "half of them contradict the others"
 
 
 class Wheels:
-    """The mean of wheel speeds, row by row; it does not matter how rows are cut.
+    """Computes the mean of wheel speeds row by row; the result does not depend on how rows are cut into batches.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class Wheels:
         self._code, self._run, self._counts = 0, 0, 0  # of the newest comparison, rows with it, and that which counts
 
     def mean(self, speeds: Floats, places: Sequence[int]) -> tuple[Floats, Mask]:
-        """Speed [m/s] (n,) from those of k wheels (k, n), NaN where none is known; and where they contradict (n,).
+        """Mean [m/s] (n,) of the speeds of k wheels (k, n), NaN where none is known, and rows without a majority (n,).
 
-        ``places`` (k,) are their numbers in the configuration, from 0.
+        ``places`` (k,) are the numbers of the wheels in the configuration, from 0.
         """
         known = np.isfinite(speeds)
         undecided = np.zeros(speeds.shape[1], dtype=bool)
@@ -62,16 +62,16 @@ class Wheels:
         return np.where(count > 0, total / np.maximum(count, 1), np.nan), undecided
 
     def pause(self) -> None:
-        """The next rows do not follow without a gap."""
+        """Start anew after a gap; the wheels left out so far stay so until the next comparison that holds."""
         self._still, self._run = None, 0
 
     def forget(self) -> None:
-        """The vehicle may be another one."""
+        """Discard the comparisons: the vehicle may be another one."""
         self.pause()
         self._code, self._counts = 0, 0
 
     def _compared(self, speeds: Floats) -> Mask:
-        """Which wheels (k, n) are left out, by the last comparison that held for MIN_ROWS rows."""
+        """Mask (k, n) of the wheels left out by the last comparison that held for MIN_ROWS rows."""
         bits = 1 << np.arange(len(speeds))
         code = bits @ _apart(speeds)
         with np.errstate(invalid="ignore"):
@@ -99,7 +99,7 @@ class Wheels:
 
 
 def _apart(speeds: Floats) -> NDArray[np.int64]:
-    """1 for each wheel (k, n) that is not of the larger part of those known; for all of them where none is larger."""
+    """1 for each known wheel (k, n) outside the majority, and for all known wheels where there is no majority."""
     with np.errstate(invalid="ignore"):
         faster = np.maximum(speeds[:, None], speeds[None])
         agree = np.abs(speeds[:, None] - speeds[None]) <= MAX_DIFFERENCE * np.abs(faster)  # False where not known
@@ -111,7 +111,7 @@ def _apart(speeds: Floats) -> NDArray[np.int64]:
 
 
 class _Still:
-    """Tells wheels whose value has not changed since the others were at another speed."""
+    """Detects wheels whose value is constant while the mean of the others changes by MAX_STILL_CHANGE."""
 
     def __init__(self, wheels: int) -> None:
         self.wheels = wheels
@@ -120,7 +120,7 @@ class _Still:
         self._is_still = np.zeros(wheels, dtype=bool)
 
     def feed(self, speeds: Floats) -> Mask:
-        """Which wheels (k, n) stand still."""
+        """Mask (k, n) of the wheels that stand still."""
         known = np.isfinite(speeds)
         count = known.sum(axis=0)
         total = np.where(known, speeds, 0.0).sum(axis=0)
