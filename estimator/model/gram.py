@@ -1,13 +1,13 @@
-"""Products of columns of data weighed by the inverse of their covariance, in pieces of time.
+"""Gram matrix of data columns, weighted by the inverse of their covariance and computed in pieces of time.
 
 With the factor F of the precision of all unknowns given the data (`linear_gaussian`), columns Y of data have
 
     Y' K^-1 Y = Y' R^-1 Y - W' W,   F W = A' R^-1 Y
 
-Unknowns are in order of time and F is banded, so the elements of W in a piece follow from the data there and from the
+Unknowns are in order of time and F is banded. The elements of W in a piece so follow from the data there and from the
 last elements of W before it, as a filter's estimate follows from its state. One piece of W is in memory at a time. A
-column that is zero in a piece goes on from its last elements c as H c, with one H for all columns, and adds c' (H'H) c:
-most columns of what is switched, or wanders over time, are zero at most times, and cost little there.
+column that is zero in a piece, with last elements c, continues as H c and adds c' (H'H) c, with one H for all columns.
+Most columns of switching effects and of processes are zero at most times, and cost little there.
 """
 
 from collections.abc import Sequence
@@ -32,13 +32,13 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
     Parameters
     ----------
     factor
-        F.
+        Factor F of the precision.
     kinds
-        The maps A of each kind of observations, and their rows of the data.
+        Map A and rows of the data of each kind of observations.
     variance
-        Of the data given the unknowns (n,), R.
+        Diagonal (n,) of R: variances of the data given the unknowns.
     data
-        Y (n, c), sparse where most of it is zero.
+        Columns Y (n, c); sparse if most elements are zero.
     """
     size, count = factor.lower.shape[1], data.shape[1]
     weight, whitened = 1 / np.sqrt(variance)[:, None], _Whitened(factor, count)
@@ -71,7 +71,7 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
 
 
 def _present(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
-    """Which columns (k,) are not zero in all rows (m,) ``here``, and those columns (m, k)."""
+    """Indices (k,) of columns with a non-zero element in the rows ``here`` (m,), and those columns (m, k)."""
     if not isinstance(data, sp.csr_array):
         rows = data[here]
         there = np.flatnonzero(rows.any(axis=0))
@@ -87,7 +87,7 @@ def _present(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
 
 
 class _Whitened:
-    """The products (c, c) of ``count`` columns W that come in pieces."""
+    """Accumulates W' W (c, c) of ``count`` columns W that come in pieces."""
 
     def __init__(self, factor: Factor, count: int) -> None:
         self._lower, self.reach = factor.lower, len(factor.lower) - 1
@@ -96,7 +96,7 @@ class _Whitened:
         self.product = np.zeros((count, count))
 
     def add(self, begin: int, own: Mask, columns: Floats) -> None:
-        """The next piece of F W: of columns that are ``own`` (c,) there, the elements (m, own) from ``begin`` on."""
+        """Add the piece of F W from row ``begin`` on: ``columns`` (m, k) of the k columns ``own`` (c,), 0 elsewhere."""
         link = self._link(begin)[: len(columns)]
         columns[: len(link)] += link @ self._last[:, own]
         W = self._solved(begin, columns)
@@ -116,7 +116,7 @@ class _Whitened:
         self._last = last
 
     def _link(self, begin: int) -> Floats:
-        """What the elements (reach,) before ``begin`` add to the right-hand side (reach,) from there on."""
+        """Matrix (reach, reach) from elements before ``begin`` to their part of the right-hand side behind it."""
         if not begin:
             return np.zeros((self.reach, self.reach))
         down = np.minimum(self.reach + self._row - self._column, self.reach)
@@ -125,7 +125,7 @@ class _Whitened:
         return added
 
     def _solved(self, begin: int, columns: Floats) -> Floats:
-        """The rows and columns of F from ``begin`` on, solved for ``columns`` (m, c), which are overwritten."""
+        """Solve the block of F from ``begin`` on for ``columns`` (m, c), which are overwritten."""
         if not columns.size:  # without columns, scipy's call of LAPACK spoils memory
             return columns
         solved: Floats = dtbtrs(self._lower[:, begin : begin + len(columns)], columns, uplo="L", overwrite_b=1)[0]

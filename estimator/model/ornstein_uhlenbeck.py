@@ -1,4 +1,4 @@
-"""An Ornstein-Uhlenbeck process at given times as a Gaussian Markov chain: stationary noise with a memory."""
+"""Ornstein-Uhlenbeck process at given times as a Gaussian Markov chain: stationary noise that is correlated in time."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,9 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True)
 class Chain:
-    """Times [s] (n,) of a process at ``places`` among the unknowns; ``linked`` (n - 1,) where it goes on.
+    """Process at times ``t`` (n,) [s], with its values at ``places`` (n,) among the unknowns.
 
-    Between linked neighbours the correlation is exp(-dt / time); links of different stretches are independent.
+    Neighbours that are ``linked`` (n - 1,) have the correlation exp(-dt / time); the others are independent.
     """
 
     t: Floats
@@ -22,7 +22,7 @@ class Chain:
     linked: NDArray[np.bool_]
 
     def _bands(self, sd: float, time: float) -> tuple[Floats, Floats]:
-        """Correlation (n - 1,) of neighbours, and the precision (n,) of each value given the one before."""
+        """Correlation (n - 1,) of neighbours, and precision (n,) of each value given the one before it."""
         keep = np.where(self.linked, np.exp(-np.diff(self.t) / time), 0.0)
         return keep, np.insert(1 / (1 - keep**2), 0, 1.0) / sd**2
 
@@ -41,7 +41,10 @@ class Chain:
         return float(np.log(own).sum())
 
     def score(self, products: Floats, sd: float, time: float) -> Floats:
-        """Derivative (2,) of the log density by log ``sd`` and log ``time``, for `both_triangles` of the products."""
+        """Derivative (2,) of the log density by log ``sd`` and log ``time``.
+
+        ``products`` is the mean of x x', as `both_triangles`.
+        """
         keep, own = self._bands(sd, time)
         rate = np.diff(self.t) / time * keep  # of the correlation, by log time
         square, cross = products[0, self.places], np.zeros(len(keep))
@@ -53,7 +56,7 @@ class Chain:
         return np.array([own @ misfit - len(own), by_keep @ rate])
 
     def response(self, x: Floats, sd: float, time: float) -> Floats:
-        """V' V^-1 ``x`` (n, 2) with V the covariance and V' its derivative by log ``sd`` and log ``time``."""
+        """Product V' V^-1 ``x`` (n, 2), with V the covariance and V' its derivative by log ``sd`` or log ``time``."""
         keep, own = self._bands(sd, time)
         rate = np.diff(self.t) / time * keep
         by_keep = 2 * keep * sd**2 * own[1:] ** 2  # of the precision of each value given the one before
@@ -70,10 +73,10 @@ class Chain:
 
 
 def mean_given_ends(length: float, time: float) -> tuple[float, float]:
-    """How the mean over ``length`` [s] of such a process of variance 1 follows from its values at both ends.
+    """Weight w and variance r of the mean over ``length`` [s] of a process of variance 1, given its ends x_0 and x_1.
 
-    The mean is w (x_0 + x_1) plus independent noise of variance r: returns (w, r). From the moments of the process
-    and its integral; w = tanh(u / 2) / u with u = length / time.
+    The mean is w (x_0 + x_1) plus independent noise of variance r. Both follow from the moments of the process and of
+    its integral; w = tanh(u / 2) / u with u = length / time.
     """
     u = length / time
     keep = np.exp(-u)

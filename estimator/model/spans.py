@@ -1,4 +1,4 @@
-"""Spans: sets of times in which something acts, and what may be done with them."""
+"""Spans: sets of times in which an effect or a process acts, and operations on them."""
 
 from itertools import pairwise
 
@@ -19,7 +19,7 @@ def inside(t: Floats, spans: Spans) -> Floats:
 
 
 def covered(t: Floats, duration: float | Floats, spans: Spans) -> Floats:
-    """Share (n,) of the ``duration`` [s], one or (n,), around each time ``t`` [s] (n,) that lies within ``spans``."""
+    """Share (n,) within ``spans`` of the intervals of ``duration`` [s], scalar or (n,), centred at ``t`` (n,) [s]."""
     if not np.any(duration):
         return inside(t, spans)
     edges = np.array(spans).reshape(-1, 2)
@@ -32,7 +32,7 @@ def covered(t: Floats, duration: float | Floats, spans: Spans) -> Floats:
 
 
 def union(one: Spans, other: Spans) -> Spans:
-    """Times that are within either."""
+    """Union of two sets of times."""
     joined: list[tuple[float, float]] = []
     for start, end in sorted((*one, *other)):
         if joined and start <= joined[-1][1]:
@@ -43,14 +43,14 @@ def union(one: Spans, other: Spans) -> Spans:
 
 
 def cut(one: Spans, other: Spans) -> Spans:
-    """Times that are within either, cut wherever a span of either begins or ends."""
+    """Union of two sets of times, cut wherever a span of either begins or ends."""
     edges = sorted({edge for span in (*one, *other) for edge in span})
     within = union(one, other)
     return tuple((a, b) for a, b in pairwise(edges) if any(start <= a and b <= end for start, end in within))
 
 
 def without(one: Spans, other: Spans) -> Spans:
-    """Times that are within ``one`` and not within the other."""
+    """Difference of two sets of times: times within ``one`` and outside ``other``."""
     left: list[tuple[float, float]] = []
     for start, end in one:
         for other_start, other_end in sorted(other):
