@@ -21,9 +21,9 @@ def recursive(signal: Values, recursion: Values) -> Values:
 
 
 def low_passed(signal: Floats, before: float, step: float, time: float) -> Floats:
-    """A ``signal`` (n,) in steps [s] through a low-pass of first order with a time constant [s].
+    """Filter a ``signal`` (n,) by a first-order low-pass with the time constant ``time`` [s].
 
-    ``before`` is the value a step before the first one.
+    ``step`` [s] is the sampling interval, and ``before`` the output one step before the first.
     """
     keep = exp(-step / time)
     return recursive(np.concatenate([[before], (1.0 - keep) * signal]), np.array([1.0, -keep]))[1:]
