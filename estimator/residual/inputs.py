@@ -20,7 +20,7 @@ TIME, NOISE, PROCESS = "time", "sensor noise", "unknown over "  # names of cause
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause that may act: its residual (n,) at magnitude 1, and the prior N(0, ``sd``^2) of its magnitude.
+    """Cause that may act: its residual (n,) at magnitude 1, and the prior N(0, ``sd``^2) of its magnitude.
 
     ``sd``: usual magnitude; ``positive``: the magnitude cannot be negative; ``unit``: unit of the magnitude.
     """
@@ -33,7 +33,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Axis:
-    """A quantity (n,) that the residual may depend on, and its unit, such as "m/s^2"."""
+    """Quantity (n,) that the residual may depend on, and its unit, such as "m/s^2"."""
 
     values: Floats
     unit: str = ""
@@ -41,7 +41,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """A residual at times ``t`` [s] (n,), with the base (n, b): columns of the parameters that are refitted.
+    """Residual at times ``t`` [s] (n,), with the base (n, b): columns of the parameters that are refitted.
 
     Base columns are orthogonal, with rms 1. Residual and candidates are projected off the base: no result depends on
     the part in its span, and large common parts would cancel with rounding errors. The first of ``axes`` is time.
@@ -59,7 +59,7 @@ class Record:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     def off(self, columns: Floats) -> Floats:
-        """``columns`` (n,) or (n, c) projected off the base: residuals of their least-squares fit by it."""
+        """Project ``columns`` (n,) or (n, c) off the base: residuals of their least-squares fit by it."""
         return _off(self.base, columns)
 
 
@@ -84,11 +84,10 @@ def checked(
     Raises
     ------
     InputError
-        The message names the array: too few samples, a length that differs, a value that is no finite number or of a
-        size that cannot be squared, times that do not ascend, a column of zeros, a prior that is not positive, a
-        name that the
-        answer uses itself, a unit that is no product of powers, a base whose columns are not independent, or one that
-        explains the whole residual.
+        The message names the array and the reason: too few samples, another length, times that do not ascend, a value
+        that is not finite or cannot be squared, a column of zeros. Further reasons: a prior that is not positive, a
+        name reserved for the answer, a unit that is no product of powers, a base whose columns are not independent or
+        that explains the whole residual.
     """
     t, y = _array("time", time), _array("residual", residual)
     if len(y) < MIN_SAMPLES:

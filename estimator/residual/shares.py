@@ -1,7 +1,7 @@
 """Split of the residual's mean square into its causes, and the residual on stretches left out of the fit.
 
-Let M be the projection off the base's columns: M r = sum of M X b + M noise. For a draw of a set from the table and of
-its amplitudes b, the share of a cause is (M r)'(M X b) / (M r)'(M r); the noise has the rest.
+Let M be the projection off the base's columns: M r = sum of M X b + M noise. Sets are drawn from the table, and
+amplitudes b from the posterior of each. The share of a cause is (M r)'(M X b) / (M r)'(M r); the noise has the rest.
 """
 
 from collections.abc import Iterator, Sequence
