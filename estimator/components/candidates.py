@@ -77,9 +77,8 @@ class Candidates:
 
     Fitted times of effects come from four proposals. Those beside the latest chosen terms are renewed once these or
     their times change, or the slow noise halves or doubles. Those of fits without timed terms and stretches are kept.
-    Those that replace all timed terms are renewed once effects of other names or the first stretches of road are
-    chosen, because two effects may share the times that one of them has. Those ``found`` by earlier searches are
-    reused.
+    Those that replace all timed terms are renewed with the first stretches of road, and with effects of other names:
+    two effects may share the times that one of them has. Those ``found`` by earlier searches are reused.
 
     Shapes near those of chosen effects are candidates, and shapes near those ``found`` by earlier searches too.
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.

@@ -1,11 +1,11 @@
 """Blocks of a drive in which an effect is on, found by exchanging runs of blocks.
 
-Amplitude b and times z (one of two states a block) have the log evidence
+The amplitude b and the times z (one of two states for each block) have the log evidence
 
     1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - costs of changes of state
 
-with s and G the scores and products of a profile cut into blocks, everything else in the model eliminated (costs:
-`time_prior.py`). Every run of blocks is tried; the best is switched on or off as long as that adds evidence.
+with s and G the scores and products of a profile cut into blocks, everything else in the model eliminated. The costs
+are those of `time_prior.py`. Every run of blocks is tried; the best is switched on or off as long as evidence rises.
 """
 
 from collections.abc import Sequence

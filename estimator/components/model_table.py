@@ -1,9 +1,10 @@
-"""The table of models: sets of causes with their posterior probabilities.
+"""Table of models: hypotheses (sets of forms of causes) with their posterior probabilities.
 
-Sets gain and lose one form at a time from those within Occam's window of the best (Madigan & Raftery 1994): a nameless
-process that stands for two candidates at first is left behind once both are there. The best one exchanges forms too:
-what explains most alone need not do so beside others. Steps begin at the empty set, and at one that was found before:
-two effects that explain most together may each explain little alone. Probabilities are sums over the table.
+The table grows by steps that add or remove one form, from sets within Occam's window of the best (Madigan & Raftery
+1994). A nameless process that first replaces two effects is so removed once both are in the set. The best set also
+exchanges forms, because the form with most evidence alone need not have most beside others. Steps begin at the empty
+set, and at a set from an earlier table: two effects may have most evidence together, and little alone. Probabilities
+are sums over the table.
 """
 
 from collections import defaultdict
@@ -26,20 +27,21 @@ Chosen = tuple[int, ...]
 
 
 class Evidence(Protocol):
-    """Of sets of forms, by their numbers."""
+    """Interface for the evidence of sets of forms, which are given by their numbers."""
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
-        """Of one set, less the costs of its forms."""
+        """Log evidence of one set, less the costs of its forms."""
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """Of the set with each of ``others`` added (c,)."""
+        """Log evidence (c,) of the set with each of ``others`` added."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """A candidate or a nameless process: the numbers of its forms, and the log prior odds that it acts.
+    """Effect or nameless process that may act: numbers of its forms, and log prior odds that it acts.
 
-    ``log_forms``: log of the number of forms that share these odds; forms with a cost of their own are not among them.
+    ``log_forms`` is the log of the number of forms that share these odds equally. Forms with a cost are not counted:
+    their cost is their prior probability.
     """
 
     name: str
@@ -50,13 +52,13 @@ class Cause:
 
     @property
     def log_prior(self) -> float:
-        """Of each form, against the cause's absence."""
+        """Log prior odds of each form against the absence of the cause, costs not counted."""
         return self.log_odds - self.log_forms
 
 
 @dataclass(frozen=True)
 class ModelTable:
-    """Sets of forms and their probabilities (m,), most probable first."""
+    """Sets of forms and their posterior probabilities (m,), most probable first."""
 
     sets: tuple[Chosen, ...]
     probability: Floats
@@ -64,7 +66,7 @@ class ModelTable:
 
     @property
     def best(self) -> Chosen:
-        """The most probable set."""
+        """Most probable set."""
         return self.sets[0]
 
     @property
@@ -74,7 +76,7 @@ class ModelTable:
 
     @cached_property
     def _having(self) -> dict[int, NDArray[np.intp]]:
-        """Numbers of the sets that hold each form."""
+        """Numbers of the sets that contain each form."""
         numbers: dict[int, list[int]] = defaultdict(list)
         for number, own in enumerate(self.sets):
             for form in own:
@@ -89,9 +91,10 @@ class ModelTable:
         return min(float(self.probability[held].sum()), 1.0)  # rounding may add to more
 
     def rival(self, forms: Sequence[int], others: Mapping[str, Sequence[int]]) -> tuple[str, float]:
-        """Which of ``others``, by their forms, acts where none of ``forms`` does, and the probability that either acts.
+        """Name of the one of ``others`` that most likely acts if ``forms`` do not, and probability that either acts.
 
-        Empty, with the probability of ``forms`` alone, if none of them is more likely than not there.
+        ``others`` are forms by name. The name is empty, with the probability of ``forms``, if none of them has a
+        probability above 0.5 given that ``forms`` do not act.
         """
         alone = self.holding(forms)
         either = {name: self.holding([*forms, *own]) for name, own in others.items()}
@@ -102,7 +105,7 @@ class ModelTable:
 def weigh(
     likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES, before: Chosen = ()
 ) -> ModelTable:
-    """Grow the table from the empty set and from that found ``before``, up to sets of ``max_causes``."""
+    """Make the table from steps from the empty set and the set ``before``, with at most ``max_causes`` in a set."""
     log = dict[Chosen, float]()
     for start in dict.fromkeys(((), before)):
         _grow(start, log, likelihood, causes, max_causes)
@@ -116,7 +119,7 @@ def weigh(
 def _grow(
     start: Chosen, log: dict[Chosen, float], likelihood: Evidence, causes: Sequence[Cause], max_causes: int
 ) -> None:
-    """Add ``start`` and the sets that steps from it lead to, with their log probabilities, to ``log``."""
+    """Add ``start`` and the sets reached from it, with their log posterior up to a constant, to ``log``."""
     prior = {form: cause.log_prior for cause in causes for form in cause.forms}
 
     def probable(own: Chosen) -> float:
@@ -143,7 +146,7 @@ def _grow(
 
 
 def _addable(own: Chosen, causes: Sequence[Cause], max_causes: int) -> list[int]:
-    """Forms of causes that are absent from a set; none once it is full."""
+    """Forms of the causes that a set lacks; none if it has ``max_causes``."""
     if len(own) >= max_causes:
         return []
     return [form for cause in causes if not set(own) & set(cause.forms) for form in cause.forms]
