@@ -1,7 +1,7 @@
-"""The messages that the configuration binds: those of databases, of a table, or of a lake of decoded signals.
+"""Messages that the configuration binds: those of databases, of a table, or of a lake of decoded signals.
 
-Decoded signals take the way of frames: each row of a lake is a frame of numbers of 64 bits, so that senders, times and
-values are judged as those of a bus are. What is known of raw values, resolution and rates is not known of them.
+Decoded signals are processed as frames: each row of a lake is a frame of 64-bit numbers. Senders, times and values are
+so judged as those of a bus. Their raw values, resolution and rates are unknown.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ MAX_MESSAGES = 256  # of these groups
 
 
 def bound_messages(config: Config) -> list[BoundMessage]:
-    """The messages and signals that roles are bound to.
+    """Messages and signals that roles are bound to.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def bound_messages(config: Config) -> list[BoundMessage]:
 
 
 def _lake_database(config: Config, known: Database) -> Database:
-    """A database of the bound messages, each signal a number of 64 bits."""
+    """Database of the bound messages, with each signal as a 64-bit number."""
     names: dict[str, list[str]] = {}
     for bound in config.binding.values():
         for path in [bound] if isinstance(bound, str) else bound:
@@ -87,7 +87,7 @@ def _signal(place: int, path: str, config: Config, known: Database) -> Signal:
 
 
 def _known(database: Database, path: str) -> Signal | None:
-    """The signal of that name in a database, if there is one."""
+    """Signal with this name in a database, or None."""
     message, name = path.split(".")
     found: list[AnyMessage] = [each for each in database.messages if each.name == message]
     return next((signal for each in found for signal in each.signals if signal.name == name), None)

@@ -1,6 +1,6 @@
 """Recorded drives as J1939 traffic: frames in the shipped database's layouts.
 
-What a recording does not hold is sent as not available (all ones). Reference torque (EC1, 39 bytes) goes out by the
+Signals that a recording lacks are sent as not available (all ones). Reference torque (EC1, 39 bytes) is sent by the
 transport protocol's broadcast: one announcement (TP.CM, BAM) and six data packets (TP.DT), SAE J1939-21.
 """
 
@@ -31,7 +31,7 @@ Payload = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
-    """A message of a control unit; it goes out whenever the first of its roles that is on the bus is measured."""
+    """Message of a control unit, sent at each measurement of the first of its roles that the recording has."""
 
     message: str
     source: int
@@ -130,7 +130,7 @@ def _frames_of_message(message: Message, sent: _Sent, present: Mapping[str, Seri
 
 
 def _raw(signal: Signal, role: Role, value: Floats) -> NDArray[np.int64]:
-    """Integers on the bus of SI values."""
+    """Convert SI values to raw integers."""
     conversion = conversion_of(signal.unit)
     if role is Role.GRADE:
         value = np.arctan(value)

@@ -1,7 +1,7 @@
-"""The objects inside the containers of a Vector BLF log: where they are, and which of them are CAN frames.
+"""Objects inside the containers of a Vector BLF log: their positions, and the CAN frames among them.
 
-Objects follow each other with up to 3 bytes of padding. Long runs of objects of one kind and size, the rule in logs,
-are read where they lie; where kinds are mixed, objects are located first and gathered by kind.
+Objects follow each other with up to 3 bytes of padding. Long runs of objects of one kind and size, as is usual in logs,
+are read in place. If kinds are mixed, objects are first located and then gathered by kind.
 """
 
 from collections import Counter
@@ -31,10 +31,10 @@ KIND_OF = {(kind.type, kind.version): kind for kind in KINDS}
 
 
 class Decoded(NamedTuple):
-    """The data frames (n,) of a stretch of objects and their channels (n,), counts of the others, and the bytes used.
+    """Data frames (n,) of a stretch of objects, their channels (n,), counts of other objects, and the bytes used.
 
-    ``wanted`` is how many bytes after the used ones the next object takes, as far as they show it; ``fault`` what is
-    wrong after them.
+    ``wanted`` is the known size [bytes] of the next, incomplete object after the used bytes; ``fault`` is the error
+    found after them.
     """
 
     frames: Frames
@@ -46,7 +46,7 @@ class Decoded(NamedTuple):
 
 
 class Located(NamedTuple):
-    """Where objects start, the bytes used, and what is wrong after them."""
+    """Positions of objects, the number of bytes used, and the error found after them."""
 
     positions: NDArray[np.int64]
     used: int
@@ -78,7 +78,7 @@ def decode_objects(buffer: bytes, start: float) -> Decoded:
 
 
 def _missing(buffer: bytes, at: int) -> int:
-    """How many bytes from ``at`` on it takes to go on, 0 where they are there or are no object."""
+    """Number of bytes from ``at`` on that the next object needs; 0 if they are present, or are not an object."""
     first = buffer.find(SIGNATURE, at, at + MAX_PADDING + len(SIGNATURE))
     if first < 0:
         end = MAX_PADDING + len(SIGNATURE)
@@ -89,7 +89,7 @@ def _missing(buffer: bytes, at: int) -> int:
 
 
 def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
-    """Decode objects of one kind and size that follow each other from ``at`` on, if there are many."""
+    """Decode a run of objects of one kind and size from ``at`` on; None if the run is short."""
     at, before = buffer.find(SIGNATURE, at, at + MAX_PADDING + len(SIGNATURE)), at
     if at < 0 or at + BASE > len(buffer):
         return None
@@ -114,7 +114,7 @@ def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
 
 
 def _decoded(columns: Columns, keep: Mask | None, skipped: Counter[str], used: int, fault: str = "") -> Decoded:
-    """The objects that are to be kept, all if ``keep`` is None."""
+    """Select the objects in the mask ``keep`` (n,), all if it is None."""
     frames, channel = Frames(columns.t, columns.ident, columns.length, columns.data), columns.channel
     if keep is not None:
         frames, channel = frames[keep], channel[keep]
@@ -174,8 +174,8 @@ def _put(columns: Columns, rows: NDArray[np.intp], kind: Kind, objects: NDArray[
 def locate(buffer: bytes) -> Located:
     """Find where the complete objects in ``buffer`` start.
 
-    Where every signature in the bytes is the successor of the one before, they are the objects; from the first
-    place where it is not (payload may spell the signature), sizes are followed one by one.
+    The signatures are the objects as long as each follows from the size of the previous object. From the first that
+    does not (a payload may contain the signature), sizes are followed one by one.
     """
     window = np.frombuffer(buffer, np.uint8)
     at = np.flatnonzero(window[: max(len(window) - BASE + 1, 0)] == SIGNATURE[0])
@@ -215,7 +215,7 @@ def _walk(buffer: bytes, position: int) -> Located:
 
 
 def _gathered(window: NDArray[np.uint8], at: NDArray[np.int64], record: np.dtype[np.void]) -> NDArray[np.void]:
-    """Records (n,) that start at the places ``at`` (n,) of a window."""
+    """Records (n,) that start at the positions ``at`` (n,) of a window."""
     rows = sliding_window_view(window, record.itemsize)[at]
     return np.ascontiguousarray(rows).view(record)[:, 0]
 

@@ -1,8 +1,7 @@
-"""A table of measurements as a log: CSV or Parquet, a row at a time, a column of times and one for each role.
+"""Table of measurements as a log: CSV or Parquet, with a column of times and one for each role.
 
-Times are seconds (or another unit in brackets), an epoch, or dates as ISO 8601 writes them; without a zone they are
-UTC. Cells that are empty, ``nan`` or ``null`` hold no value. Rows must go forward in time, and be fast enough for
-accelerations.
+Times are seconds (or another unit in brackets), an epoch, or dates in ISO 8601, in UTC without a zone. Empty cells,
+``nan`` and ``null`` have no value. Times must ascend, and be frequent enough for accelerations.
 """
 
 import csv
@@ -41,7 +40,7 @@ DELIMITERS = ",;\t|"
 
 
 class TableLog(Log):
-    """A table file; ``table`` of the configuration says what its columns are."""
+    """Log in a table file; ``table`` of the configuration defines its columns."""
 
     def __init__(self, path: Path, table: Table) -> None:
         super().__init__(path)
@@ -94,7 +93,7 @@ class TableLog(Log):
 
 
 def _check_heading(path: Path, heading: list[str]) -> None:
-    """Refuse a first line that names no columns."""
+    """Refuse a first line without names of columns."""
     if len(heading) < 2 or all(_is_number(name) for name in heading):
         raise LogError(f"{path}: line 1 names no columns ({', '.join(heading)[:60]!r}); put a line of names first")
 
@@ -108,18 +107,18 @@ def _is_number(text: str) -> bool:
 
 
 def _named(table: Table, there: Iterable[str]) -> set[str]:
-    """Columns that a table of the configuration names, and those that may hold times."""
+    """Columns that the configuration of a table names, and those that may hold times."""
     times = {name for name in there if name.lower() in TIMES} if table.time is None else {split_unit(table.time)[0]}
     return {column.name for column in columns_of(table)} | times
 
 
 def table_frames(place: str, table: Table, pieces: Iterable[Mapping[str, Any]]) -> Iterator[Frames]:
-    """Frames of a table, a piece of rows after the other, each a mapping of names to cells (n,).
+    """Yield frames of a table from pieces of rows, each a mapping of column names to cells (n,).
 
     Raises
     ------
     LogError
-        A column is missing, a cell is no number, or times do not go forward or are too far apart; it names the row.
+        A column is missing, a cell is not a number, or times do not ascend or are too far apart; it names the row.
     """
     columns = columns_of(table)
     before, row, steps = -np.inf, 1, list[Floats]()
@@ -167,7 +166,7 @@ def _date(place: str, text: str, row: int) -> float:
 
 
 def _check_forward(place: str, t: Floats, before: float, row: int) -> None:
-    """Refuse rows without a time, and those that are not later than the one before."""
+    """Refuse rows without a time, and rows that are not later than the previous one."""
     steps = np.diff(t, prepend=before)
     if wrong := np.flatnonzero(~np.isfinite(t)).tolist():
         raise LogError(f"{place}: row {row + wrong[0]}: has no time; fill it in, or delete the row")
@@ -186,7 +185,7 @@ def _check_forward(place: str, t: Floats, before: float, row: int) -> None:
 
 
 def _values(place: str, columns: Sequence[Column], piece: Mapping[str, Any], row: int) -> Floats:
-    """Values (n, k) of the columns in the units of their messages, NaN where a cell holds none."""
+    """Values (n, k) of the columns in the units of their messages; NaN for a cell without a value."""
     for column in columns:
         if column.name not in piece:
             raise LogError(f"{place}: has no column {column.name!r}; there are {_listed(piece)}")
@@ -202,7 +201,7 @@ def _values(place: str, columns: Sequence[Column], piece: Mapping[str, Any], row
 
 
 def _numbers(place: str, name: str, cells: Any, row: int) -> Floats:
-    """Cells (n,) as numbers."""
+    """Convert cells (n,) to numbers."""
     given = np.asarray(cells)
     if given.dtype.kind in "fiub":
         return given.astype(np.float64)
@@ -215,7 +214,7 @@ def _numbers(place: str, name: str, cells: Any, row: int) -> Floats:
 
 
 def _frames(t: Floats, values: Floats) -> Frames:
-    """A frame for every value, row by row."""
+    """One frame for every value, row by row."""
     n, k = values.shape
     known = np.isfinite(values).ravel()
     ident = np.tile(np.array([ident_of(i) for i in range(k)], np.uint32), n)[known]

@@ -27,7 +27,7 @@ MILLISECONDS = 1000  # in a second
 
 
 class TrcLog(LineLog):
-    """A ``.trc`` log; times are python-can's, from the start time in the header on."""
+    """Log in ``.trc`` format; times are those of python-can, counted from the start time in the header."""
 
     def _begin(self) -> None:
         self._keys: dict[bytes, bytes] = {}  # the lines of the header that say something
