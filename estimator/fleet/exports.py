@@ -1,4 +1,4 @@
-"""A vehicle for simulators and range planners."""
+"""Export of a vehicle for simulators and range planners."""
 
 from estimator.answers.vehicle import CoastDown, Fastsim, FastsimChassis, Shared, Value, Vecto, VehicleAnswer
 from estimator.estimates import Marginal
@@ -12,9 +12,9 @@ KMH = 3.6  # km/h in a m/s
 
 
 def export(found: VehicleResult) -> VehicleAnswer | None:
-    """The vehicle; None where A/m or C is not estimated.
+    """Export a vehicle; None if A/m or C is not estimated.
 
-    C becomes a drag area by the density that each program uses, so that it finds the same force again.
+    C is converted to a drag area with the air density of each program, so that the program computes an equal force.
     """
     if found.rolling is None or found.drag is None or found.load is None:
         return None

@@ -1,4 +1,4 @@
-"""Logs to drives: files that continue each other are one, a log that appears twice counts once."""
+"""Grouping of logs to drives: files that continue each other are one drive, and a duplicate log is not used."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ CLOCK_YEARS = 2.0  # between the drives of a vehicle, beyond which one of the cl
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """The files of one drive in order, and hashes of their contents; times of its first and last frame [s]."""
+    """Files of one drive in order, hashes of their contents, and times [s] of its first and last frame."""
 
     vehicle: str
     sources: tuple[str, ...]
@@ -30,7 +30,7 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class Rejected:
-    """A log that gives no drive: ``status`` is "unreadable" or "duplicate"."""
+    """Log that gives no drive; ``status`` is "unreadable" or "duplicate"."""
 
     vehicle: str
     source: str
@@ -49,7 +49,7 @@ class Grouped:
 
     @cached_property
     def _spans(self) -> dict[str, list[tuple[float, float]]]:
-        """Times [s] of the drives whose clock was set, in order, by vehicle."""
+        """Start and end [s] of the drives whose clock was set, in order, by vehicle."""
         spans: dict[str, list[tuple[float, float]]] = defaultdict(list)
         for start, end, vehicle in sorted((d.start, d.end, d.vehicle) for d in self.drives):
             if start >= MIN_SET_CLOCK:
@@ -57,7 +57,7 @@ class Grouped:
         return spans
 
     def overlapping(self, vehicle: str) -> int:
-        """The number of drives of a vehicle that begin before another one has ended."""
+        """Number of drives of a vehicle that begin over OVERLAP before another one ends."""
         spans = self._spans[vehicle]
         ended = accumulate((end for _, end in spans), max)  # the latest so far
         return sum(start < end - OVERLAP for end, (start, _) in zip(ended, spans[1:], strict=False))
@@ -82,9 +82,10 @@ def group(surveys: Sequence[Survey]) -> Grouped:
 
 
 def by_engine(surveys: Sequence[Survey]) -> list[Survey]:
-    """The same logs, each of the vehicle whose engine claimed an address in it.
+    """Assign each log to the vehicle whose engine claimed an address in it.
 
-    Nodes claim addresses when they start, so files that continue such a log are of its vehicle. Others keep theirs.
+    Nodes claim addresses when they start, so files that continue such a log belong to its vehicle. Other logs keep
+    their vehicle.
     """
     named: dict[int, Survey] = {}
     last: dict[str, tuple[float, str]] = {}  # end [s] and vehicle of the newest log, by folder
@@ -103,7 +104,7 @@ def _rejection(one: Survey, status: str, reason: str) -> Rejected:
 
 
 def _joined(surveys: list[Survey]) -> list[Drive]:
-    """Drives of one vehicle; a file joins the one before if it begins where that one ends."""
+    """Drives of one vehicle; a file that begins where the previous one ends continues its drive."""
     chains: list[list[Survey]] = []
     for one in sorted(surveys, key=lambda each: (each.start, each.log.source)):
         last = chains[-1][-1] if chains else None
@@ -123,7 +124,7 @@ def _joined(surveys: list[Survey]) -> list[Drive]:
 
 
 def _notes(drives: list[Drive]) -> dict[str, str]:
-    """Doubts about channels and clocks, by the first source of a drive; that about the clock counts for more."""
+    """Doubts about channels or clocks, by the first source of a drive; a doubt about the clock has precedence."""
     notes = {drive.sources[0]: drive.note for drive in drives if drive.note}
     by_vehicle: dict[str, list[Drive]] = defaultdict(list)
     for drive in drives:
@@ -138,9 +139,9 @@ def _notes(drives: list[Drive]) -> dict[str, str]:
 
 
 def years_off(starts: Sequence[float]) -> list[float | None]:
-    """By how many years the clock of each drive of a vehicle, begun at ``starts`` [s] (n,), is off that of most.
+    """Clock error [years] of each drive of a vehicle, begun at ``starts`` [s] (n,), relative to the median drive.
 
-    None where it was not set; 0 where too few are set to tell.
+    None if the clock was not set; 0 if at most two clocks were set.
     """
     known = sorted(start for start in starts if start >= MIN_SET_CLOCK)
     middle = known[len(known) // 2] if len(known) > 2 else None

@@ -1,4 +1,4 @@
-"""The folder that a fleet is written to."""
+"""Output folder of a fleet."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -25,12 +25,12 @@ FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
 
 
 def prepare(out: Path) -> None:
-    """Make the folder, before the work is done.
+    """Make the folder, before the estimates.
 
     Raises
     ------
     ConfigError
-        It is a file, or cannot be made or written to.
+        The path is a file, or the folder cannot be made or written to.
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; give the name of a folder")
@@ -44,12 +44,12 @@ def prepare(out: Path) -> None:
 
 
 def check_names(vehicles: Iterable[str]) -> None:
-    """Refuse vehicles whose files would have one name, before the work is done.
+    """Refuse vehicles whose files would have one name, before the estimates.
 
     Raises
     ------
     ConfigError
-        The message names them.
+        There are such vehicles; the message names them.
     """
     named = {NEW_VEHICLE: "the belief about a new vehicle"}
     for vehicle in sorted(set(vehicles)):
@@ -62,9 +62,9 @@ def check_names(vehicles: Iterable[str]) -> None:
 def write_fleet(
     found: Fleet, config: Config, out: Path, rate: float, *, with_diagnosis: bool = False, with_page: bool = False
 ) -> list[Path]:
-    """Write tables, estimated beliefs and, ``with_page``, the page: all files, or none; returns their names.
+    """Write tables, configurations and, if ``with_page``, the page: all files or none; returns their names.
 
-    ``rate`` is the false-discovery rate at which a vehicle is named as out of line.
+    ``rate`` is the false-discovery rate up to which a vehicle is named as an outlier.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def write_fleet(
 
 
 def left_over(out: Path, written: Sequence[Path]) -> list[Path]:
-    """Files of an earlier run in the folder, which the run that has ``written`` these did not make anew."""
+    """Files of an earlier run in the folder that are not among those ``written`` by this run."""
     made = [*out.glob("*.parquet"), out / PAGE, out / ROAD_MAP, *out.glob(f"{PRIORS}/*"), *out.glob(f"{EXPORTS}/*")]
     return sorted(path for path in made if path.is_file() and path not in set(written))
 

@@ -1,4 +1,4 @@
-"""A fleet as one page that opens offline: vehicles out of line, A/m and C, masses by day, seasons, gaps, the road."""
+"""Page of a fleet that opens offline: outliers, A/m and C, masses by day, seasons, gaps, the road."""
 
 import html
 import re
@@ -43,7 +43,7 @@ TERMS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Tables:
-    """Rows of the tables of a fleet, its road, and the false-discovery ``rate`` of its outliers."""
+    """Rows of the tables of a fleet, its road, and the false-discovery ``rate`` for outliers."""
 
     drives: Sequence[Row]
     vehicles: Sequence[Row]
@@ -54,7 +54,7 @@ class Tables:
 
 
 def page(of: Tables) -> str:
-    """The whole document."""
+    """HTML document of the page."""
     sections = [
         Section("outliers", "Which vehicles are out of line?", _outliers(of)),
         Section("vehicles", "A/m and C by vehicle", _vehicles(of.vehicles)),
@@ -145,7 +145,7 @@ def _vehicles(rows: Sequence[Row]) -> str:
 
 
 def _intervals(rows: Sequence[Row], name: str, short: str) -> list[str]:
-    """An entry for each vehicle: a dot and its interval, on one scale."""
+    """One entry for each vehicle: a dot and its interval, on a common scale."""
     scale = axis([row[f"{name}_{end}"] for row in rows for end in ("q05", "q95")], "", margin=0.03)
     middle = _share(scale.at(np.array([_median(rows, name)])))
     entries = []
@@ -189,7 +189,7 @@ def _masses(rows: Sequence[Row]) -> str:
 
 
 def _tonnes(row: Row, part: str) -> float:
-    """Mass of a load [t], given all drives of its vehicle, or by its drive alone."""
+    """Mass of a load [t] given all drives of its vehicle, else given its drive alone."""
     return float(row.get(f"joint_mass_kg_{part}", row[f"mass_kg_{part}"])) / 1e3
 
 
@@ -225,7 +225,7 @@ def _seasons(of: Tables) -> str:
 
 
 def _in_per_cent(own: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """A vehicle's values and sds by season as changes [%] from the mean of its k seasons, of which each is a part."""
+    """Changes [%] and sds by season from the mean of a vehicle's k seasons; each season is part of that mean."""
     values, sds = np.array(list(own.values())).T
     middle, k = values.mean() / 100, len(values)
     variances = ((1 - 1 / k) ** 2 - 1 / k**2) * sds**2 + (sds**2).sum() / k**2
@@ -234,7 +234,7 @@ def _in_per_cent(own: Mapping[str, tuple[float, float]]) -> dict[str, tuple[floa
 
 
 def _changes(by_vehicle: Mapping[str, Mapping[str, tuple[float, float]]], shown: Sequence[str]) -> str:
-    """The changes [%] of vehicles by season with their sd, below the median over the vehicles with the same seasons."""
+    """Table of the changes [%] of vehicles by season; first row: median over vehicles with the most common seasons."""
     usual, _ = Counter(tuple(sorted(changes)) for changes in by_vehicle.values()).most_common(1)[0]
     alike = [changes for changes in by_vehicle.values() if tuple(sorted(changes)) == usual]
     medians = {season: (float(np.median([changes[season][0] for changes in alike])), 0.0) for season in usual}
@@ -285,7 +285,7 @@ def _gaps(of: Tables) -> str:
 
 
 def _unestimated(of: Tables) -> str:
-    """Rows by status and reason, those that differ by numbers only as one, and doubts."""
+    """Numbers of rows by status and reason, where reasons that differ in numbers only count as one, and doubts."""
     alike: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in of.drives:
         if row["status"] != "estimated":

@@ -1,4 +1,4 @@
-"""Passes of places by a drive: the mean slope that each pass shows, small enough to be kept with a drive's result."""
+"""Passes of places by a drive: mean slope of each pass, in a compact form that is stored with the drive's result."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -28,10 +28,10 @@ UNIT = 1e-5  # of kept slopes and sds, rise over run: a centimetre on a kilometr
 
 @dataclass(frozen=True, kw_only=True)
 class Passes:
-    """Passes of places; lists (k,) of whole numbers, which JSON keeps in some 20 bytes a pass.
+    """Passes of places, as tuples (k,) of integers; JSON takes some 20 bytes a pass.
 
-    ``row``, ``column`` and ``octant`` of `road_map`, each less that of the pass before; ``slope``, ``own`` sd and
-    ``common`` sd in UNIT, see `road_passes`.
+    ``row``, ``column`` and ``octant`` of `road_map` are differences from the previous pass. ``slope``, ``own`` sd and
+    ``common`` sd are in UNIT, see `road_passes`.
     """
 
     row: tuple[int, ...] = ()
@@ -43,7 +43,7 @@ class Passes:
 
     @classmethod
     def of(cls, key: Cells, slope: Floats, own: Floats, common: Floats) -> "Passes":
-        """From keys of places (k,), slopes, and sds (k,)."""
+        """Encode keys of places (k,), slopes (k,), and own and common sds (k,)."""
         places = [np.diff(each, prepend=0) for each in place_of(key)]
         values = [
             np.round(each / UNIT).astype(np.int64) for each in (slope, np.maximum(own, UNIT), np.maximum(common, UNIT))
@@ -64,7 +64,7 @@ class Passes:
 
     @classmethod
     def joined(cls, parts: "Sequence[Passes]") -> "Passes":
-        """All passes of several."""
+        """Concatenate passes."""
         if not parts:
             return cls()
         values = (np.concatenate(each) for each in zip(*(part.values for part in parts), strict=True))
@@ -79,7 +79,7 @@ class Places:
         self._parts: list[Floats] = []
 
     def add(self, rows: Rows) -> None:
-        """Take the next rows."""
+        """Add the next rows."""
         course = self._course.feed(rows)
         latitude, longitude = (rows.context.get(role) for role in (Role.LATITUDE, Role.LONGITUDE))
         if latitude is None or longitude is None:
@@ -88,7 +88,7 @@ class Places:
         self._parts.append(np.column_stack([rows.index * STEP, latitude, longitude, course])[kept])
 
     def under(self, strides: Strides) -> Cells:
-        """Key (n,) of the place of each stride, -1 where it is not known."""
+        """Key (n,) of the place of each stride; -1 if unknown."""
         found = np.full(len(strides), -1, np.int64)
         known = np.concatenate([np.empty((0, 4)), *self._parts])
         if len(known) < 2:
@@ -102,7 +102,7 @@ class Places:
 
 
 def passes_of(strides: Strides, found: RoadFit, places: Places, start: float) -> Passes:
-    """The passes of places by a drive from time ``start`` [s] on, of the strides of a fit."""
+    """Passes of places by the strides of a fit, from time ``start`` [s] on."""
     key = np.where(strides.t >= start, places.under(strides), -1)
     there = np.flatnonzero(key >= 0)
     if not len(there):

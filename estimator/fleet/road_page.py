@@ -1,4 +1,4 @@
-"""The learned road on the page of a fleet: the slope along the longest lines of places, with its sd."""
+"""Learned road on the page of a fleet: slope along the longest lines of places, with its sd."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ assert len(DIRECTIONS) == COURSES
 
 
 def road_figures(road: LearnedRoad) -> str:
-    """Figures of the longest lines, and a table of where lines are; a sentence where no place is known."""
+    """Figures of the longest lines, and a table of their positions; a sentence if no place is known."""
     if not len(road.key):
         return (
             "<p>No road was learned: latitude and longitude are not on the bus, or a map is in the configuration.</p>"
@@ -54,7 +54,7 @@ def _direction(road: LearnedRoad, along: RoadLine) -> str:
 
 
 def _where(road: LearnedRoad, lines: list[RoadLine], number: int) -> str:
-    """Beginnings and ends of lines, and how certain their slopes are."""
+    """Table of the beginnings and ends of lines, and of the sds of their slopes."""
     rows = []
     for i, along in enumerate(lines[:MAX_ROWS], start=1):
         row, column, _ = place_of(road.key[along.places[[0, -1]]])

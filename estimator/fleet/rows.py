@@ -1,4 +1,4 @@
-"""A fleet as rows of its tables."""
+"""Rows of the tables of a fleet."""
 
 from collections import defaultdict
 from typing import Any
@@ -20,7 +20,7 @@ DEGREE_DIGITS = 6  # 0.1 m
 
 
 def drive_rows(found: Fleet) -> list[Row]:
-    """Rows of `DRIVES`: a row for each load of a drive, for each drive without, and for each rejected log."""
+    """Rows of `DRIVES`: one for each load of a drive, for each drive without a load, and for each rejected log."""
     masses = {one.vehicle: iter(one.masses) for one in found.vehicles}
     rows: list[Row] = []
     for drive, result in zip(found.grouped.drives, found.results, strict=True):
@@ -62,7 +62,7 @@ def _segment_cells(segment: Segment, joint: Marginal | None) -> dict[str, Any]:
 
 
 def vehicle_rows(found: Fleet, rate: float) -> list[Row]:
-    """Rows of `VEHICLES`; a parameter is out of line where its false-discovery rate is at most ``rate``."""
+    """Rows of `VEHICLES`; a parameter is an outlier if its false-discovery rate is at most ``rate``."""
     rows: list[Row] = []
     by_vehicle: dict[str, list[tuple[Drive, DriveResult]]] = defaultdict(list)
     for drive, result in zip(found.grouped.drives, found.results, strict=True):
@@ -94,7 +94,7 @@ def vehicle_rows(found: Fleet, rate: float) -> list[Row]:
 
 
 def _changes(kind: str, found: tuple[Normal, Normal] | None) -> dict[str, float]:
-    """The columns of a change of A/m and C; none where no clock was set."""
+    """Columns of a change of A/m and C; none if no clock was set."""
     if found is None:
         return {}
     (rolling, rolling_sd), (drag, drag_sd) = found
@@ -117,7 +117,7 @@ def _out_of_line(found: Fleet, one: VehicleResult, q: Floats, rate: float) -> li
 
 
 def season_rows(found: Fleet) -> list[Row]:
-    """Rows of `SEASONS`."""
+    """Rows of `SEASONS`: one for each season of a vehicle."""
     return [
         {
             "vehicle": vehicle.vehicle,
@@ -132,7 +132,7 @@ def season_rows(found: Fleet) -> list[Row]:
 
 
 def effect_rows(found: Fleet) -> list[Row]:
-    """Rows of `EFFECTS`."""
+    """Rows of `EFFECTS`: one for each effect that the diagnosis of a drive names."""
     return [
         {
             "source": drive.sources[0],
@@ -151,7 +151,7 @@ def effect_rows(found: Fleet) -> list[Row]:
 
 
 def road_rows(road: LearnedRoad) -> list[Row]:
-    """Rows of `ROAD`."""
+    """Rows of `ROAD`: one for each place."""
     row, column, octant = place_of(road.key)
     latitude, longitude = (np.round(np.degrees(each), DEGREE_DIGITS) for each in centre_of(row, column))
     columns = {
