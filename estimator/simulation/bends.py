@@ -1,4 +1,4 @@
-"""Curvature along a road: slow bends turn sharply, everything else winds as gently as its speed demands."""
+"""Curvature along a road: sharp in slow bends, elsewhere as small as the speed demands."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ MAX_LATERAL_ACCELERATION = 1.7  # m/s^2, lateral acceleration that no bend excee
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """From ``start`` to ``end`` [m], to be driven at ``speed`` [m/s], turning by an ``angle`` in a range [rad]."""
+    """Bend from ``start`` to ``end`` [m], driven at ``speed`` [m/s], with an ``angle`` within a range [rad]."""
 
     start: float
     end: float
@@ -31,7 +31,7 @@ def curvature_of(start: Floats, speed: Floats, bends: list[Bend], length: float,
     start, speed
         Beginnings [m] and speeds [m/s] of the road's sections (k,).
     bends
-        The slow bends.
+        Slow bends.
     length
         Length of the road [m].
     rng

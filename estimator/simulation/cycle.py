@@ -1,7 +1,7 @@
-"""A driving cycle as a road: a table of speed, by time or by distance, with grade if it has it.
+"""Road from a driving cycle: a table of speed, by time or by distance, optionally with grade.
 
-Speeds of the table are limits at the places where the table has them; the truck stops where the table stands still,
-for the same time. So a slow truck takes longer, but drives the same road.
+Speeds of the table are limits at their places. The truck stops where the table has speed zero, for an equal time. A
+slow truck so takes longer, but drives the same road.
 """
 
 import csv
@@ -25,7 +25,7 @@ DWELL = 10.0  # s, at a standstill of a table by distance
 
 
 def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
-    """Read a table (``t_s`` or ``s_m``, ``v_mps`` and perhaps ``grade``) and repeat it over ``length`` [m].
+    """Read a table (``t_s`` or ``s_m``, ``v_mps``, optionally ``grade``) and repeat it over ``length`` [m].
 
     Raises
     ------
