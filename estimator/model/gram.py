@@ -45,8 +45,8 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
     product, behind = np.zeros((count, count)), np.zeros((count, whitened.reach))
     length = max(ELEMENTS // max(count, 1), MIN_PIECE, whitened.reach)
     for begin in range(0, size, length):
-        width, found = min(length, size - begin), []
-        own: Mask = np.any(behind, axis=1)
+        width, parts = min(length, size - begin), []
+        is_active: Mask = np.any(behind, axis=1)
         for observed, rows in kinds:
             part = observed.within(begin, begin + width)
             here = slice(rows.start + part.start, rows.start + part.stop)
@@ -54,19 +54,19 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
             if len(there):
                 scaled = values * weight[here]
                 product[np.ix_(there, there)] += scaled.T @ scaled
-                own[there] = True
-                found.append((observed, part, there, scaled * weight[here]))
+                is_active[there] = True
+                parts.append((observed, part, there, scaled * weight[here]))
         # Column by column, as LAPACK has it; what lies behind the piece is the beginning of the next.
-        place, next_behind = np.cumsum(own) - 1, np.zeros_like(behind)
-        gathered = np.zeros((np.count_nonzero(own), width))
+        column_of, next_behind = np.cumsum(is_active) - 1, np.zeros_like(behind)
+        gathered = np.zeros((np.count_nonzero(is_active), width))
         reaching = min(whitened.reach, width)
-        gathered[:, :reaching] = behind[own, :reaching]
-        for observed, part, there, weighed in found:
+        gathered[:, :reaching] = behind[is_active, :reaching]
+        for observed, part, there, weighed in parts:
             added = observed.gathered_within(part, weighed, begin, min(width + whitened.reach, size - begin)).T
-            gathered[place[there]] += added[:, :width]
+            gathered[column_of[there]] += added[:, :width]
             next_behind[there, : added.shape[1] - width] += added[:, width:]
         behind = next_behind
-        whitened.add(begin, own, gathered.T)
+        whitened.add(begin, is_active, gathered.T)
     return product - whitened.product
 
 
@@ -80,9 +80,9 @@ def _present(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
     indices, values = data.indices[ends[0] : ends[-1]], data.data[ends[0] : ends[-1]]
     is_there = np.zeros(data.shape[1], dtype=np.bool_)
     is_there[indices] = True
-    there, place = np.flatnonzero(is_there), np.cumsum(is_there) - 1
+    there, column_of = np.flatnonzero(is_there), np.cumsum(is_there) - 1
     columns = np.zeros((len(ends) - 1, len(there)))
-    columns[np.repeat(np.arange(len(ends) - 1), np.diff(ends)), place[indices]] = values
+    columns[np.repeat(np.arange(len(ends) - 1), np.diff(ends)), column_of[indices]] = values
     return there, columns
 
 
@@ -95,23 +95,23 @@ class _Whitened:
         self._row, self._column = np.indices((self.reach, self.reach))
         self.product = np.zeros((count, count))
 
-    def add(self, begin: int, own: Mask, columns: Floats) -> None:
-        """Add the piece of F W from row ``begin`` on: ``columns`` (m, k) of the k columns ``own`` (c,), 0 elsewhere."""
+    def add(self, begin: int, is_active: Mask, columns: Floats) -> None:
+        """Add the piece of F W from row ``begin`` on: ``columns`` (m, k) of those that are ``is_active`` (c,)."""
         link = self._link(begin)[: len(columns)]
-        columns[: len(link)] += link @ self._last[:, own]
+        columns[: len(link)] += link @ self._last[:, is_active]
         W = self._solved(begin, columns)
-        self.product[np.ix_(own, own)] += W.T @ W
+        self.product[np.ix_(is_active, is_active)] += W.T @ W
         last = np.zeros_like(self._last)
-        last[-len(W) :, own] = W[-self.reach :]  # of the last piece, which may be shorter, nothing is needed
-        going = np.flatnonzero(np.where(own, False, self._last.any(axis=0)))
+        last[-len(W) :, is_active] = W[-self.reach :]  # of the last piece, which may be shorter, nothing is needed
+        going = np.flatnonzero(np.where(is_active, False, self._last.any(axis=0)))
         if len(going):
             answers = np.zeros((len(columns), self.reach), order="F")
             answers[: len(link)] = link
             H, state = self._solved(begin, answers), self._last[:, going]
             self.product[np.ix_(going, going)] += state.T @ (H.T @ H) @ state
             cross = (W.T @ H) @ state
-            self.product[np.ix_(own, going)] += cross
-            self.product[np.ix_(going, own)] += cross.T
+            self.product[np.ix_(is_active, going)] += cross
+            self.product[np.ix_(going, is_active)] += cross.T
             last[-len(H) :, going] = H[-self.reach :] @ state
         self._last = last
 

@@ -130,8 +130,8 @@ class Observations:
         whole = self._gather
         if whole.shape == (length, len(scaled)):
             return self.gathered(scaled)
-        own = slice(whole.indptr[part.start], whole.indptr[part.stop])
-        kept = whole.data[own], whole.indices[own] - begin, whole.indptr[: len(scaled) + 1]
+        elements = slice(whole.indptr[part.start], whole.indptr[part.stop])
+        kept = whole.data[elements], whole.indices[elements] - begin, whole.indptr[: len(scaled) + 1]
         total: Floats = sp.csc_array(kept, (length, len(scaled))) @ scaled
         return total
 
@@ -196,7 +196,7 @@ class Factor:
         """
         reach, size = len(self.lower) - 1, self.lower.shape[1]
         width = max(reach, MIN_BLOCK)
-        found, after = np.empty_like(self.lower, order="C"), np.zeros((width, width))
+        inverse_band, after = np.empty_like(self.lower, order="C"), np.zeros((width, width))
         for begin in reversed(range(0, size, SEGMENT * width)):
             part = self.lower[:, begin : begin + SEGMENT * width]
             number = -(-part.shape[1] // width)
@@ -206,16 +206,16 @@ class Factor:
             blocks, stored = _blocks(number, width, reach)
             stored[:] = padded.reshape(stored.shape)
             inverse = np.array([dtrtri(block.T, lower=0)[0].T for block in blocks[:, :width]])
-            own, turned = inverse.transpose(0, 2, 1) @ inverse, blocks[:, width:] @ inverse
+            diagonal, turned = inverse.transpose(0, 2, 1) @ inverse, blocks[:, width:] @ inverse
             across, product = np.empty_like(turned), np.empty((width, width))
-            for turn, S_kk_G, S_ii in zip(turned[::-1], across[::-1], own[::-1], strict=True):
+            for turn, S_kk_G, S_ii in zip(turned[::-1], across[::-1], diagonal[::-1], strict=True):
                 np.matmul(after, turn, out=S_kk_G)
                 S_ii += np.matmul(turn.T, S_kk_G, out=product)
                 after = S_ii
-            blocks[:, :width] = own
+            blocks[:, :width] = diagonal
             np.negative(across, out=blocks[:, width:])
-            found[:, begin : begin + part.shape[1]] = stored.reshape(reach + 1, -1)[:, : part.shape[1]]
-        return found
+            inverse_band[:, begin : begin + part.shape[1]] = stored.reshape(reach + 1, -1)[:, : part.shape[1]]
+        return inverse_band
 
 
 def _blocks(number: int, width: int, reach: int) -> tuple[Floats, Floats]:

@@ -95,13 +95,13 @@ class MaternField:
         ``products`` is the mean of x x', as `both_triangles`.
         """
         kappa, tau = self._kappa_tau(sd, length)
-        each = self._factors(kappa, tau) * (self._powers @ products.ravel()[self._touched])
+        terms = self._factors(kappa, tau) * (self._powers @ products.ravel()[self._touched])
         orders = 2 * (self.alpha - np.arange(self.alpha + 1)) - 2 * self._nu  # of kappa in the factors
         inverse = _inverse_diagonal(*self._operator(kappa))
         by_kappa = (
-            self.alpha * kappa**2 * float(self._mass @ inverse) - self._nu * self.size - 0.5 * float(orders @ each)
+            self.alpha * kappa**2 * float(self._mass @ inverse) - self._nu * self.size - 0.5 * float(orders @ terms)
         )
-        return np.array([each.sum() - self.size, -by_kappa])
+        return np.array([terms.sum() - self.size, -by_kappa])
 
     def response(self, x: Floats, sd: float, length: float) -> Floats:
         """Product V' V^-1 ``x`` (N, 2), with V the covariance and V' its derivative by log ``sd`` or log ``length``."""

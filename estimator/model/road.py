@@ -194,12 +194,12 @@ class RoadModel:
     def _slope_weights(self) -> tuple[Places, Floats]:
         """Nodes near each driven stride (n, q), and their weights in its mean slope (n, q)."""
         driven, nodes = self.driven, self.nodes
-        before, share = nodes.between(driven.s0[:, None] + (driven.s1 - driven.s0)[:, None] * _POINTS)
-        first = before.min(axis=1)
-        width = int((before.max(axis=1) - first).max()) + 2
+        node, share = nodes.between(driven.s0[:, None] + (driven.s1 - driven.s0)[:, None] * _POINTS)
+        first = node.min(axis=1)
+        width = int((node.max(axis=1) - first).max()) + 2
         hats, row = np.zeros((len(driven), width)), np.arange(len(driven))[:, None]
-        np.add.at(hats, (row, before - first[:, None]), (1 - share) * _SHARES)
-        np.add.at(hats, (row, before + 1 - first[:, None]), share * _SHARES)
+        np.add.at(hats, (row, node - first[:, None]), (1 - share) * _SHARES)
+        np.add.at(hats, (row, node + 1 - first[:, None]), share * _SHARES)
         return np.minimum(first[:, None] + np.arange(width), len(nodes.s) - 1), hats
 
     def _heights(self) -> list[tuple[Places, Floats]]:
@@ -263,9 +263,9 @@ class RoadModel:
             stop = at + len(reading.values)
             origin = reading.values[0] if reading.name == "altitude" else 0.0
             data[at:stop, 0] = reading.values - origin
-            own = reading.offsets.shape[1]
-            data[at:stop, extra : extra + own] = reading.offsets
-            at, extra = stop, extra + own
+            count = reading.offsets.shape[1]
+            data[at:stop, extra : extra + count] = reading.offsets
+            at, extra = stop, extra + count
         return data
 
     def acting(self, scales: Floats) -> tuple[Acting, ...]:
@@ -285,21 +285,21 @@ class RoadModel:
 
     def noise_variance(self, scales: Floats) -> Floats:
         """Variance [m^2/s^4] (n,) of the mean f and p of each stride, given their values at both ends."""
-        found = np.zeros(self.counts[0])
+        total = np.zeros(self.counts[0])
         for at, share in self._shares:
-            _, own = mean_given_ends(DURATION, scales[at + 1])
-            found += scales[at] ** 2 * own * share**2
-        return found
+            _, remaining = mean_given_ends(DURATION, scales[at + 1])
+            total += scales[at] ** 2 * remaining * share**2
+        return total
 
     def variances(self, scales: Floats) -> list[Floats]:
         """Variances of the observations of each kind, for ``scales`` (k,)."""
-        found = [scales[DISTURBANCE] ** 2 + self.noise_variance(scales)]
+        variances = [scales[DISTURBANCE] ** 2 + self.noise_variance(scales)]
         counts = list(self.counts[1:])
         if self.has_altitude:
-            found += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
+            variances += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
         for i, reading in enumerate(self.readings):
-            found.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0) + reading.bends)
-        return found
+            variances.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0) + reading.bends)
+        return variances
 
     def variances_by(self, scales: Floats) -> Floats:
         """Derivative (sum of counts, k) of the variances of all observations by the logarithms of the scales."""
@@ -307,8 +307,10 @@ class RoadModel:
         change = np.zeros((ends[-1], len(scales)))
         n = self.counts[0]
         for at, share in self._shares:
-            (_, own), (_, turned) = (f(DURATION, scales[at + 1]) for f in (mean_given_ends, mean_given_ends_by_time))
-            change[:n, at] = 2 * scales[at] ** 2 * own * share**2
+            (_, remaining), (_, turned) = (
+                f(DURATION, scales[at + 1]) for f in (mean_given_ends, mean_given_ends_by_time)
+            )
+            change[:n, at] = 2 * scales[at] ** 2 * remaining * share**2
             change[:n, at + 1] = scales[at] ** 2 * turned * share**2
         change[:n, DISTURBANCE] = 2 * scales[DISTURBANCE] ** 2
         first = len(self.counts) - len(self.readings)
@@ -325,7 +327,9 @@ class RoadModel:
         precision = np.zeros(self._shape)
         for observed, variance in zip(self._maps, variances, strict=True):
             observed.add_information(precision, variance)
-        log_prior = sum(each.process.add_precision(precision, each.sd, each.memory) for each in self.acting(scales))
+        log_prior = sum(
+            acting.process.add_precision(precision, acting.sd, acting.memory) for acting in self.acting(scales)
+        )
         return precision, float(log_prior)
 
     def gathered(self, scaled: Floats) -> Floats:
@@ -361,8 +365,8 @@ class RoadModel:
         if self.is_level:
             return np.zeros((len(strides), *unknowns.shape[1:]))
         slope = unknowns[self._slope]
-        before, share = self.nodes.between(0.5 * (strides.s0 + strides.s1))
-        here: Floats = ((1 - share) * slope[before].T + share * slope[before + 1].T).T
+        node, share = self.nodes.between(0.5 * (strides.s0 + strides.s1))
+        here: Floats = ((1 - share) * slope[node].T + share * slope[node + 1].T).T
         return here
 
     def averages(self, strides: Strides, parts: NDArray[np.int64]) -> sp.csr_matrix:
@@ -373,9 +377,9 @@ class RoadModel:
         inside = np.flatnonzero(parts >= 0)
         part, length = parts[inside], (strides.s1 - strides.s0)[inside]
         weight = length / np.bincount(part, length)[part]
-        before, share = self.nodes.between(0.5 * (strides.s0 + strides.s1)[inside])
+        node, share = self.nodes.between(0.5 * (strides.s0 + strides.s1)[inside])
         values = np.concatenate([(1 - share) * weight, share * weight])
-        places = (np.tile(part, 2), np.concatenate([self._slope[before], self._slope[before + 1]]))
+        places = (np.tile(part, 2), np.concatenate([self._slope[node], self._slope[node + 1]]))
         return sp.csr_matrix((values, places), (int(part.max(initial=-1)) + 1, self.size))
 
     def slopes_before(self, scales: Floats) -> Factor:
@@ -393,8 +397,8 @@ class RoadModel:
         ``products`` is the covariance of the unknowns, as `both_triangles`.
         """
         errors, slopes = (Observations(*part, self._shape) for part in (self._errors(), self._slopes()))
-        both, own, others = (part.variance(products) for part in (self._maps[0], slopes, errors))
-        shared: Floats = 0.5 * (both + own - others)
+        both, by_slopes, by_errors = (part.variance(products) for part in (self._maps[0], slopes, errors))
+        shared: Floats = 0.5 * (both + by_slopes - by_errors)
         return shared
 
     def slope_variance(self, products: Floats) -> Floats:

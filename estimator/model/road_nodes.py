@@ -89,8 +89,8 @@ class Nodes:
 
     def between(self, s: Floats) -> tuple[NDArray[np.int64], Floats]:
         """Node at or before each distance ``s`` (n,) [m], and share (n,) of the interval to the next node."""
-        before = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2).astype(np.int64)
-        return before, (s - self.s[before]) / (self.s[before + 1] - self.s[before])
+        node = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2).astype(np.int64)
+        return node, (s - self.s[node]) / (self.s[node + 1] - self.s[node])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,17 +120,17 @@ class Reading:
         if there.sum() < 2:
             return None
         values = values[there] / (STANDARD_GRAVITY if name == "gravity" else 1.0)
-        before, share = nodes.between(0.5 * (strides.s0 + strides.s1)[there])
-        nearest = before + (share > 0.5)
+        node, share = nodes.between(0.5 * (strides.s0 + strides.s1)[there])
+        nearest = node + (share > 0.5)
         count = np.bincount(nearest, minlength=len(nodes.s)).astype(float)
         total = np.bincount(nearest, values, len(nodes.s))
         heard = np.flatnonzero(count)
         squares = _means(strides.speed[there] ** 2, nearest, len(nodes.s))[heard]
         offsets, offset_sd = np.ones((len(heard), 0 if name == "altitude" else 1)), OFFSET_SD
-        known = strides.grade_offset_sd[there]
-        if name == "grade" and np.isfinite(known).any():
+        offset_sds = strides.grade_offset_sd[there]
+        if name == "grade" and np.isfinite(offset_sds).any():
             offsets = np.column_stack([offsets, squares / squares.mean()])
-            offset_sd = float(np.sqrt(np.nanmean(known**2)))
+            offset_sd = float(np.sqrt(np.nanmean(offset_sds**2)))
         return cls(
             name=name,
             nodes=heard,
@@ -145,8 +145,8 @@ class Reading:
 
 def _means(values: Floats, places: NDArray[np.int64], number: int) -> Floats:
     """Mean (number,) of the known ``values`` (n,) at each of the ``places`` (n,); the overall mean if there is none."""
-    known = np.isfinite(values)
-    total, count = (np.bincount(places[known], weights, number) for weights in (values[known], None))
+    is_known = np.isfinite(values)
+    total, count = (np.bincount(places[is_known], weights, number) for weights in (values[is_known], None))
     means = np.full(number, total.sum() / max(int(count.sum()), 1))
     means[count > 0] = total[count > 0] / count[count > 0]
     return means

@@ -61,11 +61,11 @@ class Drive:
         )
 
     def __repr__(self) -> str:
-        rows, known = sum(map(len, self.pieces)), int(self.strides.known.sum())
+        rows, known_strides = sum(map(len, self.pieces)), int(self.strides.known.sum())
         distance = float((self.strides.s1 - self.strides.s0).sum()) / 1e3
         reasons = [f"{reason} {100 * count / max(rows, 1):.0f} %" for reason, count in self.rejected.most_common(MOST)]
         unused = ", ".join(reasons) or "nothing"
-        return f"{rows * STEP / 60:.0f} min, {distance:.1f} km, {known:,} strides; not used: {unused}"
+        return f"{rows * STEP / 60:.0f} min, {distance:.1f} km, {known_strides:,} strides; not used: {unused}"
 
     @property
     def minutes_known(self) -> float:
@@ -114,13 +114,13 @@ def _heard(pieces: Sequence[Rows], start: float) -> frozenset[Quantity]:
 
 def _bridged(quantity: Quantity, values: Floats) -> Floats:
     """Values (n,) with gaps interpolated linearly; a state holds its last known value."""
-    known = np.flatnonzero(np.isfinite(values))
-    if len(known) in (0, len(values)):
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) in (0, len(values)):
         return values
     if quantity in STATES:
-        return last_known(values, float(values[known[0]]))
-    measured_values = np.unwrap(values[known]) if quantity is Quantity.HEADING else values[known]
-    return np.interp(np.arange(len(values)), known, measured_values)
+        return last_known(values, float(values[finite[0]]))
+    measured_values = np.unwrap(values[finite]) if quantity is Quantity.HEADING else values[finite]
+    return np.interp(np.arange(len(values)), finite, measured_values)
 
 
 def _halts(speed: Floats) -> Floats:

@@ -15,10 +15,10 @@ from estimator.samples import STEP
 from estimator.signals import Floats, Quantity
 
 
-def last_known(values: Floats, before: float) -> Floats:
-    """Hold the last known of the values (n,) where one is unknown; ``before`` is the value before the first."""
-    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, len(values) + 1), 0))
-    return np.concatenate([[before], values])[place]
+def last_known(values: Floats, initial: float) -> Floats:
+    """Hold the last known of the values (n,) where one is unknown; ``initial`` is the value before the first."""
+    index = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, len(values) + 1), 0))
+    return np.concatenate([[initial], values])[index]
 
 
 class PastSpeed:
@@ -42,13 +42,13 @@ class PastSpeed:
             self._values = self._values * np.exp(-gap * STEP / np.array([*PAST_SPEEDS.values()]))
             self._speed = 0.0
         held = last_known(speed, self._speed)
-        found = {
-            quantity: low_passed(held, before, STEP, time)
-            for (quantity, time), before in zip(PAST_SPEEDS.items(), self._values.tolist(), strict=True)
+        past = {
+            quantity: low_passed(held, previous, STEP, time)
+            for (quantity, time), previous in zip(PAST_SPEEDS.items(), self._values.tolist(), strict=True)
         }
-        self._values = np.array([values[-1] for values in found.values()])
+        self._values = np.array([values[-1] for values in past.values()])
         self._speed, self._next = float(held[-1]), int(index[-1]) + 1
-        return found
+        return past
 
     def state(self) -> dict[str, Any]:
         """State for `restore`."""

@@ -157,8 +157,8 @@ class StrideStage:
         """
         self.rejected = Counter(read(state, "rejected", dict[str, Count]))
         self._pending = optional(state, "pending", Rows.restore)
-        found = read(state, "strider", dict[str, Any] | None)
-        self._strider = None if found is None else Strider.restore(self._config.admission, found)
+        strider_state = read(state, "strider", dict[str, Any] | None)
+        self._strider = None if strider_state is None else Strider.restore(self._config.admission, strider_state)
         self.wanted = None if self._strider is None else self._strider.wanted
         self._newest, self.moving = read(state, "newest", float | None), read(state, "moving", Count)
         self._heard = read(state, "heard", Count)

@@ -26,10 +26,10 @@ def rests(pieces: Sequence[Rows], start: float) -> tuple[AtRest, ...]:
     power, engine, elapsed = (np.concatenate(parts) for parts in zip(*standing, strict=True))
     if any(Role.BATTERY_CURRENT in piece.context for piece in pieces):
         minute = np.floor(elapsed / INTERVAL)
-        each = [minute == k for k in np.unique(minute)]
+        intervals = [minute == k for k in np.unique(minute)]
         least, sd, share = MIN_REST, REST_SD, REST_SHARE
     else:
-        each = [np.ones(len(power), dtype=np.bool_)]
+        intervals = [np.ones(len(power), dtype=np.bool_)]
         least, sd, share = MIN_IDLE, IDLE_SD, IDLE_SHARE
     return tuple(
         AtRest(
@@ -38,7 +38,7 @@ def rests(pieces: Sequence[Rows], start: float) -> tuple[AtRest, ...]:
             engine_speed=float(np.median(engine[part])),
             elapsed=float(elapsed[part].mean()),
         )
-        for part in each
+        for part in intervals
         if np.count_nonzero(part) >= least / STEP
     )
 

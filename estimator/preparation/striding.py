@@ -88,29 +88,29 @@ class Strider:
         bad = np.concatenate([[0], np.cumsum(codes != ADMITTED)])
         clear = np.zeros(len(rows) + 1, dtype=bool)
         clear[: max(len(rows) - SPAN_ROWS + 1, 0)] = bad[SPAN_ROWS:] == bad[:-SPAN_ROWS]
-        starts, lengths, place = list[int](), list[int](), self._next
-        while place + max(ahead, ROWS) <= len(rows):
-            onward = np.flatnonzero(clear[place : place + ROWS])
+        starts, lengths, begin = list[int](), list[int](), self._next
+        while begin + max(ahead, ROWS) <= len(rows):
+            onward = np.flatnonzero(clear[begin : begin + ROWS])
             span = ROWS if not len(onward) or onward[0] == 0 else int(onward[0])
-            starts.append(place)
+            starts.append(begin)
             lengths.append(span)
-            place += span
+            begin += span
         if not starts:
             return Strides.none()
         first, length = np.array(starts), np.array(lengths)
-        known = clear[first]
-        for at, span in zip(first[~known].tolist(), length[~known].tolist(), strict=True):
+        is_known = clear[first]
+        for at, span in zip(first[~is_known].tolist(), length[~is_known].tolist(), strict=True):
             count_reasons(codes[at : at + span], rejected)
-        strides = self._strides(rows, coasting, first, length, known)
-        strides = strides[known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
+        strides = self._strides(rows, coasting, first, length, is_known)
+        strides = strides[is_known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
         travelled, held = self._travelled(rows)
-        self._distance, self._speed = float(travelled[place]), float(held[place - 1])
-        kept = max(place - self._margin, 0)
-        self._rows, self._next = rows[kept:], place - kept
+        self._distance, self._speed = float(travelled[begin]), float(held[begin - 1])
+        kept = max(begin - self._margin, 0)
+        self._rows, self._next = rows[kept:], begin - kept
         return strides
 
     def _strides(
-        self, rows: Rows, coasting: Mask, first: NDArray[np.intp], length: NDArray[np.intp], known: Mask
+        self, rows: Rows, coasting: Mask, first: NDArray[np.intp], length: NDArray[np.intp], is_known: Mask
     ) -> Strides:
         travelled, _ = self._travelled(rows)
         at = np.minimum(first[:, None] + np.arange(SPAN_ROWS), len(rows) - 1)
@@ -139,7 +139,7 @@ class Strider:
         return Strides(
             t=rows.t[first] + (SPAN_ROWS - 1) / 2 * STEP,
             rows=length.astype(np.int64),
-            known=known,
+            known=is_known,
             v0=v0,
             v1=v1,
             s0=s0,
@@ -152,7 +152,7 @@ class Strider:
             altitude=mean(signal(Role.ALTITUDE)),
             grade=mean(rise / np.hypot(1.0, rise)),
             grade_offset_sd=mean(rows.derived.get(Quantity.GRADE_OFFSET_SD, blank)),
-            gravity=np.where(known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
+            gravity=np.where(is_known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
             context={q: there.get(q, blank)[middle] for q in sorted(self.wanted | self._always(rows))},
         )
 
@@ -205,6 +205,6 @@ class Strider:
 
 def _later(values: Floats, lag: float) -> Floats:
     """Values (n,) shifted by ``lag`` [s], with the outermost held; an unknown later value is not taken."""
-    place = np.arange(len(values)) + round(lag / STEP)
-    later = values[np.clip(place, 0, len(values) - 1)]
+    index = np.arange(len(values)) + round(lag / STEP)
+    later = values[np.clip(index, 0, len(values) - 1)]
     return np.where(np.isfinite(later), later, values)

@@ -68,8 +68,8 @@ def _off(base: Floats, columns: Floats) -> Floats:
     for _ in range(2):  # the second projection removes the rounding of the first
         rest = rest - base @ (base.T @ rest) / len(base)
     size, left = (np.sqrt(np.mean(part**2, axis=0)) for part in (columns, rest))
-    known: Floats = np.where(left > MIN_LEFT * size, rest, 0.0)
-    return known
+    significant: Floats = np.where(left > MIN_LEFT * size, rest, 0.0)
+    return significant
 
 
 def checked(
@@ -101,10 +101,10 @@ def checked(
     if not np.any(rest):
         raise InputError("residual: the base explains all of it; nothing is to be explained")
     axes = {TIME: Axis(t - t[0], "s")} | {name: _axis(name, axis, y) for name, axis in (along or {}).items()}
-    found = {name: _candidate(name, candidate, columns) for name, candidate in candidates.items()}
-    for name in sorted(found.keys() & {NOISE, *(PROCESS + axis for axis in axes)}):
+    checked_candidates = {name: _candidate(name, candidate, columns) for name, candidate in candidates.items()}
+    for name in sorted(checked_candidates.keys() & {NOISE, *(PROCESS + axis for axis in axes)}):
         raise InputError(f"column {name!r}: the answer uses this name; choose another one")
-    return Record(t=t, residual=rest, base=columns, candidates=found, axes=axes)
+    return Record(t=t, residual=rest, base=columns, candidates=checked_candidates, axes=axes)
 
 
 def checked_unit(what: str, unit: str) -> None:
@@ -184,8 +184,8 @@ def _array(name: str, values: Floats, dimensions: int = 1) -> Floats:
     if array.ndim != dimensions:
         raise InputError(f"{name}: has {array.ndim} dimensions; {dimensions} expected")
     if not np.isfinite(array).all():
-        place = f" at index {int(np.argwhere(~np.isfinite(array))[0][0])}; leave such samples out" if dimensions else ""
-        raise InputError(f"{name}: not finite{place}")
+        where = f" at index {int(np.argwhere(~np.isfinite(array))[0][0])}; leave such samples out" if dimensions else ""
+        raise InputError(f"{name}: not finite{where}")
     largest = float(np.max(np.abs(array), initial=0.0))
     if largest and not SIZES[0] < largest < SIZES[1]:
         raise InputError(f"{name}: the largest value is {largest:g}; choose another unit")

@@ -83,8 +83,8 @@ def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) ->
         precision = sums.G + np.diag(MIN_RESIDUAL_SHARE**2 * (np.diag(sums.G) + sums.G.trace() * weak / weak.sum()))
         root = np.linalg.inv(factor(precision))
         theta = highest_in_box(precision, root.T @ (root @ sums.b), lower, upper)
-        before, active = active, X @ theta > 0
-        entered, left = np.flatnonzero(active & ~before), np.flatnonzero(before & ~active)
+        previous, active = active, X @ theta > 0
+        entered, left = np.flatnonzero(active & ~previous), np.flatnonzero(previous & ~active)
         if len(entered) == len(left) == 0 or sums.n + len(entered) - len(left) <= len(theta):
             break
         sums = sums + Sums.of(X[entered], P[entered]) - Sums.of(X[left], P[left])
@@ -163,26 +163,26 @@ class ClippedGaussianTarget:
         z = np.ones((theta.shape[1] + 1, len(theta)))
         np.matmul(self._whiten.T, theta.T - self.centre[:, None], out=z[:-1])
         squared = np.einsum("ij,ij->j", z[:-1], z[:-1])
-        place = np.zeros(len(theta), dtype=np.int8)
+        number = np.zeros(len(theta), dtype=np.int8)
         for limit in self._squared_radii:  # several times faster than a search for each
-            place += squared > limit
-        return z, place
+            number += squared > limit
+        return z, number
 
     def log_density(self, theta: Floats) -> Floats:
         """Unnormalised log density (k,), see `Target.log_density`; zero at the centre."""
-        z, place = self._locate(theta)
-        place[~in_box(theta, self.lower, self.upper)] = -1
+        z, number = self._locate(theta)
+        number[~in_box(theta, self.lower, self.upper)] = -1
         density = np.full(len(theta), -np.inf)
         for i in range(len(self._nest) + 1):
-            members = np.flatnonzero(place == i)
+            members = np.flatnonzero(number == i)
             if len(members):
                 density[members] = -0.5 * self._ellipsoid(i).excess(z.take(members, axis=1))
         return density
 
     def curvature(self, theta: Floats) -> Floats:
         """Covariances (k, p, p) sigma^2 (J' J)^-1, with J the Jacobian of the clipped power, limited to the box."""
-        z, place = self._locate(theta)
-        information = np.stack([self._ellipsoid(i).information(column) for i, column in zip(place, z.T, strict=True)])
+        z, number = self._locate(theta)
+        information = np.stack([self._ellipsoid(i).information(column) for i, column in zip(number, z.T, strict=True)])
         covariance: Floats = self._colour @ np.linalg.inv(information + self._beyond_data) @ self._colour.T
         return covariance
 

@@ -96,13 +96,13 @@ def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: 
     # It compares each proposal with the one before, then those behind a rejected one with the state that was kept. The
     # kept state has the larger weight, so a rejection stays one.
     refused = np.zeros(k * n, dtype=bool)
-    place = np.flatnonzero(hurdle[1:-1] <= weight[:-1]) + 1
-    stay = place - 1
-    while len(place):
-        refused[place] = True
-        states[place] = states[stay]
-        again = hurdle[place + 1] <= weight[stay]
-        place, stay = place[again] + 1, stay[again]
+    rejected = np.flatnonzero(hurdle[1:-1] <= weight[:-1]) + 1
+    stay = rejected - 1
+    while len(rejected):
+        refused[rejected] = True
+        states[rejected] = states[stay]
+        again = hurdle[rejected + 1] <= weight[stay]
+        rejected, stay = rejected[again] + 1, stay[again]
     kept = slice(burn_in + 1, None)
     acceptance = 1.0 - float(refused.reshape(k, n)[:, kept].mean())
     return Chains(states.reshape(k, n, p)[:, kept], acceptance, heaviest)

@@ -37,13 +37,13 @@ def curvature_of(start: Floats, speed: Floats, bends: list[Bend], length: float,
     rng
         Source of randomness.
     """
-    place = CURVE_SPACING * np.arange(int(length / CURVE_SPACING) + 2)
-    quick = np.maximum(speed[np.searchsorted(start, place, side="right") - 1], 8.0)
-    winding = smooth(len(place), WINDING, WINDING_LENGTH / CURVE_SPACING / 2, rng)
+    distance = CURVE_SPACING * np.arange(int(length / CURVE_SPACING) + 2)
+    quick = np.maximum(speed[np.searchsorted(start, distance, side="right") - 1], 8.0)
+    winding = smooth(len(distance), WINDING, WINDING_LENGTH / CURVE_SPACING / 2, rng)
     curvature: Floats = winding / quick**2
     for bend in bends:
         angle = rng.choice([-1.0, 1.0]) * rng.uniform(*bend.angle)
         sharpness = angle / (bend.end - bend.start)
         limit = MAX_LATERAL_ACCELERATION / bend.speed**2
-        curvature[(place >= bend.start) & (place < bend.end)] = np.clip(sharpness, -limit, limit)
+        curvature[(distance >= bend.start) & (distance < bend.end)] = np.clip(sharpness, -limit, limit)
     return curvature

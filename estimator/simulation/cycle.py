@@ -54,8 +54,8 @@ def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
     stops, once = np.unique(np.round(stops), return_inverse=True)  # standing at the end and at the start is one stop
     dwells = np.bincount(once, dwells).astype(np.float64)
     inside = (stops > 0.0) & (stops < road - GRADE_SPACING)
-    place = GRADE_SPACING * np.arange(int(road / GRADE_SPACING) + 2)
-    grade = np.interp(place % around, s, table["grade"]) if "grade" in table else np.zeros(len(place))
+    distance = GRADE_SPACING * np.arange(int(road / GRADE_SPACING) + 2)
+    grade = np.interp(distance % around, s, table["grade"]) if "grade" in table else np.zeros(len(distance))
     return Route(
         section_start=starts,
         section_speed=speeds,

@@ -115,19 +115,19 @@ def speeds_ahead(route: Route, easing: float, stopping: float) -> Floats:
     easing, stopping
         Decelerations towards slower sections and towards stops [m/s^2].
     """
-    place = np.arange(0.0, route.length + 2 * GRID, GRID)
-    section = np.searchsorted(route.section_start, place, side="right") - 1
+    distance = np.arange(0.0, route.length + 2 * GRID, GRID)
+    section = np.searchsorted(route.section_start, distance, side="right") - 1
     sections = route.section_speed[section] ** 2
-    stops = np.full(len(place), np.inf)
+    stops = np.full(len(distance), np.inf)
     stops[(route.stop_position / GRID).astype(int)] = 0.0
-    squares = np.minimum(_reachable(sections, place, easing), _reachable(stops, place, stopping))
+    squares = np.minimum(_reachable(sections, distance, easing), _reachable(stops, distance, stopping))
     speeds: Floats = np.sqrt(squares)
     return speeds
 
 
-def _reachable(squares: Floats, place: Floats, deceleration: float) -> Floats:
+def _reachable(squares: Floats, distance: Floats, deceleration: float) -> Floats:
     """Squared speeds from which every later limit is met at a deceleration [m/s^2]."""
-    potential = 2.0 * deceleration * place
+    potential = 2.0 * deceleration * distance
     lowest: Floats = np.minimum.accumulate((squares + potential)[::-1])[::-1] - potential
     return np.maximum(lowest, 0.0)
 

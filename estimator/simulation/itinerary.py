@@ -36,12 +36,12 @@ def shaped(road: Route, duration: float, shape: Shape) -> Route:
 
 def place_at(route: Route, time: float) -> float:
     """Approximate position [m] of a driver ``time`` [s] after the start."""
-    place = np.arange(0.0, route.length, GRID)
-    seen = np.maximum(0.95 * speeds_ahead(route, 0.17, 0.55)[: len(place)], 1.5)
+    distance = np.arange(0.0, route.length, GRID)
+    seen = np.maximum(0.95 * speeds_ahead(route, 0.17, 0.55)[: len(distance)], 1.5)
     seconds = np.cumsum(GRID / seen)
     for stop, dwell in zip(route.stop_position[:-1], route.stop_dwell[:-1], strict=True):
-        seconds[place >= stop] += dwell + MOVING_OFF
-    return float(np.interp(time, seconds, place))
+        seconds[distance >= stop] += dwell + MOVING_OFF
+    return float(np.interp(time, seconds, distance))
 
 
 def out_and_back(route: Route, turn: float) -> Route:
@@ -55,7 +55,7 @@ def out_and_back(route: Route, turn: float) -> Route:
     stop, dwell = route.stop_position[stops], route.stop_dwell[stops]
     grade = route.grade[: round(turn / GRADE_SPACING) + 1]
     curvature = route.curvature[: round(turn / CURVE_SPACING) + 1]
-    place = GRADE_SPACING * np.arange(len(grade))
+    position = GRADE_SPACING * np.arange(len(grade))
     yard, curved_yard = round(TURN_LENGTH / GRADE_SPACING) - 1, round(TURN_LENGTH / CURVE_SPACING) - 1
     u_turn = np.full(curved_yard, np.pi / (curved_yard * CURVE_SPACING))
     return Route(
@@ -66,7 +66,7 @@ def out_and_back(route: Route, turn: float) -> Route:
         grade=np.concatenate([grade, np.zeros(yard), -grade[::-1], [0.0]]),
         curvature=np.concatenate([curvature, u_turn, -curvature[::-1], [0.0]]),
         start_heading=route.start_heading,
-        place=np.concatenate([place, np.full(yard, turn), place[::-1], [0.0]]),
+        place=np.concatenate([position, np.full(yard, turn), position[::-1], [0.0]]),
     )
 
 

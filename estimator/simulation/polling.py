@@ -18,8 +18,8 @@ def polled(signals: Signals, period: float, rng: np.random.Generator) -> Signals
     end = min(float(signals[role].t[-1]) for role in ASKED)
     rounds = np.arange(start + rng.uniform(0.0, period), end, period)
     answers: dict[Role, Series] = {}
-    for place, role in enumerate(ASKED):
-        t = rounds + place * period / len(ASKED)
+    for number, role in enumerate(ASKED):
+        t = rounds + number * period / len(ASKED)
         t += ANSWER_TIME * rng.uniform(0.5, 1.5, len(t)) * min(period, 1.0)
         measured = signals[role]
         value = measured.value

@@ -246,11 +246,11 @@ def _accessories(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> It
 
 
 def _position(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
-    own = rng.spawn(1)[0]  # a generator of its own: dropouts of other messages do not depend on the position
-    t = _times(truth, 1.0, sensors, own)
+    generator = rng.spawn(1)[0]  # a generator of its own: dropouts of other messages do not depend on the position
+    t = _times(truth, 1.0, sensors, generator)
     scales = 1 / EARTH_RADIUS, 1 / (EARTH_RADIUS * cos(ORIGIN[0]))  # rad/m
     for role, true, scale in zip((Role.LATITUDE, Role.LONGITUDE), truth.position, scales, strict=True):
-        measured = np.interp(t, truth.t, true) + own.normal(0.0, POSITION_NOISE * scale, len(t))
+        measured = np.interp(t, truth.t, true) + generator.normal(0.0, POSITION_NOISE * scale, len(t))
         yield role, Series(t, _quantise(measured, POSITION_RESOLUTION))
 
 

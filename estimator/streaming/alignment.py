@@ -267,7 +267,7 @@ class Aligner:
         if not keys:
             return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, bool), np.zeros(len(edges) - 1, bool)
         means, there = zip(*(self._tracks[key].means(edges, known_to) for key in keys), strict=True)
-        speed, contradicted = self._wheels.mean(np.array(means), [place for _, place in keys])
+        speed, contradicted = self._wheels.mean(np.array(means), [wheel for _, wheel in keys])
         return speed, np.any(there, axis=0), contradicted
 
     @property

@@ -36,12 +36,12 @@ class Course:
         steps = np.where(rows.speed > MIN_SPEED, rows.speed, 0.0) * STEP
         along = np.cumsum(np.concatenate([[self._distance], steps]))[1:]
         self._distance = float(along[-1])
-        known = np.isfinite(latitude) & np.isfinite(longitude)
+        is_known = np.isfinite(latitude) & np.isfinite(longitude)
         here = np.column_stack([along, latitude, longitude])
-        passed = np.concatenate([self._passed, here[known & (steps > 0)]])
+        passed = np.concatenate([self._passed, here[is_known & (steps > 0)]])
         course = np.full(len(rows), np.nan)
         if len(passed):
-            course[known] = _courses(here[known], passed)
+            course[is_known] = _courses(here[is_known], passed)
             first = np.searchsorted(passed[:, 0], self._distance - BASE, side="right") - 1
             self._passed = passed[max(first, 0) :]
         return course
@@ -49,10 +49,10 @@ class Course:
 
 def _courses(here: Floats, passed: Floats) -> Floats:
     """Direction [rad] (n,) to points ``here`` (n, 3) from the points ``passed`` (k, 3) BASE before; NaN if unknown."""
-    before = np.searchsorted(passed[:, 0], here[:, 0] - BASE, side="right") - 1
-    way = here - passed[np.maximum(before, 0)]
+    origin = np.searchsorted(passed[:, 0], here[:, 0] - BASE, side="right") - 1
+    way = here - passed[np.maximum(origin, 0)]
     north, east = EARTH_RADIUS * way[:, 1], EARTH_RADIUS * np.cos(here[:, 1]) * way[:, 2]
-    sure = (before >= 0) & (way[:, 0] <= MAX_BASE) & (np.hypot(north, east) >= MIN_STRAIGHT)
+    sure = (origin >= 0) & (way[:, 0] <= MAX_BASE) & (np.hypot(north, east) >= MIN_STRAIGHT)
     return np.where(sure, np.arctan2(east, north), np.nan)
 
 

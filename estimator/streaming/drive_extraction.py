@@ -70,17 +70,17 @@ def diagnose_logs(
 
 def _require_different(paths: Sequence[Path]) -> None:
     """Refuse a log that is given twice: its evidence would count twice."""
-    places = [os.path.realpath(path) for path in paths]
-    for i, place in enumerate(places):
-        if place in places[:i]:
+    real_paths = [os.path.realpath(path) for path in paths]
+    for i, real_path in enumerate(real_paths):
+        if real_path in real_paths[:i]:
             raise LogError(f"{paths[i]}: is given twice, and would count as evidence of its own; take one out")
 
 
 def _other_engines(torques: Sequence[float | None]) -> Iterator[str]:
     """Yield reasons why logs with these reference torques [N m] may be of different vehicles."""
-    known = [(i, torque) for i, torque in enumerate(torques, start=1) if torque is not None]
-    for i, torque in known[1:]:
-        first, other = known[0]
+    by_log = [(i, torque) for i, torque in enumerate(torques, start=1) if torque is not None]
+    for i, torque in by_log[1:]:
+        first, other = by_log[0]
         if abs(torque - other) > MAX_TORQUE_DIFFERENCE * other:
             yield (
                 f"the engine's reference torque is {other:,.0f} N m in log {first} and {torque:,.0f} N m in log {i}: "
@@ -122,13 +122,13 @@ def drives_of(path: Path, config: Config, progress: Progress = no_progress) -> l
     return [Drive.of(rows, config) for rows in pieces]
 
 
-def rows_of(frames: Iterable[Frames], stream: RowStream, place: str) -> list[list[Rows]]:
+def rows_of(frames: Iterable[Frames], stream: RowStream, source: str) -> list[list[Rows]]:
     """Rows of each drive in traffic, cut into pieces at interruptions.
 
     Raises
     ------
     MissingInputsError
-        The traffic, which comes from ``place``, lacks inputs of the model.
+        The traffic, which comes from ``source``, lacks inputs of the model.
     """
     drives: list[list[list[Rows]]] = [[[]]]
     for item in stream.feed_all(frames):
@@ -138,6 +138,6 @@ def rows_of(frames: Iterable[Frames], stream: RowStream, place: str) -> list[lis
             drives.append([[]])
         else:
             drives[-1].append([])
-    stream.require_inputs(place)
+    stream.require_inputs(source)
     pieces = [[Rows.concatenate(*parts) for parts in drive if parts] for drive in drives]
     return [drive for drive in pieces if drive]

@@ -131,10 +131,10 @@ class EnginePower:
         factor, factor_there = other.means(edges, known_to)
         return lead * factor, lead_there & factor_there
 
-    def forget_readings(self, before: float) -> None:
-        """Drop readings older than ``before`` [s]."""
-        self.track.forget(before)
-        self._lead_track.forget(before)
+    def forget_readings(self, horizon: float) -> None:
+        """Drop readings older than ``horizon`` [s]."""
+        self.track.forget(horizon)
+        self._lead_track.forget(horizon)
 
     def is_settled(self, readings: Mapping[Role, list[Series]], ends: Floats, forgotten: Floats) -> bool:
         """True if these blocks of readings change no earlier power; see `Track.is_settled`."""
@@ -190,8 +190,8 @@ class EnginePower:
     def reference_torque(self) -> float | None:
         """Newest reference torque [N m] that the bus sent."""
         heard = self._of(Role.REFERENCE_TORQUE).value
-        known = heard[np.isfinite(heard)]
-        return float(known[-1]) if len(known) else self._reference
+        finite = heard[np.isfinite(heard)]
+        return float(finite[-1]) if len(finite) else self._reference
 
 
 def despike(value: Floats, bounds: NDArray[np.intp]) -> Floats:
@@ -201,8 +201,8 @@ def despike(value: Floats, bounds: NDArray[np.intp]) -> Floats:
     These are of such differences in its block between ``bounds`` (k + 1,). The running median follows ramps and steps,
     so only isolated readings are replaced.
     """
-    known = np.flatnonzero(np.isfinite(value))
-    x, within = value[known], np.searchsorted(known, bounds)
+    finite = np.flatnonzero(np.isfinite(value))
+    x, within = value[finite], np.searchsorted(finite, bounds)
     local = _running_median(x, within)
     off = np.abs(x - local)
     limit = np.full(len(x), NO_LIMIT)
@@ -211,7 +211,7 @@ def despike(value: Floats, bounds: NDArray[np.intp]) -> Floats:
             spread = float(np.median(off[low:high])), MIN_SPREAD_SHARE * float(np.median(np.abs(x[low:high])))
             limit[low:high] = MIN_SPIKE_SDS * MAD_TO_SD * max(spread)
     cleaned = value.copy()
-    cleaned[known[off > limit]] = local[off > limit]
+    cleaned[finite[off > limit]] = local[off > limit]
     return cleaned
 
 
@@ -219,8 +219,8 @@ def _running_median(x: Floats, bounds: NDArray[np.intp]) -> Floats:
     """Running median (n,) of SPIKE_WINDOW readings; each block is padded with its first and last reading."""
     count = np.diff(bounds)
     first, last = np.repeat(bounds[:-1], count), np.repeat(bounds[1:] - 1, count)
-    place = np.arange(len(x))
-    a, b, c, d, e = (x[np.clip(place + k, first, last)] for k in range(-(SPIKE_WINDOW // 2), SPIKE_WINDOW // 2 + 1))
+    index = np.arange(len(x))
+    a, b, c, d, e = (x[np.clip(index + k, first, last)] for k in range(-(SPIKE_WINDOW // 2), SPIKE_WINDOW // 2 + 1))
     # Neither the smaller of two smaller ones nor the larger of two larger ones is the median of all five.
     low = np.maximum(np.minimum(a, b), np.minimum(d, e))
     high = np.minimum(np.maximum(a, b), np.maximum(d, e))

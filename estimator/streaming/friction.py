@@ -47,15 +47,15 @@ class FrictionCurve:
         result is NaN where one of the three is, and the reading itself while the step of the readings is unknown. The
         curve is refitted for each block between ``bounds`` (k + 1,), to all readings up to its end.
         """
-        known = np.isfinite(engine_speed) & np.isfinite(reading) & np.isfinite(speed_then)
-        speed, value = speed_then[known], reading[known]
-        block = np.searchsorted(bounds[1:], np.flatnonzero(known), side="right")
+        is_complete = np.isfinite(engine_speed) & np.isfinite(reading) & np.isfinite(speed_then)
+        speed, value = speed_then[is_complete], reading[is_complete]
+        block = np.searchsorted(bounds[1:], np.flatnonzero(is_complete), side="right")
         half_step, curve = self._learn(speed, value, np.searchsorted(block, np.arange(len(bounds))))
         then = _at(curve[block], speed)
         within = np.clip(then, value - half_step[block], value + half_step[block])
         refined = np.full(len(reading), np.nan)
         shown = np.isfinite(half_step)[block]
-        refined[known] = np.where(shown, _at(curve[block], engine_speed[known]) + (within - then), value)
+        refined[is_complete] = np.where(shown, _at(curve[block], engine_speed[is_complete]) + (within - then), value)
         return refined
 
     def _learn(self, speed: Floats, value: Floats, bounds: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -67,7 +67,7 @@ class FrictionCurve:
         cell = np.clip(speed / BIN_WIDTH, 0, BINS - 1).astype(np.int64)
         cell += BINS * np.repeat(np.arange(blocks), np.diff(bounds))
         weights = (np.ones(len(cell)), speed, value)
-        new = np.stack([np.bincount(cell, each, BINS * blocks).reshape(blocks, BINS) for each in weights], axis=1)
+        new = np.stack([np.bincount(cell, weight, BINS * blocks).reshape(blocks, BINS) for weight in weights], axis=1)
         rounded = np.round(value, 6)
         is_new = bool(np.setdiff1d(rounded, self._levels).size)
         half_step, curve = np.full(blocks, np.nan), np.full((blocks, DEGREE + 1), np.nan)

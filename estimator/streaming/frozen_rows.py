@@ -48,17 +48,17 @@ class FrozenRows:
 
     def feed(self, rows: Rows) -> Rows | None:
         """Take the next rows, at least one; return those that are now decided, marked."""
-        known: Rows | None = rows
+        decided: Rows | None = rows
         for part in self._parts:
-            known = None if known is None else part.feed(known)
-        return known
+            decided = None if decided is None else part.feed(decided)
+        return decided
 
     def finish(self) -> Rows | None:
         """Return the rows still waiting, before a gap or the end of the traffic."""
         held: Rows | None = None
         for part in self._parts:
-            known = None if held is None else part.feed(held)
-            rest = [each for each in (known, part.finish()) if each is not None]
+            decided = None if held is None else part.feed(held)
+            rest = [waiting for waiting in (decided, part.finish()) if waiting is not None]
             held = Rows.concatenate(*rest) if rest else None
         return held
 
@@ -92,10 +92,10 @@ class _Repetition:
         last = np.searchsorted(begun, begun, side="right") - 1
         waiting: Mask = (begun == begun[-1]) & (still > USUAL) & may_be & ~long[-1]
         frozen = (still > USUAL) & long[last]
-        known = len(rows) - int(waiting.sum())
-        self._held = rows[known:] if known < len(rows) else None
-        self._held_still, self._held_long = still[known:], long[known:]
-        return _marked(rows, frozen, known)
+        decided = len(rows) - int(waiting.sum())
+        self._held = rows[decided:] if decided < len(rows) else None
+        self._held_still, self._held_long = still[decided:], long[decided:]
+        return _marked(rows, frozen, decided)
 
     def finish(self) -> Rows | None:
         """Return the rows still waiting, before a gap or the end of the traffic."""
@@ -109,18 +109,18 @@ class _Repetition:
         A standstill and an unknown value count as a change.
         """
         values = self._values(rows)
-        before = np.full(len(values), np.nan) if self._last is None else self._last
-        values = np.column_stack([before, values])
+        previous = np.full(len(values), np.nan) if self._last is None else self._last
+        values = np.column_stack([previous, values])
         is_same = np.all(np.abs(np.diff(values)) <= ROUNDING * np.abs(values[:, 1:]), axis=0)
         is_moving = rows.speed > MIN_SPEED
         is_same &= is_moving
         if not self._is_coarse:
             is_same &= (values[:, 1:] != 0).all(axis=0)  # no power while coasting
-        place = np.arange(len(rows))
-        changed: NDArray[np.int64] = np.maximum.accumulate(np.where(is_same, -1 - self._count, place))
-        run = place - changed
+        index = np.arange(len(rows))
+        changed: NDArray[np.int64] = np.maximum.accumulate(np.where(is_same, -1 - self._count, index))
+        run = index - changed
         reached = run * STEP > LONGEST if self._is_coarse else self._improbable(run, is_same, is_moving)
-        newest = np.maximum.accumulate(np.where(reached, place, -1))
+        newest = np.maximum.accumulate(np.where(reached, index, -1))
         long: Mask = (newest > changed) & (newest >= 0) | (changed < 0) & self._is_long
         self._last, self._count, self._is_long = values[:, -1], int(run[-1]), bool(long[-1])
         return run * STEP, long, bool(run[-1] * STEP <= LONGEST) and self._can_be_improbable()

@@ -47,9 +47,9 @@ class SwitchUse:
     def remarks(self, names: Mapping[Role, str]) -> list[str]:
         """One line for each switch that excludes most of the driving; ``names`` are MESSAGE.signal by role."""
         out = []
-        for role, known in self._known.items():
-            share = self._excluding[role] / max(known, 1)
-            if known * STEP >= MIN_TIME and share > MOSTLY:
+        for role, rows_known in self._known.items():
+            share = self._excluding[role] / max(rows_known, 1)
+            if rows_known * STEP >= MIN_TIME and share > MOSTLY:
                 state = "on" if EXCLUDING[role] else "off"
                 what = (
                     f"{names[role]} ({role}) is {state} for {100 * share:.0f} % of the driving above {MIN_SPEED:g} m/s"

@@ -66,8 +66,8 @@ class Run:
 
     def slope_at(self, t: float) -> Slope | None:
         """First slope that was broadcast from ``t`` [s] to SLOPE_PERIOD later; None if there is none."""
-        place = bisect_left(self.slopes, t, key=attrgetter("t"))
-        return self.slopes[place] if place < len(self.slopes) and self.slopes[place].t <= t + SLOPE_PERIOD else None
+        index = bisect_left(self.slopes, t, key=attrgetter("t"))
+        return self.slopes[index] if index < len(self.slopes) and self.slopes[index].t <= t + SLOPE_PERIOD else None
 
     @property
     def final(self) -> Estimate:
@@ -241,9 +241,9 @@ def paced_frames(batches: Iterable[Frames], speed: float | None) -> Iterator[Fra
     if speed is None:
         yield from batches
         return
-    began, due, before = time.monotonic(), 0.0, np.nan
+    began, due, previous = time.monotonic(), 0.0, np.nan
     for frames in batches:
-        steps = np.diff(frames.t, prepend=before) / speed
+        steps = np.diff(frames.t, prepend=previous) / speed
         at = due + np.cumsum(np.clip(np.nan_to_num(steps), 0.0, MAX_HELD))
         cuts = np.flatnonzero(np.diff(np.floor(at / SLICE))) + 1
         for first, end in pairwise([0, *cuts.tolist(), len(frames)]):
@@ -251,7 +251,7 @@ def paced_frames(batches: Iterable[Frames], speed: float | None) -> Iterator[Fra
                 time.sleep(max(at[first] - (time.monotonic() - began), 0.0))
                 yield frames[first:end]
         if len(frames):
-            due, before = float(at[-1]), float(frames.t[-1])
+            due, previous = float(at[-1]), float(frames.t[-1])
 
 
 def _virtual_bus(channel: str) -> can.BusABC:

@@ -30,9 +30,9 @@ class Track:
 
     def add(self, series: Series) -> int:
         """Add readings in ascending time; returns the number dropped: those at a repeated time or a step back."""
-        before = len(self.t)
+        size = len(self.t)
         self.t, self.value = self.joined(series)
-        dropped = len(series.t) - (len(self.t) - before)
+        dropped = len(series.t) - (len(self.t) - size)
         if np.isnan(self.fresh) and len(self.t) >= MIN_READINGS_FOR_PERIOD:
             period = float(np.median(np.diff(self.t)))
             self.fresh = min(max(FRESH_PERIODS * period, MIN_FRESH), MAX_FRESH)
@@ -73,15 +73,15 @@ class Track:
         """Remove readings (n,)."""
         self.t, self.value = self.t[~wrong], self.value[~wrong]
 
-    def forget(self, before: float) -> None:
-        """Drop readings older than ``before`` [s], but for the last of them."""
-        first = int(self._outdated(self.t, np.array([before]))[0])
+    def forget(self, horizon: float) -> None:
+        """Drop readings older than ``horizon`` [s], but for the last of them."""
+        first = int(self._outdated(self.t, np.array([horizon]))[0])
         self.t, self.value = self.t[first:], self.value[first:]
 
-    def _outdated(self, t: Floats, before: Floats) -> NDArray[np.intp]:
-        """Number (m,) of times ``t`` (n,) that can be dropped at each of the limits ``before`` (m,) [s]."""
+    def _outdated(self, t: Floats, horizons: Floats) -> NDArray[np.intp]:
+        """Number (m,) of times ``t`` (n,) that can be dropped at each of the limits ``horizons`` (m,) [s]."""
         # One reading before the horizon stays: it is the one that is held.
-        return np.maximum(np.searchsorted(t, before - self._memory) - 1, 0)
+        return np.maximum(np.searchsorted(t, horizons - self._memory) - 1, 0)
 
     def time_of_held(self, at: Floats) -> Floats:
         """Time [s] (n,) of the last reading at or before each of the times ``at`` (n,) [s], NaN where there is none."""
@@ -128,16 +128,16 @@ def cell_means(t: Floats, value: Floats, edges: Floats, limit: float) -> tuple[F
         return np.full(len(low), np.nan), np.zeros(len(low), dtype=bool)
     width = np.diff(t)
     bad = ~np.isfinite(value)
-    known = np.where(bad, 0.0, value)
-    slope = np.diff(known) / width
+    filled = np.where(bad, 0.0, value)
+    slope = np.diff(filled) / width
     first = np.clip(np.searchsorted(t, low, side="right") - 1, 0, len(t) - 2)  # line at the lower edge
     last = np.clip(np.searchsorted(t, high, side="left") - 1, 0, len(t) - 2)  # line at the upper edge
     from_low, to_high = t[first + 1] - low, high - t[last]
-    ends = from_low * (known[first + 1] - slope[first] * from_low / 2)
-    ends += to_high * (known[last] + slope[last] * to_high / 2)
-    between = (known[1:] + known[:-1]) / 2 * width
+    ends = from_low * (filled[first + 1] - slope[first] * from_low / 2)
+    ends += to_high * (filled[last] + slope[last] * to_high / 2)
+    between = (filled[1:] + filled[:-1]) / 2 * width
     whole = np.add.reduceat(between, np.column_stack([first + 1, last]).ravel().clip(max=len(width) - 1))[::2]
-    middle = known[first] + slope[first] * ((low + high) / 2 - t[first])
+    middle = filled[first] + slope[first] * ((low + high) / 2 - t[first])
     area = ends + np.where(last > first + 1, whole, 0.0)
     mean = np.where(last > first, area / (high - low), middle)
 

@@ -210,7 +210,7 @@ class RowStream:
             yield from self.feed(frames)
         yield from self.finish()
 
-    def require_inputs(self, place: str) -> None:
+    def require_inputs(self, source: str) -> None:
         """Check that the traffic so far has all inputs of the model.
 
         Raises
@@ -219,22 +219,22 @@ class RowStream:
             A needed signal never came, never with a valid value, or too seldom to be used.
         """
         if not self.valid_rows and (reason := self._too_seldom()):
-            raise MissingInputsError(f"{place}: {reason}")
+            raise MissingInputsError(f"{source}: {reason}")
         if missing := self._missing_roles():
             if names := self._decoder.sent_by_others:
                 raise MissingInputsError(
-                    f"{place}: missing inputs: {', '.join(self.missing)}; the group of {', '.join(names)} is sent with "
-                    "another priority or address than in the DBC, which does not say that it is of J1939 "
+                    f"{source}: missing inputs: {', '.join(self.missing)}; the group of {', '.join(names)} is sent "
+                    "with another priority or address than in the DBC, which does not say that it is of J1939 "
                     '(VFrameFormat): write [bus] match = "pgn" into the configuration'
                 )
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             raise MissingInputsError(
-                f"{place}: missing inputs: {', '.join(self.missing)}; {self._remedy(missing)}; found: {there}"
+                f"{source}: missing inputs: {', '.join(self.missing)}; {self._remedy(missing)}; found: {there}"
             )
         if not self.valid_rows:
             counts = (self.errors + self.unusable).most_common(4)
             reasons = ", ".join(f"{reason} {count}" for reason, count in counts) or "time stands still"
-            raise MissingInputsError(f"{place}: not one moment with both speed and power valid: {reasons}")
+            raise MissingInputsError(f"{source}: not one moment with both speed and power valid: {reasons}")
 
     def state(self) -> dict[str, Any]:
         """State for `restore`; to be taken between two calls of `feed`, and instead of `finish`.
@@ -400,15 +400,15 @@ class RowStream:
 
     def _silences(self, parts: Sequence[Rows | None]) -> dict[int, Interruption]:
         """Interruptions in which speed and power were not read, by index of the part of rows that follows."""
-        found, last = dict[int, Interruption](), self._counted_to
+        interruptions, last = dict[int, Interruption](), self._counted_to
         for i, rows in enumerate(parts):
             if rows is None:
                 continue
             start = float(rows.index[0]) * STEP
             if last is not None and start - last > STEP / 2:
-                found[i] = Interruption(last, start, is_new_drive=start - last > MIN_NEW_DRIVE_SILENCE)
+                interruptions[i] = Interruption(last, start, is_new_drive=start - last > MIN_NEW_DRIVE_SILENCE)
             last = float(rows.index[-1] + 1) * STEP
-        return found
+        return interruptions
 
     def _count(self, parts: Sequence[Rows]) -> None:
         """Count the usable rows, and note the times of the others."""

@@ -61,7 +61,7 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
     """
     config = from_dict({"signals": {"speed": "X.x"}})  # no message: frames of all are wanted
     chosen = {candidate.path: candidate for candidate in candidates}
-    found = {path: Presence() for path in chosen}
+    presences = {path: Presence() for path in chosen}
     messages = [_bound(candidate, config) for candidate in chosen.values()]
     last: dict[str, float] = {}  # latest value
     by_id, by_group = set[str](), set[str]()
@@ -72,12 +72,14 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
             mask = is_message(message, frames.ident, group)
             if mask.any():
                 by_id.add(message.name)
-                _add(found[path_of_it], message, message.signals[0], frames[mask], last)
+                _add(presences[path_of_it], message, message.signals[0], frames[mask], last)
             elif not message.by_pgn and message.key & EXTENDED:
                 pgn = int(pgn_of(np.array([message.key], dtype=np.uint32))[0])
                 if is_group(pgn, group).any():
                     by_group.add(message.name)
-    return Survey({path: there for path, there in found.items() if there.readings}, len(by_group - by_id) > len(by_id))
+    return Survey(
+        {path: there for path, there in presences.items() if there.readings}, len(by_group - by_id) > len(by_id)
+    )
 
 
 def _bound(candidate: Candidate, config: Config) -> BoundMessage:
@@ -97,7 +99,7 @@ def _bound(candidate: Candidate, config: Config) -> BoundMessage:
     return bound_message(candidate.message, (bound,), config)
 
 
-def _add(found: Presence, message: BoundMessage, bound: BoundSignal, frames: Frames, last: dict[str, float]) -> None:
+def _add(presence: Presence, message: BoundMessage, bound: BoundSignal, frames: Frames, last: dict[str, float]) -> None:
     """Count the readings of a signal in frames of its message."""
     need = max(last_byte(signal) for signal in (bound.signal, *bound.multiplexers))
     if need > frames.data.shape[1]:
@@ -107,12 +109,15 @@ def _add(found: Presence, message: BoundMessage, bound: BoundSignal, frames: Fra
     if not len(frames):
         return
     value, _ = values(message, bound, frames)
-    known = value[np.isfinite(value)]
-    found.readings += len(value)
-    found.first, found.last = min(found.first, float(frames.t[0])), max(found.last, float(frames.t[-1]))
-    if len(known):
+    finite = value[np.isfinite(value)]
+    presence.readings += len(value)
+    presence.first, presence.last = min(presence.first, float(frames.t[0])), max(presence.last, float(frames.t[-1]))
+    if len(finite):
         path = f"{message.name}.{bound.signal.name}"
-        found.known += len(known)
-        found.changes += int(np.count_nonzero(np.diff(known, prepend=last.get(path, known[0]))))
-        last[path] = float(known[-1])
-        found.minimum, found.maximum = min(found.minimum, float(known.min())), max(found.maximum, float(known.max()))
+        presence.known += len(finite)
+        presence.changes += int(np.count_nonzero(np.diff(finite, prepend=last.get(path, finite[0]))))
+        last[path] = float(finite[-1])
+        presence.minimum, presence.maximum = (
+            min(presence.minimum, float(finite.min())),
+            max(presence.maximum, float(finite.max())),
+        )

@@ -47,18 +47,18 @@ class Wheels:
 
         ``places`` (k,) are the numbers of the wheels in the configuration, from 0.
         """
-        known = np.isfinite(speeds)
+        is_used = np.isfinite(speeds)
         undecided = np.zeros(speeds.shape[1], dtype=bool)
         if 2 <= len(speeds) <= MAX_WHEELS:
             if self._still is None or self._still.wheels != len(speeds):
                 self._still = _Still(len(speeds))
             still = self._still.feed(speeds)
             out = self._compared(np.where(still, np.nan, speeds))
-            undecided[:] = known.any(axis=0) & ~(known & ~still & ~out).any(axis=0) & out.any(axis=0)
-            self._count(still & known, out & known & ~undecided, undecided, places)
-            known &= ~still & ~out
-        total = np.where(known, speeds, 0.0).sum(axis=0)
-        count = known.sum(axis=0)
+            undecided[:] = is_used.any(axis=0) & ~(is_used & ~still & ~out).any(axis=0) & out.any(axis=0)
+            self._count(still & is_used, out & is_used & ~undecided, undecided, places)
+            is_used &= ~still & ~out
+        total = np.where(is_used, speeds, 0.0).sum(axis=0)
+        count = is_used.sum(axis=0)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan), undecided
 
     def pause(self) -> None:
@@ -77,9 +77,9 @@ class Wheels:
         with np.errstate(invalid="ignore"):
             decisive = np.flatnonzero((speeds > MIN_SPEED).any(axis=0))
         codes = np.concatenate([[self._code], code[decisive]])
-        place = np.arange(len(codes))
-        changed = np.maximum.accumulate(np.where(np.diff(codes, prepend=codes[0]) != 0, place, 1 - self._run))
-        run = place - changed + 1
+        index = np.arange(len(codes))
+        changed = np.maximum.accumulate(np.where(np.diff(codes, prepend=codes[0]) != 0, index, 1 - self._run))
+        run = index - changed + 1
         run[0] = self._run
         counts = np.full(speeds.shape[1], -1)
         counts[decisive] = np.where(run[1:] >= MIN_ROWS, codes[1:], -1)
@@ -121,21 +121,23 @@ class _Still:
 
     def feed(self, speeds: Floats) -> Mask:
         """Mask (k, n) of the wheels that stand still."""
-        known = np.isfinite(speeds)
-        count = known.sum(axis=0)
-        total = np.where(known, speeds, 0.0).sum(axis=0)
+        is_known = np.isfinite(speeds)
+        count = is_known.sum(axis=0)
+        total = np.where(is_known, speeds, 0.0).sum(axis=0)
         still = np.zeros(speeds.shape, dtype=bool)
-        place = np.arange(speeds.shape[1])
-        for i, own in enumerate(speeds):
+        index = np.arange(speeds.shape[1])
+        for i, speed in enumerate(speeds):
             others = np.where(
-                count > known[i], (total - np.where(known[i], own, 0.0)) / np.maximum(count - known[i], 1), np.nan
+                count > is_known[i],
+                (total - np.where(is_known[i], speed, 0.0)) / np.maximum(count - is_known[i], 1),
+                np.nan,
             )
             with np.errstate(invalid="ignore"):
-                is_same = np.abs(np.diff(own, prepend=self._last[i])) <= STILL
-                begun = np.maximum.accumulate(np.where(is_same, -1, place))
+                is_same = np.abs(np.diff(speed, prepend=self._last[i])) <= STILL
+                begun = np.maximum.accumulate(np.where(is_same, -1, index))
                 then = np.where(begun >= 0, others[begun], self._others[i])
                 far = np.abs(others - then) > MAX_STILL_CHANGE
-            last_far = np.maximum.accumulate(np.where(far, place, -1))
+            last_far = np.maximum.accumulate(np.where(far, index, -1))
             still[i] = np.where(begun >= 0, last_far > begun, (last_far >= 0) | self._is_still[i])
-            self._last[i], self._others[i], self._is_still[i] = own[-1], then[-1], still[i, -1]
+            self._last[i], self._others[i], self._is_still[i] = speed[-1], then[-1], still[i, -1]
         return still

@@ -41,10 +41,10 @@ def cold_by_speed(view: View, time: Shape) -> Floats:
     The low-passed speed is interpolated over the logarithm of the time constant.
     """
     times = np.log([*PAST_SPEEDS.values()])
-    place = float(np.interp(np.log(time), times, np.arange(len(times))))
-    first = min(int(place), len(times) - 2)
+    position = float(np.interp(np.log(time), times, np.arange(len(times))))
+    first = min(int(position), len(times) - 2)
     shorter, longer = [view.context[quantity] for quantity in PAST_SPEEDS][first : first + 2]
-    past: Floats = shorter + (place - first) * (longer - shorter)
+    past: Floats = shorter + (position - first) * (longer - shorter)
     return 1 - past / WARM_SPEED
 
 

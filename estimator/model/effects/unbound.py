@@ -27,8 +27,8 @@ def _friction(view: View, rise: Shape) -> Floats:
 
 
 def _rises_near(rise: Shape, size: float) -> tuple[Shape, ...]:
-    place = int(np.argmin(np.abs(np.array(RISES) - rise)))
-    return RISES[max(place - 1, 0) : place + 2]
+    index = int(np.argmin(np.abs(np.array(RISES) - rise)))
+    return RISES[max(index - 1, 0) : index + 2]
 
 
 UNBOUND_FRICTION = Effect(

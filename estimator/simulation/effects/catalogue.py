@@ -258,9 +258,9 @@ def start_all(
             raise InputError(f"effect {effect.name}: cannot be {effect.magnitude:g}; plausible is {usual}")
         asked[effect.name] = effect
     actions: dict[str, Action] = {}
-    for (name, kind), own in zip(KINDS.items(), rng.spawn(len(KINDS)), strict=True):
+    for (name, kind), generator in zip(KINDS.items(), rng.spawn(len(KINDS)), strict=True):
         if name in asked:
-            actions[name] = kind.start(Scene(truck, route, duration, own), asked[name])
+            actions[name] = kind.start(Scene(truck, route, duration, generator), asked[name])
             route = actions[name].route or route
     if route.grade.any() and "air_density" not in actions:
         actions["air_density"] = air.air_density(

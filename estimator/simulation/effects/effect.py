@@ -37,13 +37,13 @@ def episodes(scene: Scene, effect: Effect, off: Span, on: Span) -> list[Span]:
     """Random stretches of time [s], with durations from ``shortest`` to ``longest`` [s]; or the given one."""
     if effect.start is not None:
         return [window(scene, effect)]
-    rng, found = scene.rng, []
+    rng, stretches = scene.rng, []
     t = float(rng.uniform(0.0, off[1]))
     while t < scene.duration:
         end = min(t + float(rng.uniform(*on)), scene.duration)
-        found.append((t, end))
+        stretches.append((t, end))
         t = end + float(rng.uniform(*off))
-    return found
+    return stretches
 
 
 def switched(spans: list[Span], duration: float, spacing: float) -> list[bool]:
