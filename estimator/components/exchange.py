@@ -35,18 +35,20 @@ def exchanged(
     first, last = first[short], last[short] + 1
     corner = np.zeros((b + 1, b + 1))
     corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
-    own = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
+    run_strength = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
     best = 0.0
     for _ in range(MAX_EXCHANGES):
         active = on.astype(float)
         score, strength = float(s @ active), float(active @ G @ active)
-        scores, crosses, counts = (np.insert(np.cumsum(each), 0, 0.0) for each in (s, G @ active, active))
+        scores, crosses, counts = (np.insert(np.cumsum(values), 0, 0.0) for values in (s, G @ active, active))
         in_run = counts[last] - counts[first]
         runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # all of one state
         begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
         more, edges = changes.by_run(on, begin, end)
         scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
-        gain = amplitude_evidence(score + switch * scored, strength + 2 * switch * crossed + own[runs], sd, positive)
+        gain = amplitude_evidence(
+            score + switch * scored, strength + 2 * switch * crossed + run_strength[runs], sd, positive
+        )
         gain -= changes.cost(on) + switch * more
         if single:  # a run at the beginning or the end of the drive has an edge there
             outer = (begin == 0).astype(float) + (end == b)
@@ -64,7 +66,7 @@ class Changes:
 
     def __init__(self, costs: Sequence[Costs]) -> None:
         self._begins, self._ends, self._stays = (
-            np.array([getattr(one, name) for one in costs]) for name in ("begins", "ends", "stays")
+            np.array([getattr(cost, name) for cost in costs]) for name in ("begins", "ends", "stays")
         )
 
     def cost(self, on: Mask) -> float:

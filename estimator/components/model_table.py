@@ -78,10 +78,10 @@ class ModelTable:
     def _having(self) -> dict[int, NDArray[np.intp]]:
         """Numbers of the sets that contain each form."""
         numbers: dict[int, list[int]] = defaultdict(list)
-        for number, own in enumerate(self.sets):
-            for form in own:
+        for number, chosen in enumerate(self.sets):
+            for form in chosen:
                 numbers[form].append(number)
-        return {form: np.array(own, dtype=np.intp) for form, own in numbers.items()}
+        return {form: np.array(sets, dtype=np.intp) for form, sets in numbers.items()}
 
     def holding(self, forms: Iterable[int]) -> float:
         """Probability that any of ``forms`` acts."""
@@ -97,7 +97,7 @@ class ModelTable:
         probability above 0.5 given that ``forms`` do not act.
         """
         alone = self.holding(forms)
-        either = {name: self.holding([*forms, *own]) for name, own in others.items()}
+        either = {name: self.holding([*forms, *other_forms]) for name, other_forms in others.items()}
         rival = max(either, key=lambda name: either[name], default="")
         return (rival, either[rival]) if rival and either[rival] - alone > (1 - alone) / 2 else ("", alone)
 
@@ -109,9 +109,9 @@ def weigh(
     log = dict[Chosen, float]()
     for start in dict.fromkeys(((), before)):
         _grow(start, log, likelihood, causes, max_causes)
-    order = sorted(log, key=lambda own: -log[own])
-    values = np.array([log[own] for own in order])
-    others = [log[own] for own in order if own]
+    order = sorted(log, key=lambda chosen: -log[chosen])
+    values = np.array([log[chosen] for chosen in order])
+    others = [log[chosen] for chosen in order if chosen]
     odds = float(logsumexp(others)) - log[()] if others else -np.inf
     return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)
 
@@ -122,31 +122,31 @@ def _grow(
     """Add ``start`` and the sets reached from it, with their log posterior up to a constant, to ``log``."""
     prior = {form: cause.log_prior for cause in causes for form in cause.forms}
 
-    def probable(own: Chosen) -> float:
-        return likelihood.log_evidence(own) + sum(prior[form] for form in own)
+    def probable(chosen: Chosen) -> float:
+        return likelihood.log_evidence(chosen) + sum(prior[form] for form in chosen)
 
     frontier, log[start] = [start], probable(start)
     for _ in range(2 * max_causes):  # up to the largest sets, and down again
-        found: dict[Chosen, float] = {}
-        for own in frontier:
-            smaller = [tuple(form for form in own if form != gone) for gone in own]
-            found |= {one: probable(one) for one in smaller if one not in log and one not in found}
-            for base in (own, *smaller) if own == frontier[0] else (own,):
+        reached: dict[Chosen, float] = {}
+        for chosen in frontier:
+            smaller = [tuple(form for form in chosen if form != gone) for gone in chosen]
+            reached |= {subset: probable(subset) for subset in smaller if subset not in log and subset not in reached}
+            for base in (chosen, *smaller) if chosen == frontier[0] else (chosen,):
                 added = _addable(base, causes, max_causes)
                 more = likelihood.with_each(base, added) + [prior[form] for form in added] if added else np.empty(0)
                 values = more + sum(prior[form] for form in base)
                 larger = [tuple(sorted((*base, form))) for form in added]
-                found |= dict(zip(larger, values.tolist(), strict=True))
-        new = sorted(found.keys() - log.keys(), key=lambda own: (-found[own], own))
-        log |= {own: found[own] for own in new}
+                reached |= dict(zip(larger, values.tolist(), strict=True))
+        new = sorted(reached.keys() - log.keys(), key=lambda chosen: (-reached[chosen], chosen))
+        log |= {chosen: reached[chosen] for chosen in new}
         least = max(log.values()) - WINDOW
-        frontier = [own for own in new[:BEAM] if found[own] > least]
+        frontier = [chosen for chosen in new[:BEAM] if reached[chosen] > least]
         if not frontier:
             break
 
 
-def _addable(own: Chosen, causes: Sequence[Cause], max_causes: int) -> list[int]:
+def _addable(chosen: Chosen, causes: Sequence[Cause], max_causes: int) -> list[int]:
     """Forms of the causes that a set lacks; none if it has ``max_causes``."""
-    if len(own) >= max_causes:
+    if len(chosen) >= max_causes:
         return []
-    return [form for cause in causes if not set(own) & set(cause.forms) for form in cause.forms]
+    return [form for cause in causes if not set(chosen) & set(cause.forms) for form in cause.forms]

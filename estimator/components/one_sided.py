@@ -26,10 +26,10 @@ def cut_at_zero(mean: Floats, covariance: Floats, places: Iterable[int]) -> tupl
 
     The other elements change by their regression on the truncated one. The moments are exact for one place.
     """
-    for place in places:
-        variance = covariance[place, place]
-        value, sd = above_zero(mean[[place]], np.sqrt([variance]))
-        along = covariance[:, place] / variance
-        mean = mean + along * (value[0] - mean[place])
+    for i in places:
+        variance = covariance[i, i]
+        value, sd = above_zero(mean[[i]], np.sqrt([variance]))
+        along = covariance[:, i] / variance
+        mean = mean + along * (value[0] - mean[i])
         covariance = covariance + np.outer(along, along) * (sd[0] ** 2 - variance)
     return mean, covariance

@@ -88,13 +88,13 @@ def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Comp
         profiles.append(_torque)
     rests = [joint.weighed_residual(chosen) for chosen in beside]
     for profile in profiles:
-        found = set[float]()
+        tried = set[float]()
         for rest in rests:
             frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
-            found |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
+            tried |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
         # A form has a share of the process' prior; that is of all frequencies, of which few are tried.
-        cost = float(np.log(len(frequencies) / len(found)))
-        for frequency in sorted(found):
+        cost = float(np.log(len(frequencies) / len(tried)))
+        for frequency in sorted(tried):
             angle = 2 * np.pi * frequency * t
             columns = _along(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
             for strength in STRENGTHS:
@@ -107,11 +107,11 @@ def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
 
     ``t`` [s] (n,) are times of the grid from 0 on, so a fast Fourier transform gives all frequencies.
     """
-    place = np.rint(t / STEP).astype(np.int64)
-    number = round(place[-1] / FREQUENCY_STEP)
+    index = np.rint(t / STEP).astype(np.int64)
+    number = round(index[-1] / FREQUENCY_STEP)
     frequencies = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, 1 / (number * STEP))
     lowest = np.zeros(number, dtype=np.complex128)  # turned so that the lowest frequency comes first
-    lowest[place] = values * np.exp(2j * np.pi * frequencies[0] * t)
+    lowest[index] = values * np.exp(2j * np.pi * frequencies[0] * t)
     return frequencies, number * np.abs(np.fft.ifft(lowest)[: len(frequencies)])
 
 
@@ -149,8 +149,8 @@ def _gear_ratio(turns: Floats, speed: Floats) -> Floats:
     """Logarithm (n,) of engine speed over road speed; the lowest one where the engine does not turn."""
     is_turning = turns > LOWEST_TURNS
     ratio = np.log(np.where(is_turning, turns, np.inf) / speed)
-    found: Floats = np.where(is_turning, ratio, ratio.min())
-    return found
+    filled: Floats = np.where(is_turning, ratio, ratio.min())
+    return filled
 
 
 def _drag(frame: Frame) -> Floats:
@@ -211,17 +211,17 @@ def ringing(frame: Frame, period: float, ratio: float) -> Floats:
     at = np.cumsum(steps).astype(np.int64)  # with strides of no acceleration in the gaps
     a = np.zeros(at[-1] + 1)
     a[at] = frame.view.a
-    before = np.concatenate([[0.0], recursive(reached * a, np.array([1.0, -decay]))[:-1]])
-    q = before * (decay - 1) / (mode * DURATION) + a * mean
+    initial = np.concatenate([[0.0], recursive(reached * a, np.array([1.0, -decay]))[:-1]])
+    q = initial * (decay - 1) / (mode * DURATION) + a * mean
     ring: Floats = (-a - (mode**2 * q).imag / mode.imag)[at]
     return ring
 
 
 def hats(axis: Floats, spacing: float) -> Floats:
     """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,); they sum to one everywhere."""
-    place = (axis - axis.min()) / spacing
-    below, every = np.floor(place).astype(np.int64), np.arange(len(axis))
-    found = np.zeros((len(axis), int(below.max()) + 2))
-    found[every, below] = 1 - (place - below)
-    found[every, below + 1] = place - below
-    return found[:, found.any(axis=0)]
+    position = (axis - axis.min()) / spacing
+    below, every = np.floor(position).astype(np.int64), np.arange(len(axis))
+    columns = np.zeros((len(axis), int(below.max()) + 2))
+    columns[every, below] = 1 - (position - below)
+    columns[every, below + 1] = position - below
+    return columns[:, columns.any(axis=0)]

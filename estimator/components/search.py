@@ -39,10 +39,10 @@ class _Round:
         """Log evidence of the chosen set plus its log prior odds."""
         return log_evidence(self.states) + self.joint.log_prior(self.chosen, self.joint.causes())
 
-    def expected(self, before: float) -> float:
-        """Log evidence after MAX_CAUSES further rounds, each with the gain of this one over ``before``."""
+    def expected(self, previous: float) -> float:
+        """Log evidence after MAX_CAUSES further rounds, each with the gain of this one over ``previous``."""
         value = log_evidence(self.states)
-        return value + MAX_CAUSES * max(value - before, 0.0)
+        return value + MAX_CAUSES * max(value - previous, 0.0)
 
     @property
     def as_fitted(self) -> tuple[float, tuple[DriveState, ...]]:
@@ -94,9 +94,11 @@ class Search:
         except _OutOfReachError:
             return None
 
-    def _explained(self, found: _Round) -> Explained:
+    def _explained(self, last_round: _Round) -> Explained:
         first = ranked(self._drives, self._effects)
-        return explained_by(found.joint, found.table, found.chosen, found.states, first, self._effects)
+        return explained_by(
+            last_round.joint, last_round.table, last_round.chosen, last_round.states, first, self._effects
+        )
 
     @property
     def _starts(self) -> Iterator[tuple[DriveState, ...]]:
@@ -116,15 +118,15 @@ class Search:
         _OutOfReachError
             No start would reach ``least``.
         """
-        found = list[tuple[float, tuple[DriveState, ...]]]()
+        fits = list[tuple[float, tuple[DriveState, ...]]]()
         for start in self._starts:
             with suppress(_OutOfReachError):
-                found.append(self._converged(start, least=least).as_fitted)
+                fits.append(self._converged(start, least=least).as_fitted)
                 if any(drive.is_hidden for drive in start):
-                    found += [self._converged(first, with_stretches=True).as_fitted for first in (found[-1][1], start)]
-        if not found:
+                    fits += [self._converged(first, with_stretches=True).as_fitted for first in (fits[-1][1], start)]
+        if not fits:
             raise _OutOfReachError
-        return max(found, key=lambda one: one[0])[1]
+        return max(fits, key=lambda fit: fit[0])[1]
 
     def _round(self, states: tuple[DriveState, ...], size: int, with_processes: bool, with_stretches: bool) -> _Round:
         """Make a table at the present scales, with sets of up to ``size`` causes, or one more than act already."""
@@ -132,9 +134,9 @@ class Search:
             self._candidates.on(number, state, with_processes, with_stretches) for number, state in enumerate(states)
         ]
         joint = Hypotheses(states, self._given, candidates)
-        known = joint.before() if with_processes else ()  # processes come to the effects found without them
-        room = max(size, len(known) + 1)
-        table = weigh(joint, joint.causes(), min(room, MAX_CAUSES), known)
+        start = joint.before() if with_processes else ()  # processes come to the effects found without them
+        room = max(size, len(start) + 1)
+        table = weigh(joint, joint.causes(), min(room, MAX_CAUSES), start)
         return _Round(room=room, joint=joint, table=table, chosen=table.best, states=joint.fitted(table.best))
 
     def _converged(
@@ -155,27 +157,27 @@ class Search:
         _OutOfReachError
             MAX_CAUSES further rounds, each with the gain of the last, would not reach ``least``.
         """
-        found, last, highest = None, None, log_evidence(states)
+        kept, last, highest = None, None, log_evidence(states)
         value = highest
         for size in range(2, MAX_ROUNDS + 2):
             latest = self._round(states, size, with_processes, with_stretches)
             if latest.expected(log_evidence(states)) < least:
                 raise _OutOfReachError
-            before, value = value, latest.log_posterior
-            if found is not None and value < highest - ROUNDING:
+            previous, value = value, latest.log_posterior
+            if kept is not None and value < highest - ROUNDING:
                 break
             last, states = latest, latest.states
             for number, term, magnitude in latest.joint.rivals(latest.table):
                 self._forms.shape(number, term, magnitude)
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
-                gain, found, highest = value - highest, latest, value
+                gain, kept, highest = value - highest, latest, value
             else:  # a set that is impossible and stays so gains nothing
-                gain = abs(value - before)
+                gain = abs(value - previous)
             if len(latest.chosen) < latest.room and gain < MIN_ROUND_GAIN:
                 break
-        found = found or last
-        assert found is not None
-        for number, state in enumerate(found.states):
+        kept = kept or last
+        assert kept is not None
+        for number, state in enumerate(kept.states):
             self._forms.add(number, state)
-        best = found.joint.worthwhile(found.chosen)
-        return found if best == found.chosen else replace(found, chosen=best, states=found.joint.fitted(best))
+        best = kept.joint.worthwhile(kept.chosen)
+        return kept if best == kept.chosen else replace(kept, chosen=best, states=kept.joint.fitted(best))

@@ -110,7 +110,7 @@ class SetLikelihood:
         self._prior = base_precision
         self._total, self._moment = float(products[0, 0]), products[1:, 0]
         self._information = products[1:, 1:]
-        self._widths = np.array([len(own) for own in places])
+        self._widths = np.array([len(columns) for columns in places])
         self._sds, self._costs, self._largest, self._highest = (
             np.array([getattr(prior, name) for prior in priors]) for name in ("sd", "cost", "largest", "highest")
         )
@@ -122,9 +122,9 @@ class SetLikelihood:
         ``weights`` are given by the number of a component with one column. Components outside a set add nothing.
         """
         places = np.array([self.places[index][0] for index in weights], dtype=np.int64)
-        each = np.array(list(weights.values()))
-        self._information[np.ix_(places, places)] += np.outer(each, each)
-        self._moment[places] += each * value
+        factors = np.array(list(weights.values()))
+        self._information[np.ix_(places, places)] += np.outer(factors, factors)
+        self._moment[places] += factors * value
 
     def _precision(self, chosen: Sequence[int]) -> Floats:
         """Prior precision (p,) of the amplitudes of base and set."""
@@ -151,13 +151,13 @@ class SetLikelihood:
             if self.priors[i].positive:
                 log += float(log_evidence_of_sign(mean[at] / np.sqrt(covariance[at, at])))
             at += len(self.places[i])
-        own = self.unit[places]
-        return Posterior(mean / own, covariance / np.outer(own, own), self.base_size, float(log))
+        units = self.unit[places]
+        return Posterior(mean / units, covariance / np.outer(units, units), self.base_size, float(log))
 
     def value(self, chosen: Sequence[int], index: int) -> float:
         """Posterior mean of the amplitude of the component ``index``, of one column, in a set that contains it."""
-        before = sum(len(self.places[i]) for i in chosen[: chosen.index(index)])
-        return float(self.posterior(chosen).mean[self.base_size + before])
+        start = sum(len(self.places[i]) for i in chosen[: chosen.index(index)])
+        return float(self.posterior(chosen).mean[self.base_size + start])
 
     def base(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
         """Mean (b,) and covariance (b, b) of the amplitudes of the base given a set, in physical units.
@@ -165,8 +165,8 @@ class SetLikelihood:
         Unlike in `posterior`, the distribution is truncated at zero for amplitudes that cannot be negative.
         """
         posterior, sizes = self.posterior(chosen), [len(self.places[i]) for i in chosen]
-        own = zip(chosen, places_of(self.base_size, sizes), strict=True)
-        positive = [int(place) for i, places in own if self.priors[i].positive for place in places]
+        component_places = zip(chosen, places_of(self.base_size, sizes), strict=True)
+        positive = [int(column) for i, places in component_places if self.priors[i].positive for column in places]
         mean, covariance = cut_at_zero(posterior.mean, posterior.covariance, positive)
         b = self.base_size
         return mean[:b], covariance[:b, :b]
@@ -183,8 +183,8 @@ class SetLikelihood:
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
         """`log_evidence` (c,) of the set with each of ``others`` added."""
-        found, possible = self._with_each(chosen, others)
-        return np.where(possible, found, -np.inf)
+        evidence, possible = self._with_each(chosen, others)
+        return np.where(possible, evidence, -np.inf)
 
     def unlimited_with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
         """`unlimited` (c,) of the set with each of ``others`` added."""
@@ -193,12 +193,12 @@ class SetLikelihood:
     def _with_each(self, chosen: Sequence[int], others: Sequence[int]) -> tuple[Floats, Mask]:
         """`unlimited` (c,) of the set with each of ``others`` added, and whether all sizes are possible (c,)."""
         widths, posterior = self._widths[list(others)], self.posterior(chosen)
-        found, possible = np.empty(len(others)), np.empty(len(others), dtype=np.bool_)
+        evidence, possible = np.empty(len(others)), np.empty(len(others), dtype=np.bool_)
         for width in np.unique(widths):
             alike = np.flatnonzero(widths == width)
-            own = [others[k] for k in alike.tolist()]
-            found[alike], possible[alike] = self._with_each_alike(chosen, posterior, own)
-        return found, possible
+            group = [others[k] for k in alike.tolist()]
+            evidence[alike], possible[alike] = self._with_each_alike(chosen, posterior, group)
+        return evidence, possible
 
     def _with_each_alike(
         self, chosen: Sequence[int], posterior: Posterior, others: Sequence[int]
@@ -209,17 +209,19 @@ class SetLikelihood:
         """
         added, places = self._added(chosen, others), self._set(chosen)[0]
         turned, units = added.turned[:, :, self.base_size :], self.unit[places][self.base_size :]
-        before = posterior.mean[self.base_size :] * units
+        previous = posterior.mean[self.base_size :] * units
         variance = np.diag(posterior.covariance)[self.base_size :] * units**2
-        mean = before - np.einsum("gks,gk->gs", turned, added.value)
+        mean = previous - np.einsum("gks,gk->gs", turned, added.value)
         spread = variance + np.einsum("gks,gkl,gls->gs", turned, added.covariance, turned, optimize=True)
         signed = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
-        signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(before / np.sqrt(variance)))[:, signed].sum(axis=1)
-        own = list(others)
-        costs = sum(self.priors[i].cost for i in chosen) + self._costs[own]
+        signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(previous / np.sqrt(variance)))[:, signed].sum(axis=1)
+        numbers = list(others)
+        costs = sum(self.priors[i].cost for i in chosen) + self._costs[numbers]
         value = added.value / self.unit[self._places_of(others)]
         possible = np.all(self._are_possible(chosen, mean / units), axis=1)
-        possible &= np.all((np.abs(value) <= self._largest[own, None]) & (value <= self._highest[own, None]), axis=1)
+        possible &= np.all(
+            (np.abs(value) <= self._largest[numbers, None]) & (value <= self._highest[numbers, None]), axis=1
+        )
         return posterior.log_evidence + added.gain + signs - costs, possible
 
     def _places_of(self, others: Sequence[int]) -> NDArray[np.int64]:
@@ -247,8 +249,8 @@ class SetLikelihood:
 
     def _are_possible(self, chosen: Sequence[int], sizes: Floats) -> Mask:
         """True (..., s) where an amplitude of a set is within its limits."""
-        own = [i for i in chosen for _ in self.places[i]]
-        possible: Mask = (np.abs(sizes) <= self._largest[own]) & (sizes <= self._highest[own])
+        component_of = [i for i in chosen for _ in self.places[i]]
+        possible: Mask = (np.abs(sizes) <= self._largest[component_of]) & (sizes <= self._highest[component_of])
         return possible
 
     def gains(self, chosen: Sequence[int], candidates: Sequence[int]) -> Judged:

@@ -51,17 +51,17 @@ class Switching:
         self._joint = joint
         self._cuts: dict[tuple[tuple[int, ...], tuple[int, ...], bytes], _Cut] = {}
 
-    def best(self, chosen: Sequence[int], effect: Effect, own: Sequence[int] = ()) -> tuple[Spans, float] | None:
+    def best(self, chosen: Sequence[int], effect: Effect, earlier: Sequence[int] = ()) -> tuple[Spans, float] | None:
         """Spans in which ``effect`` most likely acts beside a set, and their prior cost [nats]; None if none gain.
 
-        ``own`` are components of the effect with earlier times; blocks are also cut at changes from these.
+        ``earlier`` are components of the effect with earlier times; blocks are also cut at changes from these.
         """
         column, single = self._joint.frame.column(Term(effect)), effect.timing is Timing.WINDOW
         size = float(column[np.argmax(np.abs(column))])
         profile = np.round(column / size, PROFILE_DIGITS)
-        key = tuple(chosen), tuple(own), profile.tobytes()
+        key = tuple(chosen), tuple(earlier), profile.tobytes()
         if key not in self._cuts:
-            self._cuts[key] = self._cut(list(chosen), profile, list(own))
+            self._cuts[key] = self._cut(list(chosen), profile, list(earlier))
         cut, sd = self._cuts[key], effect.usual(self._joint.frame.road_load)
         costs = [least_costs(gap, effect) for gap in cut.gaps.tolist()]
         blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
@@ -71,50 +71,54 @@ class Switching:
         spans = _spans(self._joint.frame, on)
         return spans, prior_cost(spans, effect, self._joint.frame.strides.t)
 
-    def _cut(self, chosen: list[int], column: Floats, own: list[int]) -> _Cut:
+    def _cut(self, chosen: list[int], column: Floats, earlier: list[int]) -> _Cut:
         """Cut a ``column`` (n,) at likely changes of its state beside a set, at gaps, and at regular times."""
         t, steps = self._joint.frame.strides.t, np.zeros(len(self._joint.frame.strides), dtype=bool)
         steps[likely_steps(self._joint, chosen, column)] = True
-        if own:
-            steps[likely_steps(self._joint, [*chosen, *own], column)] = True
-            edges = np.array([edge for i in own for span in self._joint.components[i].spans or () for edge in span])
+        if earlier:
+            steps[likely_steps(self._joint, [*chosen, *earlier], column)] = True
+            edges = np.array([edge for i in earlier for span in self._joint.components[i].spans or () for edge in span])
             steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         gap = np.diff(t, prepend=t[0]) >= DURATION + MIN_BLOCK_GAP
-        there, place = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
-        products, score = self._joint.projected(chosen, _parts(column, place))
-        first = np.searchsorted(place, np.arange(len(there)))
+        there, label = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
+        products, score = self._joint.projected(chosen, _parts(column, label))
+        first = np.searchsorted(label, np.arange(len(there)))
         gaps = t[first[1:]] - t[first[1:] - 1] - DURATION
         lengths = np.append(t[first[1:]], t[-1]) - t[first]
-        return _Cut(labels=place, lengths=lengths, gaps=gaps, products=products, score=score)
+        return _Cut(labels=label, lengths=lengths, gaps=gaps, products=products, score=score)
 
     def proposed(self, effect: Effect) -> set[Spans]:
         """Propose times of ``effect`` beside the other components."""
         components = self._joint.components
         others = [i for i, component in enumerate(components) if component.name != effect.name]
-        own = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
-        return self._found(effect, others, own)
+        same_effect = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
+        return self._proposals(effect, others, same_effect)
 
     def proposed_instead(self, effect: Effect) -> set[Spans]:
         """Propose times of ``effect`` in place of all components with times; none if no other component has any."""
         components = self._joint.components
         timed = [i for i, component in enumerate(components) if component.is_timed]
         others = [i for i, component in enumerate(components) if component.name != effect.name and i not in timed]
-        return self._found(effect, others, timed) if any(components[i].name != effect.name for i in timed) else set()
+        return (
+            self._proposals(effect, others, timed) if any(components[i].name != effect.name for i in timed) else set()
+        )
 
-    def _found(self, effect: Effect, beside: list[int], before: list[int]) -> set[Spans]:
+    def _proposals(self, effect: Effect, beside: list[int], replaced: list[int]) -> set[Spans]:
         """Best times beside a set, and times of the components that it may replace, all with refined edges.
 
         The complements of these times are proposed as well: at a steady speed, one effect on and another one off give
         the same residual (a fan and drafting).
         """
         is_window = effect.timing is Timing.WINDOW
-        best = self.best(beside, effect, before)
-        known = {spans for i in before if (spans := self._joint.components[i].spans) and not (is_window and spans[1:])}
-        times = known | (set() if best is None else {best[0]})
-        found = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
-        return found if is_window else found | {_between(spans, self._joint.frame.strides.t) for spans in found}
+        best = self.best(beside, effect, replaced)
+        earlier_times = {
+            spans for i in replaced if (spans := self._joint.components[i].spans) and not (is_window and spans[1:])
+        }
+        times = earlier_times | (set() if best is None else {best[0]})
+        refined = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
+        return refined if is_window else refined | {_between(spans, self._joint.frame.strides.t) for spans in refined}
 
 
 def _between(spans: Spans, t: Floats) -> Spans:
@@ -140,20 +144,20 @@ def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> N
     return highest_peaks(np.abs(scores) / np.sqrt(strength))
 
 
-def _parts(column: Floats, place: NDArray[np.intp]) -> sp.csr_array:
-    """Cut a ``column`` (n,) into one column for each part (n, parts); ``place`` (n,) is the part of each stride."""
-    return sp.csr_array((column, place, np.arange(len(column) + 1)), (len(column), int(place.max()) + 1))
+def _parts(column: Floats, label: NDArray[np.intp]) -> sp.csr_array:
+    """Cut a ``column`` (n,) into one column for each part (n, parts); ``label`` (n,) is the part of each stride."""
+    return sp.csr_array((column, label, np.arange(len(column) + 1)), (len(column), int(label.max()) + 1))
 
 
 def highest_peaks(values: Floats) -> NDArray[np.intp]:
     """Indices of at most MAX_STEPS peaks of ``values`` (n,), the highest first, at least MIN_STEP_DISTANCE apart."""
     peaks = 1 + np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] > values[2:]))
-    is_free, found = np.ones(len(values), dtype=bool), list[int]()
-    for place in peaks[np.argsort(-values[peaks], kind="stable")].tolist():
-        if is_free[place] and len(found) < MAX_STEPS:
-            found.append(place)
-            is_free[max(place - MIN_STEP_DISTANCE + 1, 0) : place + MIN_STEP_DISTANCE] = False
-    return np.array(found, dtype=np.intp)
+    is_free, highest = np.ones(len(values), dtype=bool), list[int]()
+    for peak in peaks[np.argsort(-values[peaks], kind="stable")].tolist():
+        if is_free[peak] and len(highest) < MAX_STEPS:
+            highest.append(peak)
+            is_free[max(peak - MIN_STEP_DISTANCE + 1, 0) : peak + MIN_STEP_DISTANCE] = False
+    return np.array(highest, dtype=np.intp)
 
 
 def _spans(frame: Frame, on: Mask) -> Spans:

@@ -66,8 +66,8 @@ def least_costs(gap: float, effect: Effect) -> Costs:
     """
     if gap < MIN_GAP or effect.timing is Timing.WINDOW:
         return Costs(CHANGE_COST, CHANGE_COST, 0.0)
-    each = [in_gap(gap, dwell) for dwell in effect.dwells]
-    return Costs(min(c.begins for c in each), min(c.ends for c in each), min(c.stays for c in each))
+    costs = [in_gap(gap, dwell) for dwell in effect.dwells]
+    return Costs(min(c.begins for c in costs), min(c.ends for c in costs), min(c.stays for c in costs))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
     first = np.flatnonzero(np.diff(t, prepend=-inf) >= DURATION + MIN_GAP)
     begin, end = t[first].tolist(), t[np.append(first[1:], len(t)) - 1].tolist()
     gaps = [inf, *(b - a - DURATION for a, b in zip(end[:-1], begin[1:], strict=True)), inf]
-    found = list[_Piece]()
+    pieces = list[_Piece]()
     for number, (start, stop) in enumerate(spans):
         for run in range(bisect_left(end, start - DURATION / 2), len(begin)):
             low, high = max(start, begin[run] - DURATION / 2), min(stop, end[run] + DURATION / 2)
@@ -106,11 +106,11 @@ def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
                 continue
             before = 0.0 if start > begin[run] else gaps[run]
             after = 0.0 if stop < end[run] else gaps[run + 1]
-            if found and found[-1].run == run:  # two of one run: neither reaches the gap between runs there
-                found[-1], before = replace(found[-1], after=0.0), 0.0
+            if pieces and pieces[-1].run == run:  # two of one run: neither reaches the gap between runs there
+                pieces[-1], before = replace(pieces[-1], after=0.0), 0.0
             piece = _Piece(span=number, run=run, start=low, stop=high, before=before, after=after)
-            found.append(piece)
-    return found
+            pieces.append(piece)
+    return pieces
 
 
 def _gaps(t: Floats) -> Floats:
@@ -121,14 +121,14 @@ def _gaps(t: Floats) -> Floats:
 
 def _periods(pieces: Sequence[_Piece], apart: bool) -> list[list[_Piece]]:
     """Group consecutive pieces that only gaps separate; if ``apart``, those of one span only."""
-    found = list[list[_Piece]]()
+    periods = list[list[_Piece]]()
     for piece in pieces:
-        last = found[-1][-1] if found else None
+        last = periods[-1][-1] if periods else None
         if last is not None and last.meets(piece) and not (apart and last.span != piece.span):
-            found[-1].append(piece)
+            periods[-1].append(piece)
         else:
-            found.append([piece])
-    return found
+            periods.append([piece])
+    return periods
 
 
 def seen(spans: Spans, t: Floats) -> Spans:
@@ -169,8 +169,8 @@ def _cost_of_end(gap: float, t: Floats) -> float:
     With equal probability it depends on place (a wet road) or on time (a tyre that goes soft). A gap has little
     distance, but all of its time.
     """
-    place, time = 1.0 / len(t), max(gap, DURATION) / (t[-1] - t[0] + DURATION)
-    return -log(0.5 * (place + time))
+    by_place, by_time = 1.0 / len(t), max(gap, DURATION) / (t[-1] - t[0] + DURATION)
+    return -log(0.5 * (by_place + by_time))
 
 
 def _gap_at(edge: float, t: Floats) -> float:
