@@ -138,7 +138,7 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     wrong_units: dict[str, str] = {}  # complaint by MESSAGE.signal
     remedies: dict[str, str] = {}
     for role, bound in config.binding.items():
-        for place, path in enumerate([bound] if isinstance(bound, str) else bound):
+        for number, path in enumerate([bound] if isinstance(bound, str) else bound):
             message, signal = _find(database, path, f"signals.{role}")
             conversion, tangent = Conversion(DIMENSION[Role(role)], 1.0), False
             if conversion.dimension != STATE:
@@ -159,7 +159,7 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
                     conversion=conversion,
                     multiplexers=_multiplexers(signal, message, path),
                     tangent=tangent,
-                    place=place,
+                    place=number,
                     states=_states(Role(role), signal, path, config),
                 )
             )
@@ -179,7 +179,7 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     ]
 
 
-def _find(database: Database, path: str, place: str) -> tuple[Message, Signal]:
+def _find(database: Database, path: str, setting: str) -> tuple[Message, Signal]:
     """Message and signal of a ``MESSAGE.signal``, by their names in the database or in the file."""
     message_name, signal_name = path.split(".")
     messages = [message for message in database.messages if _is_called(message, message_name)]
@@ -187,16 +187,16 @@ def _find(database: Database, path: str, place: str) -> tuple[Message, Signal]:
     left_out = "".join(f"; {remark}" for remark in remarks)
     if not messages:
         near = ", ".join(nearest(message_name, [message.name for message in database.messages])) or "none"
-        raise DatabaseError(f"{place}: the DBC has no message {message_name!r}; the nearest are {near}{left_out}")
+        raise DatabaseError(f"{setting}: the DBC has no message {message_name!r}; the nearest are {near}{left_out}")
     if len(messages) > 1:
-        raise DatabaseError(f"{place}: the DBC has more than one message {message_name!r}; leave one of them in it")
+        raise DatabaseError(f"{setting}: the DBC has more than one message {message_name!r}; leave one of them in it")
     message = messages[0]
     for signal in message.signals:
         if _is_called(signal, signal_name):
             return message, signal
     guess = did_you_mean(signal_name, [signal.name for signal in message.signals])
     has = guess or f"; it has {', '.join(signal.name for signal in message.signals) or 'none'}"
-    raise DatabaseError(f"{place}: message {message_name!r} has no signal {signal_name!r}{has}{left_out}")
+    raise DatabaseError(f"{setting}: message {message_name!r} has no signal {signal_name!r}{has}{left_out}")
 
 
 def _is_called(named: Message | Signal, name: str) -> bool:
@@ -209,12 +209,14 @@ def _is_called(named: Message | Signal, name: str) -> bool:
 def _conversion(role: Role, unit: str | None) -> tuple[Conversion, bool] | str:
     """Conversion to SI and whether a slope is given as an angle; or, as text, the error of the unit."""
     conversion, dimension = conversion_of(unit), DIMENSION[role]
-    known = f"{role} takes {' '.join(spellings_of(dimension))}"
+    accepted = f"{role} takes {' '.join(spellings_of(dimension))}"
     if conversion is None:
-        return f"has no unit ({known})" if not (unit or "").strip() else f"has the unknown unit {unit!r} ({known})"
+        return (
+            f"has no unit ({accepted})" if not (unit or "").strip() else f"has the unknown unit {unit!r} ({accepted})"
+        )
     tangent = role == Role.GRADE and conversion.dimension == "rad"
     if conversion.dimension != dimension and not tangent:
-        return f"has the unit {unit!r}, which does not fit ({known})"
+        return f"has the unit {unit!r}, which does not fit ({accepted})"
     return conversion, tangent
 
 

@@ -72,7 +72,7 @@ class CarriedMessage:
         return self._within(slice(0, cut), ends[:half]), self._within(slice(cut, last), ends[half:])
 
     def _within(self, part: slice, ends: Floats) -> "CarriedMessage":
-        return CarriedMessage(self.message, self.t[part], tuple(each.within(part, ends) for each in self.signals))
+        return CarriedMessage(self.message, self.t[part], tuple(signal.within(part, ends) for signal in self.signals))
 
 
 def _signal(

@@ -103,18 +103,18 @@ def are_alternating(value: Floats, bounds: NDArray[np.intp], magnitude: float, s
     steps = _steps(value, bounds, 1)
     sizes = np.abs(steps)
     next_step = block_sums(sizes, bounds) / np.maximum(count - 1, 1)
-    found: Mask = next_step > step + TOLERANCE / 2 * size
-    if found.any():
+    is_mixture: Mask = next_step > step + TOLERANCE / 2 * size
+    if is_mixture.any():
         next_but_one = block_sums(np.abs(_steps(value, bounds, 2)), bounds) / np.maximum(count - 2, 1)
-        found &= next_step > MAX_STEP_RATIO * next_but_one
-    found |= _stand_out(
+        is_mixture &= next_step > MAX_STEP_RATIO * next_but_one
+    is_mixture |= _stand_out(
         value,
         _reversals(steps, sizes),
         bounds,
         QUANTA * step + MIN_MATERIAL_STEP * size,
         SLIGHT_QUANTA * step + MIN_SLIGHT_STEP * size,
     )
-    return found & (count >= MIN_READINGS)
+    return is_mixture & (count >= MIN_READINGS)
 
 
 def _steps(value: Floats, bounds: NDArray[np.intp], ahead: int) -> Floats:
@@ -143,7 +143,7 @@ def _stand_out(value: Floats, beyond: Floats, bounds: NDArray[np.intp], material
     out = beyond > np.repeat(slight, count)
     sides, number = np.zeros(len(value)), block_sums(out, bounds)
     sides[out] = np.sign(value[out] - value[np.flatnonzero(out) - 1])
-    one_sided = np.maximum(*(np.abs(block_sums(each, bounds)) for each in (sides, sides * np.sign(value))))
+    one_sided = np.maximum(*(np.abs(block_sums(values, bounds)) for values in (sides, sides * np.sign(value))))
     return too_many | (number > MIN_SLIGHT_SHARE * count) & (one_sided >= MAX_ONE_SIDED_SDS * np.sqrt(number))
 
 
@@ -154,8 +154,8 @@ def are_flickering(value: Floats, bounds: NDArray[np.intp]) -> Mask:
     """
     changed = np.diff(value, append=0.0) != 0
     changed[bounds[1:] - 1] = False  # not from one block to the next
-    found: Mask = block_sums(changed, bounds) > MAX_CHANGES
-    return found
+    is_flickering: Mask = block_sums(changed, bounds) > MAX_CHANGES
+    return is_flickering
 
 
 def block_sums(values: Floats | Mask, bounds: NDArray[np.intp]) -> Floats:

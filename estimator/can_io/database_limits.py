@@ -61,15 +61,15 @@ def _checked_tokens(path: str, text: str, most: int) -> int:
         if count > most:
             break
         if len(token) > MAX_TEXT:
-            place = _place(path, text, match)
-            raise DatabaseError(f"{place}: a text of over {MAX_TEXT:,} characters; shorten it, or end it")
+            location = _place(path, text, match)
+            raise DatabaseError(f"{location}: a text of over {MAX_TEXT:,} characters; shorten it, or end it")
         if token in ("BO_", ";"):
             signals = 0
         elif token == "SG_":
             signals += 1
         if signals > MAX_SIGNALS:
-            place = _place(path, text, match)
-            raise DatabaseError(f"{place}: more than {MAX_SIGNALS:,} signals in a message; correct the DBC")
+            location = _place(path, text, match)
+            raise DatabaseError(f"{location}: more than {MAX_SIGNALS:,} signals in a message; correct the DBC")
     return count
 
 

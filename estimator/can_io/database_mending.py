@@ -145,44 +145,44 @@ class _Reader:
             "SIG_VALTYPE_": (_KIND, self._take_kind, "types of signals that cannot be read"),
             "SG_MUL_VAL_": (_SELECTION, self._take_selection, "multiplexers that cannot be read"),
         }
-        place, is_known = 0, True
+        at, is_known = 0, True
         last_end = self._text.rfind("*/")  # of a comment in the way of C
-        while place < len(self._text):
-            if blanks := _BLANKS.match(self._text, place):
-                place = blanks.end()
+        while at < len(self._text):
+            if blanks := _BLANKS.match(self._text, at):
+                at = blanks.end()
                 continue
-            if place < last_end and self._text.startswith("/*", place):
-                place = self._text.index("*/", place) + 2
+            if at < last_end and self._text.startswith("/*", at):
+                at = self._text.index("*/", at) + 2
                 continue
-            word = _WORD.match(self._text, place)
+            word = _WORD.match(self._text, at)
             keyword = word[0] if word is not None and word[0] in KEYWORDS else ""
-            rest = _REST.match(self._text, place)
+            rest = _REST.match(self._text, at)
             assert rest is not None
-            self._count_lines(place)
+            self._count_lines(at)
             if keyword in statements and rest[0].strip() != keyword:  # alone in its line it is one of the list NS_
                 pattern, take, kind = statements[keyword]
                 self.statements, is_read = self.statements + 1, True
-                if match := pattern.match(self._text, place):
+                if match := pattern.match(self._text, at):
                     take(match)
-                    place = match.end()
-                elif keyword == "VAL_" and (match := _VALUES_OF_VARIABLE.match(self._text, place)):
-                    place = match.end()
+                    at = match.end()
+                elif keyword == "VAL_" and (match := _VALUES_OF_VARIABLE.match(self._text, at)):
+                    at = match.end()
                 else:
                     if keyword == "BO_":
                         self._current = None
                     if kind:
                         self._leave_out(kind)
-                    place = rest.end()
+                    at = rest.end()
                     is_read = False
                 is_known = is_read and keyword != "SG_"  # its receivers may go on in the next line
             elif keyword:
                 self.statements += 1
-                line = _LINE.match(self._text, place)
-                place, is_known = max(rest.end(), line.end() if line else 0), False
+                line = _LINE.match(self._text, at)
+                at, is_known = max(rest.end(), line.end() if line else 0), False
             else:
                 if is_known and rest[0].strip() != ";":
                     self._leave_out("lines that are no statement of a DBC")
-                place = rest.end()
+                at = rest.end()
 
     def settle(self) -> None:
         """Apply the statements about signals, then name all signals."""
@@ -366,9 +366,9 @@ class _Reader:
         self._changed[kind] += 1
         self._first.setdefault(kind, self._line)
 
-    def _count_lines(self, place: int) -> None:
-        self._line += self._text.count("\n", self._counted_to, place)
-        self._counted_to = place
+    def _count_lines(self, at: int) -> None:
+        self._line += self._text.count("\n", self._counted_to, at)
+        self._counted_to = at
 
     def remark(self) -> str:
         """Sentence on the statements left out and changed: number by kind, and line of the first."""

@@ -55,8 +55,8 @@ class Decoder:
         self.replaced = False  # in the last batch a sender was replaced because its readings were wrong
         self._messages = messages
         # Of two roles of one signal the stricter one counts.
-        each = sorted([(m, b) for m in messages for b in m.signals], key=lambda pair: _strictness(pair[1]))
-        self._choices = {path_of(m, b): choice(m, b, bus) for m, b in each}
+        by_strictness = sorted([(m, b) for m in messages for b in m.signals], key=lambda pair: _strictness(pair[1]))
+        self._choices = {path_of(m, b): choice(m, b, bus) for m, b in by_strictness}
         self._with_sender = {path_of(m, b) for m in messages if m.names_sender for b in m.signals}
         paths = Counter(path_of(m, b) for m in messages for b in m.signals)
         self._shared = {path for path, count in paths.items() if count > 1}  # by several roles
@@ -71,8 +71,8 @@ class Decoder:
     @property
     def sources(self) -> dict[str, int]:
         """Chosen source address of each signal of J1939 or OBD-II, by MESSAGE.signal, where it is known."""
-        found = {path: self._choices[path].source for path in self._choices if path in self._with_sender}
-        return {path: source for path, source in found.items() if source is not None}
+        sources = {path: self._choices[path].source for path in self._choices if path in self._with_sender}
+        return {path: source for path, source in sources.items() if source is not None}
 
     @property
     def sent_by_others(self) -> list[str]:
@@ -82,18 +82,18 @@ class Decoder:
     @property
     def transport_rejected(self) -> Counter[str]:
         """Broken multi-packet messages, by reason."""
-        return sum((each.rejected for each in self._iso_tp.values()), self._transport.rejected)
+        return sum((joiner.rejected for joiner in self._iso_tp.values()), self._transport.rejected)
 
     def release(self, is_other_vehicle: bool = False) -> None:
         """Discard the chosen senders: another node, or that of another vehicle, may send now."""
-        for each in self._choices.values():
-            each.release(is_other_vehicle)
+        for sender_choice in self._choices.values():
+            sender_choice.release(is_other_vehicle)
         self.contested = {}
 
     def state(self) -> dict[str, Any]:
         """State for `restore`: senders and counts, without unfinished broadcasts."""
         return {
-            "choices": {path: each.state() for path, each in self._choices.items()},
+            "choices": {path: sender_choice.state() for path, sender_choice in self._choices.items()},
             "contested": dict(self.contested),
             "used": self.used,
             "rejected": dict(self.rejected),
@@ -111,8 +111,8 @@ class Decoder:
         choices, contested = substate(state, "choices"), read(state, "contested", dict[str, Contradiction])
         if set(choices) != set(self._choices) or not set(contested) <= set(choices):
             raise StateError("choices: of other signals than are bound")
-        for path, each in self._choices.items():
-            each.restore(substate(choices, path))
+        for path, sender_choice in self._choices.items():
+            sender_choice.restore(substate(choices, path))
         self.contested = contested
         self.used = read(state, "used", Count)
         self.rejected = Counter(read(state, "rejected", dict[str, Count]))
@@ -170,7 +170,9 @@ class Decoder:
 
     def _judged(self, carried: list[CarriedMessage], ends: Floats) -> Iterator[Decoded]:
         """Judge all blocks together if no signal must be judged block by block, else each half of them."""
-        judges = [judge for message in carried for each in message.signals if (judge := self._judge(each)) is not None]
+        judges = [
+            judge for message in carried for signal in message.signals if (judge := self._judge(signal)) is not None
+        ]
         if len(judges) < sum(len(message.signals) for message in carried):
             halves = [message.halves(ends) for message in carried]
             half = len(ends) // 2
@@ -195,17 +197,17 @@ class Decoder:
 
     def _take_message(self, carried: CarriedMessage, verdicts: list[Verdict], out: dict[Role, list[Series]]) -> None:
         """Add the usable readings of a message to ``out``, and count its frames."""
-        every = [self._take(each, verdict, out) for each, verdict in zip(carried.signals, verdicts, strict=True)]
+        every = [self._take(signal, verdict, out) for signal, verdict in zip(carried.signals, verdicts, strict=True)]
         count = len(carried.t)
         if any(every):
             self.used += count
             return
         useful, spoken_for, carrying = np.zeros((3, count), dtype=bool)
-        for each, verdict in zip(carried.signals, verdicts, strict=True):
-            here = each.of_message(np.ones(len(each.heard.t), dtype=bool), count)
+        for signal, verdict in zip(carried.signals, verdicts, strict=True):
+            here = signal.of_message(np.ones(len(signal.heard.t), dtype=bool), count)
             carrying |= here
-            useful |= each.of_message(verdict.taken, count)
-            if self._choices[each.path].source is not None:
+            useful |= signal.of_message(verdict.taken, count)
+            if self._choices[signal.path].source is not None:
                 spoken_for |= here
         self.used += int(np.count_nonzero(useful))
         idle = carrying & ~useful
@@ -240,9 +242,9 @@ class Decoder:
         for role, parts in out.items():
             if KIND.get(role) is not Kind.MEASURED:
                 continue
-            known = sum(int(np.isfinite(part.value).sum()) for part in parts)
-            if known:
-                self.rejected[f"{role.value}: another input is contested"] += known
+            lost = sum(int(np.isfinite(part.value).sum()) for part in parts)
+            if lost:
+                self.rejected[f"{role.value}: another input is contested"] += lost
             out[role] = [Series(part.t, np.full(len(part.t), np.nan)) for part in parts]
 
 

@@ -58,9 +58,11 @@ class IsoTp:
         parts = [frames[is_long]] if is_long.any() else []
         segments = frames[~is_long] if is_long.any() else frames
         for ident in np.unique(segments.ident).tolist():
-            own = segments[segments.ident == ident]
-            before = self._open.pop(ident, None)
-            parts.append(self._join(own if before is None else Frames.concatenate([before, own])))
+            answer_frames = segments[segments.ident == ident]
+            unfinished = self._open.pop(ident, None)
+            parts.append(
+                self._join(answer_frames if unfinished is None else Frames.concatenate([unfinished, answer_frames]))
+            )
         joined = Frames.concatenate(parts)
         return joined[np.argsort(joined.t, kind="stable")] if len(parts) > 1 else joined
 
@@ -111,9 +113,9 @@ class IsoTp:
         head = frames.data[first]
         data[:, : lead + FIRST_BYTES] = head[:, 2 - lead : CLASSIC_BYTES]
         for number in range(1, self._packets + 1):
-            place = lead + FIRST_BYTES + PACKET_BYTES * (number - 1)
+            begin = lead + FIRST_BYTES + PACKET_BYTES * (number - 1)
             following = frames.data[first + np.minimum(number, packets), 1:CLASSIC_BYTES]
-            data[:, place : place + PACKET_BYTES] = following
+            data[:, begin : begin + PACKET_BYTES] = following
         data[is_single, : lead + PACKET_BYTES] = head[is_single, 1 - lead : CLASSIC_BYTES]
         length = size + np.where(size > 0, lead, 0)
         data[np.arange(width) >= length[:, None]] = 0

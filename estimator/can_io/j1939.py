@@ -119,8 +119,8 @@ class Transport:
                 messages.append(whole[i])
             elif is_opening[i]:
                 self._manage(times[i], source, destination, packet)
-            elif found := self._extend(times[i], source, destination, packet):
-                messages.append((i, found))
+            elif complete := self._extend(times[i], source, destination, packet):
+                messages.append((i, complete))
         return [message for _, message in sorted(messages, key=itemgetter(0))]
 
     def _break_off(self, source: int, destination: int) -> None:
@@ -198,12 +198,12 @@ def _whole_messages(
     inside[last + 1] -= 1
     left = np.sort(order[np.cumsum(inside[:-1]) == 0])
     payload, pgn = data[:, 1:].tobytes(), (words[first] >> np.uint64(40)).tolist()
-    each = zip(
+    fields = zip(
         order[first].tolist(), order[last].tolist(), first.tolist(), size.tolist(), t[last].tolist(), pgn,
         (ident[first] & 0xFF).tolist(), to[first].tolist(), strict=True,
     )  # fmt: skip
     whole = {}
-    for place, end, at, length, when, group, source, destination in each:
+    for head, end, at, length, when, group, source, destination in fields:
         begin = PACKET_BYTES * (at + 1)
-        whole[place] = end, MultiPacket(when, group, source, payload[begin : begin + length], destination=destination)
+        whole[head] = end, MultiPacket(when, group, source, payload[begin : begin + length], destination=destination)
     return whole, left.tolist()

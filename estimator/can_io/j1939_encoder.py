@@ -107,9 +107,9 @@ def frames_of(signals: Signals) -> Frames:
     sent_before: set[Role] = set()  # roles whose own message has gone out, and that do not call for another
     for sent in _TRAFFIC:
         present = {name: signals[role] for name, role in sent.signals.items() if role in signals}
-        own = {sent.signals[name] for name in present} - sent_before
-        sent_before |= own
-        if own:
+        carried = {sent.signals[name] for name in present} - sent_before
+        sent_before |= carried
+        if carried:
             parts.append(_frames_of_message(database.get_message_by_name(sent.message), sent, present))
     frames = Frames.concatenate(parts)
     return frames[np.argsort(frames.t, kind="stable")]
@@ -137,8 +137,8 @@ def _raw(signal: Signal, role: Role, value: Floats) -> NDArray[np.int64]:
     physical = value if conversion is None else (value - conversion.offset) / conversion.scale
     raw = np.round((physical - signal.offset) / signal.scale)
     highest = HIGHEST_VALID.get(signal.length, (1 << signal.length) - 1)
-    known = np.isfinite(raw)
-    return np.where(known, np.clip(np.where(known, raw, 0), 0, highest), (1 << signal.length) - 1).astype(np.int64)
+    finite = np.isfinite(raw)
+    return np.where(finite, np.clip(np.where(finite, raw, 0), 0, highest), (1 << signal.length) - 1).astype(np.int64)
 
 
 def _place(payload: Payload, signal: Signal, raw: NDArray[np.int64]) -> None:

@@ -217,12 +217,12 @@ class Node:
         self._claimed = self._since = self._owed = None
         following = [*range(self._wanted + 1, FREE.stop), *FREE] if self._wanted in FREE else FREE
         free = (address for address in following if address not in self._others)
-        found = next(free, None) if self._name.arbitrary_address_capable else None
-        if found is None:
+        next_free = next(free, None) if self._name.arbitrary_address_capable else None
+        if next_free is None:
             self.lost = True
             self._owe(self._now + self._rng.uniform(0, MAX_CLAIM_DELAY))
         else:
-            self._wanted = found
+            self._wanted = next_free
             self._owe(self._now)
 
     def _owe(self, t: float) -> None:

@@ -50,14 +50,16 @@ class OwnRate:
         """Return an independent copy."""
         return copy(self)
 
-    def exceeding(self, own: Heard, step: float) -> list[bool]:
+    def exceeding(self, readings: Heard, step: float) -> list[bool]:
         """Flag the blocks with readings that come too fast; a change of rate at rest is ignored."""
-        bounds = own.bounds
+        bounds = readings.bounds
         filled = np.flatnonzero(np.diff(bounds))
         first, last = bounds[filled], bounds[filled + 1] - 1
-        sizes = block_sums(np.abs(own.value), np.append(first, len(own.t))) / (last - first + 1)
-        spans = own.t[last] - own.t[first]
-        blocks = zip((last - first).tolist(), spans.tolist(), sizes.tolist(), own.ends[filled].tolist(), strict=True)
+        sizes = block_sums(np.abs(readings.value), np.append(first, len(readings.t))) / (last - first + 1)
+        spans = readings.t[last] - readings.t[first]
+        blocks = zip(
+            (last - first).tolist(), spans.tolist(), sizes.tolist(), readings.ends[filled].tolist(), strict=True
+        )
         return [self._is_exceeded(periods, span, size, end, step) for periods, span, size, end in blocks]
 
     def _is_exceeded(self, periods: int, span: float, size: float, end: float, step: float) -> bool:

@@ -147,8 +147,8 @@ class Publisher:
             contents = contents | {"AliveCounter": self._counters.get(message.name, 0), "Checksum": 0}
             self._counters[message.name] = (self._counters.get(message.name, 0) + 1) % COUNTS
         # A message about one parameter carries the status of that parameter.
-        own = {s.name: contents.get(f"{message.name}.{s.name}", contents.get(s.name, nan)) for s in message.signals}
-        raw: dict[str, int | float | str] = {s.name: _raw(s, own[s.name]) for s in message.signals}
+        values = {s.name: contents.get(f"{message.name}.{s.name}", contents.get(s.name, nan)) for s in message.signals}
+        raw: dict[str, int | float | str] = {s.name: _raw(s, values[s.name]) for s in message.signals}
         data = message.encode(raw, scaling=False, padding=True, strict=False)
         ident = self._priority << 26 | message.frame_id & _PGN_MASK | self.source_address
         if protected:
@@ -178,9 +178,9 @@ def _contents(estimate: Estimate | None, slope: Slope | None, status: str, age: 
         contents[f"{name}Q05"] = marginal.q05 if marginal else withheld
         contents[f"{name}Q95"] = marginal.q95 if marginal else withheld
         contents[f"{name}Deviation"] = marginal.sd if marginal else withheld
-        own, _ = usable.status_of(_PARAMETER[name]) if usable else (status, "")
-        is_lost = own is Status.ESTIMATED and marginal is None  # beyond what the signal can say
-        contents[f"Roadload{name}.EstimateStatus"] = str(Status.UNESTIMATED if is_lost else own)
+        parameter_status, _ = usable.status_of(_PARAMETER[name]) if usable else (status, "")
+        is_lost = parameter_status is Status.ESTIMATED and marginal is None  # beyond what the signal can say
+        contents[f"Roadload{name}.EstimateStatus"] = str(Status.UNESTIMATED if is_lost else parameter_status)
     contents["GrossCombinationVehicleWeight"] = contents["MassMean"]
     contents["PoweredVehicleWeight"] = _NOT_AVAILABLE
     return contents | _of_road(slope if usable else None, status, withheld)
@@ -205,13 +205,13 @@ def _of_road(slope: Slope | None, status: str, withheld: str) -> dict[str, float
 @cache
 def _most(signal: str) -> float:
     """Largest value that a signal can encode."""
-    found = (s for message in output_database().messages for s in message.signals if s.name == signal)
-    return min(inf if s.maximum is None else float(s.maximum) for s in found)
+    signals = (s for message in output_database().messages for s in message.signals if s.name == signal)
+    return min(inf if s.maximum is None else float(s.maximum) for s in signals)
 
 
-def _fits(name: str, found: Marginal) -> bool:
+def _fits(name: str, marginal: Marginal) -> bool:
     """True if the signals of a parameter can encode its values."""
-    values = {"Mean": found.mean, "Q05": found.q05, "Q95": found.q95, "Deviation": found.sd}
+    values = {"Mean": marginal.mean, "Q05": marginal.q05, "Q95": marginal.q95, "Deviation": marginal.sd}
     return not any(value > _most(f"{name}{part}") for part, value in values.items())
 
 

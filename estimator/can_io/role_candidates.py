@@ -216,7 +216,7 @@ def candidates(database: Database) -> dict[Role, list[Candidate]]:
     ]
     out: dict[Role, list[Candidate]] = {}
     for words in _WORDS:
-        fit = [candidate for each in signals if (candidate := _candidate(words, *each)) is not None]
+        fit = [candidate for texts in signals if (candidate := _candidate(words, *texts)) is not None]
         fit.sort(key=lambda candidate: -candidate.score)
         if fit:
             out[words.role] = fit[: MAX_CANDIDATES * (4 if words.role == Role.WHEEL_SPEEDS else 1)]
@@ -225,18 +225,18 @@ def candidates(database: Database) -> dict[Role, list[Candidate]]:
 
 def corner(signal: Signal) -> str:
     """Wheel in the name of a signal, such as "fl"; empty if there is none."""
-    found = re.search(_CORNER, spaced(signal.name))
-    return "" if found is None else found[0]
+    match = re.search(_CORNER, spaced(signal.name))
+    return "" if match is None else match[0]
 
 
 def wheels(fit: Iterable[Candidate]) -> list[Candidate]:
     """Signals of the wheels of one vehicle: those of one message if it has several, else those with similar names."""
     groups: dict[tuple[str, str], dict[str, Candidate]] = {}
-    for each in fit:
-        if place := corner(each.signal):
-            like = re.sub(_CORNER, "", spaced(each.signal.name))
-            for message in (each.message.name, ""):
-                groups.setdefault((message, like), {}).setdefault(place, each)
+    for candidate in fit:
+        if wheel := corner(candidate.signal):
+            like = re.sub(_CORNER, "", spaced(candidate.signal.name))
+            for message in (candidate.message.name, ""):
+                groups.setdefault((message, like), {}).setdefault(wheel, candidate)
     best = max(groups.items(), key=lambda item: (len(item[1]), bool(item[0][0])), default=None)
     return [] if best is None else list(best[1].values())
 
@@ -275,13 +275,13 @@ def _candidate(words: _Words, message: Message, signal: Signal, name: str, about
             return None
     if words.role == Role.WHEEL_SPEEDS and corner(signal) and unit is None:
         name = f"wheel speed {name}"  # a speed of a corner of the vehicle has no other
-    if (found := re.search(rf"(?<![a-z]){words.like}", name)) is not None:
-        score += NAMED + len(found[0]) / max(len(name), 1)  # a name that says nothing else is the better one
+    if (match := re.search(rf"(?<![a-z]){words.like}", name)) is not None:
+        score += NAMED + len(match[0]) / max(len(name), 1)  # a name that says nothing else is the better one
     elif re.search(rf"(?<![a-z]){words.like}", about):
         score += MENTIONED
     else:
         return None
-    rest = name if found is None else name.replace(found[0], " ")
+    rest = name if match is None else name.replace(match[0], " ")
     score += UNLIKE * len(set(re.findall(rf"(?<![a-z])(?:{words.unlike}|{_COMMAND})(?![a-z])", rest)))
     if score < MIN_SCORE:
         return None

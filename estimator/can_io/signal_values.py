@@ -50,9 +50,9 @@ def _extract_across_words(data: NDArray[np.uint8], signal: Signal) -> Raw:
         shift = 8 * count - (7 - bit) - signal.length
         columns = range(first + count - 1, first - 1, -1)
     raw = np.zeros(len(data), dtype=np.uint64)
-    for place, column in enumerate(columns):
+    for number, column in enumerate(columns):
         byte = data[:, column].astype(np.uint64)
-        move = 8 * place - shift
+        move = 8 * number - shift
         raw |= byte << np.uint64(move) if move >= 0 else byte >> np.uint64(-move)
     return raw & np.uint64((1 << signal.length) - 1)
 

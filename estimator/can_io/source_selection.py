@@ -152,15 +152,15 @@ class SenderChoice:
         return take
 
     def _is_calm(self, valid: Heard, rate: OwnRate) -> bool:
-        own = valid.of(self._is_chosen(valid))
-        is_alone = len(own.t) == len(valid.t)
+        readings = valid.of(self._is_chosen(valid))
+        is_alone = len(readings.t) == len(valid.t)
         if not is_alone and self._kind is Kind.MEASURED:
             return False
-        if not is_alone and np.any((np.diff(own.bounds) == 0) & (np.diff(valid.bounds) > 0)):  # silent, others not
+        if not is_alone and np.any((np.diff(readings.bounds) == 0) & (np.diff(valid.bounds) > 0)):  # silent, others not
             return False
         if self._kind is Kind.AUXILIARY:
             return True
-        return not (self._repeating(own) or (self._is_rated and any(rate.exceeding(own, self._step))))
+        return not (self._repeating(readings) or (self._is_rated and any(rate.exceeding(readings, self._step))))
 
     def _taken(self, heard: Heard) -> Mask:
         return np.ones(len(heard.t), dtype=np.bool_) if self._is_of_all else self._is_chosen(heard)
@@ -197,32 +197,32 @@ class SenderChoice:
         if self._kind is Kind.AUXILIARY:
             return ""
         chosen = self.source if self.source in senders else next(iter(senders))
-        own = senders[chosen]
-        if self._kind is Kind.MEASURED and not self._agree(own, senders, chosen):
+        readings = senders[chosen]
+        if self._kind is Kind.MEASURED and not self._agree(readings, senders, chosen):
             return Contradiction.SENDERS_DISAGREE
-        if self._repeating(own):
+        if self._repeating(readings):
             self._rate.doubt(end)
             return Contradiction.ALTERNATING
-        if self._is_rated and any(self._rate.exceeding(own, self._step)):
+        if self._is_rated and any(self._rate.exceeding(readings, self._step)):
             return Contradiction.FASTER
         return ""
 
-    def _repeating(self, own: Heard) -> bool:
+    def _repeating(self, readings: Heard) -> bool:
         """True if values alternate in any of the blocks."""
         if not self._is_j1939:
             return False
-        bounds = own.bounds
+        bounds = readings.bounds
         bounds = bounds[np.flatnonzero(np.diff(bounds, prepend=-1))]  # of blocks with readings
         if self._is_state:
-            return bool(are_flickering(own.value, bounds).any())
-        return bool(are_alternating(own.value, bounds, self._magnitude, self._step).any())
+            return bool(are_flickering(readings.value, bounds).any())
+        return bool(are_alternating(readings.value, bounds, self._magnitude, self._step).any())
 
-    def _agree(self, own: Heard, senders: dict[int, Heard], chosen: int) -> bool:
+    def _agree(self, readings: Heard, senders: dict[int, Heard], chosen: int) -> bool:
         """True if no other address contradicts the chosen one; stores the addresses that agree with it."""
         for address, other in senders.items():
-            if address == chosen or len(other.t) < MIN_RIVAL_READINGS <= len(own.t):
+            if address == chosen or len(other.t) < MIN_RIVAL_READINGS <= len(readings.t):
                 continue
-            differ = is_disagreement(own.t, own.value, other.t, other.value, self._magnitude, self._step)
+            differ = is_disagreement(readings.t, readings.value, other.t, other.value, self._magnitude, self._step)
             if differ:
                 return False
             if differ is not None:
@@ -232,26 +232,26 @@ class SenderChoice:
     def _settle(self, senders: dict[int, Heard], end: float) -> bool:
         """End the contest if an address sends; returns True if that replaces the previous one."""
         recent = [address for address, t in self._last.items() if t >= end - self._patience]
-        before = self._contest.before
+        previous = self._contest.before
         if not recent and self._kind is Kind.MEASURED:
             return False
         self._contest.settle()
-        if before in recent or not recent:
-            self.source = self.source if before is None else int(before)
+        if previous in recent or not recent:
+            self.source = self.source if previous is None else int(previous)
             return False
         self.source = next((address for address in senders), max(recent, key=lambda address: self._last[address]))
-        return before is not None
+        return previous is not None
 
     def _follow(self, senders: dict[int, Heard], end: float) -> bool:
         """Choose the first sender, or another one if it is silent; returns True if an uncompared one replaces it."""
         if self.source in senders:
             return False
-        before, silent_since = self.source, self._last.setdefault(-1 if self.source is None else self.source, end)
-        if before is not None and end - silent_since < self._release:
+        previous, silent_since = self.source, self._last.setdefault(-1 if self.source is None else self.source, end)
+        if previous is not None and end - silent_since < self._release:
             return False
         self.source = next(iter(senders))
         self._rate.forget()
-        return before is not None and self._kind is Kind.MEASURED and self.source not in self._agreed
+        return previous is not None and self._kind is Kind.MEASURED and self.source not in self._agreed
 
 
 class ConstantChoice:
@@ -290,8 +290,8 @@ class ConstantChoice:
         taken = np.isfinite(heard.value)
         if self._configured is not None:
             taken &= heard.source == self._configured
-        known = set(self._heard) | set(np.unique(heard.value[taken]).tolist())
-        if self._contest.reason or not known <= {self._value}:
+        sent = set(self._heard) | set(np.unique(heard.value[taken]).tolist())
+        if self._contest.reason or not sent <= {self._value}:
             return None
 
         def take() -> Verdict:
@@ -335,10 +335,10 @@ class ConstantChoice:
         """End the contest if only one value was sent lately; returns True if it differs from the previous one."""
         if len(self._heard) != 1:
             return False
-        before = self._contest.before
+        previous = self._contest.before
         self._contest.settle()
         self._value = next(iter(self._heard))
-        return before is not None and self._value != before
+        return previous is not None and self._value != previous
 
 
 def choice(message: BoundMessage, bound: BoundSignal, settings: Bus) -> Choice:

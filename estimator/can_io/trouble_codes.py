@@ -67,15 +67,15 @@ class TroubleMemory:
 
     def observe(self, present: Collection[TroubleCode], t: float) -> bool:
         """Take the faults at time ``t`` [s], which never decreases; returns True if the active codes changed."""
-        before = set(self.active)
+        previously_active = set(self.active)
         self._since = {code: self._since.get(code, t) for code in sorted(present)}
-        for code in before - set(present):
+        for code in previously_active - set(present):
             self.previous[code] = self.active.pop(code)
         for code, since in self._since.items():
             if code not in self.active and t - since >= CONFIRM_S and len(self.active) < MAX_CODES:
                 self.active[code] = min(MAX_COUNT, self.previous.pop(code, 0) + 1)
         self._shorten()
-        return set(self.active) != before
+        return set(self.active) != previously_active
 
     def remember(self, codes: Iterable[tuple[TroubleCode, int]]) -> None:
         """Add codes of an earlier run as previously active."""

@@ -64,7 +64,7 @@ class Cache:
 def _program() -> str:
     """Digest of the modules of the program and of its databases."""
     digest = blake2b(digest_size=16)
-    databases = sorted((each for each in files("estimator.dbc").iterdir()), key=lambda each: each.name)
-    for one in [*sorted(PROGRAM.rglob("*.py")), *(each for each in databases if each.name.endswith(".dbc"))]:
-        digest.update(blake2b(one.read_bytes()).digest())
+    databases = sorted((file for file in files("estimator.dbc").iterdir()), key=lambda file: file.name)
+    for path in [*sorted(PROGRAM.rglob("*.py")), *(file for file in databases if file.name.endswith(".dbc"))]:
+        digest.update(blake2b(path.read_bytes()).digest())
     return digest.hexdigest()

@@ -100,15 +100,15 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
     named = diagnosis.effects if diagnosis.verdict is Verdict.EFFECT else ()  # else one that may act is among them
     effects = tuple(
         FoundEffect(
-            name=found.name,
-            probability=float(found.probability),
-            log_bayes_factor=float(found.log_bayes_factor),
-            quantity=found.magnitude.name,
-            magnitude=float(found.magnitude.value),
-            sd=float(found.magnitude.sd),
-            unit=found.magnitude.unit,
+            name=finding.name,
+            probability=float(finding.probability),
+            log_bayes_factor=float(finding.log_bayes_factor),
+            quantity=finding.magnitude.name,
+            magnitude=float(finding.magnitude.value),
+            sd=float(finding.magnitude.sd),
+            unit=finding.magnitude.unit,
         )
-        for found in named
+        for finding in named
     )
     return DriveResult(segments=segments, passes=passes, verdict=diagnosis.verdict.value, effects=effects)
 
@@ -135,10 +135,10 @@ class _Loads:
         """Make a load unestimated for this reason, and drop its road."""
         self._roads.pop(segment, None)
         if segment in self._updates:
-            found, _ = self._updates[segment]
+            update, _ = self._updates[segment]
             status = Status.UNESTIMATED
             doubtful = Estimate(
-                t=found.t, status=status, reason=reason, coverage=found.coverage, admitted=found.admitted
+                t=update.t, status=status, reason=reason, coverage=update.coverage, admitted=update.admitted
             )
             self._updates[segment] = doubtful, None
 
@@ -156,12 +156,12 @@ class _Loads:
     def passes(self, places: Places) -> Passes:
         """Passes of places with each load; the fitted roads are then dropped."""
         roads, self._roads = self._roads, {}
-        found = [
+        passes = [
             passes_of(strides, fit, places, self._spans[i][0])
             for i, (strides, fit) in sorted(roads.items())
             if i in self._spans
         ]
-        return Passes.joined(found)
+        return Passes.joined(passes)
 
 
 def _segments(paths: list[Path], config: Config) -> tuple[tuple[Segment, ...], Passes]:

@@ -150,8 +150,8 @@ def _no_interrupts() -> Iterator[None]:
     Ctrl-C goes to all processes, and each worker would write a traceback. This process ends the workers instead.
     """
     resource_tracker.ensure_running()  # once; its start would undo what follows for the thread that starts workers
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -68,15 +68,15 @@ def group(surveys: Sequence[Survey]) -> Grouped:
     rejected: list[Rejected] = []
     by_vehicle: dict[str, list[Survey]] = defaultdict(list)
     seen: dict[str, Survey] = {}
-    for one in surveys:
-        if one.fault:
-            rejected.append(_rejection(one, "unreadable", one.fault))
-        elif one.content in seen:
-            reason = f"{one.log.source}: is the same log as {seen[one.content].log.source}; delete one of them"
-            rejected.append(_rejection(one, "duplicate", reason))
+    for survey in surveys:
+        if survey.fault:
+            rejected.append(_rejection(survey, "unreadable", survey.fault))
+        elif survey.content in seen:
+            reason = f"{survey.log.source}: is the same log as {seen[survey.content].log.source}; delete one of them"
+            rejected.append(_rejection(survey, "duplicate", reason))
         else:
-            seen[one.content] = one
-            by_vehicle[one.log.vehicle].append(one)
+            seen[survey.content] = survey
+            by_vehicle[survey.log.vehicle].append(survey)
     drives = [drive for name in sorted(by_vehicle) for drive in _joined(by_vehicle[name])]
     return Grouped(tuple(drives), tuple(rejected), _notes(drives))
 
@@ -89,35 +89,41 @@ def by_engine(surveys: Sequence[Survey]) -> list[Survey]:
     """
     named: dict[int, Survey] = {}
     last: dict[str, tuple[float, str]] = {}  # end [s] and vehicle of the newest log, by folder
-    for i, one in sorted(enumerate(surveys), key=lambda pair: (pair[1].start, pair[1].log.source)):
-        end, before = last.get(one.log.vehicle, (-inf, ""))
-        continues = end >= MIN_SET_CLOCK and 0 <= one.start - end <= JOIN_GAP
-        vehicle = one.engine or (before if continues else one.log.vehicle)
-        named[i] = replace(one, log=replace(one.log, vehicle=vehicle))
-        if not one.fault:
-            last[one.log.vehicle] = one.end, vehicle
+    for i, survey in sorted(enumerate(surveys), key=lambda pair: (pair[1].start, pair[1].log.source)):
+        end, last_vehicle = last.get(survey.log.vehicle, (-inf, ""))
+        continues = end >= MIN_SET_CLOCK and 0 <= survey.start - end <= JOIN_GAP
+        vehicle = survey.engine or (last_vehicle if continues else survey.log.vehicle)
+        named[i] = replace(survey, log=replace(survey.log, vehicle=vehicle))
+        if not survey.fault:
+            last[survey.log.vehicle] = survey.end, vehicle
     return [named[i] for i in range(len(surveys))]
 
 
-def _rejection(one: Survey, status: str, reason: str) -> Rejected:
-    return Rejected(vehicle=one.log.vehicle, source=one.log.source, start=one.start, status=status, reason=reason)
+def _rejection(survey: Survey, status: str, reason: str) -> Rejected:
+    return Rejected(
+        vehicle=survey.log.vehicle,
+        source=survey.log.source,
+        start=survey.start,
+        status=status,
+        reason=reason,
+    )
 
 
 def _joined(surveys: list[Survey]) -> list[Drive]:
     """Drives of one vehicle; a file that begins where the previous one ends continues its drive."""
     chains: list[list[Survey]] = []
-    for one in sorted(surveys, key=lambda each: (each.start, each.log.source)):
+    for survey in sorted(surveys, key=lambda log: (log.start, log.log.source)):
         last = chains[-1][-1] if chains else None
-        continues = last is not None and last.end >= MIN_SET_CLOCK and 0 <= one.start - last.end <= JOIN_GAP
-        chains[-1].append(one) if continues else chains.append([one])
+        continues = last is not None and last.end >= MIN_SET_CLOCK and 0 <= survey.start - last.end <= JOIN_GAP
+        chains[-1].append(survey) if continues else chains.append([survey])
     return [
         Drive(
             vehicle=chain[0].log.vehicle,
-            sources=tuple(one.log.source for one in chain),
-            contents=tuple(one.content for one in chain),
+            sources=tuple(survey.log.source for survey in chain),
+            contents=tuple(survey.content for survey in chain),
             start=chain[0].start,
             end=chain[-1].end,
-            note=next((one.note for one in chain if one.note), ""),
+            note=next((survey.note for survey in chain if survey.note), ""),
         )
         for chain in chains
     ]
@@ -129,8 +135,8 @@ def _notes(drives: list[Drive]) -> dict[str, str]:
     by_vehicle: dict[str, list[Drive]] = defaultdict(list)
     for drive in drives:
         by_vehicle[drive.vehicle].append(drive)
-    for vehicle, own in by_vehicle.items():
-        for drive, years in zip(own, years_off([drive.start for drive in own]), strict=True):
+    for vehicle, vehicle_drives in by_vehicle.items():
+        for drive, years in zip(vehicle_drives, years_off([drive.start for drive in vehicle_drives]), strict=True):
             if years is None:
                 notes[drive.sources[0]] = "the clock was not set: the times count from its start"
             elif abs(years) > CLOCK_YEARS:
@@ -143,6 +149,6 @@ def years_off(starts: Sequence[float]) -> list[float | None]:
 
     None if the clock was not set; 0 if at most two clocks were set.
     """
-    known = sorted(start for start in starts if start >= MIN_SET_CLOCK)
-    middle = known[len(known) // 2] if len(known) > 2 else None
+    set_starts = sorted(start for start in starts if start >= MIN_SET_CLOCK)
+    middle = set_starts[len(set_starts) // 2] if len(set_starts) > 2 else None
     return [None if start < MIN_SET_CLOCK else 0.0 if middle is None else (start - middle) / YEAR for start in starts]

@@ -25,5 +25,5 @@ def estimate_drives(sources: Sequence[str | Path], config: Config, vehicle: str 
         A source is missing or has no log, or the configuration is invalid. An unreadable log is a row of the table.
     """
     check(config)
-    found = run_fleet(find_logs([str(source) for source in sources], vehicle), config, Serial())
-    return columns(DRIVES, drive_rows(found))
+    fleet = run_fleet(find_logs([str(source) for source in sources], vehicle), config, Serial())
+    return columns(DRIVES, drive_rows(fleet))

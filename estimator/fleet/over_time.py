@@ -26,7 +26,7 @@ PRIOR_SD = np.column_stack([[np.inf, np.inf], BY_YEAR, _SEASON, _SEASON])  # (2,
 
 def newest(starts: Sequence[float]) -> float | None:
     """Start [s] of the newest drive whose clock is trusted; None if there is none."""
-    return max((start for start, known in zip(starts, _trusted(starts), strict=True) if known), default=None)
+    return max((start for start, is_trusted in zip(starts, _trusted(starts), strict=True) if is_trusted), default=None)
 
 
 def years_since(now: float | None, starts: Sequence[float]) -> Floats:

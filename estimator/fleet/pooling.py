@@ -37,8 +37,8 @@ class Mixture:
 
     def quantile(self, p: float) -> float:
         """Quantile for the probability ``p``; it lies between the smallest and largest one of the components."""
-        each = self.means + float(ndtri(p)) * self.sds
-        low, high = float(each.min()), float(each.max())
+        quantiles = self.means + float(ndtri(p)) * self.sds
+        low, high = float(quantiles.min()), float(quantiles.max())
         step = 1e-12 * max(abs(low), abs(high), 1e-300)
         if high - low <= step:
             return low
@@ -126,8 +126,8 @@ def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:
     log_weight = 0.5 * (np.log(_determinant(W)).sum(axis=1) - np.linalg.slogdet(information)[1] - misfit)
     weights = np.exp(log_weight - log_weight.max()) * share[nodes].prod(axis=1)
     used = weights > NEGLIGIBLE * weights.max()
-    weights, tau, T, W, P = (each[used] for each in (weights, tau, T, W, P))
-    mean, left, pulled = (each[used] for each in (mean, left, pulled))
+    weights, tau, T, W, P = (array[used] for array in (weights, tau, T, W, P))
+    mean, left, pulled = (array[used] for array in (mean, left, pulled))
     # theta_i given mu is N(X mu + T W (z - X mu), (1 - T W) T).
     rest = np.eye(2) - T[:, None, :, None] * W
     P = P.reshape(-1, *believed.shape, *believed.shape)

@@ -35,23 +35,23 @@ def with_beliefs(config: Config, load: Normal, rolling: Normal, drag: Normal) ->
     return changed
 
 
-def of_vehicle(config: Config, found: VehicleResult) -> Config | None:
+def of_vehicle(config: Config, result: VehicleResult) -> Config | None:
     """Configuration with the beliefs of a vehicle; None if A/m or C is not estimated, or the boxes exclude it."""
-    if found.rolling is None or found.drag is None or found.next_drive is None or found.load is None:
+    if result.rolling is None or result.drag is None or result.next_drive is None or result.load is None:
         return None
-    rolling, drag = found.next_drive
-    return _allowed(config, found.load, (rolling.mean, rolling.sd), (drag.mean, drag.sd))
+    rolling, drag = result.next_drive
+    return _allowed(config, result.load, (rolling.mean, rolling.sd), (drag.mean, drag.sd))
 
 
-def of_new_vehicle(config: Config, found: Sequence[VehicleResult], new: Sequence[Mixture]) -> Config | None:
+def of_new_vehicle(config: Config, results: Sequence[VehicleResult], new: Sequence[Mixture]) -> Config | None:
     """Configuration for a new vehicle of this fleet's type; ``new`` are the distributions of its A/m and C."""
-    known = [one for one in found if one.load is not None]
-    if not known or not new:
+    loaded = [result for result in results if result.load is not None]
+    if not loaded or not new:
         return None
-    means = np.array([one.load[0] for one in known if one.load is not None])
-    variances = np.array([one.load[1] ** 2 for one in known if one.load is not None])
+    means = np.array([result.load[0] for result in loaded if result.load is not None])
+    variances = np.array([result.load[1] ** 2 for result in loaded if result.load is not None])
     load = float(means.mean()), float(np.sqrt(variances.mean() + means.var()))
-    rolling, drag = (_widened(new[i], [one.scatter[i] for one in known]) for i in (ROLLING, DRAG))
+    rolling, drag = (_widened(new[i], [result.scatter[i] for result in loaded]) for i in (ROLLING, DRAG))
     return _allowed(config, load, rolling, drag)
 
 

@@ -57,17 +57,17 @@ def learned(vehicles: Sequence[str], drives: Sequence[Passes]) -> LearnedRoad:
     counts = [len(passes.row) for passes in drives]
     _, numbers = np.unique(np.array(vehicles, dtype=np.str_), return_inverse=True)
     key = np.concatenate([np.empty(0, np.int64), *(passes.keys for passes in drives)])
-    z, own, common = (np.concatenate([np.empty(0), *(passes.values[i] for passes in drives)]) for i in range(3))
+    z, independent, common = (np.concatenate([np.empty(0), *(passes.values[i] for passes in drives)]) for i in range(3))
     vehicle = np.repeat(numbers, counts)
-    order = np.lexsort((vehicle, z, own, common, key))
+    order = np.lexsort((vehicle, z, independent, common, key))
     key, vehicle = key[order], vehicle[order]
-    z, own, common = z[order], own[order], common[order]
+    z, independent, common = z[order], independent[order], common[order]
     first = np.flatnonzero(np.diff(key, prepend=-1))
     passes = np.diff(np.append(first, len(key)))
-    mean, variance, shared = _combined(z, own**2, common, first, passes)
+    mean, variance, shared = _combined(z, independent**2, common, first, passes)
     off = (z - np.repeat(mean, passes)) ** 2
     others = np.maximum(passes - 1, 1)
-    wider = np.sqrt(np.maximum(_sums(off / (own**2 + common**2), first) / others, 1.0))
+    wider = np.sqrt(np.maximum(_sums(off / (independent**2 + common**2), first) / others, 1.0))
     pairs = np.unique(np.column_stack([key, vehicle]), axis=0)
     return LearnedRoad(
         key=key[first],
@@ -84,11 +84,11 @@ def _combined(z: Floats, u: Floats, c: Floats, first: Counts, passes: Counts) ->
     """Mean, variance and common sd (k,) of places whose passes (n,) begin at ``first`` (k,), by ascending common sd."""
     if not len(first):
         return np.empty(0), np.empty(0), np.empty(0)
-    weight, shown, shared = (_running(each, first, passes) for each in (1 / u, z / u, c / u))
+    weight, shown, shared = (_running(values, first, passes) for values in (1 / u, z / u, c / u))
     variance = 1 / weight + (shared / weight) ** 2  # with all passes up to each
     least = np.minimum.reduceat(variance, first)
-    place = np.flatnonzero(variance == np.repeat(least, passes))
-    best = place[np.searchsorted(place, first)]  # the first pass with which it is least
+    at_least = np.flatnonzero(variance == np.repeat(least, passes))
+    best = at_least[np.searchsorted(at_least, first)]  # the first pass with which it is least
     return (shown / weight)[best], least, (shared / weight)[best]
 
 

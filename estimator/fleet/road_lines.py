@@ -46,7 +46,7 @@ def _line(places: NDArray[np.int64], latitude: Floats, longitude: Floats) -> Roa
     """Line of places with centres at these positions [rad] (k,)."""
     turns = (longitude - longitude[0]) / (2 * pi)
     east = 2 * pi * (turns - np.round(turns)) * np.cos(latitude)
-    steps = [np.diff(_smooth(EARTH_RADIUS * each)) for each in (latitude, east)]
+    steps = [np.diff(_smooth(EARTH_RADIUS * coordinate)) for coordinate in (latitude, east)]
     return RoadLine(places, np.concatenate([[0.0], np.cumsum(np.hypot(*steps))]))
 
 
@@ -88,11 +88,11 @@ def _ways(follower: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     """Yield lines of places in order, the longest first; each place is in one line."""
     after, is_used = follower.tolist(), [False] * len(follower)
     for start in np.argsort(-_lengths(after), kind="stable").tolist():
-        line, place = [], start
-        while place != NONE and not is_used[place]:
-            is_used[place] = True
-            line.append(place)
-            place = after[place]
+        line, number = [], start
+        while number != NONE and not is_used[number]:
+            is_used[number] = True
+            line.append(number)
+            number = after[number]
         if line:
             yield np.array(line)
 
@@ -101,12 +101,12 @@ def _lengths(after: list[int]) -> NDArray[np.int64]:
     """Number (n,) of places from each to the end of its line; a ring is cut where it closes."""
     lengths = [0] * len(after)
     for start in range(len(after)):
-        way, place = [], start
-        while place != NONE and not lengths[place]:
-            lengths[place] = 1  # until the end of the way is known
-            way.append(place)
-            place = after[place]
-        length = 0 if place == NONE else lengths[place]
+        way, number = [], start
+        while number != NONE and not lengths[number]:
+            lengths[number] = 1  # until the end of the way is known
+            way.append(number)
+            number = after[number]
+        length = 0 if number == NONE else lengths[number]
         for passed in reversed(way):
             length += 1
             lengths[passed] = length

@@ -24,7 +24,7 @@ def road_figures(road: LearnedRoad) -> str:
             "<p>No road was learned: latitude and longitude are not on the bus, or a map is in the configuration.</p>"
         )
     lines = road_lines(road.key, road.passes)
-    long = [each for each in lines if each.distance[-1] >= MIN_LENGTH]
+    long = [line for line in lines if line.distance[-1] >= MIN_LENGTH]
     number, sure = len(road.key), len(road.map.key)
     passes = int(road.passes.sum())
     words = (
@@ -34,7 +34,7 @@ def road_figures(road: LearnedRoad) -> str:
     if not long:
         return f"<p>{words}No {MIN_LENGTH / 1e3:.0f} km of places follow each other; they are in road.parquet.</p>"
     note = "Slope along the longest lines of places, in the direction of travel; the area is a 90 % interval."
-    figures = "".join(_figure(road, each, i) for i, each in enumerate(long[:MAX_LINES], start=1))
+    figures = "".join(_figure(road, line, i) for i, line in enumerate(long[:MAX_LINES], start=1))
     return f'<p>{words}</p><p class="soft">{note}</p>{figures}{_where(road, long, len(lines))}'
 
 

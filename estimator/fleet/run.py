@@ -119,14 +119,14 @@ def conclude(grouped: Grouped, results: tuple[DriveResult, ...], config: Config,
 
 
 def _surveys(logs: Sequence[LogFile], config: Config, engine: Engine, progress: Progress) -> list[Survey]:
-    found: dict[int, Survey] = {}
+    surveys: dict[int, Survey] = {}
     for done, (i, result) in enumerate(engine.map(partial(survey, config=config), logs), start=1):
         if isinstance(result, Failure):
             fault = f"{logs[i].source}: {result.reason}"
             result = Survey(log=logs[i], content="", start=0.0, end=0.0, fault=fault)
-        found[i] = result
+        surveys[i] = result
         progress(SURVEYING * done / len(logs))
-    return [found[i] for i in range(len(logs))]
+    return [surveys[i] for i in range(len(logs))]
 
 
 def _results(
@@ -161,13 +161,13 @@ def _vehicles(grouped: Grouped, results: Sequence[DriveResult], config: Config, 
                 vehicles[drive.vehicle].loads.append(coefficients)
                 vehicles[drive.vehicle].starts.append(segment.start)
     gate, scale = config.gate, max(config.load.change_sd, MIN_SCALE)
-    found: dict[int, Joined] = {}
-    last = newest([start for one in vehicles.values() for start in one.starts])
+    by_index: dict[int, Joined] = {}
+    last = newest([start for vehicle in vehicles.values() for start in vehicle.starts])
     for i, answer in engine.map(partial(_joined, gate=gate, scale=scale, last=last), list(vehicles.values())):
         if isinstance(answer, Failure):
             answer = join(names[i], (), (), gate, scale, answer.reason), ()
-        found[i] = answer
-    return [found[i] for i in range(len(names))]
+        by_index[i] = answer
+    return [by_index[i] for i in range(len(names))]
 
 
 def _joined(vehicle: _Vehicle, gate: Gate, scale: float, last: float | None) -> Joined:
@@ -187,12 +187,14 @@ def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture,
     rates = np.full((len(vehicles), 2), np.nan)
     new: list[Mixture] = []
     for i in (ROLLING, DRAG):
-        known = [(v, found) for v, one in enumerate(vehicles) if (found := one.compared[i]) is not None]
-        if len(known) < MIN_VEHICLES:
+        estimated = [
+            (v, marginal) for v, vehicle in enumerate(vehicles) if (marginal := vehicle.compared[i]) is not None
+        ]
+        if len(estimated) < MIN_VEHICLES:
             continue
-        means, sds = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "sd"))
+        means, sds = (np.array([getattr(marginal, part) for _, marginal in estimated]) for part in ("mean", "sd"))
         compared = population(means, sds)
-        rates[[v for v, _ in known], i] = compared.p_values
+        rates[[v for v, _ in estimated], i] = compared.p_values
         new.append(compared.new)
     shown = np.isfinite(rates)
     if shown.any():

@@ -45,7 +45,7 @@ def by_season(
     if not whole.masses:
         return ()
     seasons = [season_of(t) for t in starts]
-    found = []
+    results = []
     for season in (name for name in SEASONS if name in seasons):
         places = [i for i, name in enumerate(seasons) if name == season]
         chosen, then = [loads[i] for i in places], [starts[i] for i in places]
@@ -53,5 +53,5 @@ def by_season(
             rolling, drag = whole.rolling, whole.drag
         else:
             rolling, drag = shared(chosen, then, gate, scale)
-        found.append(SeasonResult(season=season, loads=len(chosen), rolling=rolling, drag=drag))
-    return tuple(found)
+        results.append(SeasonResult(season=season, loads=len(chosen), rolling=rolling, drag=drag))
+    return tuple(results)

@@ -45,7 +45,7 @@ def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFil
         The pattern is no regular expression with a group, or matches the path of no log.
     """
     expression = None if pattern is None else _compiled(pattern)
-    found: dict[str, str] = {}
+    vehicle_of: dict[str, str] = {}
     for source in sources:
         try:
             logs = list(_logs_of(source))
@@ -54,8 +54,10 @@ def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFil
         if not logs:
             raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(FORMATS)}")
         for log in logs:
-            found.setdefault(log.source, _named(log, expression))
-    return sorted((LogFile(log, vehicle) for log, vehicle in found.items()), key=lambda log: (log.vehicle, log.source))
+            vehicle_of.setdefault(log.source, _named(log, expression))
+    return sorted(
+        (LogFile(log, vehicle) for log, vehicle in vehicle_of.items()), key=lambda log: (log.vehicle, log.source)
+    )
 
 
 def _compiled(pattern: str) -> re.Pattern[str]:
@@ -113,11 +115,11 @@ def _files_below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
     except PermissionError:
         yield folder
         return
-    if (place := (status.st_dev, status.st_ino)) in seen:
+    if (inode := (status.st_dev, status.st_ino)) in seen:
         return
     for entry in entries:
         if os.path.isdir(entry):
-            yield from _files_below(entry, seen | {place})
+            yield from _files_below(entry, seen | {inode})
         else:
             yield entry
 
@@ -133,18 +135,18 @@ def _listed(path: Path) -> Iterator[LogFile]:
         name, _, vehicle = line.strip().partition("\t")
         if not name:
             continue
-        place = name if "://" in name else str(path.parent / name)
-        if "://" not in name and not (files_of(Path(place)) if is_day(Path(place)) else Path(place).is_file()):
+        log = name if "://" in name else str(path.parent / name)
+        if "://" not in name and not (files_of(Path(log)) if is_day(Path(log)) else Path(log).is_file()):
             remedy = f"correct or delete the line, or give {path.name} another suffix if it is a log itself"
-            raise InputError(f"{path}:{number}: no such log: {place}; {remedy}")
-        yield LogFile(place, vehicle.strip() or _vehicle(place, place))
+            raise InputError(f"{path}:{number}: no such log: {log}; {remedy}")
+        yield LogFile(log, vehicle.strip() or _vehicle(log, log))
 
 
 def _remote(source: str) -> Iterator[LogFile]:
     files, root = file_system(source)
     try:
         if WILD.search(root):
-            names = [name for one in files.glob(root) for name in (files.find(one) if files.isdir(one) else [one])]
+            names = [name for path in files.glob(root) for name in (files.find(path) if files.isdir(path) else [path])]
             root = root[: root.rfind("/", 0, WILD.search(root).start()) + 1]  # type: ignore[union-attr]
         else:
             names = files.find(root)
@@ -229,10 +231,10 @@ def _fetch(files: Any, name: str, folder: Path) -> Path:
     if not is_day(path):
         files.get_file(name, str(folder / path.name))
         return folder / path.name
-    for one in files.glob(name):
-        copy = folder.joinpath(*PurePosixPath(one).parts[-5:])
+    for source in files.glob(name):
+        copy = folder.joinpath(*PurePosixPath(source).parts[-5:])
         copy.parent.mkdir(parents=True, exist_ok=True)
-        files.get_file(one, str(copy))
+        files.get_file(source, str(copy))
     return folder.joinpath(*path.parts[-5:])
 
 

@@ -83,10 +83,10 @@ def _content(path: Path) -> str:
     """Hash of the bytes of a file, or of the names and bytes of all files of a day of a lake."""
     digest = blake2b(digest_size=16)
     parts = files_of(path) if is_day(path) else [path]
-    for one in parts:
+    for part in parts:
         if len(parts) > 1:
-            digest.update(os.fsencode(f"{'/'.join(one.parts[-5:])} {one.stat().st_size} "))
-        with one.open("rb") as file:
+            digest.update(os.fsencode(f"{'/'.join(part.parts[-5:])} {part.stat().st_size} "))
+        with part.open("rb") as file:
             while piece := file.read(PIECE):
                 digest.update(piece)
     return digest.hexdigest()

@@ -78,7 +78,7 @@ def join(
     m, z, V, with_mass, m_variance = _first_order(loads)
     now = newest(starts)
     pooled = pool(z, V, scale, years_since(now, starts))
-    known, reasons = _shared(pooled, gate)
+    estimated, reasons = _shared(pooled, gate)
     masses = _masses(m, z, V, with_mass, m_variance, pooled)
     at = NOW if now is None or last is None else terms(np.array([(last - now) / YEAR]))[0]
     means = np.array([mass.mean for mass in masses])
@@ -89,8 +89,8 @@ def join(
         vehicle=vehicle,
         status=Status.UNESTIMATED if all(reasons) else Status.ESTIMATED,
         reasons=reasons,
-        rolling=known[ROLLING],
-        drag=known[DRAG],
+        rolling=estimated[ROLLING],
+        drag=estimated[DRAG],
         trend=None if now is None else _pair(pooled, TREND),
         winter=None if now is None else _pair(pooled, winter(now)),
         compared=(
@@ -138,10 +138,10 @@ def _pair(pooled: Pooled, share: Floats) -> tuple[Normal, Normal]:
     return pooled.combined(ROLLING, share).moments, pooled.combined(DRAG, share).moments
 
 
-def _reason(i: int, found: Marginal, largest: float) -> str:
-    if found.sd <= largest * found.mean:
+def _reason(i: int, marginal: Marginal, largest: float) -> str:
+    if marginal.sd <= largest * marginal.mean:
         return ""
-    share = 100 * found.sd / max(found.mean, 1e-12)
+    share = 100 * marginal.sd / max(marginal.mean, 1e-12)
     return f"sd of {NAMES[i]} is {min(share, 1000):.0f} % of its value; give more drives"
 
 

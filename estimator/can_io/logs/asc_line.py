@@ -31,7 +31,7 @@ def layout(line: bytes) -> Layout | None:
     if match is None:
         return None
     length, first = int(match["length"]), match.start("data")
-    columns = [first + found.start() for found in re.finditer(rb"\S\S", match["data"])][:length]
+    columns = [first + pair.start() for pair in re.finditer(rb"\S\S", match["data"])][:length]
     steps = {b - a for a, b in pairwise(columns)} or {3}
     extended = bool(match["x"])
     largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID

@@ -67,10 +67,10 @@ def decode_objects(buffer: bytes, start: float) -> Decoded:
     skipped: Counter[str] = Counter()
     at, fault = 0, ""
     while not fault and not (wanted := _missing(buffer, at)):
-        found = _run(buffer, at, start) or _mixed(buffer, at, start)
-        parts.append(found)
-        skipped.update(found.skipped)
-        at, fault = at + found.used, found.fault
+        decoded = _run(buffer, at, start) or _mixed(buffer, at, start)
+        parts.append(decoded)
+        skipped.update(decoded.skipped)
+        at, fault = at + decoded.used, decoded.fault
     parts = [part for part in parts if len(part.frames)] or parts[:1]
     channel = parts[0].channel if len(parts) == 1 else np.concatenate([NO_CHANNEL, *(part.channel for part in parts)])
     frames = Frames.concatenate([part.frames for part in parts])
@@ -90,7 +90,7 @@ def _missing(buffer: bytes, at: int) -> int:
 
 def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
     """Decode a run of objects of one kind and size from ``at`` on; None if the run is short."""
-    at, before = buffer.find(SIGNATURE, at, at + MAX_PADDING + len(SIGNATURE)), at
+    at, offset = buffer.find(SIGNATURE, at, at + MAX_PADDING + len(SIGNATURE)), at
     if at < 0 or at + BASE > len(buffer):
         return None
     head = np.frombuffer(buffer, HEAD, 1, at)[0]
@@ -109,7 +109,7 @@ def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
         return None
     remote = int(np.count_nonzero(columns.remote))
     return _decoded(
-        columns, ~columns.remote if remote else None, Counter({REMOTE_FRAME: remote}), at + count * size - before
+        columns, ~columns.remote if remote else None, Counter({REMOTE_FRAME: remote}), at + count * size - offset
     )
 
 
@@ -165,10 +165,10 @@ def _blank(count: int, has_fd: bool) -> Columns:
 
 
 def _put(columns: Columns, rows: NDArray[np.intp], kind: Kind, objects: NDArray[np.void], start: float) -> None:
-    found = kind.read(objects, start)
-    columns.data[rows, : found.data.shape[1]] = found.data
+    read = kind.read(objects, start)
+    columns.data[rows, : read.data.shape[1]] = read.data
     for name in ("t", "ident", "length", "channel", "remote", "wrong"):
-        getattr(columns, name)[rows] = getattr(found, name)
+        getattr(columns, name)[rows] = getattr(read, name)
 
 
 def locate(buffer: bytes) -> Located:
@@ -198,7 +198,7 @@ def locate(buffer: bytes) -> Located:
 
 def _walk(buffer: bytes, position: int) -> Located:
     """Follow the sizes of objects, one by one."""
-    found: list[int] = []
+    positions: list[int] = []
     fault = ""
     reach = MAX_PADDING + len(SIGNATURE)
     while (at := buffer.find(SIGNATURE, position, position + reach)) >= 0 and at + BASE <= len(buffer):
@@ -207,11 +207,11 @@ def _walk(buffer: bytes, position: int) -> Located:
             fault = f"an object of {size} bytes{TOO_SMALL * (size < BASE)}"
         if fault or at + size > len(buffer):
             break
-        found.append(at)
+        positions.append(at)
         position = at + size
     if at < 0 and position + reach <= len(buffer):
         fault = "no object where one should start"
-    return Located(np.array(found, np.int64), position, fault)
+    return Located(np.array(positions, np.int64), position, fault)
 
 
 def _gathered(window: NDArray[np.uint8], at: NDArray[np.int64], record: np.dtype[np.void]) -> NDArray[np.void]:
@@ -221,9 +221,9 @@ def _gathered(window: NDArray[np.uint8], at: NDArray[np.int64], record: np.dtype
 
 
 def _count_others(heads: NDArray[np.void], is_frame: Mask) -> Counter[str]:
-    known = np.isin(heads["version"], list(PAYLOAD_AT))
+    is_known = np.isin(heads["version"], list(PAYLOAD_AT))
     counts: Counter[str] = Counter()
-    counts["BLF object of unknown version"] = int(np.count_nonzero(~known))
-    for kind, count in zip(*np.unique(heads["type"][known & ~is_frame], return_counts=True), strict=True):
+    counts["BLF object of unknown version"] = int(np.count_nonzero(~is_known))
+    for kind, count in zip(*np.unique(heads["type"][is_known & ~is_frame], return_counts=True), strict=True):
         counts[ERROR_FRAME if kind in ERROR_TYPES else f"BLF object of type {kind}"] += int(count)
     return counts

@@ -81,12 +81,12 @@ class Channels:
         """Note the identifiers of a channel, up to the first that comes on two channels."""
         if self.shared is not None:
             return
-        for one in np.unique(ident).tolist():
-            if (other := self._channel_of.get(one, name)) != name:
-                self.shared = one, other, name
+        for identifier in np.unique(ident).tolist():
+            if (other := self._channel_of.get(identifier, name)) != name:
+                self.shared = identifier, other, name
                 break
             if len(self._channel_of) < MAX_IDENTS:
-                self._channel_of[one] = name
+                self._channel_of[identifier] = name
 
     def check_number(self, path: Path) -> None:
         """Check that the number of channels is plausible.

@@ -99,18 +99,18 @@ def read_usual(buffer: Bytes, starts: Places, ends: Places) -> tuple[Places, Fra
 
 def _points(buffer: Bytes, starts: Places) -> Places:
     """Positions (n,) of the first point from each start on; the length of the buffer if there is none."""
-    found = np.flatnonzero(buffer == ord("."))
-    if len(found) == len(starts):  # one a line, or lines are unusual
-        return found
-    return np.append(found, len(buffer))[np.searchsorted(found, starts)]
+    points = np.flatnonzero(buffer == ord("."))
+    if len(points) == len(starts):  # one a line, or lines are unusual
+        return points
+    return np.append(points, len(buffer))[np.searchsorted(points, starts)]
 
 
 def _times(buffer: Bytes, words: Words, start: Places, point: Places) -> tuple[Floats, Places, Mask]:
     """Times (n,) [s] as `float` reads them, positions after them (n,), and mask of the usual ones (n,)."""
-    before = point - start
-    digits = last_digits(words[point - WORD], np.minimum(before, WORD))
-    if before.max(initial=0) > WORD:
-        digits = np.hstack([last_digits(words[point - 2 * WORD], np.maximum(before - WORD, 0)), digits])
+    whole_digits = point - start
+    digits = last_digits(words[point - WORD], np.minimum(whole_digits, WORD))
+    if whole_digits.max(initial=0) > WORD:
+        digits = np.hstack([last_digits(words[point - 2 * WORD], np.maximum(whole_digits - WORD, 0)), digits])
     seconds, good = decimal_words(digits)
     fraction = words[point + 1]
     after = decimal_digits(fraction)

@@ -51,8 +51,8 @@ class CsvLog(LineLog):
             return partial(mdf2csv_line.layout, frame=frame)
         if TABLE.fullmatch(header):
             raise LogError(decoded_table(self.path, header))
-        found = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(header)}"
-        raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+        error = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(header)}"
+        raise LogError(f"{self.path}:{self._number}: {error}; give another log")
 
     def _layout(self, line: bytes) -> Layout | None:
         assert self._grammar is not None

@@ -89,20 +89,20 @@ class LakeLog(Log):
             yield self.channels.keep(frames, channel, buses.__getitem__)
 
     def _streams(self) -> list[_Stream]:
-        found: dict[tuple[str, str], _Stream] = {}
+        streams: dict[tuple[str, str], _Stream] = {}
         for file in self._files:
             folder = file.parents[3].name
             for message in self._messages:
                 if (match := _match(folder, message.name)) is None:
                     continue
                 source = int(match["source"] or "0", 16)
-                stream = found.setdefault((folder, message.name), _Stream([], message, match["bus"], source))
+                stream = streams.setdefault((folder, message.name), _Stream([], message, match["bus"], source))
                 stream.files.append(file)
-        if not found:
+        if not streams:
             there = ", ".join(sorted({file.parents[3].name for file in self._files})[:8])
             wanted = ", ".join(message.name for message in self._messages)
             raise LogError(f"{self.path}: no message that a role is bound to ({wanted}); the first there are {there}")
-        return list(found.values())
+        return list(streams.values())
 
 
 def _match(folder: str, message: str) -> re.Match[str] | None:

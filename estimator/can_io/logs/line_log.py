@@ -63,8 +63,8 @@ class LineLog(Log):
                     yield from self._parse(part)
                 rest = text[end:]
                 if len(rest) > MAX_LINE:
-                    found = f"expected a frame, found a line of over {MAX_LINE} bytes"
-                    raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+                    error = f"expected a frame, found a line of over {MAX_LINE} bytes"
+                    raise LogError(f"{self.path}:{self._number}: {error}; give another log")
             yield from self._parse(rest)
         if self._damaged:
             self.skipped[f"damaged line (the first is line {self._damaged[0]})"] += len(self._damaged)
@@ -142,8 +142,8 @@ class LineLog(Log):
 
     def _check_idle(self) -> None:
         if self._number - self._last_frame > MAX_IDLE:
-            found = f"expected a frame, found {MAX_IDLE:,} lines without"
-            raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+            error = f"expected a frame, found {MAX_IDLE:,} lines without"
+            raise LogError(f"{self.path}:{self._number}: {error}; give another log")
 
     def _checked_layout(self, line: bytes) -> Layout | None:
         if len(line) > MAX_LINE:
@@ -163,7 +163,7 @@ class LineLog(Log):
         text = head + b"".join(lines.line(row).rstrip(b"\r").replace(b"\r", b" ") + b"\n" for row in rows)
         if not ended and rows[-1:] == [len(lines) - 1]:
             text = text[:-1]
-        before = head.count(b"\n")
+        head_lines = head.count(b"\n")
         with Tap(BufferedReader(BytesIO(text)), lambda line: [line], self._unread) as tap:
             try:
                 for message in reader(tap):
@@ -173,13 +173,14 @@ class LineLog(Log):
                     kind = kind_of(message)
                     if not kind:
                         check_message(message)
-                    row = rows[tap.number - before - 1]
+                    row = rows[tap.number - head_lines - 1]
                     lines.put(row, Frames.from_messages([message]), kind, self._channel_of(message))
             except READER_ERRORS as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                place = min(max(tap.number - before, 1), len(rows)) - 1  # the text may hold more line ends than rows
-                lines.refuse(rows[place], f"this line cannot be read ({reason})")
-                return rows[place + 1 :]
+                # The text may hold more line ends than rows.
+                bad = min(max(tap.number - head_lines, 1), len(rows)) - 1
+                lines.refuse(rows[bad], f"this line cannot be read ({reason})")
+                return rows[bad + 1 :]
         return []
 
 

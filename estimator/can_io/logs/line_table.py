@@ -313,11 +313,11 @@ def _hex_payload(table: Bytes, layout: Layout) -> tuple[Bytes, Mask]:
 
 
 def _base64_payload(table: Bytes, layout: Layout) -> tuple[Bytes, Mask]:
-    digits: list[Bytes] = [BASE64[table[:, _shifted(layout.data, place)]] for place in range(4)]
+    digits: list[Bytes] = [BASE64[table[:, _shifted(layout.data, i)]] for i in range(4)]
     data = np.zeros((len(table), 3 * len(layout.data)), np.uint8)
-    for place in range(3):
-        data[:, place::3] = digits[place] << 2 * (place + 1) | digits[place + 1] >> 4 - 2 * place
-    pads = [table[:, _shifted(layout.data, place)] == PAD for place in range(4)]
+    for i in range(3):
+        data[:, i::3] = digits[i] << 2 * (i + 1) | digits[i + 1] >> 4 - 2 * i
+    pads = [table[:, _shifted(layout.data, i)] == PAD for i in range(4)]
     valid = [((digit < NO_DIGIT) | pad).all(axis=1) for digit, pad in zip(digits, pads, strict=True)]
     every: Mask = np.all(valid, axis=0)
     return data[:, : layout.length], every

@@ -22,10 +22,10 @@ def check_message(message: can.Message) -> None:
     """Raise ValueError if no bus can carry a data message, e.g. because its line was cut."""
     if not 0 <= message.arbitration_id <= (MAX_EXTENDED_ID if message.is_extended_id else MAX_STANDARD_ID):
         raise ValueError(f"expected a CAN id, found {message.arbitration_id:X}")
-    found, expected = len(message.data), message.dlc
-    if message.is_fd and found != expected:
+    length, expected = len(message.data), message.dlc
+    if message.is_fd and length != expected:
         expected = dlc2len(expected)  # .trc gives the code, others the length
-    elif found == CLASSIC_BYTES:
+    elif length == CLASSIC_BYTES:
         expected = min(expected, CLASSIC_BYTES)  # codes 9 to 15 mean 8 bytes too
-    if found != expected or found > FD_BYTES:
-        raise ValueError(f"expected {min(expected, FD_BYTES)} data bytes, found {found}")
+    if length != expected or length > FD_BYTES:
+        raise ValueError(f"expected {min(expected, FD_BYTES)} data bytes, found {length}")

@@ -109,19 +109,19 @@ class Content:
         self._skipped = skipped
         self._start = start_time(file)
         self._data_groups = data_groups(file)
-        every = [each for each in self._data_groups if any(group.frames for group in each.groups)]
+        every = [data_group for data_group in self._data_groups if any(group.frames for group in data_group.groups)]
         self.has_frames = bool(every)
-        wanted = [each for each in every if self._holds_frames(each)]
+        wanted = [data_group for data_group in every if self._holds_frames(data_group)]
         if len(wanted) > MAX_STREAMS:
             reason = f"{len(wanted)} streams of CAN frames, of which {MAX_STREAMS} can be read at once"
             raise UnreadMdfError(wanted[-1].address, reason)
         self._most = ROWS // max(len(wanted), 1)
         self._largest = max(MAX_UNPACKED // max(len(wanted), 1), MIN_UNPACKED)
-        self.streams = [self._frames(each) for each in wanted]
-        for each in self._data_groups:
-            for group in each.groups if each.id_bytes == 0 else ():
+        self.streams = [self._frames(data_group) for data_group in wanted]
+        for data_group in self._data_groups:
+            for group in data_group.groups if data_group.id_bytes == 0 else ():
                 if group.skipped and group.record_bytes:
-                    there = record_count(self._chunks(each.data), group.record_bytes)
+                    there = record_count(self._chunks(data_group.data), group.record_bytes)
                     skipped[group.skipped] += min(there, group.count) if self._has_counts else there
 
     def _holds_frames(self, data_group: DataGroup) -> bool:

@@ -95,9 +95,9 @@ class TimeCheck:
                 "which no bus carries; give a log whose times are right"
             )
 
-    def _step_back(self, frame: int, before: float, t: float) -> None:
+    def _step_back(self, frame: int, previous: float, t: float) -> None:
         self._steps_back += 1
-        self._first_step = self._first_step or f"first at frame {frame}, from {before:.6f} s to {t:.6f} s"
+        self._first_step = self._first_step or f"first at frame {frame}, from {previous:.6f} s to {t:.6f} s"
         if self._steps_back == MAX_STEPS_BACK:
             raise LogError(
                 f"{self._path}: time steps back {MAX_STEPS_BACK} times by more than {MAX_DELAY:g} s, "

@@ -40,8 +40,8 @@ class TrcLog(LineLog):
             if line.strip() and not line.lstrip().startswith(b";"):
                 self._in_header = False
                 if KEYS[0] not in self._keys and FIRST.match(line) is None:
-                    found = f"expected a trace of PEAK's PCAN-View with a line ;$FILEVERSION, found {shown(line)}"
-                    raise LogError(f"{self.path}:{self._number}: {found}; export it as .asc or .blf")
+                    error = f"expected a trace of PEAK's PCAN-View with a line ;$FILEVERSION, found {shown(line)}"
+                    raise LogError(f"{self.path}:{self._number}: {error}; export it as .asc or .blf")
                 self._head = read_head(*(self._keys.get(key, b"").partition(b"=")[2] for key in KEYS))
                 break
             self._keys |= {key: line.strip() for key in KEYS if line.strip().startswith(key)}

@@ -79,7 +79,7 @@ def layout(line: bytes, head: Head) -> Layout | None:
     if match is None:
         return None
     length, first = int(match["length"]), match.start("data")
-    columns = [first + found.start() for found in re.finditer(rb"\S\S", match["data"])]
+    columns = [first + pair.start() for pair in re.finditer(rb"\S\S", match["data"])]
     steps = {b - a for a, b in pairwise(columns)} or {3}
     extended = len(match["id"]) > MAX_STANDARD_DIGITS
     largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID

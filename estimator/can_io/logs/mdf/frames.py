@@ -76,23 +76,23 @@ def heads(group: FrameGroup, records: Records, sizes: NDArray[np.int64] | int) -
     return Heads(ident, length.astype(np.uint8), valid).first(count), fault
 
 
-def frames_of(group: FrameGroup, found: Heads, masters: Records, payloads: Payloads, start: float) -> Frames:
+def frames_of(group: FrameGroup, head: Heads, masters: Records, payloads: Payloads, start: float) -> Frames:
     """Frames (n,) with times from the records ``masters`` (n,), counted from ``start`` [s]."""
-    return Frames(times(masters, group.times, start), found.ident, found.length, _data(payloads, found.length))
+    return Frames(times(masters, group.times, start), head.ident, head.length, _data(payloads, head.length))
 
 
 def rows_read(
-    channels: Channels, group: FrameGroup, found: Heads, records: Records, skipped: Counter[str]
+    channels: Channels, group: FrameGroup, head: Heads, records: Records, skipped: Counter[str]
 ) -> slice | Mask:
     """Mask (n,) or slice of the valid frames of read channels in ``records`` (n,); others are counted."""
     number = np.zeros(len(records), np.uint8) if group.channel is None else unsigned(records, group.channel)
     name = str if group.channel is not None else lambda _: UNNAMED
-    if found.valid is None:
-        return channels.rows(found.ident, number, name)
-    rows = found.valid.copy()
+    if head.valid is None:
+        return channels.rows(head.ident, number, name)
+    rows = head.valid.copy()
     skipped[INVALID] += int(np.count_nonzero(~rows))
     read = np.zeros(np.count_nonzero(rows), np.bool_)
-    read[channels.rows(found.ident[rows], number[rows], name)] = True
+    read[channels.rows(head.ident[rows], number[rows], name)] = True
     rows[rows] = read
     return rows
 

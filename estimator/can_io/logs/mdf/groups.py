@@ -131,9 +131,9 @@ def data_groups(file: MdfFile) -> list[DataGroup]:
         A block is damaged, or CAN frames are stored in an unknown way.
     """
     first = file.block(HEADER_AT, b"##HD").link(0)
-    found = []
+    groups_of_data = []
     for block in file.chain(first, b"##DG"):
-        groups = tuple(_group(file, each) for each in file.chain(block.link(1), b"##CG"))
+        groups = tuple(_group(file, group_block) for group_block in file.chain(block.link(1), b"##CG"))
         (id_bytes,) = block.values("B")
         if id_bytes not in (0, 1, 2, 4, 8):
             raise BadMdfError(block.address, f"record ids of {id_bytes} bytes")
@@ -141,8 +141,8 @@ def data_groups(file: MdfFile) -> list[DataGroup]:
             raise BadMdfError(block.address, "a record id of more than a byte")
         if id_bytes == 0 and len(groups) > 1:
             raise BadMdfError(block.address, "records of several groups without ids")
-        found.append(DataGroup(block.address, id_bytes, block.link(2), groups))
-    return found
+        groups_of_data.append(DataGroup(block.address, id_bytes, block.link(2), groups))
+    return groups_of_data
 
 
 def _group(file: MdfFile, block: Block) -> Group:
@@ -168,15 +168,15 @@ def _group(file: MdfFile, block: Block) -> Group:
 
 def _channels(file: MdfFile, group: Block) -> dict[str, Block]:
     """Channels of a group by name, and the parts of its frames."""
-    found = {}
+    channels = {}
     for channel in file.chain(group.link(1), b"##CN"):
         name = file.text(channel.link(2))
         if channel.values("B")[0] == MASTER:
-            found[""] = channel
-        found[name] = channel
+            channels[""] = channel
+        channels[name] = channel
         if name == FRAME and channel.link(1):
-            found |= {file.text(part.link(2)): part for part in file.chain(channel.link(1), b"##CN")}
-    return found
+            channels |= {file.text(part.link(2)): part for part in file.chain(channel.link(1), b"##CN")}
+    return channels
 
 
 def _frame_group(file: MdfFile, group: Block, flags: int, names: dict[str, Block], data_bytes: int) -> FrameGroup:

@@ -62,16 +62,16 @@ class Chain:
 
     def walk(self, first: int) -> Places:
         """Places (n,) of the records from ``first`` on, one by one; the last may be invalid or incomplete."""
-        found: list[int] = []
+        places: list[int] = []
         steps, is_variable = self._steps.tolist(), self._is_variable.tolist()
         at, last = first, len(steps) - 1
         while at < self.size:
-            found.append(at)
+            places.append(at)
             number = min(int(self._ids[at]), last)
             if steps[number] == 0:
                 break
             at += steps[number] + (int(self._sizes[at]) if is_variable[number] else 0)
-        return np.array(found, np.int64)
+        return np.array(places, np.int64)
 
 
 class Paths(NamedTuple):
@@ -117,9 +117,9 @@ def _side_by_side(chain: Chain, stretches: Places) -> Places:
     else:
         wrong = np.flatnonzero(begins[1:] != finals[:-1]) + 1
         sound = int(wrong[0]) if len(wrong) else len(begins)
-    found = places[:, :sound].T.ravel()
-    found = found[found >= 0]
-    return found if sound == len(begins) else np.concatenate((found, chain.walk(int(finals[sound - 1]))))
+    at = places[:, :sound].T.ravel()
+    at = at[at >= 0]
+    return at if sound == len(begins) else np.concatenate((at, chain.walk(int(finals[sound - 1]))))
 
 
 def _follow(chain: Chain, begins: Places, ends: Places) -> Paths:

@@ -52,7 +52,7 @@ def merged(streams: list[Iterator[Frames]]) -> Iterator[Frames]:
         until = min(float(stream.keys[-1]) for stream in held)
         turn = next(i for i, stream in enumerate(held) if stream.keys[-1] == until)
         taken = [stream.take(until, i <= turn) for i, stream in enumerate(held)]
-        keys = np.concatenate([each for _, each in taken])
+        keys = np.concatenate([stream_keys for _, stream_keys in taken])
         yield Frames.concatenate([frames for frames, _ in taken])[np.argsort(keys, kind="stable")]
     for stream in held:
         yield stream.frames

@@ -121,9 +121,9 @@ def unsigned(records: Records, field: Field) -> Numbers:
         value: Numbers = records.numbers(field.byte, f"{'>' if is_big else '<'}u{size}")
     else:
         value = np.zeros(len(records), np.uint64)
-        for place in range(size):
-            byte = field.byte + (size - 1 - place if is_big else place)
-            value |= records.numbers(byte, "u1").astype(np.uint64) << np.uint64(8 * place)
+        for i in range(size):
+            byte = field.byte + (size - 1 - i if is_big else i)
+            value |= records.numbers(byte, "u1").astype(np.uint64) << np.uint64(8 * i)
     if field.bit:
         value = value >> value.dtype.type(field.bit)
     if field.bit + field.bits == 8 * value.dtype.itemsize:

@@ -166,10 +166,10 @@ def sorted_frames(
         payloads = Payloads(records, group.data.byte, group.data.bits // 8)
         if streams.values is not None:
             payloads, sizes = streams.values.payloads(_offsets(group, records))
-        found, fault = heads(group, records, sizes)
-        count = len(found.ident)
-        frames = frames_of(group, found, masters.first(count), payloads.first(count), start)
-        yield frames[rows_read(channels, group, found, records.first(count), skipped)]
+        frame_heads, fault = heads(group, records, sizes)
+        count = len(frame_heads.ident)
+        frames = frames_of(group, frame_heads, masters.first(count), payloads.first(count), start)
+        yield frames[rows_read(channels, group, frame_heads, records.first(count), skipped)]
         if fault:
             raise BadMdfError(streams.records.offset, fault)
         left = None if left is None else left - ready

@@ -126,7 +126,7 @@ def _unlisted(file: MdfFile, last: int) -> Iterator[int]:
 
 def _end(file: MdfFile, address: int) -> int:
     """End of a block of unknown size: the next block, or the end of the file."""
-    return min((known for known in file.known if known > address), default=file.size)
+    return min((later for later in file.known if later > address), default=file.size)
 
 
 def _plain(file: MdfFile, address: int, end: int) -> Iterator[Chunk]:
@@ -153,14 +153,14 @@ def _unpacked(file: MdfFile, address: int, head: Head, largest: int) -> Iterator
         raise BadMdfError(address, f"a packed block of {packed} bytes in {head.size}, with {columns} columns")
     data = file.bytes_at(address + HEAD.size + PACKED_HEAD.size, packed)
     try:
-        found, fault = unpack(method & ~TRANSPOSED, data, size, largest)
+        contents, fault = unpack(method & ~TRANSPOSED, data, size, largest)
     except MissingPackageError as error:
         raise UnreadMdfError(address, f"a block packed with {error}", "pip install 'roadload[mf4]'") from error
-    if not fault and len(found) != size:
-        fault = f"hold {len(found)} bytes instead of {size}"
+    if not fault and len(contents) != size:
+        fault = f"hold {len(contents)} bytes instead of {size}"
     if fault and is_transposed:
-        found = b""
-    if found:
-        yield Chunk(found, columns if is_transposed else 0, address)
+        contents = b""
+    if contents:
+        yield Chunk(contents, columns if is_transposed else 0, address)
     if fault:
         raise BadMdfError(address, f"a packed block whose data {fault}")

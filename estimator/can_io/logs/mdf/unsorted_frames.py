@@ -112,18 +112,18 @@ class UnsortedStream:
         buffer = data + bytes(ROOM)
         located = locate(buffer, self._id_bytes, self._groups)
         values = {number: self._values(buffer, located, number) for number in set(self._value_ids.values())}
-        found = [self._found(buffer, located, number, group, values) for number, group in self._frame_groups]
-        used = _used(found, values, located, is_last or bool(located.fault))
-        for number, each in values.items():
-            self._passed[number] = int(each.offsets[np.searchsorted(each.at, used)])
-        before = located.ids[: np.searchsorted(located.at, used)]
+        readable = [self._readable(buffer, located, number, group, values) for number, group in self._frame_groups]
+        used = _used(readable, values, located, is_last or bool(located.fault))
+        for number, group_values in values.items():
+            self._passed[number] = int(group_values.offsets[np.searchsorted(group_values.at, used)])
+        ids = located.ids[: np.searchsorted(located.at, used)]
         skipped: Counter[str] = Counter()
         for group in self._groups:
             if group.skipped:
-                skipped[group.skipped] += int(np.count_nonzero(before == group.record_id))
-        faults = [each.fault for each in found if each.fault and each.ends_at == used]
+                skipped[group.skipped] += int(np.count_nonzero(ids == group.record_id))
+        faults = [frames.fault for frames in readable if frames.fault and frames.ends_at == used]
         fault = next(iter(faults), located.fault if used == located.used else "")
-        return Decoded(self._frames(buffer, found, used, skipped), +skipped, used, fault)
+        return Decoded(self._frames(buffer, readable, used, skipped), +skipped, used, fault)
 
     def _values(self, buffer: bytes, located: Located, number: int) -> Values:
         at = located.at[located.ids == number]
@@ -131,7 +131,7 @@ class UnsortedStream:
         offsets = np.cumsum(np.concatenate(([self._passed[number]], sizes + SIZE_BYTES)))
         return Values(at, sizes, offsets)
 
-    def _found(
+    def _readable(
         self, buffer: bytes, located: Located, number: int, group: FrameGroup, values: dict[int, Values]
     ) -> Found:
         at = located.at[located.ids == number]
@@ -144,25 +144,25 @@ class UnsortedStream:
                 here = int(np.argmax(payload_at))
                 is_passed = offsets[here] < values[value_id].offsets[-1]
                 fault = f"a payload at byte {offsets[here]} of its stream, where none begins" if is_passed else ""
-        found, wrong = heads(group, self._records(buffer, at[:here]), sizes[:here])
+        frame_heads, wrong = heads(group, self._records(buffer, at[:here]), sizes[:here])
         if wrong:
-            here, fault = len(found.ident), wrong
+            here, fault = len(frame_heads.ident), wrong
         ends_at = int(at[here]) if here < len(at) else NEVER
-        return Found(group, value_id, at[:here], payload_at[:here], found, ends_at, fault)
+        return Found(group, value_id, at[:here], payload_at[:here], frame_heads, ends_at, fault)
 
-    def _frames(self, buffer: bytes, found: list[Found], used: int, skipped: Counter[str]) -> Frames:
+    def _frames(self, buffer: bytes, readable: list[Found], used: int, skipped: Counter[str]) -> Frames:
         """Frames of records before the place ``used``, in order of the file."""
         parts, places = [], []
-        for each in found:
-            count = int(np.searchsorted(each.at, used))
-            records = self._records(buffer, each.at[:count])
-            behind = each.group.data.byte if each.values is None else SIZE_BYTES
-            payloads = Payloads(self._records(buffer, each.payload_at[:count]), behind, FD_BYTES)
-            read = each.heads.first(count)
-            frames = frames_of(each.group, read, records, payloads, self._start)
-            rows = rows_read(self._channels, each.group, read, records, skipped)
+        for group_frames in readable:
+            count = int(np.searchsorted(group_frames.at, used))
+            records = self._records(buffer, group_frames.at[:count])
+            behind = group_frames.group.data.byte if group_frames.values is None else SIZE_BYTES
+            payloads = Payloads(self._records(buffer, group_frames.payload_at[:count]), behind, FD_BYTES)
+            read = group_frames.heads.first(count)
+            frames = frames_of(group_frames.group, read, records, payloads, self._start)
+            rows = rows_read(self._channels, group_frames.group, read, records, skipped)
             parts.append(frames[rows])
-            places.append(each.at[:count][rows])
+            places.append(group_frames.at[:count][rows])
         if len(parts) < 2:
             return Frames.concatenate(parts)
         return Frames.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
@@ -176,23 +176,23 @@ def _referred(values: Values, offsets: Numbers) -> tuple[Places, Places]:
     """Places (n,) and sizes (n,) [bytes] of the values at offsets (n,); NEVER and 0 if there is none."""
     if np.array_equal(offsets, values.offsets[:-1]):  # the rule: one a frame, in order
         return values.at, values.sizes
-    place = np.searchsorted(values.offsets[:-1], offsets.astype(np.int64))
-    place[values.offsets[place] != offsets] = len(values.at)
-    return np.append(values.at, NEVER)[place], np.append(values.sizes, 0)[place]
+    index = np.searchsorted(values.offsets[:-1], offsets.astype(np.int64))
+    index[values.offsets[index] != offsets] = len(values.at)
+    return np.append(values.at, NEVER)[index], np.append(values.sizes, 0)[index]
 
 
-def _used(found: list[Found], values: dict[int, Values], located: Located, is_last: bool) -> int:
+def _used(readable: list[Found], values: dict[int, Values], located: Located, is_last: bool) -> int:
     """Place before which every frame has its payload and, unless ``is_last``, every payload its frame."""
-    used = min([located.used, *(each.ends_at for each in found)])
+    used = min([located.used, *(frames.ends_at for frames in readable)])
     if not is_last:
         for number, every in values.items():
-            last = max(int(each.payload_at.max(initial=-1)) for each in found if each.values == number)
+            last = max(int(frames.payload_at.max(initial=-1)) for frames in readable if frames.values == number)
             used = min([used, *every.at[np.searchsorted(every.at, last, "right") :][:1].tolist()])
     while True:
-        early = [each.payload_at[(each.at >= used) & (each.payload_at < used)] for each in found]
+        early = [frames.payload_at[(frames.at >= used) & (frames.payload_at < used)] for frames in readable]
         if not any(map(len, early)):
             return used
-        used = min(int(each.min()) for each in early if len(each))
+        used = min(int(places.min()) for places in early if len(places))
 
 
 def _pieces(chunks: Iterator[Chunk]) -> Iterator[tuple[bytes, bool, int]]:
