@@ -32,7 +32,7 @@ MAX_REASON = 200  # characters of what cantools says, which may quote a whole li
 
 @dataclass(frozen=True, kw_only=True)
 class BoundSignal:
-    """One signal with its role: bit layout as cantools gives it, and the way to SI."""
+    """Signal with its role, its bit layout as cantools gives it, and its conversion to SI."""
 
     role: Role
     signal: Signal
@@ -45,10 +45,10 @@ class BoundSignal:
 
 @dataclass(frozen=True, kw_only=True)
 class BoundMessage:
-    """One message and the signals wanted from it.
+    """Message and the signals that are read from it.
 
-    ``key`` is a PGN where ``by_pgn``, else the arbitration id with bit 31 set for 29-bit ids. Where ``j1939``, the
-    highest raw values are no values. ``of_any_ecu``: the answer of any ECU to OBD-II requests (ISO 15765-4).
+    ``key`` is a PGN if ``by_pgn``, else the arbitration id with bit 31 set for 29-bit ids. If ``j1939``, the highest
+    raw values are not valid. ``of_any_ecu``: the answer of any ECU to OBD-II requests (ISO 15765-4).
     """
 
     name: str
@@ -63,7 +63,7 @@ class BoundMessage:
 
     @property
     def names_sender(self) -> bool:
-        """Whether the last byte of its ids is the address of the sender."""
+        """True if the last byte of its ids is the address of the sender."""
         return self.by_pgn or self.of_any_ecu
 
 
@@ -76,13 +76,13 @@ def last_byte(signal: Signal) -> int:
 
 
 class VehicleDatabase(Database):
-    """Messages of DBC files; ``remarks`` says what was left out of each, or changed in it, in one line a file."""
+    """Messages of DBC files; ``remarks`` has one line for each file in which statements were left out or changed."""
 
     remarks: tuple[str, ...] = ()
 
 
 def load_database(paths: list[str]) -> VehicleDatabase:
-    """Load DBC files into one database; with none, the shipped J1939 one.
+    """Load DBC files into one database; without any, the shipped J1939 database.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def _texts(paths: list[str]) -> Iterator[tuple[str, str]]:
 
 @lru_cache(maxsize=8)  # a command asks for them several times
 def _parse(path: str, text: str) -> tuple[tuple[Message, ...], str]:
-    """The messages, and what had to be mended."""
+    """Messages of a DBC, and the remark on its mended statements."""
     mended = mend(text)
     if not mended.statements:
         raise DatabaseError(f"{path}: not a DBC that can be read: no line of it is a statement of one")
@@ -138,7 +138,7 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     wrong_units: dict[str, str] = {}  # complaint by MESSAGE.signal
     remedies: dict[str, str] = {}
     for role, bound in config.binding.items():
-        for place, path in enumerate([bound] if isinstance(bound, str) else bound):
+        for number, path in enumerate([bound] if isinstance(bound, str) else bound):
             message, signal = _find(database, path, f"signals.{role}")
             conversion, tangent = Conversion(DIMENSION[Role(role)], 1.0), False
             if conversion.dimension != STATE:
@@ -159,7 +159,7 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
                     conversion=conversion,
                     multiplexers=_multiplexers(signal, message, path),
                     tangent=tangent,
-                    place=place,
+                    place=number,
                     states=_states(Role(role), signal, path, config),
                 )
             )
@@ -179,47 +179,49 @@ def bind(config: Config, database: Database) -> list[BoundMessage]:
     ]
 
 
-def _find(database: Database, path: str, place: str) -> tuple[Message, Signal]:
-    """The message and signal of a ``MESSAGE.signal``, by their names here or in the file."""
+def _find(database: Database, path: str, setting: str) -> tuple[Message, Signal]:
+    """Message and signal of a ``MESSAGE.signal``, by their names in the database or in the file."""
     message_name, signal_name = path.split(".")
     messages = [message for message in database.messages if _is_called(message, message_name)]
     remarks = database.remarks if isinstance(database, VehicleDatabase) else ()
     left_out = "".join(f"; {remark}" for remark in remarks)
     if not messages:
         near = ", ".join(nearest(message_name, [message.name for message in database.messages])) or "none"
-        raise DatabaseError(f"{place}: the DBC has no message {message_name!r}; the nearest are {near}{left_out}")
+        raise DatabaseError(f"{setting}: the DBC has no message {message_name!r}; the nearest are {near}{left_out}")
     if len(messages) > 1:
-        raise DatabaseError(f"{place}: the DBC has more than one message {message_name!r}; leave one of them in it")
+        raise DatabaseError(f"{setting}: the DBC has more than one message {message_name!r}; leave one of them in it")
     message = messages[0]
     for signal in message.signals:
         if _is_called(signal, signal_name):
             return message, signal
     guess = did_you_mean(signal_name, [signal.name for signal in message.signals])
     has = guess or f"; it has {', '.join(signal.name for signal in message.signals) or 'none'}"
-    raise DatabaseError(f"{place}: message {message_name!r} has no signal {signal_name!r}{has}{left_out}")
+    raise DatabaseError(f"{setting}: message {message_name!r} has no signal {signal_name!r}{has}{left_out}")
 
 
 def _is_called(named: Message | Signal, name: str) -> bool:
-    """Whether a message or signal has that name: here, or in the file where it had to be mended or has a long one."""
+    """True if a message or signal has this name in the database, or in the file before it was mended or shortened."""
     attributes = named.dbc.attributes if named.dbc is not None else {}
     original = attributes[ORIGINAL_NAME].value if ORIGINAL_NAME in attributes else None
     return name in (named.name, original) or mended_name(name) == named.name
 
 
 def _conversion(role: Role, unit: str | None) -> tuple[Conversion, bool] | str:
-    """The way to SI and whether it is an angle that stands for a slope; or what is wrong with the unit."""
+    """Conversion to SI and whether a slope is given as an angle; or, as text, the error of the unit."""
     conversion, dimension = conversion_of(unit), DIMENSION[role]
-    known = f"{role} takes {' '.join(spellings_of(dimension))}"
+    accepted = f"{role} takes {' '.join(spellings_of(dimension))}"
     if conversion is None:
-        return f"has no unit ({known})" if not (unit or "").strip() else f"has the unknown unit {unit!r} ({known})"
+        return (
+            f"has no unit ({accepted})" if not (unit or "").strip() else f"has the unknown unit {unit!r} ({accepted})"
+        )
     tangent = role == Role.GRADE and conversion.dimension == "rad"
     if conversion.dimension != dimension and not tangent:
-        return f"has the unit {unit!r}, which does not fit ({known})"
+        return f"has the unit {unit!r}, which does not fit ({accepted})"
     return conversion, tangent
 
 
 def _states(role: Role, signal: Signal, path: str, config: Config) -> States | None:
-    """Which values of a switch mean on; None where they are taken as they are: 0 off, 1 on."""
+    """Values of a switch that mean on; None if its values are used unchanged: 0 off, 1 on."""
     raw = config.bus.states.get(path)
     choices: Mapping[int, object] = signal.choices or {}
     scale, offset = float(signal.scale), float(signal.offset)
@@ -254,12 +256,12 @@ def _multiplexers(signal: Signal, message: Message, path: str) -> tuple[Signal, 
 
 
 def bound_message(message: Message, signals: tuple[BoundSignal, ...], config: Config) -> BoundMessage:
-    """A message and the signals wanted from it, matched as the configuration says.
+    """Bind ``signals`` of a message, which is matched as the configuration says.
 
     Raises
     ------
     ConfigError
-        ``bus.match`` or ``bus.source_addresses`` does not fit it.
+        ``bus.match`` or ``bus.source_addresses`` does not fit the message.
     """
     match, name, extended = config.bus.match, message.name, message.is_extended_frame
     if match == "pgn" and not extended:

@@ -1,7 +1,7 @@
-"""The messages that the configuration binds: those of databases, of a table, or of a lake of decoded signals.
+"""Messages that the configuration binds: those of databases, of a table, or of a lake of decoded signals.
 
-Decoded signals take the way of frames: each row of a lake is a frame of numbers of 64 bits, so that senders, times and
-values are judged as those of a bus are. What is known of raw values, resolution and rates is not known of them.
+Decoded signals are processed as frames: each row of a lake is a frame of 64-bit numbers. Senders, times and values are
+so judged as those of a bus. Their raw values, resolution and rates are unknown.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ MAX_MESSAGES = 256  # of these groups
 
 
 def bound_messages(config: Config) -> list[BoundMessage]:
-    """The messages and signals that roles are bound to.
+    """Messages and signals that roles are bound to.
 
     Raises
     ------
@@ -41,8 +41,8 @@ def bound_messages(config: Config) -> list[BoundMessage]:
     return [replace(message, j1939=False, cycle=None) for message in bind(config, _lake_database(config, database))]
 
 
-def _lake_database(config: Config, known: Database) -> Database:
-    """A database of the bound messages, each signal a number of 64 bits."""
+def _lake_database(config: Config, database: Database) -> Database:
+    """Database of the bound messages, with each signal as a 64-bit number."""
     names: dict[str, list[str]] = {}
     for bound in config.binding.values():
         for path in [bound] if isinstance(bound, str) else bound:
@@ -51,32 +51,32 @@ def _lake_database(config: Config, known: Database) -> Database:
                 names[message].append(signal)
     if len(names) > MAX_MESSAGES:
         raise ConfigError(f"signals: of {len(names)} messages; a lake can be read for {MAX_MESSAGES}")
-    return Database([_message(i, name, signals, config, known) for i, (name, signals) in enumerate(names.items())])
+    return Database([_message(i, name, signals, config, database) for i, (name, signals) in enumerate(names.items())])
 
 
-def _message(index: int, name: str, signals: list[str], config: Config, known: Database) -> Message:
+def _message(index: int, name: str, signals: list[str], config: Config, database: Database) -> Message:
     if len(signals) * NUMBER_BYTES > FD_BYTES:
         raise ConfigError(f"signals: {len(signals)} of {name}; of one message a lake can be read for {FD_BYTES // 8}")
     return Message(
         frame_id=FIRST_IDENT | index << 8,
         name=name,
         length=NUMBER_BYTES * len(signals),
-        signals=[_signal(place, f"{name}.{signal}", config, known) for place, signal in enumerate(signals)],
+        signals=[_signal(number, f"{name}.{signal}", config, database) for number, signal in enumerate(signals)],
         is_extended_frame=True,
         is_fd=len(signals) > 1,
         protocol="j1939",  # so that the last byte of an id is its sender
     )
 
 
-def _signal(place: int, path: str, config: Config, known: Database) -> Signal:
+def _signal(number: int, path: str, config: Config, database: Database) -> Signal:
     lake = config.lake
     assert lake is not None
-    like = _known(known, path)
+    like = _known(database, path)
     unit = lake.units.get(path, None if like is None else like.unit)
     low, high = lake.ranges.get(path, (None, None) if like is None else (like.minimum, like.maximum))
     return Signal(
         name=path.split(".")[1],
-        start=8 * NUMBER_BYTES * place,
+        start=8 * NUMBER_BYTES * number,
         length=8 * NUMBER_BYTES,
         is_signed=True,
         conversion=BaseConversion.factory(is_float=True),
@@ -87,7 +87,7 @@ def _signal(place: int, path: str, config: Config, known: Database) -> Signal:
 
 
 def _known(database: Database, path: str) -> Signal | None:
-    """The signal of that name in a database, if there is one."""
+    """Signal with this name in a database, or None."""
     message, name = path.split(".")
-    found: list[AnyMessage] = [each for each in database.messages if each.name == message]
-    return next((signal for each in found for signal in each.signals if signal.name == name), None)
+    namesakes: list[AnyMessage] = [m for m in database.messages if m.name == message]
+    return next((signal for m in namesakes for signal in m.signals if signal.name == name), None)

@@ -1,4 +1,4 @@
-"""What the frames of a message carry of the wanted signals, before it is decided which of it is used."""
+"""Readings of the bound signals in the frames of a message, before a sender is chosen."""
 
 from dataclasses import dataclass
 
@@ -13,15 +13,15 @@ from estimator.signals import Floats, Mask
 
 
 def path_of(message: BoundMessage, bound: BoundSignal) -> str:
-    """MESSAGE.signal."""
+    """Path MESSAGE.signal of a bound signal."""
     return f"{message.name}.{bound.signal.name}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CarriedSignal:
-    """One signal: what was heard of it, in which ``frames`` (n,) of its message, and where for which reason no value.
+    """Readings ``heard`` of one signal, and indices ``frames`` (n,) of the frames of its message that carry it.
 
-    ``frames`` is None where all of them carry it.
+    ``frames`` is None if all carry it. ``masks`` (n,) flag, by reason, the readings without a value.
     """
 
     bound: BoundSignal
@@ -31,7 +31,7 @@ class CarriedSignal:
     masks: dict[str, Mask]
 
     def of_message(self, mask: Mask, count: int) -> Mask:
-        """A mask of the readings as one of the ``count`` frames of the message."""
+        """Expand a mask of the readings (n,) to all frames of the message (count,)."""
         if self.frames is None:
             return mask
         wide = np.zeros(count, dtype=bool)
@@ -39,7 +39,7 @@ class CarriedSignal:
         return wide
 
     def within(self, part: slice, ends: Floats) -> "CarriedSignal":
-        """The same of the frames that are ``part`` of all, in the blocks that end at ``ends`` (k,) [s]."""
+        """Restrict to the frames ``part`` of the message, in blocks that end at ``ends`` (k,) [s]."""
         frames = self.frames
         if frames is not None:
             low, high = np.searchsorted(frames, [part.start, part.stop]).tolist()
@@ -52,7 +52,7 @@ class CarriedSignal:
 
 @dataclass(frozen=True, slots=True)
 class CarriedMessage:
-    """The signals of one message, and the times ``t`` (n,) [s] of its frames."""
+    """Signals of one message, and the times ``t`` (n,) [s] of its frames."""
 
     message: BoundMessage
     t: Floats
@@ -60,19 +60,19 @@ class CarriedMessage:
 
     @classmethod
     def of(cls, message: BoundMessage, frames: Frames, ends: Floats) -> "CarriedMessage":
-        """Signals in frames of a message, in blocks that end at ``ends`` (k,) [s]."""
+        """Extract the signals in frames of a message, in blocks that end at ``ends`` (k,) [s]."""
         source = frames.ident.astype(np.uint8) if message.names_sender else np.full(len(frames), NO_ADDRESS, np.uint8)
         signals = tuple(_signal(message, bound, frames, source, ends) for bound in message.signals)
         return cls(message, frames.t, signals)
 
     def halves(self, ends: Floats) -> "tuple[CarriedMessage, CarriedMessage]":
-        """The same of the first and of the second half of the blocks, which end at ``ends`` (k,) [s]."""
+        """Split into the first and the second half of the blocks, which end at ``ends`` (k,) [s]."""
         half = len(ends) // 2
         cut, last = int(np.searchsorted(self.t, ends[half - 1])), len(self.t)
         return self._within(slice(0, cut), ends[:half]), self._within(slice(cut, last), ends[half:])
 
     def _within(self, part: slice, ends: Floats) -> "CarriedMessage":
-        return CarriedMessage(self.message, self.t[part], tuple(each.within(part, ends) for each in self.signals))
+        return CarriedMessage(self.message, self.t[part], tuple(signal.within(part, ends) for signal in self.signals))
 
 
 def _signal(

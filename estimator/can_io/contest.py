@@ -1,4 +1,4 @@
-"""The time for which a signal that contradicts itself is not used."""
+"""Duration for which a contested signal is not used."""
 
 from typing import Any
 
@@ -13,10 +13,10 @@ RECURRENCE = 10  # times its duration, within which a contest after another coun
 
 
 class Contest:
-    """A contradiction and the time until it counts as over; ``reason`` is empty while there is none.
+    """Contradiction in a signal, and the time until it counts as over; ``reason`` is empty while there is none.
 
-    It lasts for ``shortest`` [s] after the last contradiction; one that comes again soon lasts twice as long, because
-    a wrong reading contradicts the others only while the vehicle works.
+    It lasts for ``shortest`` [s] after the last contradiction. One that recurs soon lasts twice as long, because a
+    wrong reading contradicts the others only while its quantity changes.
     """
 
     def __init__(self, shortest: float) -> None:
@@ -26,7 +26,7 @@ class Contest:
         self._until = -np.inf  # [s]
 
     def extend(self, reason: str, end: float, believed: float | None) -> None:
-        """Take a contradiction in the block that ended at ``end`` [s]."""
+        """Begin or prolong the contest by a contradiction in the block that ended at ``end`` [s]."""
         if not self.reason:
             self.before = believed
             recurs = end - self._until < RECURRENCE * self._duration
@@ -35,20 +35,20 @@ class Contest:
         self.reason, self._until = reason, end + self._duration
 
     def is_over(self, end: float) -> bool:
-        """Whether nothing has contradicted for long enough at time ``end`` [s]; false while there is no contest."""
+        """True if the last contradiction is long enough ago at time ``end`` [s]; False without a contest."""
         return bool(self.reason) and end >= self._until
 
     def settle(self) -> None:
-        """End it."""
+        """End the contest."""
         self.reason, self.before = "", None
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """State for `restore`."""
         until = self._until if np.isfinite(self._until) else None
         return {"reason": self.reason, "before": self.before, "until": until, "duration": self._duration}
 
     def restore(self, state: State) -> None:
-        """Go on with another contest.
+        """Take the state of another contest.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""Whether readings of one quantity contradict each other: between two senders, or within those of one address.
+"""Tests for contradictory readings of one quantity: between two senders, or within those of one address.
 
-The limits were set between two sets of recordings: 8,065 blocks of 5 s of a BMW i3, 16 of a Kenworth T270 and 540 of a
-simulated truck, none of which may be called a contradiction, and the same traffic with a second sender added. The
-largest values of the first are given at each limit.
+The limits were set between two sets of recordings. The first has 8,065 blocks of 5 s of a BMW i3, 16 of a Kenworth T270
+and 540 of a simulated truck. None of them may count as a contradiction. The second is this traffic with a second sender
+added. The largest values in the first set are given at each limit.
 """
 
 from enum import StrEnum
@@ -40,7 +40,7 @@ MAGNITUDE = {  # what the quantity usually is on the road, at least: smaller val
 
 
 class Contradiction(StrEnum):
-    """Why readings are not used; the value is the reason that is counted and shown."""
+    """Kind of contradiction; the value is the reason that is counted and shown."""
 
     SENDERS_DISAGREE = "senders disagree"
     ALTERNATING = "values alternate"
@@ -51,16 +51,16 @@ class Contradiction(StrEnum):
 def is_disagreement(
     t: Floats, value: Floats, other_t: Floats, other_value: Floats, magnitude: float, step: float
 ) -> bool | None:
-    """Whether two senders differ in the mean by more than lateness, resolution and calibration explain.
+    """Test whether the means of two senders differ by more than delay, resolution and calibration explain.
 
-    None where they do not send at the same time.
+    Returns None if they do not send at the same time.
 
     Parameters
     ----------
     t, value
         Readings (n,) of one sender: times [s], ascending, and values [SI].
     other_t, other_value
-        Readings (m,) of the other.
+        Readings (m,) of the other sender.
     magnitude
         Usual magnitude of the quantity [SI].
     step
@@ -78,11 +78,11 @@ def is_disagreement(
 
 
 def are_alternating(value: Floats, bounds: NDArray[np.intp], magnitude: float, step: float) -> Mask:
-    """Whether consecutive readings of one address look like those of two senders in turn.
+    """Test whether consecutive readings of one address look like a mixture of two senders.
 
-    Of two senders in strict turn, every other reading is closer than the next one; of any other mixture, readings
-    stand out from both their neighbours, all on the same side where one of the two sends much more often. Resolution
-    and noise do neither.
+    If two senders alternate strictly, a reading is closer to the next but one than to the next. In any other mixture,
+    readings lie beyond both their neighbours; they lie on one side if one sender sends much more often. Resolution and
+    noise cause neither.
 
     Parameters
     ----------
@@ -96,29 +96,29 @@ def are_alternating(value: Floats, bounds: NDArray[np.intp], magnitude: float, s
     Returns
     -------
     Mask
-        The blocks (k,) that do.
+        True for each block (k,) that looks like a mixture.
     """
     count = np.diff(bounds)
     size = np.maximum(magnitude, block_sums(np.abs(value), bounds) / count)
     steps = _steps(value, bounds, 1)
     sizes = np.abs(steps)
     next_step = block_sums(sizes, bounds) / np.maximum(count - 1, 1)
-    found: Mask = next_step > step + TOLERANCE / 2 * size
-    if found.any():
+    is_mixture: Mask = next_step > step + TOLERANCE / 2 * size
+    if is_mixture.any():
         next_but_one = block_sums(np.abs(_steps(value, bounds, 2)), bounds) / np.maximum(count - 2, 1)
-        found &= next_step > MAX_STEP_RATIO * next_but_one
-    found |= _stand_out(
+        is_mixture &= next_step > MAX_STEP_RATIO * next_but_one
+    is_mixture |= _stand_out(
         value,
         _reversals(steps, sizes),
         bounds,
         QUANTA * step + MIN_MATERIAL_STEP * size,
         SLIGHT_QUANTA * step + MIN_SLIGHT_STEP * size,
     )
-    return found & (count >= MIN_READINGS)
+    return is_mixture & (count >= MIN_READINGS)
 
 
 def _steps(value: Floats, bounds: NDArray[np.intp], ahead: int) -> Floats:
-    """From each reading (n,) to that ``ahead`` of it, zero where that is of another block."""
+    """Difference (n,) from each reading to the one ``ahead`` readings later; zero where that is in another block."""
     steps = np.zeros(len(value))
     np.subtract(value[ahead:], value[:-ahead], out=steps[:-ahead])
     for back in range(1, ahead + 1):
@@ -127,7 +127,7 @@ def _steps(value: Floats, bounds: NDArray[np.intp], ahead: int) -> Floats:
 
 
 def _reversals(steps: Floats, sizes: Floats) -> Floats:
-    """By how much readings (n,) are beyond both their neighbours, given the steps to the next and their sizes."""
+    """Distance (n,) by which readings lie beyond both neighbours, from the steps to the next and their sizes."""
     beyond = np.zeros(len(steps))
     np.minimum(sizes[:-1], sizes[1:], out=beyond[1:])
     beyond[1:] *= steps[:-1] * steps[1:] < 0
@@ -135,7 +135,7 @@ def _reversals(steps: Floats, sizes: Floats) -> Floats:
 
 
 def _stand_out(value: Floats, beyond: Floats, bounds: NDArray[np.intp], material: Floats, slight: Floats) -> Mask:
-    """Blocks (k,) in which too many readings are ``beyond`` both neighbours, by the limits (k,) of each block."""
+    """Mask (k,) of blocks in which too many readings lie ``beyond`` both neighbours, by the limits (k,) of each."""
     if beyond.max() <= slight.min():
         return np.zeros(len(slight), dtype=bool)
     count = np.diff(bounds)
@@ -143,25 +143,25 @@ def _stand_out(value: Floats, beyond: Floats, bounds: NDArray[np.intp], material
     out = beyond > np.repeat(slight, count)
     sides, number = np.zeros(len(value)), block_sums(out, bounds)
     sides[out] = np.sign(value[out] - value[np.flatnonzero(out) - 1])
-    one_sided = np.maximum(*(np.abs(block_sums(each, bounds)) for each in (sides, sides * np.sign(value))))
+    one_sided = np.maximum(*(np.abs(block_sums(values, bounds)) for values in (sides, sides * np.sign(value))))
     return too_many | (number > MIN_SLIGHT_SHARE * count) & (one_sided >= MAX_ONE_SIDED_SDS * np.sqrt(number))
 
 
 def are_flickering(value: Floats, bounds: NDArray[np.intp]) -> Mask:
-    """In which blocks (k,) a switch or gear (n,) changes more often than a driver or a gearbox can.
+    """Mask (k,) of blocks in which a switch or gear (n,) changes more often than a driver or gearbox can change it.
 
     Blocks of 5 s lie between ``bounds`` (k + 1,), none of them empty.
     """
     changed = np.diff(value, append=0.0) != 0
     changed[bounds[1:] - 1] = False  # not from one block to the next
-    found: Mask = block_sums(changed, bounds) > MAX_CHANGES
-    return found
+    is_flickering: Mask = block_sums(changed, bounds) > MAX_CHANGES
+    return is_flickering
 
 
 def block_sums(values: Floats | Mask, bounds: NDArray[np.intp]) -> Floats:
     """Sums (k,) of values (n,) in the blocks between ``bounds`` (k + 1,), none of them empty.
 
-    The rounding of each depends on its own block alone.
+    The rounding of each sum depends on its block alone.
     """
     sums: Floats = np.add.reduceat(values.astype(np.float64, copy=False), bounds[:-1])
     return sums

@@ -1,4 +1,4 @@
-"""Alive counter and checksum of the broadcast frames: a receiver sees lost, repeated and damaged ones.
+"""Alive counter and checksum of the broadcast frames, by which a receiver detects lost, repeated and damaged ones.
 
 Byte 7, low nibble: counter 0 to 14, 15 = not available (as in AUTOSAR E2E profile 1).
 Byte 8: CRC-8 SAE J1850 over the 29-bit id as four bytes, least significant first, and bytes 1 to 7. The id is part of
@@ -35,7 +35,7 @@ def checksum(ident: int, payload: bytes) -> int:
 
 
 def verify(message: can.Message) -> bool:
-    """Whether a received frame carries the checksum that its id and bytes 1 to 7 ask for.
+    """Check that a received frame carries the checksum of its id and bytes 1 to 7.
 
     Parameters
     ----------

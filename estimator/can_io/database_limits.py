@@ -1,7 +1,7 @@
 """Limits of DBC files, checked before cantools parses them: it takes minutes and gigabytes for some files of 1 MB.
 
-Parsing takes 8 us and up to 1 kB a token, 200 bytes a character of a quoted text, and for multiplexed signals a time
-that grows with the square of their number.
+Parsing takes 8 us and up to 1 kB for each token, and 200 bytes for each character of a quoted text. For multiplexed
+signals the time grows with the square of their number.
 """
 
 import codecs
@@ -20,12 +20,12 @@ _TOKEN = re.compile(r'"[^"]*"?|[\w.+-]+|\S')
 
 
 def read_databases(paths: list[str]) -> Iterator[tuple[str, str]]:
-    """Paths and texts of DBC files.
+    """Yield paths and texts of DBC files.
 
     Raises
     ------
     DatabaseError
-        A file cannot be read, or what a limit forbids is in it.
+        A file cannot be read, or exceeds a limit.
     """
     bytes_left, tokens_left = MAX_BYTES, MAX_TOKENS
     for path in paths:
@@ -54,22 +54,22 @@ def _text(data: bytes) -> str:
 
 
 def _checked_tokens(path: str, text: str, most: int) -> int:
-    """The number of tokens, at most one more than ``most``."""
+    """Number of tokens, counted up to one more than ``most``."""
     count = signals = 0  # of the message at hand; whatever else names signals ends with a semicolon
     for count, match in enumerate(_TOKEN.finditer(text), start=1):
         token = match[0]
         if count > most:
             break
         if len(token) > MAX_TEXT:
-            place = _place(path, text, match)
-            raise DatabaseError(f"{place}: a text of over {MAX_TEXT:,} characters; shorten it, or end it")
+            location = _place(path, text, match)
+            raise DatabaseError(f"{location}: a text of over {MAX_TEXT:,} characters; shorten it, or end it")
         if token in ("BO_", ";"):
             signals = 0
         elif token == "SG_":
             signals += 1
         if signals > MAX_SIGNALS:
-            place = _place(path, text, match)
-            raise DatabaseError(f"{place}: more than {MAX_SIGNALS:,} signals in a message; correct the DBC")
+            location = _place(path, text, match)
+            raise DatabaseError(f"{location}: more than {MAX_SIGNALS:,} signals in a message; correct the DBC")
     return count
 
 

@@ -1,9 +1,9 @@
-"""DBC files as people have them, rewritten so that cantools reads them: what cannot be used is left out and counted.
+"""Rewriting of imperfect DBC files so that cantools reads them; unusable statements are left out and counted.
 
-cantools refuses a whole file for one line that it cannot parse, or for one statement about a signal that is not there.
-Here each statement is read by itself, by the grammar of the format ("DBC File Format Documentation", Vector, 2007) with
-the liberties that other tools grant, and written again in one regular form. Statements that have no use for decoding
-(nodes, environment variables, signal groups, other attributes) are left out without a word.
+cantools refuses a whole file for one line that it cannot parse, or for one statement about a signal that does not
+exist. Here each statement is read by itself and written again in one regular form. The grammar is that of the format
+("DBC File Format Documentation", Vector, 2007), with the exceptions that other tools accept. Statements without a use
+for decoding (nodes, environment variables, signal groups, other attributes) are left out and not counted.
 """
 
 import re
@@ -64,7 +64,7 @@ _REST = re.compile(r"[^\n]*")
 
 @dataclass(frozen=True, slots=True)
 class Mended:
-    """A DBC that cantools reads, and what was done to it: one sentence, empty if nothing was."""
+    """DBC text that cantools reads, and a sentence on its changes, empty without any."""
 
     text: str
     remark: str
@@ -97,13 +97,13 @@ class _Message:
 
 
 def mended_name(name: str) -> str:
-    """A name of letters, digits and underscores that begins with no digit, as the format has them."""
+    """Convert a name to letters, digits and underscores, not beginning with a digit, as the format demands."""
     name = re.sub(r"\W", "_", name, flags=re.ASCII)
     return f"_{name}" if not name or name[0].isdigit() or name in KEYWORDS else name
 
 
 def mend(text: str) -> Mended:
-    """Rewrite a DBC, without what cannot be used."""
+    """Rewrite a DBC without its unusable statements."""
     reader = _Reader(text)
     reader.read()
     reader.settle()
@@ -111,7 +111,7 @@ def mend(text: str) -> Mended:
 
 
 class _Reader:
-    """Reads statements one by one; names and what is counted refer to the file."""
+    """Reads statements one by one; names and counts refer to the file."""
 
     def __init__(self, text: str) -> None:
         self.statements = 0
@@ -132,7 +132,7 @@ class _Reader:
     # --- Statements -----------------------------------------------------------------------------------------------
 
     def read(self) -> None:
-        """Take every statement of the text."""
+        """Read all statements of the text."""
         statements: dict[str, tuple[re.Pattern[str], Callable[[re.Match[str]], None], str]] = {
             "BO_": (_MESSAGE, self._take_message, "messages that cannot be read"),
             "SG_": (_SIGNAL, self._take_signal, "signals that cannot be read"),
@@ -145,47 +145,47 @@ class _Reader:
             "SIG_VALTYPE_": (_KIND, self._take_kind, "types of signals that cannot be read"),
             "SG_MUL_VAL_": (_SELECTION, self._take_selection, "multiplexers that cannot be read"),
         }
-        place, is_known = 0, True
+        at, is_known = 0, True
         last_end = self._text.rfind("*/")  # of a comment in the way of C
-        while place < len(self._text):
-            if blanks := _BLANKS.match(self._text, place):
-                place = blanks.end()
+        while at < len(self._text):
+            if blanks := _BLANKS.match(self._text, at):
+                at = blanks.end()
                 continue
-            if place < last_end and self._text.startswith("/*", place):
-                place = self._text.index("*/", place) + 2
+            if at < last_end and self._text.startswith("/*", at):
+                at = self._text.index("*/", at) + 2
                 continue
-            word = _WORD.match(self._text, place)
+            word = _WORD.match(self._text, at)
             keyword = word[0] if word is not None and word[0] in KEYWORDS else ""
-            rest = _REST.match(self._text, place)
+            rest = _REST.match(self._text, at)
             assert rest is not None
-            self._count_lines(place)
+            self._count_lines(at)
             if keyword in statements and rest[0].strip() != keyword:  # alone in its line it is one of the list NS_
                 pattern, take, kind = statements[keyword]
                 self.statements, is_read = self.statements + 1, True
-                if match := pattern.match(self._text, place):
+                if match := pattern.match(self._text, at):
                     take(match)
-                    place = match.end()
-                elif keyword == "VAL_" and (match := _VALUES_OF_VARIABLE.match(self._text, place)):
-                    place = match.end()
+                    at = match.end()
+                elif keyword == "VAL_" and (match := _VALUES_OF_VARIABLE.match(self._text, at)):
+                    at = match.end()
                 else:
                     if keyword == "BO_":
                         self._current = None
                     if kind:
                         self._leave_out(kind)
-                    place = rest.end()
+                    at = rest.end()
                     is_read = False
                 is_known = is_read and keyword != "SG_"  # its receivers may go on in the next line
             elif keyword:
                 self.statements += 1
-                line = _LINE.match(self._text, place)
-                place, is_known = max(rest.end(), line.end() if line else 0), False
+                line = _LINE.match(self._text, at)
+                at, is_known = max(rest.end(), line.end() if line else 0), False
             else:
                 if is_known and rest[0].strip() != ";":
                     self._leave_out("lines that are no statement of a DBC")
-                place = rest.end()
+                at = rest.end()
 
     def settle(self) -> None:
-        """Apply what is said about signals, then give all of them names."""
+        """Apply the statements about signals, then name all signals."""
         for apply in self._late:
             apply()
         for message in self._messages:
@@ -204,7 +204,7 @@ class _Reader:
                 taken.add(signal.written)
 
     def _drop_orphans(self, message: _Message) -> None:
-        """Leave out the signals whose multiplexer is left out, and those of which they are the multiplexer."""
+        """Leave out signals whose multiplexer is left out, and in turn the signals that they multiplex."""
         while orphans := [
             signal
             for signal in message.signals.values()
@@ -327,7 +327,7 @@ class _Reader:
         self._of_signal(ident, name, "multiplexed signals that do not exist", apply)
 
     def _of_signal(self, ident: str, name: str, kind: str, apply: Callable[[_Signal], None]) -> None:
-        """Have a statement applied to a signal when all of them are known."""
+        """Register a statement to be applied to a signal once all signals are read."""
         line = self._line
 
         def late() -> None:
@@ -366,12 +366,12 @@ class _Reader:
         self._changed[kind] += 1
         self._first.setdefault(kind, self._line)
 
-    def _count_lines(self, place: int) -> None:
-        self._line += self._text.count("\n", self._counted_to, place)
-        self._counted_to = place
+    def _count_lines(self, at: int) -> None:
+        self._line += self._text.count("\n", self._counted_to, at)
+        self._counted_to = at
 
     def remark(self) -> str:
-        """What was left out and what was changed, by kind, with the line of the first one."""
+        """Sentence on the statements left out and changed: number by kind, and line of the first."""
         parts = []
         for what, counts in (("left out", self._left_out), ("changed", self._changed)):
             kinds = [

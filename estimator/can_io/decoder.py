@@ -41,7 +41,7 @@ class Decoded:
 
 
 class Decoder:
-    """Decodes batches; its state is the senders of the signals, and unfinished broadcasts.
+    """Decodes batches of frames; its state is the senders of the signals, and unfinished broadcasts.
 
     Several nodes may send one parameter group, each filling in the signals it knows: each *signal* is taken from one
     source address, see `estimator.can_io.source_selection`. While an input of the road load is contested there, no
@@ -55,8 +55,8 @@ class Decoder:
         self.replaced = False  # in the last batch a sender was replaced because its readings were wrong
         self._messages = messages
         # Of two roles of one signal the stricter one counts.
-        each = sorted([(m, b) for m in messages for b in m.signals], key=lambda pair: _strictness(pair[1]))
-        self._choices = {path_of(m, b): choice(m, b, bus) for m, b in each}
+        by_strictness = sorted([(m, b) for m in messages for b in m.signals], key=lambda pair: _strictness(pair[1]))
+        self._choices = {path_of(m, b): choice(m, b, bus) for m, b in by_strictness}
         self._with_sender = {path_of(m, b) for m in messages if m.names_sender for b in m.signals}
         paths = Counter(path_of(m, b) for m in messages for b in m.signals)
         self._shared = {path for path, count in paths.items() if count > 1}  # by several roles
@@ -70,30 +70,30 @@ class Decoder:
 
     @property
     def sources(self) -> dict[str, int]:
-        """Source address that each signal of J1939 or OBD-II is taken from, by MESSAGE.signal, where it is known."""
-        found = {path: self._choices[path].source for path in self._choices if path in self._with_sender}
-        return {path: source for path, source in found.items() if source is not None}
+        """Chosen source address of each signal of J1939 or OBD-II, by MESSAGE.signal, where it is known."""
+        sources = {path: self._choices[path].source for path in self._choices if path in self._with_sender}
+        return {path: source for path, source in sources.items() if source is not None}
 
     @property
     def sent_by_others(self) -> list[str]:
-        """Messages matched by their whole id that never came, while others of their parameter group did."""
+        """Messages matched by their whole id of which only others of the same parameter group came."""
         return sorted(self._groups_seen - self._seen)
 
     @property
     def transport_rejected(self) -> Counter[str]:
         """Broken multi-packet messages, by reason."""
-        return sum((each.rejected for each in self._iso_tp.values()), self._transport.rejected)
+        return sum((joiner.rejected for joiner in self._iso_tp.values()), self._transport.rejected)
 
     def release(self, is_other_vehicle: bool = False) -> None:
-        """Choose the senders again: another node may send now, or that of another vehicle."""
-        for each in self._choices.values():
-            each.release(is_other_vehicle)
+        """Discard the chosen senders: another node, or that of another vehicle, may send now."""
+        for sender_choice in self._choices.values():
+            sender_choice.release(is_other_vehicle)
         self.contested = {}
 
     def state(self) -> dict[str, Any]:
-        """The senders and the counts; not the broadcasts that are under way."""
+        """State for `restore`: senders and counts, without unfinished broadcasts."""
         return {
-            "choices": {path: each.state() for path, each in self._choices.items()},
+            "choices": {path: sender_choice.state() for path, sender_choice in self._choices.items()},
             "contested": dict(self.contested),
             "used": self.used,
             "rejected": dict(self.rejected),
@@ -111,31 +111,31 @@ class Decoder:
         choices, contested = substate(state, "choices"), read(state, "contested", dict[str, Contradiction])
         if set(choices) != set(self._choices) or not set(contested) <= set(choices):
             raise StateError("choices: of other signals than are bound")
-        for path, each in self._choices.items():
-            each.restore(substate(choices, path))
+        for path, sender_choice in self._choices.items():
+            sender_choice.restore(substate(choices, path))
         self.contested = contested
         self.used = read(state, "used", Count)
         self.rejected = Counter(read(state, "rejected", dict[str, Count]))
         self._transport.rejected.update(read(state, "transport", dict[str, Count]))
 
     def decode(self, frames: Frames, end: float | None = None) -> dict[Role, list[Series]]:
-        """Signals in one block of frames, in SI; a role bound to several has a series for each, empty or not.
+        """Decode one block of frames to SI; a role bound to several signals has a series for each, possibly empty.
 
-        Senders are judged block by block, so what is contested depends on how traffic is cut: give blocks of a few
-        seconds. ``end`` is the time at which this one ends [s], by default that of its last frame.
+        Senders are judged block by block, so the result depends on how traffic is cut: give blocks of a few seconds.
+        ``end`` is the time at which the block ends [s], by default that of its last frame.
         """
         end = end if end is not None else float(frames.t[-1]) if len(frames) else -np.inf
         return next(self.decode_blocks(frames, np.array([end]))).readings
 
     def decode_blocks(self, frames: Frames, ends: Floats) -> Iterator[Decoded]:
-        """Signals in blocks of frames in order of time that end at ``ends`` (k,) [s].
+        """Decode frames, in order of time, in blocks that end at ``ends`` (k,) [s].
 
-        Blocks in which no sender changes or is contradicted are judged at once, to the same effect as one by one.
+        Blocks in which no sender changes or is contradicted are judged together, with the result of one by one.
         """
         yield from self._judged(self._carried(frames, ends), ends)
 
     def _carried(self, frames: Frames, ends: Floats) -> list[CarriedMessage]:
-        """What each message carries in frames that are long enough."""
+        """Signals of each message in the frames that are long enough."""
         group = frames.ident & np.uint32(GROUP_MASK)
         packets = self._transport.feed(frames)
         carried = []
@@ -160,7 +160,7 @@ class Decoder:
     def _note_presence(
         self, message: BoundMessage, is_there: bool, group: NDArray[np.uint32], packets: list[MultiPacket]
     ) -> None:
-        """Note which messages come, and which would by their parameter group alone."""
+        """Note whether frames of a message came, or only frames of its parameter group."""
         if is_there:
             self._seen.add(message.name)
         elif not message.by_pgn and message.key & EXTENDED and message.name not in self._seen | self._groups_seen:
@@ -169,8 +169,10 @@ class Decoder:
                 self._groups_seen.add(message.name)
 
     def _judged(self, carried: list[CarriedMessage], ends: Floats) -> Iterator[Decoded]:
-        """Readings of all blocks at once where no sender has to be judged by itself, else by halves."""
-        judges = [judge for message in carried for each in message.signals if (judge := self._judge(each)) is not None]
+        """Judge all blocks together if no signal must be judged block by block, else each half of them."""
+        judges = [
+            judge for message in carried for signal in message.signals if (judge := self._judge(signal)) is not None
+        ]
         if len(judges) < sum(len(message.signals) for message in carried):
             halves = [message.halves(ends) for message in carried]
             half = len(ends) // 2
@@ -187,25 +189,25 @@ class Decoder:
         yield Decoded(out, ends)
 
     def _judge(self, carried: CarriedSignal) -> Callable[[], Verdict] | None:
-        """What judges a signal; None where its blocks have to be judged one by one."""
+        """Return a function that judges a signal in these blocks; None if they must be judged one by one."""
         choice = self._choices[carried.path]
         if len(carried.heard.ends) == 1:
             return partial(choice.judge, carried.heard)
         return None if carried.path in self._shared else choice.calm(carried.heard)
 
     def _take_message(self, carried: CarriedMessage, verdicts: list[Verdict], out: dict[Role, list[Series]]) -> None:
-        """Add the readings of a message that may be used, and count its frames."""
-        every = [self._take(each, verdict, out) for each, verdict in zip(carried.signals, verdicts, strict=True)]
+        """Add the usable readings of a message to ``out``, and count its frames."""
+        every = [self._take(signal, verdict, out) for signal, verdict in zip(carried.signals, verdicts, strict=True)]
         count = len(carried.t)
         if any(every):
             self.used += count
             return
         useful, spoken_for, carrying = np.zeros((3, count), dtype=bool)
-        for each, verdict in zip(carried.signals, verdicts, strict=True):
-            here = each.of_message(np.ones(len(each.heard.t), dtype=bool), count)
+        for signal, verdict in zip(carried.signals, verdicts, strict=True):
+            here = signal.of_message(np.ones(len(signal.heard.t), dtype=bool), count)
             carrying |= here
-            useful |= each.of_message(verdict.taken, count)
-            if self._choices[each.path].source is not None:
+            useful |= signal.of_message(verdict.taken, count)
+            if self._choices[signal.path].source is not None:
                 spoken_for |= here
         self.used += int(np.count_nonzero(useful))
         idle = carrying & ~useful
@@ -214,7 +216,7 @@ class Decoder:
                 self.rejected[f"{carried.message.name}: {reason}"] += number
 
     def _take(self, carried: CarriedSignal, verdict: Verdict, out: dict[Role, list[Series]]) -> bool:
-        """Add the readings of one signal that may be used, NaN where it is contested; whether every frame gave one."""
+        """Add the usable readings of a signal to ``out``, NaN if contested; returns True if every frame gave one."""
         path, bound, taken, value = carried.path, carried.bound, verdict.taken, carried.heard.value
         self.replaced |= verdict.replaced
         for reason, mask in carried.masks.items():
@@ -236,13 +238,13 @@ class Decoder:
         return is_whole and carried.frames is None
 
     def _withhold(self, out: dict[Role, list[Series]]) -> None:
-        """Make every input of the road load unknown: without one of them, the others give no or a wrong estimate."""
+        """Set all inputs of the road load to NaN: without the contested one, an estimate is impossible or wrong."""
         for role, parts in out.items():
             if KIND.get(role) is not Kind.MEASURED:
                 continue
-            known = sum(int(np.isfinite(part.value).sum()) for part in parts)
-            if known:
-                self.rejected[f"{role.value}: another input is contested"] += known
+            lost = sum(int(np.isfinite(part.value).sum()) for part in parts)
+            if lost:
+                self.rejected[f"{role.value}: another input is contested"] += lost
             out[role] = [Series(part.t, np.full(len(part.t), np.nan)) for part in parts]
 
 
@@ -251,7 +253,7 @@ def _strictness(bound: BoundSignal) -> int:
 
 
 def is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[np.uint32]) -> Mask:
-    """Which ids (n,) are those of a message; ``group`` is what they have without priority and source address."""
+    """Mask (n,) of the ids of a message; ``group`` (n,) are the ids without priority and source address."""
     if message.of_any_ecu:
         return is_answer(ident)
     if message.by_pgn:
@@ -261,7 +263,7 @@ def is_message(message: BoundMessage, ident: NDArray[np.uint32], group: NDArray[
 
 
 def is_group(pgn: int, group: NDArray[np.uint32]) -> Mask:
-    """Which ids without priority and source address (n,) are of a parameter group."""
+    """Mask (n,) of ids of a parameter group; ``group`` (n,) are the ids without priority and source address."""
     if pgn >> 8 & 0xFF < PDU1_LIMIT:  # the low byte is a destination
         group = group & np.uint32(0xFFFF0000)
     is_of_group: Mask = group == EXTENDED | pgn << 8
@@ -269,7 +271,7 @@ def is_group(pgn: int, group: NDArray[np.uint32]) -> Mask:
 
 
 def _stack(packets: list[MultiPacket], reach: int) -> Frames:
-    """Reassembled messages in the form of frames, cut or zero-filled to words that hold the ``reach`` bytes wanted."""
+    """Reassembled messages as frames, cut or zero-filled to whole words of at least ``reach`` bytes."""
     width = -(-reach // WORDS[-1]) * WORDS[-1]
     rows = [np.frombuffer(p.payload[:width].ljust(width, b"\0"), dtype=np.uint8) for p in packets]
     return Frames(

@@ -1,4 +1,4 @@
-"""Other senders of the groups that are broadcast here: frames of two senders with one id collide on the bus."""
+"""Detection of other senders of the broadcast groups: frames of two senders with one id collide on the bus."""
 
 from collections.abc import Iterable
 
@@ -13,28 +13,28 @@ COLLISION_HOLD = 60.0  # s without a frame with our id after which we send again
 
 
 class ForeignSenders:
-    """Learns which of the groups ``pgns`` come from others; to be fed with their frames only, not with our own."""
+    """Records which of the groups ``pgns`` other nodes send; takes frames of other nodes only."""
 
     def __init__(self, pgns: Iterable[int]) -> None:
         self._pgns = np.array(sorted({*pgns, CVW}), dtype=np.uint32)
         self._heard: dict[tuple[int, int], float] = {}  # time [s] by group and source address
 
     def watch(self, frames: Frames) -> None:
-        """Take frames of the bus."""
+        """Take frames of other nodes on the bus."""
         pgn = pgn_of(frames.ident)
         ours = np.flatnonzero(np.isin(pgn, self._pgns) & (frames.ident & EXTENDED != 0))
         for i in ours.tolist():
             self._heard[int(pgn[i]), int(frames.ident[i] & 0xFF)] = float(frames.t[i])
 
     def senders(self, pgn: int, t: float) -> list[int]:
-        """Source addresses from which others sent a group of late, at time ``t`` [s]."""
+        """Source addresses from which others recently sent a group, at time ``t`` [s]."""
         hold = CVW_HOLD if pgn == CVW else COLLISION_HOLD
         return sorted(
             source for (group, source), heard in self._heard.items() if group == pgn and abs(t - heard) < hold
         )
 
     def is_occupied(self, pgn: int, source: int, t: float) -> bool:
-        """Whether we may not send a group from address ``source`` at time ``t`` [s]: that id is another's.
+        """True if another node uses the id of a group from address ``source`` at time ``t`` [s], so we must not send.
 
         For the CVW, a sender at any address is enough: a vehicle has one weight.
         """

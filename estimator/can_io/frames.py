@@ -1,4 +1,4 @@
-"""A batch of CAN frames as arrays: the form in which logs are read and the bus is drained."""
+"""Batches of CAN frames as arrays, as read from logs and from the bus."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -41,13 +41,13 @@ class Frames:
         return Frames(self.t.take(rows), self.ident.take(rows), self.length.take(rows), words.view(np.uint8))
 
     def widened(self, size: int) -> "Frames":
-        """The same with zeros behind payloads that are narrower than ``size`` bytes, in whole words."""
+        """Pad payloads with zeros to at least ``size`` bytes, in whole words."""
         width = -(-size // CLASSIC_BYTES) * CLASSIC_BYTES
         return self if self.data.shape[1] >= width else replace(self, data=widened(self.data, width))
 
     @property
     def words(self) -> NDArray[np.uint64]:
-        """The payload as 64-bit numbers (n, width / 8), the first byte lowest."""
+        """Payload as little-endian 64-bit numbers (n, width / 8)."""
         return np.ascontiguousarray(self.data).view("<u8")
 
     @classmethod
@@ -67,7 +67,7 @@ class Frames:
         )
 
     def messages(self) -> Iterator[can.Message]:
-        """The same frames as python-can messages, e.g. to put them on a bus."""
+        """Convert to python-can messages, e.g. to send them on a bus."""
         ids = self.ident.tolist()
         times = self.t.tolist()
         lengths = self.length.tolist()
@@ -102,7 +102,7 @@ class Frames:
 
 
 def widened(data: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
-    """Payloads (n, m) with zeros behind them, up to ``width`` bytes."""
+    """Pad payloads (n, m) with zeros to ``width`` bytes."""
     if data.shape[1] == width:
         return data
     wide = np.zeros((len(data), width), np.uint8)

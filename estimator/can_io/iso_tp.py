@@ -1,8 +1,8 @@
 """Answers of more than 8 bytes to a tester, joined from CAN frames while listening (ISO 15765-2, normal addressing).
 
-An answer is a single frame (``0L`` and up to 7 bytes), or a first frame (``1L LL`` and 6 bytes) and consecutive frames
-(``2N`` and up to 7 bytes, N counting from 1 and beginning again at 0 after 15). Flow control (``3x``) comes under
-another identifier, or is passed over. Identifiers of 11 and of 29 bits differ in nothing else.
+An answer is a single frame (``0L`` and up to 7 bytes), or a first frame (``1L LL`` and 6 bytes) with consecutive
+frames. These are ``2N`` and up to 7 bytes, where N counts from 1 and restarts at 0 after 15. Flow control (``3x``) has
+another identifier, or is ignored. Identifiers of 11 and of 29 bits are treated alike.
 """
 
 from collections import Counter
@@ -24,23 +24,23 @@ Places = NDArray[np.intp]
 
 
 def is_segmented(message: BoundMessage) -> bool:
-    """Whether classic frames hold the message in segments: it is longer than they are, and no parameter group."""
+    """True if classic frames carry the message in segments: it exceeds 8 bytes and is not a parameter group."""
     if message.by_pgn or message.length <= CLASSIC_BYTES:
         return False
     return any(bound.multiplexers or last_byte(bound.signal) > CLASSIC_BYTES for bound in message.signals)
 
 
 def keeps_length(message: BoundMessage) -> bool:
-    """Whether the database counts the low byte of an answer's length as its first byte, as in a single frame.
+    """True if the database counts the low byte of an answer's length as its first byte, as in a single frame.
 
-    The outermost multiplexer tells: it is the service, of a byte, or the identifier behind it, of two.
+    The outermost multiplexer shows it: it is the service, of one byte, or the identifier behind it, of two bytes.
     """
     roots = [bound.multiplexers[-1] for bound in message.signals if bound.multiplexers]
     return any(root.start // 8 == (2 if root.length > 8 else 1) for root in roots)
 
 
 class IsoTp:
-    """Joins the answers of a message; each of its identifiers has one under way at most.
+    """Joins the answers of a message, with at most one unfinished answer for each identifier.
 
     An answer that lacks a frame is dropped whole; ``rejected`` counts why, under the name of the message.
     """
@@ -53,19 +53,21 @@ class IsoTp:
         self._open: dict[int, Frames] = {}  # the frames of an answer under way, by identifier
 
     def feed(self, frames: Frames) -> Frames:
-        """Answers that these frames complete, each at the time of its last one; longer frames stay as they are."""
+        """Return the answers that these frames complete, each at the time of its last frame; CAN FD frames pass."""
         is_long = frames.length > CLASSIC_BYTES
         parts = [frames[is_long]] if is_long.any() else []
         segments = frames[~is_long] if is_long.any() else frames
         for ident in np.unique(segments.ident).tolist():
-            own = segments[segments.ident == ident]
-            before = self._open.pop(ident, None)
-            parts.append(self._join(own if before is None else Frames.concatenate([before, own])))
+            answer_frames = segments[segments.ident == ident]
+            unfinished = self._open.pop(ident, None)
+            parts.append(
+                self._join(answer_frames if unfinished is None else Frames.concatenate([unfinished, answer_frames]))
+            )
         joined = Frames.concatenate(parts)
         return joined[np.argsort(joined.t, kind="stable")] if len(parts) > 1 else joined
 
     def _join(self, frames: Frames) -> Frames:
-        """Answers in the frames of one identifier; an unfinished one at their end is kept."""
+        """Answers in the frames of one identifier; an unfinished answer at their end is kept for the next batch."""
         kind = frames.data[:, 0] >> 4
         frames = frames[(kind <= CONSECUTIVE) & (frames.length > 0)]
         kind = frames.data[:, 0] >> 4
@@ -86,7 +88,7 @@ class IsoTp:
         return self._payloads(frames, first[is_whole], size[is_whole], packets[is_whole], is_single[is_whole])
 
     def _sizes(self, frames: Frames, first: Places, is_single: Mask) -> Places:
-        """Bytes (k,) of the answers that begin at ``first`` (k,); 0 where they cannot be joined."""
+        """Sizes (k,) [bytes] of the answers that begin at ``first`` (k,); 0 if they cannot be joined."""
         head = frames.data[first].astype(np.intp)
         length = frames.length[first]
         short = head[:, 0] & 0x0F
@@ -104,16 +106,16 @@ class IsoTp:
             self.rejected[f"{self._name}: {reason}"] += number
 
     def _payloads(self, frames: Frames, first: Places, size: Places, packets: Places, is_single: Mask) -> Frames:
-        """Whole answers, cut to the bytes that are wanted and filled up with zeros."""
+        """Payloads of whole answers, cut or zero-filled to the required bytes."""
         lead = self._lead
         width = -(-(lead + FIRST_BYTES + PACKET_BYTES * self._packets + 1) // CLASSIC_BYTES) * CLASSIC_BYTES
         data = np.zeros((len(first), width), np.uint8)
         head = frames.data[first]
         data[:, : lead + FIRST_BYTES] = head[:, 2 - lead : CLASSIC_BYTES]
         for number in range(1, self._packets + 1):
-            place = lead + FIRST_BYTES + PACKET_BYTES * (number - 1)
+            begin = lead + FIRST_BYTES + PACKET_BYTES * (number - 1)
             following = frames.data[first + np.minimum(number, packets), 1:CLASSIC_BYTES]
-            data[:, place : place + PACKET_BYTES] = following
+            data[:, begin : begin + PACKET_BYTES] = following
         data[is_single, : lead + PACKET_BYTES] = head[is_single, 1 - lead : CLASSIC_BYTES]
         length = size + np.where(size > 0, lead, 0)
         data[np.arange(width) >= length[:, None]] = 0
@@ -122,9 +124,9 @@ class IsoTp:
 
 
 def _are_sound(frames: Frames, first: Places, size: Places, packets: Places) -> Mask:
-    """Whether the consecutive frames behind each place of ``first`` (k,), as far as there are any, follow in order.
+    """Flag (k,) the first frames ``first`` (k,) whose consecutive frames, as far as they have come, are in order.
 
-    Those beyond the ``packets`` (k,) that an answer of ``size`` (k,) bytes takes do not count.
+    Only the ``packets`` (k,) frames of an answer of ``size`` (k,) bytes are checked.
     """
     owner = np.searchsorted(first, np.arange(len(frames)), side="right") - 1  # -1: before the first answer
     number = np.arange(len(frames)) - first[owner]

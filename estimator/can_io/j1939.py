@@ -1,4 +1,4 @@
-"""J1939: parameter group numbers, values that are no values, and multi-packet messages.
+"""J1939: parameter group numbers, raw values with a special meaning, and multi-packet messages.
 
 Source: SAE J1939-21 (identifiers, transport protocol) and J1939-71 table 1 (value ranges).
 """
@@ -40,17 +40,17 @@ def pgn_of(ident: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def highest_valid(length: int) -> int:
-    """The highest raw value of ``length`` bits that is valid, see `classify`."""
+    """Highest valid raw value of ``length`` bits, see `classify`."""
     if length >= 8:
         return (0xFB << length - 8) - 1
     return (1 << length) - (3 if length in (2, 4) else 1)
 
 
 def classify(raw: NDArray[np.uint64], length: int) -> tuple[Mask, Mask, Mask]:
-    """Which raw values (n,) of ``length`` bits mean "not available", "error", or are reserved; three masks (n,).
+    """Masks (n,) of raw values (n,) of ``length`` bits: not available, error, reserved.
 
-    Numbers of a byte and more are valid while their top byte is at most 0xFA; 4-bit and 2-bit fields have the
-    last two codes. Other widths carry no special values.
+    Numbers of a byte and more are valid while their top byte is at most 0xFA. In 4-bit and 2-bit fields the last two
+    codes are special. Other widths have no special values.
     """
     no = np.zeros(len(raw), dtype=bool)
     if length >= 8:
@@ -76,7 +76,7 @@ class _Session:
 
 @dataclass(frozen=True, slots=True)
 class MultiPacket:
-    """A message of more than 8 bytes, complete at time ``t`` [s]."""
+    """Message of more than 8 bytes, complete at time ``t`` [s]."""
 
     t: float
     pgn: int
@@ -87,10 +87,10 @@ class MultiPacket:
 
 
 class Transport:
-    """Reassembles messages to all (BAM) and, as a listener, those to one node (RTS and CTS).
+    """Reassembles messages to all nodes (BAM) and, as a listener, those to one node (RTS and CTS).
 
-    Of one source there is one of either kind at a time; several sources may interleave. A broken message is dropped
-    whole; ``rejected`` counts why.
+    A source has one message of either kind at a time; several sources may interleave. A broken message is dropped
+    whole, and counted by reason in ``rejected``.
     """
 
     def __init__(self) -> None:
@@ -98,7 +98,7 @@ class Transport:
         self._sessions: dict[tuple[int, bool], _Session] = {}  # by source, and whether to all
 
     def feed(self, frames: Frames) -> list[MultiPacket]:
-        """Messages that these frames complete; frames that are not of the transport protocol are passed over."""
+        """Return the messages that these frames complete; frames of other protocols are ignored."""
         rows = np.flatnonzero(frames.ident & np.uint32(NEAR_MASK) == NEAR)
         group = frames.ident[rows] & np.uint32(FORMAT_MASK)
         is_known = ((group == ANNOUNCEMENT) | (group == PACKET)) & (frames.length[rows] >= CLASSIC_BYTES)
@@ -119,8 +119,8 @@ class Transport:
                 messages.append(whole[i])
             elif is_opening[i]:
                 self._manage(times[i], source, destination, packet)
-            elif found := self._extend(times[i], source, destination, packet):
-                messages.append((i, found))
+            elif complete := self._extend(times[i], source, destination, packet):
+                messages.append((i, complete))
         return [message for _, message in sorted(messages, key=itemgetter(0))]
 
     def _break_off(self, source: int, destination: int) -> None:
@@ -128,7 +128,7 @@ class Transport:
             self.rejected["transport: broken off"] += 1
 
     def _manage(self, t: float, source: int, destination: int, data: bytes) -> None:
-        """Take a frame of connection management; what a receiver says but "wait" and "go on" is passed over."""
+        """Process a frame of connection management; from receivers, only "wait" and "go on" count."""
         pgn = int.from_bytes(data[5:8], "little")
         if data[0] == CTS:
             session = self._sessions.get((destination, False))
@@ -173,10 +173,10 @@ class Transport:
 def _whole_messages(
     t: Floats, ident: NDArray[np.uint32], opens: Mask, data: NDArray[np.uint8]
 ) -> tuple[dict[int, tuple[int, MultiPacket]], Sequence[int]]:
-    """Messages without a fault, by the place of their announcement; and the places that are not inside one.
+    """Complete messages, each with the index of its last packet, by the index of its announcement; other indices.
 
-    With each message comes the place of its last packet. Frames (n,) have times ``t`` [s] and payloads ``data`` (n, 8);
-    those that open a message are of connection management, the others packets.
+    Frames (n,) have times ``t`` [s] and payloads ``data`` (n, 8). Frames that open a message are of connection
+    management, the others are packets.
     """
     to = ident >> 8 & 0xFF
     order = np.argsort((ident & 0xFF) << 1 | (to == GLOBAL), kind="stable")
@@ -198,12 +198,12 @@ def _whole_messages(
     inside[last + 1] -= 1
     left = np.sort(order[np.cumsum(inside[:-1]) == 0])
     payload, pgn = data[:, 1:].tobytes(), (words[first] >> np.uint64(40)).tolist()
-    each = zip(
+    fields = zip(
         order[first].tolist(), order[last].tolist(), first.tolist(), size.tolist(), t[last].tolist(), pgn,
         (ident[first] & 0xFF).tolist(), to[first].tolist(), strict=True,
     )  # fmt: skip
     whole = {}
-    for place, end, at, length, when, group, source, destination in each:
+    for head, end, at, length, when, group, source, destination in fields:
         begin = PACKET_BYTES * (at + 1)
-        whole[place] = end, MultiPacket(when, group, source, payload[begin : begin + length], destination=destination)
+        whole[head] = end, MultiPacket(when, group, source, payload[begin : begin + length], destination=destination)
     return whole, left.tolist()

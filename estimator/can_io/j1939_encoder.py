@@ -1,6 +1,6 @@
 """Recorded drives as J1939 traffic: frames in the shipped database's layouts.
 
-What a recording does not hold is sent as not available (all ones). Reference torque (EC1, 39 bytes) goes out by the
+Signals that a recording lacks are sent as not available (all ones). Reference torque (EC1, 39 bytes) is sent by the
 transport protocol's broadcast: one announcement (TP.CM, BAM) and six data packets (TP.DT), SAE J1939-21.
 """
 
@@ -31,7 +31,7 @@ Payload = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
-    """A message of a control unit; it goes out whenever the first of its roles that is on the bus is measured."""
+    """Message of a control unit, sent at each measurement of the first of its roles that the recording has."""
 
     message: str
     source: int
@@ -107,9 +107,9 @@ def frames_of(signals: Signals) -> Frames:
     sent_before: set[Role] = set()  # roles whose own message has gone out, and that do not call for another
     for sent in _TRAFFIC:
         present = {name: signals[role] for name, role in sent.signals.items() if role in signals}
-        own = {sent.signals[name] for name in present} - sent_before
-        sent_before |= own
-        if own:
+        carried = {sent.signals[name] for name in present} - sent_before
+        sent_before |= carried
+        if carried:
             parts.append(_frames_of_message(database.get_message_by_name(sent.message), sent, present))
     frames = Frames.concatenate(parts)
     return frames[np.argsort(frames.t, kind="stable")]
@@ -130,15 +130,15 @@ def _frames_of_message(message: Message, sent: _Sent, present: Mapping[str, Seri
 
 
 def _raw(signal: Signal, role: Role, value: Floats) -> NDArray[np.int64]:
-    """Integers on the bus of SI values."""
+    """Convert SI values to raw integers."""
     conversion = conversion_of(signal.unit)
     if role is Role.GRADE:
         value = np.arctan(value)
     physical = value if conversion is None else (value - conversion.offset) / conversion.scale
     raw = np.round((physical - signal.offset) / signal.scale)
     highest = HIGHEST_VALID.get(signal.length, (1 << signal.length) - 1)
-    known = np.isfinite(raw)
-    return np.where(known, np.clip(np.where(known, raw, 0), 0, highest), (1 << signal.length) - 1).astype(np.int64)
+    finite = np.isfinite(raw)
+    return np.where(finite, np.clip(np.where(finite, raw, 0), 0, highest), (1 << signal.length) - 1).astype(np.int64)
 
 
 def _place(payload: Payload, signal: Signal, raw: NDArray[np.int64]) -> None:

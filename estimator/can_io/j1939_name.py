@@ -1,4 +1,4 @@
-"""The 64-bit NAME that identifies a J1939 node; the lower NAME keeps a contested address (SAE J1939-81)."""
+"""64-bit NAME of a J1939 node; of two nodes that claim one address, the lower NAME keeps it (SAE J1939-81)."""
 
 from dataclasses import astuple, dataclass, fields
 
@@ -10,7 +10,7 @@ BYTES = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Name:
-    """Fields from the least significant on; of two nodes that want one address the lower NAME gets it.
+    """Fields of a NAME, the least significant first.
 
     ``manufacturer`` codes are assigned by SAE; ``identity`` is the serial number that makes two units of one kind
     differ. ``arbitrary_address_capable`` 1: the node may take another address when it loses its own.

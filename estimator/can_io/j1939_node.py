@@ -1,8 +1,8 @@
-"""A J1939 node without a bus: messages and times in, answers out (SAE J1939-81, J1939-21).
+"""J1939 node without a bus: messages and times in, answers out (SAE J1939-81, J1939-21).
 
-It claims an address, defends it, gives way to a lower NAME, answers requests and refuses what it does not have. Own
-code, because can-j1939 runs a thread on time.time(), so that a clock set back stalls its claim; it sends no negative
-acknowledgement and bounds no flood.
+The node claims and defends an address, yields it to a lower NAME, and answers or refuses requests. The package
+can-j1939 is not used. Its thread runs on time.time(), so a clock set back stalls its claim; it sends no negative
+acknowledgement, and does not limit floods.
 """
 
 from collections import Counter
@@ -32,7 +32,7 @@ Answer = Callable[[int, int], list[can.Message] | None]
 
 
 class TokenBucket:
-    """At most ``burst`` things at once and ``rate`` per second over time."""
+    """Rate limit: ``burst`` actions at once, and ``rate`` per second in the long term."""
 
     def __init__(self, rate: float, burst: int) -> None:
         self._rate, self._burst = rate, float(burst)
@@ -40,7 +40,7 @@ class TokenBucket:
         self._t: float | None = None
 
     def take(self, t: float, count: int = 1) -> bool:
-        """Whether ``count`` more may be done at time ``t`` [s], which never decreases."""
+        """Take ``count`` tokens at time ``t`` [s], which never decreases; False if there are too few."""
         elapsed = 0.0 if self._t is None else t - self._t
         self._t = t
         self._tokens = min(self._burst, self._tokens + self._rate * elapsed)
@@ -51,26 +51,26 @@ class TokenBucket:
 
 
 class Node:
-    """One address on a J1939 network.
+    """Node with one address on a J1939 network.
 
     Parameters
     ----------
     name
-        Who we are; no other node may have the same.
+        NAME of this node; no other node may have it.
     address
-        Wanted address, 0..253.
+        Preferred address, 0..253.
     rng
         Source of the random delay.
     answer
-        Gives the frames that answer the request for a parameter group from the node at an address, or from everybody
-        where that is GLOBAL; None when we do not have the group. Asked only while we have an address.
+        Returns the frames that answer a request for a parameter group by the node at an address, or by all nodes if
+        that is GLOBAL; None if this node does not have the group. Called only while the node has an address.
     is_commandable
-        Whether another node may give us another address.
+        True if another node may command another address.
 
     Times are seconds that never decrease; a smaller one counts as the largest so far. Messages that `poll` and `hear`
-    return must be sent, and passed to `hear` with ``is_rx`` False once they have been on the bus: a driver may hold a
-    claim back for as long as the bus is busy. A node that has ``lost`` stays so: build another to try again, as after
-    the bus was opened anew.
+    return must be sent. Once on the bus, they must be passed to `hear` with ``is_rx`` False: a driver may delay a claim
+    while the bus is busy. A node that has ``lost`` its address does not claim again; build another node, as after the
+    bus was reopened.
 
     Raises
     ------
@@ -106,15 +106,15 @@ class Node:
 
     @property
     def address(self) -> int | None:
-        """Our address once its claim has stood on the bus for 250 ms, None before and when it is lost."""
+        """Address of this node, from 250 ms after its uncontested claim; None before, and once it is lost."""
         stands = not self.lost and self._since is not None and self._now - self._since >= STANDS_AFTER
         return self._wanted if stands else None
 
     def take_command(self, name: int, address: int, t: float) -> bool:
-        """Take a Commanded Address (J1939-81) at time ``t`` [s]; whether the address is claimed from now on.
+        """Process a Commanded Address (J1939-81) at time ``t`` [s]; returns True if its address is claimed.
 
-        One for our NAME is always answered by a claim: of the new address, or of the present one where the new one is
-        refused, because we are not commandable or another node has claimed it.
+        A command for this NAME is always answered by a claim. The claim is of the present address if the node is not
+        commandable, or another node has claimed the new one.
         """
         self._now = max(self._now, t)
         if name != int(self._name) or self.fault:
@@ -149,10 +149,10 @@ class Node:
         return claim
 
     def hear(self, message: can.Message, t: float) -> list[can.Message]:
-        """Take a message of the bus at time ``t`` [s]; returns what is to be sent now.
+        """Process a message of the bus at time ``t`` [s]; returns the messages to be sent now.
 
-        A message with ``is_rx`` False is one of our own, which has been on the bus by then. python-can marks what other
-        programs of this host send over SocketCAN in the same way: pass those on with ``is_rx`` True.
+        A message with ``is_rx`` False is one of this node that has been on the bus. On SocketCAN, python-can also marks
+        messages of other programs of this host in this way: pass those with ``is_rx`` True.
         """
         self._now = max(self._now, t)
         answers: list[can.Message] = []
@@ -168,7 +168,7 @@ class Node:
         return not self.lost and waited > CONFIRMED_WITHIN
 
     def _confirm(self, message: can.Message, t: float) -> None:
-        """Take note that our claim has been on the bus; one from before it was handed out is another's."""
+        """Note that the claim has been on the bus; a claim from before it was returned is from another node."""
         ours = self._claim(self._wanted)
         same = message.arbitration_id == ours.arbitration_id and message.data == ours.data
         if same and not self.lost and self._since is None and self._claimed is not None and t >= self._claimed:
@@ -186,7 +186,7 @@ class Node:
         return []
 
     def _reachable_at(self) -> int | None:
-        """The address we have claimed, also while the claim has not yet stood long enough."""
+        """Claimed address, including that of a claim younger than 250 ms."""
         return None if self.lost or self._claimed is None else self._wanted
 
     def _hear_claim(self, source: int, name: int) -> None:
@@ -212,21 +212,21 @@ class Node:
             self._give_way()
 
     def _give_way(self) -> None:
-        """Lose the address to a lower NAME: claim the next free one, or send "cannot claim" where there is none."""
+        """Yield the address to a lower NAME: claim the next free one, or send "cannot claim" if there is none."""
         self.counts["address lost"] += 1
         self._claimed = self._since = self._owed = None
         following = [*range(self._wanted + 1, FREE.stop), *FREE] if self._wanted in FREE else FREE
         free = (address for address in following if address not in self._others)
-        found = next(free, None) if self._name.arbitrary_address_capable else None
-        if found is None:
+        next_free = next(free, None) if self._name.arbitrary_address_capable else None
+        if next_free is None:
             self.lost = True
             self._owe(self._now + self._rng.uniform(0, MAX_CLAIM_DELAY))
         else:
-            self._wanted = found
+            self._wanted = next_free
             self._owe(self._now)
 
     def _owe(self, t: float) -> None:
-        """One claim answers everything that calls for one until it is sent."""
+        """Schedule a claim; it answers all requests for one until it is sent."""
         self._owed = t if self._owed is None else self._owed
 
     def _hear_request(self, pgn: int, source: int, everybody: bool) -> list[can.Message]:
@@ -247,7 +247,7 @@ class Node:
         return [self.acknowledge(pgn, source, NEGATIVE)]
 
     def acknowledge(self, pgn: int, requester: int, control: int) -> can.Message:
-        """The acknowledgement, positive or negative, of a request for a group."""
+        """Positive or negative acknowledgement of a request for a group."""
         data = bytes([control, 0xFF, 0xFF, 0xFF, requester]) + pgn.to_bytes(3, "little")
         return _message(ACKNOWLEDGEMENT, GLOBAL, self._wanted, data)
 

@@ -1,4 +1,4 @@
-"""Frames to log files, in the formats that python-can writes."""
+"""Writing of frames to log files, in the formats that python-can writes."""
 
 from collections.abc import Callable
 from io import TextIOWrapper
@@ -21,12 +21,12 @@ WRITABLE = (".blf", *TEXT_WRITERS)
 
 
 def write_log(frames: Frames, path: Path) -> None:
-    """Write a log in the format of the path's suffix; it appears whole or not at all.
+    """Write a log in the format of the path's suffix, completely or not at all.
 
     Raises
     ------
     LogError
-        There is no such format.
+        The suffix is of no known format.
     RoadloadError
         The file cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Answers to OBD-II requests: the identifiers of ISO 15765-4, by which eight ECUs or 256 may answer."""
+"""Answers to OBD-II requests: the identifiers of ISO 15765-4, for eight ECUs (11 bits) or 256 (29 bits)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,13 @@ CURRENT_DATA = 0x41  # service 1, and 0x40 in an answer (ISO 15031-5)
 
 
 def is_answer(ident: NDArray[np.uint32]) -> Mask:
-    """Which ids (n,) are those of answers."""
+    """Mask (n,) of the ids of answers."""
     answers: Mask = (ident & np.uint32(0xFFFFFFF8) == STANDARD) | (ident & np.uint32(0xFFFFFF00) == EXTENDED_ANSWER)
     return answers
 
 
 def current_data(frames: Frames) -> int:
-    """How many frames are single answers with current data: speed, torque and the like."""
+    """Number of frames that are single answers with current data, such as speed or torque."""
     answers = is_answer(frames.ident) & (frames.length > 2)
     answers &= (frames.data[:, 0] >> 4 == 0) & (frames.data[:, 1] == CURRENT_DATA)
     return int(np.count_nonzero(answers))

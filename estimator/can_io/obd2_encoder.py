@@ -1,4 +1,4 @@
-"""Polled signals as the frames of OBD-II answers (ISO 15765-4), in the layout of the shipped database."""
+"""Encoding of polled signals as OBD-II answers (ISO 15765-4), in the layout of the shipped database."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ HEAD_BYTES = 3  # length, service, PID
 def frames_of(signals: Signals) -> Frames:
     """Answers of the first ECU, in order of time; times of ``signals`` are from the start of the drive [s].
 
-    Values are rounded to the steps of their PIDs; a role that has none is left out.
+    Values are rounded to the resolution of their PIDs; roles without a PID are left out.
     """
     shipped = config.load("obd2")
     (message,) = bind(shipped, load_database(shipped.bus.dbc))

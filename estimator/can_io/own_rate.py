@@ -1,4 +1,4 @@
-"""How often a sender sends: a rate beyond its own means that another one sends under its address."""
+"""Rate of a sender: readings above its usual rate mean that another node sends under its address."""
 
 from copy import copy
 from math import inf
@@ -21,16 +21,16 @@ JITTER = 1.2  # times the rate of the shortest period
 
 
 def fastest(cycle: float | None) -> float:
-    """Rate [1/s] that a J1939 group with this cycle time [s] in the database may reach at one address."""
+    """Highest rate [1/s] of a J1939 group at one address, given its cycle time [s] in the database."""
     most = JITTER / MIN_PERIOD_S
     return most if not cycle else min(most, max(SLOW_GROUP_HZ, MAX_NOMINAL_RATES / cycle))
 
 
 class OwnRate:
-    """The rate of a sender, learnt from blocks without a contradiction.
+    """Usual rate of a sender, learnt from blocks without a contradiction.
 
-    ``highest`` [1/s] is that of any sender of the group. ``follows_value``: the rate may grow with the value, as that
-    of EEC1 with the engine speed (J1939-71).
+    ``highest`` [1/s] is the limit for any sender of the group. ``follows_value``: the rate may rise with the value, as
+    that of EEC1 with the engine speed (J1939-71).
     """
 
     def __init__(self, highest: float, follows_value: bool) -> None:
@@ -38,26 +38,28 @@ class OwnRate:
         self.forget()
 
     def forget(self) -> None:
-        """Learn anew."""
+        """Discard the learnt rate."""
         self._known: tuple[tuple[float, float], ...] = ()  # newest [1/s], and over the value
         self._since: float | None = None  # when the rate began to be exceeded [s]
 
     def doubt(self, end: float) -> None:
-        """Take a contradiction of values in the block that ended at ``end`` [s]: a rate exceeded is not the own."""
+        """Note a contradiction at ``end`` [s]; an exceeded rate must last from then on to count as the new one."""
         self._since = None if self._since is None else end
 
     def copy(self) -> "OwnRate":
-        """One that knows as much, and learns apart."""
+        """Return an independent copy."""
         return copy(self)
 
-    def exceeding(self, own: Heard, step: float) -> list[bool]:
-        """Blocks with readings whose valid readings come too fast; a change of rate is not judged at rest."""
-        bounds = own.bounds
+    def exceeding(self, readings: Heard, step: float) -> list[bool]:
+        """Flag the blocks with readings that come too fast; a change of rate at rest is ignored."""
+        bounds = readings.bounds
         filled = np.flatnonzero(np.diff(bounds))
         first, last = bounds[filled], bounds[filled + 1] - 1
-        sizes = block_sums(np.abs(own.value), np.append(first, len(own.t))) / (last - first + 1)
-        spans = own.t[last] - own.t[first]
-        blocks = zip((last - first).tolist(), spans.tolist(), sizes.tolist(), own.ends[filled].tolist(), strict=True)
+        sizes = block_sums(np.abs(readings.value), np.append(first, len(readings.t))) / (last - first + 1)
+        spans = readings.t[last] - readings.t[first]
+        blocks = zip(
+            (last - first).tolist(), spans.tolist(), sizes.tolist(), readings.ends[filled].tolist(), strict=True
+        )
         return [self._is_exceeded(periods, span, size, end, step) for periods, span, size, end in blocks]
 
     def _is_exceeded(self, periods: int, span: float, size: float, end: float, step: float) -> bool:

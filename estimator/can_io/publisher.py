@@ -1,10 +1,10 @@
 """Broadcast of the estimate on J1939: contents, times, and values that are withheld.
 
-The layout is that of the shipped ``roadload.dbc`` and nowhere else: positions, scales, limits and the raw values of
-"error" and "not available" (J1939-71: a number is valid while its top byte is at most 0xFA) are read from there.
-Parameters are sent only while the status is "estimated"; they read "error" when it is "invalid", "not available"
-otherwise. A conclusion older than ``stale_after_s`` is "stale": only its age is sent, never its values. The road under
-the vehicle is sent with the status, every second.
+The layout is defined only by the shipped ``roadload.dbc``: positions, scales, limits and the raw values of "error" and
+"not available". By J1939-71 a number is valid while its top byte is at most 0xFA. Parameters are sent only while the
+status is "estimated"; they read "error" if it is "invalid", otherwise "not available". A conclusion older than
+``stale_after_s`` is "stale": only its age is sent, never its values. The road under the vehicle is sent with the
+status, every second.
 """
 
 from functools import cache
@@ -42,19 +42,19 @@ def output_groups(cvw: bool = True) -> frozenset[int]:
 
 
 class Schedule:
-    """Instants ``anchor + k * period`` [s]; those that were missed are skipped, not caught up."""
+    """Schedule of the times ``anchor + k * period`` [s]; missed times are skipped."""
 
     def __init__(self, period: float) -> None:
         self._period = period
         self.restart(0.0)
 
     def restart(self, t: float) -> None:
-        """Make ``t`` [s] the first instant."""
+        """Make ``t`` [s] the first time of the schedule."""
         self._anchor = t
         self._last = -1
 
     def due(self, t: float) -> float | None:
-        """Latest instant [s] up to ``t`` [s], None when it has been asked for before; marks it as used."""
+        """Latest scheduled time [s] up to ``t`` [s], which is then marked as used; None if it already was."""
         count = floor((t - self._anchor) / self._period)
         if count <= self._last:
             return None
@@ -63,9 +63,9 @@ class Schedule:
 
 
 class Publisher:
-    """Turns the current estimate into frames, in time given by the caller alone.
+    """Encodes the current estimate as frames, at times given by the caller.
 
-    ``source_address`` may be changed between polls, e.g. when the address was lost to another node.
+    ``source_address`` may be changed between polls, e.g. if another node took the address.
     """
 
     def __init__(self, publish: Publish) -> None:
@@ -86,7 +86,7 @@ class Publisher:
         self._estimate_t: float | None = None  # [s]
 
     def poll(self, t: float, estimate: Estimate | None, slope: Slope | None = None) -> list[can.Message]:
-        """Frames that are due at message time ``t`` [s], in order of time and stamped with the time they were due.
+        """Return the frames due at message time ``t`` [s], in order of time and stamped with the time they were due.
 
         ``slope`` is that of the road under the vehicle at that time.
 
@@ -109,9 +109,9 @@ class Publisher:
         return sorted(frames, key=lambda frame: frame.timestamp)
 
     def answer(self, pgn: int, t: float, estimate: Estimate | None, slope: Slope | None = None) -> can.Message | None:
-        """One frame on request at message time ``t`` [s]; None for a group that is not sent.
+        """Return one frame on request at message time ``t`` [s]; None for a group that is not sent.
 
-        The latest poll may be long ago: nothing is polled while the bus sleeps.
+        The last poll may be long ago, because a sleeping bus is not polled.
         """
         now = max(self._now, t)
         age = self._age(now, estimate)
@@ -147,8 +147,8 @@ class Publisher:
             contents = contents | {"AliveCounter": self._counters.get(message.name, 0), "Checksum": 0}
             self._counters[message.name] = (self._counters.get(message.name, 0) + 1) % COUNTS
         # A message about one parameter carries the status of that parameter.
-        own = {s.name: contents.get(f"{message.name}.{s.name}", contents.get(s.name, nan)) for s in message.signals}
-        raw: dict[str, int | float | str] = {s.name: _raw(s, own[s.name]) for s in message.signals}
+        values = {s.name: contents.get(f"{message.name}.{s.name}", contents.get(s.name, nan)) for s in message.signals}
+        raw: dict[str, int | float | str] = {s.name: _raw(s, values[s.name]) for s in message.signals}
         data = message.encode(raw, scaling=False, padding=True, strict=False)
         ident = self._priority << 26 | message.frame_id & _PGN_MASK | self.source_address
         if protected:
@@ -178,16 +178,16 @@ def _contents(estimate: Estimate | None, slope: Slope | None, status: str, age: 
         contents[f"{name}Q05"] = marginal.q05 if marginal else withheld
         contents[f"{name}Q95"] = marginal.q95 if marginal else withheld
         contents[f"{name}Deviation"] = marginal.sd if marginal else withheld
-        own, _ = usable.status_of(_PARAMETER[name]) if usable else (status, "")
-        is_lost = own is Status.ESTIMATED and marginal is None  # beyond what the signal can say
-        contents[f"Roadload{name}.EstimateStatus"] = str(Status.UNESTIMATED if is_lost else own)
+        parameter_status, _ = usable.status_of(_PARAMETER[name]) if usable else (status, "")
+        is_lost = parameter_status is Status.ESTIMATED and marginal is None  # beyond what the signal can say
+        contents[f"Roadload{name}.EstimateStatus"] = str(Status.UNESTIMATED if is_lost else parameter_status)
     contents["GrossCombinationVehicleWeight"] = contents["MassMean"]
     contents["PoweredVehicleWeight"] = _NOT_AVAILABLE
     return contents | _of_road(slope if usable else None, status, withheld)
 
 
 def _of_road(slope: Slope | None, status: str, withheld: str) -> dict[str, float | str]:
-    """Contents of the road's message; a grade or a height that is too uncertain for its signals is withheld."""
+    """Contents of the message of the road; a slope or height too uncertain for its signals is withheld."""
     if slope is None or abs(slope.sine) >= 1 or 100 * slope.grade_sd > _most("RoadGradeDeviation"):
         status = Status.UNESTIMATED.value if status == Status.ESTIMATED else status
         names = ("RoadGrade", "RoadGradeDeviation", "RoadHeight", "RoadHeightDeviation")
@@ -204,14 +204,14 @@ def _of_road(slope: Slope | None, status: str, withheld: str) -> dict[str, float
 
 @cache
 def _most(signal: str) -> float:
-    """The largest value that a signal can say."""
-    found = (s for message in output_database().messages for s in message.signals if s.name == signal)
-    return min(inf if s.maximum is None else float(s.maximum) for s in found)
+    """Largest value that a signal can encode."""
+    signals = (s for message in output_database().messages for s in message.signals if s.name == signal)
+    return min(inf if s.maximum is None else float(s.maximum) for s in signals)
 
 
-def _fits(name: str, found: Marginal) -> bool:
-    """Whether the signals of a parameter can say its values."""
-    values = {"Mean": found.mean, "Q05": found.q05, "Q95": found.q95, "Deviation": found.sd}
+def _fits(name: str, marginal: Marginal) -> bool:
+    """True if the signals of a parameter can encode its values."""
+    values = {"Mean": marginal.mean, "Q05": marginal.q05, "Q95": marginal.q95, "Deviation": marginal.sd}
     return not any(value > _most(f"{name}{part}") for part, value in values.items())
 
 

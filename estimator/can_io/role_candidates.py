@@ -1,7 +1,7 @@
 """Signals of a database that may have a role in the estimate, by name, comment, unit, size and value table.
 
-A score has no unit: it orders the candidates of a role, and below `MIN_SCORE` there is none. Words are those of public
-DBC files, English and German.
+A score has no unit: it orders the candidates of a role. A signal below `MIN_SCORE` is no candidate. Words are those of
+public DBC files, English and German.
 """
 
 import re
@@ -185,7 +185,7 @@ _WORDS = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A signal that may have a role; ``unit`` is the usual one where the DBC gives none that is known."""
+    """Signal that may have a role; ``unit`` is the usual one if the DBC has no known unit."""
 
     role: Role
     message: Message
@@ -195,7 +195,7 @@ class Candidate:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the meaning of its values is known: always, but of a gear or switch with states of its own."""
+        """True if the meaning of its values is known; it may be unknown for a gear or switch with special states."""
         if self.role == Role.GEAR:
             return self.message.protocol == "j1939" and not self.signal.choices
         if self.role not in SWITCHES or self.signal.length == 1:
@@ -205,18 +205,18 @@ class Candidate:
 
     @property
     def path(self) -> str:
-        """MESSAGE.signal."""
+        """Path MESSAGE.signal."""
         return f"{self.message.name}.{self.signal.name}"
 
 
 def candidates(database: Database) -> dict[Role, list[Candidate]]:
-    """Candidates of each role that has some, the best first."""
+    """Candidates by role, the best first; only roles with candidates."""
     signals = [
         (message, signal, *_texts(message, signal)) for message in database.messages for signal in message.signals
     ]
     out: dict[Role, list[Candidate]] = {}
     for words in _WORDS:
-        fit = [candidate for each in signals if (candidate := _candidate(words, *each)) is not None]
+        fit = [candidate for texts in signals if (candidate := _candidate(words, *texts)) is not None]
         fit.sort(key=lambda candidate: -candidate.score)
         if fit:
             out[words.role] = fit[: MAX_CANDIDATES * (4 if words.role == Role.WHEEL_SPEEDS else 1)]
@@ -224,25 +224,25 @@ def candidates(database: Database) -> dict[Role, list[Candidate]]:
 
 
 def corner(signal: Signal) -> str:
-    """The wheel of a signal, such as "fl"; empty where its name has none."""
-    found = re.search(_CORNER, spaced(signal.name))
-    return "" if found is None else found[0]
+    """Wheel in the name of a signal, such as "fl"; empty if there is none."""
+    match = re.search(_CORNER, spaced(signal.name))
+    return "" if match is None else match[0]
 
 
 def wheels(fit: Iterable[Candidate]) -> list[Candidate]:
-    """The wheels that belong together: of one message where that has several, else named alike."""
+    """Signals of the wheels of one vehicle: those of one message if it has several, else those with similar names."""
     groups: dict[tuple[str, str], dict[str, Candidate]] = {}
-    for each in fit:
-        if place := corner(each.signal):
-            like = re.sub(_CORNER, "", spaced(each.signal.name))
-            for message in (each.message.name, ""):
-                groups.setdefault((message, like), {}).setdefault(place, each)
+    for candidate in fit:
+        if wheel := corner(candidate.signal):
+            like = re.sub(_CORNER, "", spaced(candidate.signal.name))
+            for message in (candidate.message.name, ""):
+                groups.setdefault((message, like), {}).setdefault(wheel, candidate)
     best = max(groups.items(), key=lambda item: (len(item[1]), bool(item[0][0])), default=None)
     return [] if best is None else list(best[1].values())
 
 
 def spaced(name: str) -> str:
-    """A name in lower case, with blanks between its words: "INV_MotorSpeed" becomes "inv motor speed"."""
+    """Convert a name to lower case with blanks between words: "INV_MotorSpeed" becomes "inv motor speed"."""
     parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)
     return " ".join(parts).lower()
 
@@ -252,7 +252,7 @@ def _texts(message: Message, signal: Signal) -> tuple[str, str]:
 
 
 def _candidate(words: _Words, message: Message, signal: Signal, name: str, about: str) -> Candidate | None:
-    """The signal with its score for a role, if it can have it."""
+    """Candidate of a signal for a role, with its score; None if it cannot have the role."""
     dimension, unit = DIMENSION[words.role], None
     score = 0.0
     if words.role in NOT_OF_ONE_WHEEL and corner(signal):
@@ -275,13 +275,13 @@ def _candidate(words: _Words, message: Message, signal: Signal, name: str, about
             return None
     if words.role == Role.WHEEL_SPEEDS and corner(signal) and unit is None:
         name = f"wheel speed {name}"  # a speed of a corner of the vehicle has no other
-    if (found := re.search(rf"(?<![a-z]){words.like}", name)) is not None:
-        score += NAMED + len(found[0]) / max(len(name), 1)  # a name that says nothing else is the better one
+    if (match := re.search(rf"(?<![a-z]){words.like}", name)) is not None:
+        score += NAMED + len(match[0]) / max(len(name), 1)  # a name that says nothing else is the better one
     elif re.search(rf"(?<![a-z]){words.like}", about):
         score += MENTIONED
     else:
         return None
-    rest = name if found is None else name.replace(found[0], " ")
+    rest = name if match is None else name.replace(match[0], " ")
     score += UNLIKE * len(set(re.findall(rf"(?<![a-z])(?:{words.unlike}|{_COMMAND})(?![a-z])", rest)))
     if score < MIN_SCORE:
         return None
@@ -289,7 +289,7 @@ def _candidate(words: _Words, message: Message, signal: Signal, name: str, about
 
 
 def _reach(signal: Signal, unit: str | None) -> float:
-    """The largest size that the bits of a signal can say [SI], but for an offset of the unit."""
+    """Largest size [SI] that the bits of a signal can encode, without the offset of its unit."""
     conversion = conversion_of(unit)
     if signal.is_float or conversion is None:
         return float("inf")

@@ -1,4 +1,4 @@
-"""Values of a signal in payloads: bits to SI, whole batches at a time.
+"""Values of a signal in payloads: conversion of bits to SI, for whole batches.
 
 A value that its sender marks as not available, as an error, or that lies outside its declared range becomes NaN.
 """
@@ -22,7 +22,7 @@ EXACT_BITS = 53  # of a raw value that a floating-point number holds exactly
 
 
 def extract(data: NDArray[np.uint8], signal: Signal) -> Raw:
-    """Raw bits (n,) of a signal of at most 64 bits from payloads (n, whole words), byte order as the DBC says."""
+    """Raw bits (n,) of a signal of at most 64 bits in payloads (n, whole words), in the byte order of the DBC."""
     little = signal.byte_order == "little_endian"
     # The DBC's start bit of a big-endian signal is its most significant one, counted in its byte from the lowest.
     first = signal.start if little else signal.start // 8 * 8 + 7 - signal.start % 8
@@ -39,7 +39,7 @@ def extract(data: NDArray[np.uint8], signal: Signal) -> Raw:
 
 
 def _extract_across_words(data: NDArray[np.uint8], signal: Signal) -> Raw:
-    """The same byte by byte."""
+    """Raw bits (n,) as by `extract`, assembled byte by byte, for a signal that crosses words."""
     if signal.byte_order == "little_endian":
         first, shift = divmod(signal.start, 8)
         count = (shift + signal.length + 7) // 8
@@ -50,23 +50,23 @@ def _extract_across_words(data: NDArray[np.uint8], signal: Signal) -> Raw:
         shift = 8 * count - (7 - bit) - signal.length
         columns = range(first + count - 1, first - 1, -1)
     raw = np.zeros(len(data), dtype=np.uint64)
-    for place, column in enumerate(columns):
+    for number, column in enumerate(columns):
         byte = data[:, column].astype(np.uint64)
-        move = 8 * place - shift
+        move = 8 * number - shift
         raw |= byte << np.uint64(move) if move >= 0 else byte >> np.uint64(-move)
     return raw & np.uint64((1 << signal.length) - 1)
 
 
 def needed_bytes(message: BoundMessage) -> int:
-    """Number of payload bytes without which a frame of the message is refused.
+    """Smallest number of payload bytes for which a frame of the message is accepted.
 
-    They hold what every frame carries: what is behind a multiplexer is looked for where that selects it.
+    These hold the signals that every frame carries. A multiplexed signal needs its bytes only where it is selected.
     """
     return max(last_byte(bound.multiplexers[-1] if bound.multiplexers else bound.signal) for bound in message.signals)
 
 
 def _number(raw: Raw, signal: Signal) -> Floats:
-    """Scaled value in the DBC's own unit."""
+    """Scaled values (n,) in the unit of the DBC."""
     if signal.is_float:
         kinds = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
         integer, real = kinds[signal.length]
@@ -80,7 +80,7 @@ def _number(raw: Raw, signal: Signal) -> Floats:
 
 
 def _scaled(value: Floats, scale: float, offset: float) -> Floats:
-    """The same array, scaled and shifted in place."""
+    """Scale and shift an array in place, and return it."""
     if scale != 1:
         value *= scale
     if offset != 0:
@@ -89,7 +89,7 @@ def _scaled(value: Floats, scale: float, offset: float) -> Floats:
 
 
 def present(bound: BoundSignal, frames: Frames) -> Mask:
-    """In which frames the multiplexers of a signal select it."""
+    """Mask (n,) of the frames in which the multiplexers of a signal select it."""
     here = np.ones(len(frames), dtype=bool)
     for signal, multiplexer in pairwise((bound.signal, *bound.multiplexers)):
         selecting = np.array(signal.multiplexer_ids or [], dtype=np.uint64)
@@ -98,7 +98,7 @@ def present(bound: BoundSignal, frames: Frames) -> Mask:
 
 
 def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[Floats, dict[str, Mask]]:
-    """SI values, NaN where the sender gave none, and where for which reason."""
+    """Values (n,) [SI], NaN where the sender gave none, and masks (n,) of these by reason."""
     signal, conversion = bound.signal, bound.conversion
     raw = extract(frames.data, signal)
     with np.errstate(over="ignore", invalid="ignore"):  # floating-point signals may hold anything
@@ -121,7 +121,7 @@ def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[F
 
 
 def _are_all_usual(message: BoundMessage, bound: BoundSignal, value: Floats) -> bool:
-    """Whether the extremes show that every scaled value (n,) of a linear signal is one."""
+    """True if the extremes of the scaled values (n,) show that all values of a linear signal are valid."""
     signal, conversion = bound.signal, bound.conversion
     if signal.is_float or bound.tangent or bound.states is not None or signal.length > EXACT_BITS or not len(value):
         return False
@@ -135,7 +135,7 @@ def _are_all_usual(message: BoundMessage, bound: BoundSignal, value: Floats) -> 
 
 
 def _range(signal: Signal) -> tuple[float, float]:
-    """The scaled values that the DBC allows."""
+    """Range of scaled values that the DBC allows."""
     low, high = signal.minimum, signal.maximum
     if low is None or high is None or not low < high:
         return -math.inf, math.inf
@@ -144,7 +144,7 @@ def _range(signal: Signal) -> tuple[float, float]:
 
 
 def _no_values(message: BoundMessage, signal: Signal, raw: Raw, value: Floats, finite: Mask) -> dict[str, Mask]:
-    """Where there is no value (n,) and why, each with the first reason."""
+    """Masks (n,) of readings without a value, by the first reason that applies."""
     masks: dict[str, Mask] = {}
     left = np.ones(len(raw), dtype=bool)
     if message.j1939 and not signal.is_signed:

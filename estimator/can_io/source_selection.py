@@ -1,13 +1,13 @@
-"""The address from which each signal is taken, and the times in which none is used.
+"""Choice of the address from which each signal is taken, and of the times in which none is used.
 
-Traffic is judged in blocks of some seconds. The choice rests on the readings and can be revised:
+Traffic is judged in blocks of some seconds. The choice follows from the readings and can be revised:
 
-* The first address is the one with the most valid readings in a block; one that falls silent for ``release_s`` while
-  another sends is given up for it.
+* The first address is the one with the most valid readings in a block. If it is silent for ``release_s`` while another
+  one sends, the other one is chosen.
 * Readings that contradict each other (see `contradiction`) make a signal *contested*: no reading of it is used, until
   there has been no contradiction for ``contest_s``.
-* After a contest the address that was used before stays, if it still sends. Where another one replaces it, all that was
-  learnt from the first may be wrong: `Verdict.replaced`.
+* After a contest the previous address is kept if it still sends. If another one replaces it, everything learnt from the
+  first may be wrong: `Verdict.replaced`.
 
 Times are those of messages, so live and replayed traffic are judged alike.
 """
@@ -35,7 +35,7 @@ MIN_RIVAL_READINGS = 3  # readings in a block, below which a sender is no eviden
 
 
 class Kind(Enum):
-    """How the estimate uses a signal."""
+    """Use of a signal in the estimate."""
 
     MEASURED = auto()  # a term of the road load
     CONSTANT = auto()  # a property of the engine
@@ -60,10 +60,10 @@ KIND: dict[Role, Kind] = {role: kind for kind, roles in _KINDS.items() for role 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Which readings of a block are the signal's: ``taken`` (n,).
+    """Mask ``taken`` (n,) of the readings of the chosen sender in a block.
 
-    ``contested`` is the reason why they are not used, empty if they are. ``replaced``: they come from another sender
-    than the readings before, which was wrong or was never compared with this one.
+    ``contested`` is the reason why they are not used, empty if they are. ``replaced`` is True if their sender replaces
+    another one that was wrong, or that was never compared with this one.
     """
 
     taken: Mask
@@ -72,7 +72,7 @@ class Verdict:
 
 
 class Choice(Protocol):
-    """The sender of one signal, chosen block by block."""
+    """Interface for the choice of the sender of one signal, block by block."""
 
     source: int | None
 
@@ -80,20 +80,20 @@ class Choice(Protocol):
         """Judge the next block."""
 
     def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
-        """What judges the next blocks at once, to the same effect; None where each is to be judged by itself."""
+        """Fast path: a function that judges all these blocks with one verdict; None if each must be judged alone."""
 
     def release(self, is_other_vehicle: bool) -> None:
-        """Choose anew: another vehicle, or much time, may lie between the blocks."""
+        """Discard the choice: the next blocks may be of another vehicle or much later."""
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """State for `restore`."""
 
     def restore(self, state: State) -> None:
-        """Go on where another choice was."""
+        """Take the state of another choice."""
 
 
 class SenderChoice:
-    """The address from which a signal that varies is taken; see `choice`."""
+    """Chooses the address from which a varying signal is taken; see `choice`."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class SenderChoice:
         return Verdict(self._taken(heard), self._contest.reason, replaced)
 
     def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
-        """What judges the next blocks at once: the same sender as before in all that hold a value, uncontradicted."""
+        """Fast path if the present sender is in all blocks with a value, and nothing contradicts it; else None."""
         valid = heard.valid
         if self._configured is not None:
             valid = valid.of(valid.source == self._configured)
@@ -152,15 +152,15 @@ class SenderChoice:
         return take
 
     def _is_calm(self, valid: Heard, rate: OwnRate) -> bool:
-        own = valid.of(self._is_chosen(valid))
-        is_alone = len(own.t) == len(valid.t)
+        readings = valid.of(self._is_chosen(valid))
+        is_alone = len(readings.t) == len(valid.t)
         if not is_alone and self._kind is Kind.MEASURED:
             return False
-        if not is_alone and np.any((np.diff(own.bounds) == 0) & (np.diff(valid.bounds) > 0)):  # silent, others not
+        if not is_alone and np.any((np.diff(readings.bounds) == 0) & (np.diff(valid.bounds) > 0)):  # silent, others not
             return False
         if self._kind is Kind.AUXILIARY:
             return True
-        return not (self._repeating(own) or (self._is_rated and any(rate.exceeding(own, self._step))))
+        return not (self._repeating(readings) or (self._is_rated and any(rate.exceeding(readings, self._step))))
 
     def _taken(self, heard: Heard) -> Mask:
         return np.ones(len(heard.t), dtype=np.bool_) if self._is_of_all else self._is_chosen(heard)
@@ -170,18 +170,18 @@ class SenderChoice:
         return chosen
 
     def release(self, is_other_vehicle: bool) -> None:
-        """Choose anew: another vehicle, or much time, may lie between the blocks."""
+        """Discard the choice: the next blocks may be of another vehicle or much later."""
         self.source = self._configured
         self._last, self._agreed = {}, set()
         self._rate.forget()
         self._contest = Contest(self._patience)
 
     def state(self) -> dict[str, Any]:
-        """The sender and the contest; not what traffic shows again in seconds."""
+        """State for `restore`: sender and contest, without the rates, which traffic shows again in seconds."""
         return {"source": self.source, "contest": self._contest.state()}
 
     def restore(self, state: State) -> None:
-        """Go on where another choice was.
+        """Take the state of another choice.
 
         Raises
         ------
@@ -193,36 +193,36 @@ class SenderChoice:
         self._contest.restore(substate(state, "contest"))
 
     def _contradiction(self, senders: dict[int, Heard], end: float) -> str:
-        """Reason why the readings of a block are not used; empty where they are."""
+        """Contradiction in the readings of a block; empty without one."""
         if self._kind is Kind.AUXILIARY:
             return ""
         chosen = self.source if self.source in senders else next(iter(senders))
-        own = senders[chosen]
-        if self._kind is Kind.MEASURED and not self._agree(own, senders, chosen):
+        readings = senders[chosen]
+        if self._kind is Kind.MEASURED and not self._agree(readings, senders, chosen):
             return Contradiction.SENDERS_DISAGREE
-        if self._repeating(own):
+        if self._repeating(readings):
             self._rate.doubt(end)
             return Contradiction.ALTERNATING
-        if self._is_rated and any(self._rate.exceeding(own, self._step)):
+        if self._is_rated and any(self._rate.exceeding(readings, self._step)):
             return Contradiction.FASTER
         return ""
 
-    def _repeating(self, own: Heard) -> bool:
-        """Whether values alternate in any of the blocks."""
+    def _repeating(self, readings: Heard) -> bool:
+        """True if values alternate in any of the blocks."""
         if not self._is_j1939:
             return False
-        bounds = own.bounds
+        bounds = readings.bounds
         bounds = bounds[np.flatnonzero(np.diff(bounds, prepend=-1))]  # of blocks with readings
         if self._is_state:
-            return bool(are_flickering(own.value, bounds).any())
-        return bool(are_alternating(own.value, bounds, self._magnitude, self._step).any())
+            return bool(are_flickering(readings.value, bounds).any())
+        return bool(are_alternating(readings.value, bounds, self._magnitude, self._step).any())
 
-    def _agree(self, own: Heard, senders: dict[int, Heard], chosen: int) -> bool:
-        """Whether no other address contradicts the chosen one; stores those that agree with it."""
+    def _agree(self, readings: Heard, senders: dict[int, Heard], chosen: int) -> bool:
+        """True if no other address contradicts the chosen one; stores the addresses that agree with it."""
         for address, other in senders.items():
-            if address == chosen or len(other.t) < MIN_RIVAL_READINGS <= len(own.t):
+            if address == chosen or len(other.t) < MIN_RIVAL_READINGS <= len(readings.t):
                 continue
-            differ = is_disagreement(own.t, own.value, other.t, other.value, self._magnitude, self._step)
+            differ = is_disagreement(readings.t, readings.value, other.t, other.value, self._magnitude, self._step)
             if differ:
                 return False
             if differ is not None:
@@ -230,32 +230,32 @@ class SenderChoice:
         return True
 
     def _settle(self, senders: dict[int, Heard], end: float) -> bool:
-        """End the contest if an address sends; whether it is another one than before."""
+        """End the contest if an address sends; returns True if that replaces the previous one."""
         recent = [address for address, t in self._last.items() if t >= end - self._patience]
-        before = self._contest.before
+        previous = self._contest.before
         if not recent and self._kind is Kind.MEASURED:
             return False
         self._contest.settle()
-        if before in recent or not recent:
-            self.source = self.source if before is None else int(before)
+        if previous in recent or not recent:
+            self.source = self.source if previous is None else int(previous)
             return False
         self.source = next((address for address in senders), max(recent, key=lambda address: self._last[address]))
-        return before is not None
+        return previous is not None
 
     def _follow(self, senders: dict[int, Heard], end: float) -> bool:
-        """Choose the first sender, or give up one that is silent; whether it is replaced."""
+        """Choose the first sender, or another one if it is silent; returns True if an uncompared one replaces it."""
         if self.source in senders:
             return False
-        before, silent_since = self.source, self._last.setdefault(-1 if self.source is None else self.source, end)
-        if before is not None and end - silent_since < self._release:
+        previous, silent_since = self.source, self._last.setdefault(-1 if self.source is None else self.source, end)
+        if previous is not None and end - silent_since < self._release:
             return False
         self.source = next(iter(senders))
         self._rate.forget()
-        return before is not None and self._kind is Kind.MEASURED and self.source not in self._agreed
+        return previous is not None and self._kind is Kind.MEASURED and self.source not in self._agreed
 
 
 class ConstantChoice:
-    """The value of a constant and its sender: any other value, from whatever address, contests it."""
+    """Chooses the value of a constant and its sender; a different value from any address contests it."""
 
     def __init__(self, step: float, configured: int | None, settings: Bus) -> None:
         self.source = configured
@@ -286,12 +286,12 @@ class ConstantChoice:
         return Verdict(taken, self._contest.reason, replaced)
 
     def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
-        """What judges the next blocks at once: all values are the one in use."""
+        """Fast path if all values are the one in use; else None."""
         taken = np.isfinite(heard.value)
         if self._configured is not None:
             taken &= heard.source == self._configured
-        known = set(self._heard) | set(np.unique(heard.value[taken]).tolist())
-        if self._contest.reason or not known <= {self._value}:
+        sent = set(self._heard) | set(np.unique(heard.value[taken]).tolist())
+        if self._contest.reason or not sent <= {self._value}:
             return None
 
         def take() -> Verdict:
@@ -304,17 +304,17 @@ class ConstantChoice:
         return take
 
     def release(self, is_other_vehicle: bool) -> None:
-        """End a contest; the value stays where it is that of the vehicle, and any address may send it."""
+        """End a contest, and keep the value unless the vehicle is another one; any address may then send it."""
         self.source, self._heard = self._configured, {}
         self._value = None if is_other_vehicle else self._value
         self._contest = Contest(self._patience)
 
     def state(self) -> dict[str, Any]:
-        """The value, its sender and the contest."""
+        """State for `restore`: value, sender and contest."""
         return {"source": self.source, "value": self._value, "contest": self._contest.state()}
 
     def restore(self, state: State) -> None:
-        """Go on where another choice was.
+        """Take the state of another choice.
 
         Raises
         ------
@@ -332,17 +332,17 @@ class ConstantChoice:
         return close
 
     def _settle(self) -> bool:
-        """End the contest if one value alone has been sent; whether it is another one than before."""
+        """End the contest if only one value was sent lately; returns True if it differs from the previous one."""
         if len(self._heard) != 1:
             return False
-        before = self._contest.before
+        previous = self._contest.before
         self._contest.settle()
         self._value = next(iter(self._heard))
-        return before is not None and self._value != before
+        return previous is not None and self._value != previous
 
 
 def choice(message: BoundMessage, bound: BoundSignal, settings: Bus) -> Choice:
-    """How to choose the sender of a signal; where ids hold no address, all readings count as from address 0."""
+    """Return the choice of sender for a signal; if ids have no address, all readings count as from address 0."""
     configured = message.source if message.names_sender else NO_ADDRESS
     step = 0.0 if bound.signal.is_float else abs(float(bound.signal.scale) * bound.conversion.scale)
     if KIND.get(bound.role) is Kind.CONSTANT:

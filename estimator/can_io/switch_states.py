@@ -1,7 +1,7 @@
-"""Which values of a switch mean on and which off, by the texts of the DBC's value table.
+"""States of a switch, on or off, from the texts of the DBC's value table.
 
-Makers number the states of a switch as they like: 0 off, 1 on; 1 not applied, 2 applied; 0 pressed, 1 released. The
-texts say which is which. A table whose texts do not name both states decides nothing.
+Makers number the states of a switch differently: 0 off, 1 on; 1 not applied, 2 applied; 0 pressed, 1 released. The
+texts of the table define them. A table whose texts do not name both states is not used.
 """
 
 import re
@@ -41,16 +41,16 @@ _CLOSED = _set("engaged coupled closed geschlossen")
 
 @dataclass(frozen=True, slots=True)
 class States:
-    """Values that mean on, and those that mean nothing, as the DBC scales them; all others mean off."""
+    """Values that mean on, and those without a meaning, as scaled by the DBC; all others mean off."""
 
     on: tuple[float, ...]
     unknown: tuple[float, ...] = ()
 
 
 def states_of(choices: Mapping[int, object], scale: float, offset: float, is_clutch: bool = False) -> States | None:
-    """States by the texts of a value table of raw values; None if they do not name both on and off.
+    """Read states from the texts of a value table of raw values; None if they do not name both on and off.
 
-    A switch ``is_clutch`` is on where the pedal is pressed: the clutch is open.
+    A clutch switch (``is_clutch``) is on if the pedal is pressed and the clutch is open.
     """
     meaning = {raw * scale + offset: is_on(str(text), is_clutch) for raw, text in choices.items()}
     if not {True, False} <= set(meaning.values()):
@@ -62,14 +62,14 @@ def states_of(choices: Mapping[int, object], scale: float, offset: float, is_clu
 
 
 def configured(raw: Iterable[int], choices: Mapping[int, object], scale: float, offset: float) -> States:
-    """States where the configuration says which ``raw`` values mean on; texts still say which mean nothing."""
+    """States whose ``raw`` values for on are configured; the texts define only the values without a meaning."""
     on = tuple(value * scale + offset for value in raw)
     no_state = (value * scale + offset for value, text in choices.items() if not _is_state(_words(str(text))))
     return States(on=on, unknown=tuple(value for value in no_state if value not in on))
 
 
 def is_on(text: str, is_clutch: bool = False) -> bool | None:
-    """Whether a text such as "Not_Applied" or "BrakePressed" names the state on, off, or none of both."""
+    """True if a text such as "BrakePressed" names the state on, False if off ("Not_Applied"), None if neither."""
     words = _words(text)
     if not _is_state(words):
         return None
@@ -82,7 +82,7 @@ def is_on(text: str, is_clutch: bool = False) -> bool | None:
 
 
 def _is_state(words: frozenset[str]) -> bool:
-    """Whether a text may name a state: "invalid", "not available" and "n/a" name none."""
+    """True if a text may name a state: "invalid", "not available" and "n/a" name none."""
     is_negated = bool(words & _NEGATIONS)
     return not (words & _NO_STATE or (is_negated and words & _NO_STATE_IF_NEGATED) or words == {"n", "a"})
 

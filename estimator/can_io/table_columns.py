@@ -1,7 +1,7 @@
-"""The columns of a table of measurements: what they are used for, their units, and the messages that stand for them.
+"""Columns of a table of measurements: their roles, their units, and the messages that represent them.
 
-A table takes the way of frames: each value of a row is a frame of one number, as of a lake of decoded signals, so that
-times and values are judged as those of a bus are.
+A table is processed as frames: each value of a row is a frame of one number, as in a lake of decoded signals. Times
+and values are so judged as those of a bus.
 """
 
 import re
@@ -27,7 +27,7 @@ WITH_UNIT = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*", re.
 
 @dataclass(frozen=True)
 class Column:
-    """A ``name``d column in a ``unit``, read for a ``role``; ``is_force``: times the speed it is that power."""
+    """Column ``name`` in a ``unit``, read for a ``role``; ``is_force``: its product with the speed is that power."""
 
     role: Role
     name: str
@@ -36,24 +36,24 @@ class Column:
 
     @property
     def signal(self) -> str:
-        """Its name as that of a signal: letters, digits and underscores."""
+        """Name of its signal: letters, digits and underscores."""
         return re.sub(r"\W+", "_", self.name).strip("_") or "column"
 
     @property
     def path(self) -> str:
-        """Its place in the binding, ``MESSAGE.signal``."""
+        """Path ``MESSAGE.signal`` in the binding."""
         return f"{self.role.value}.{self.signal}"
 
 
 def split_unit(text: str) -> tuple[str, str | None]:
-    """``speed [km/h]`` as the name of a column and its unit, None where there are no brackets."""
+    """Split ``speed [km/h]`` into the name of a column and its unit; None without brackets."""
     match = WITH_UNIT.fullmatch(text)
     assert match is not None  # it takes any text
     return match["name"], match["unit"]
 
 
 def columns_of(table: Table) -> list[Column]:
-    """The columns of a table, in the order of the configuration.
+    """Columns of a table, in the order of the configuration.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def columns_of(table: Table) -> list[Column]:
 
 
 def _misfit(key: str, role: Role, unit: str | None) -> str:
-    """Reason why a unit does not fit what a column is read for; empty where it does."""
+    """Reason why a unit does not fit the role of a column; empty if it fits."""
     if key == FORCE:
         return "" if (unit or "").lower() in FORCE_UNITS else f"needs one of the units {' '.join(FORCE_UNITS)}"
     dimension = DIMENSION[role]
@@ -100,17 +100,17 @@ def _misfit(key: str, role: Role, unit: str | None) -> str:
 
 
 def binding_of(table: Table) -> Mapping[str, str]:
-    """Role to ``MESSAGE.signal``, as for a bus."""
+    """Binding of each role to ``MESSAGE.signal``, as for a bus."""
     return {column.role.value: column.path for column in columns_of(table)}
 
 
 def database_of(table: Table) -> Database:
-    """A database of one message for each column, a number of 64 bits in the column's unit."""
+    """Database of one message for each column, a 64-bit number in the unit of the column."""
     return Database([_message(i, column) for i, column in enumerate(columns_of(table))])
 
 
 def ident_of(index: int) -> int:
-    """Identifier of the frames of a column by its place."""
+    """Identifier of the frames of a column, by its index."""
     return EXTENDED | FIRST_IDENT | index << 8
 
 

@@ -1,4 +1,4 @@
-"""Frames in the order of their times.
+"""Ordering of frames by time.
 
 Loggers with several channels, and gateways that record a transport message as a whole, write frames up to a second
 after later ones. Such frames are put in order. A larger step back means another recording, or a clock that was set.
@@ -19,17 +19,17 @@ NO_TIME = "time that is no number from 0 to 1e11 s"
 
 
 def is_time(t: float) -> bool:
-    """Whether ``t`` [s] can be the time of a frame."""
+    """True if ``t`` [s] can be the time of a frame."""
     return 0 <= t <= MAX_TIME
 
 
 def latest_before(t: Floats, latest: float) -> Floats:
-    """The latest time (n + 1,) [s] before each of the times ``t`` (n,) and after them, given the ``latest`` so far."""
+    """Running maximum (n + 1,) [s] before each of the times ``t`` (n,), and after all; ``latest`` is that so far."""
     return np.maximum.accumulate(np.concatenate(([latest], t)))
 
 
 class TimeOrder:
-    """Puts frames in order that come at most MAX_DELAY late; frames of equal time stay in order of arrival.
+    """Sorts frames that come at most MAX_DELAY late; frames of equal time stay in order of arrival.
 
     The result does not depend on how the frames are cut into batches.
 
@@ -38,7 +38,7 @@ class TimeOrder:
     reordered : int
         Frames that came after one with a later time.
     steps_back : int
-        Frames that came later than MAX_DELAY: the first of another recording.
+        Frames that came more than MAX_DELAY late, each the first of another recording.
     refused : collections.Counter[str]
         Frames without a usable time.
     """
@@ -74,7 +74,7 @@ class TimeOrder:
             frames = frames[end:]
 
     def finish(self) -> Frames:
-        """The frames still held, when nothing more comes or what comes is another recording."""
+        """Return the frames still held, at the end of the traffic or of a recording."""
         held = self._held
         self._start()
         return held
@@ -86,7 +86,7 @@ class TimeOrder:
         self._held = joined
 
     def _release(self) -> Frames:
-        """Part with the frames that the next one, MAX_DELAY late at most, cannot precede."""
+        """Return the frames that no later frame, at most MAX_DELAY late, can precede."""
         due = int(np.searchsorted(self._held.t, self._latest - MAX_DELAY, side="right"))
         due = max(due, len(self._held) - MAX_HELD)
         released, self._held = self._held[:due], self._held[due:]

@@ -1,4 +1,4 @@
-"""Sending of J1939 messages of more than 8 bytes (SAE J1939-21, 5.10): to all by BAM, to one node by RTS and CTS.
+"""Sending of J1939 messages of more than 8 bytes (SAE J1939-21, 5.10), to all by BAM or to one node by RTS and CTS.
 
 One broadcast, and one connection with each of a few nodes, run at a time, as J1939-21 demands. Data packets are sent
 singly, 50 ms apart, which is the least that J1939-21 allows in a broadcast.
@@ -32,7 +32,7 @@ NO_LIMIT = 0xFF  # packets that we accept in one CTS
 
 @dataclass(kw_only=True)
 class _Session:
-    """A message on its way to ``destination``; packets are counted from 1."""
+    """Unfinished message to ``destination``; packets are counted from 1."""
 
     destination: int
     pgn: int
@@ -47,7 +47,7 @@ class _Session:
         return -(-len(self.payload) // PACKET_BYTES)
 
     def control(self, first: bytes) -> bytes:
-        """A frame of connection management: its first five bytes, and the PGN."""
+        """Frame of connection management, of its first five bytes and the PGN."""
         return first + self.pgn.to_bytes(3, "little")
 
     def announcement(self) -> bytes:
@@ -61,7 +61,7 @@ class _Session:
 
 
 class TransportSender:
-    """Messages in, frames out; times are seconds that never decrease."""
+    """Cuts messages into frames; times are seconds that never decrease."""
 
     def __init__(self) -> None:
         self._sessions: dict[int, _Session] = {}  # by destination
@@ -69,18 +69,18 @@ class TransportSender:
 
     @property
     def is_idle(self) -> bool:
-        """Whether no message is on its way."""
+        """True if no message is unfinished."""
         return not self._sessions
 
     def send(self, destination: int, pgn: int, payload: bytes) -> bool:
-        """Send 9 to 1785 bytes to one node, or to all where ``destination`` is GLOBAL.
+        """Send 9 to 1785 bytes to one node, or to all if ``destination`` is GLOBAL.
 
-        False, and nothing is sent, while a message to the same destination, or to too many others, is on its way.
+        Returns False, and sends nothing, while messages to this destination, or to too many others, are unfinished.
 
         Raises
         ------
         ValueError
-            The payload is of another size.
+            The payload has another size.
         """
         if not CLASSIC_BYTES < len(payload) <= MAX_BYTES:
             raise ValueError(f"{len(payload)} bytes: the transport protocol takes 9 to {MAX_BYTES}")
@@ -91,7 +91,7 @@ class TransportSender:
         return True
 
     def hear(self, source: int, data: bytes, t: float) -> None:
-        """Take a frame of connection management (8 bytes) that ``source`` sent to us at time ``t`` [s]."""
+        """Process a frame of connection management (8 bytes) from ``source`` to this node at time ``t`` [s]."""
         session = self._sessions.get(source)
         if session is None or not session.is_announced or len(data) != CLASSIC_BYTES:
             return
@@ -107,7 +107,7 @@ class TransportSender:
                 session.allowed = min(session.packets, following + count - 1)
 
     def poll(self, t: float, address: int) -> list[can.Message]:
-        """Frames that are due at time ``t`` [s], from ``address``; what another address began is dropped."""
+        """Return the frames due at time ``t`` [s] from ``address``; messages begun from another address are dropped."""
         if self._address not in (None, address):
             self._sessions = {}
         self._address = address

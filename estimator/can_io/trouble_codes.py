@@ -33,7 +33,7 @@ class Fmi(IntEnum):
 
 @dataclass(frozen=True, order=True)
 class TroubleCode:
-    """What is faulty (suspect parameter number) and how (failure mode identifier)."""
+    """Faulty parameter (suspect parameter number) and kind of fault (failure mode identifier)."""
 
     spn: int
     fmi: int
@@ -42,17 +42,17 @@ class TroubleCode:
         return f"SPN {self.spn} FMI {self.fmi}"
 
     def encoded(self, count: int) -> bytes:
-        """Four bytes, with the occurrence count 0..127."""
+        """Encode in four bytes, with the occurrence count 0..127."""
         return (self.spn & 0xFFFF).to_bytes(2, "little") + bytes([self.spn >> 16 << 5 | self.fmi, count])
 
     @classmethod
     def decoded(cls, data: bytes) -> "tuple[TroubleCode, int]":
-        """A code and its occurrence count from four bytes."""
+        """Decode a code and its occurrence count from four bytes."""
         return cls(int.from_bytes(data[:2], "little") | data[2] >> 5 << 16, data[2] & 0x1F), data[3] & 0x7F
 
 
 class TroubleMemory:
-    """Codes that are active, and those that were.
+    """Active and previously active codes.
 
     Attributes
     ----------
@@ -66,34 +66,34 @@ class TroubleMemory:
         self._since: dict[TroubleCode, float] = {}  # [s] when a fault was first seen, without a break
 
     def observe(self, present: Collection[TroubleCode], t: float) -> bool:
-        """Take the faults that there are at time ``t`` [s], which never decreases; whether the active codes changed."""
-        before = set(self.active)
+        """Take the faults at time ``t`` [s], which never decreases; returns True if the active codes changed."""
+        previously_active = set(self.active)
         self._since = {code: self._since.get(code, t) for code in sorted(present)}
-        for code in before - set(present):
+        for code in previously_active - set(present):
             self.previous[code] = self.active.pop(code)
         for code, since in self._since.items():
             if code not in self.active and t - since >= CONFIRM_S and len(self.active) < MAX_CODES:
                 self.active[code] = min(MAX_COUNT, self.previous.pop(code, 0) + 1)
         self._shorten()
-        return set(self.active) != before
+        return set(self.active) != previously_active
 
     def remember(self, codes: Iterable[tuple[TroubleCode, int]]) -> None:
-        """Take codes of an earlier run as previously active."""
+        """Add codes of an earlier run as previously active."""
         self.previous = dict(codes) | self.previous
         self._shorten()
 
     def clear_previous(self) -> bool:
-        """Forget what is no longer active; whether there was something."""
+        """Delete the previously active codes; returns True if there were any."""
         had, self.previous = bool(self.previous), {}
         return had
 
     def clear_active(self) -> bool:
-        """Forget what is active; whether there was something. A fault that lasts is active again after CONFIRM_S."""
+        """Delete the active codes; True if there were any. A lasting fault is active again after CONFIRM_S."""
         had, self.active, self._since = bool(self.active), {}, {}
         return had
 
     def message(self, pgn: int) -> bytes:
-        """The content of DM1 or DM2: 8 bytes, or 2 + 4 n for n > 1 codes."""
+        """Payload of DM1 or DM2: 8 bytes, or 2 + 4 n for n > 1 codes."""
         codes = self.active if pgn == DM1 else self.previous
         content = b"".join(code.encoded(count) for code, count in codes.items()) or bytes(CODE_BYTES)
         return (bytes([LAMPS_OFF, NO_FLASH]) + content).ljust(FRAME_BYTES, b"\xff")
@@ -104,7 +104,7 @@ class TroubleMemory:
 
 
 def codes_of(message: bytes) -> list[tuple[TroubleCode, int]]:
-    """The codes in a DM1 or DM2, with their occurrence counts."""
+    """Codes in the payload of a DM1 or DM2, with their occurrence counts."""
     whole = (len(message) - 2) // CODE_BYTES
     parts = [message[2 + CODE_BYTES * i : 2 + CODE_BYTES * (i + 1)] for i in range(whole)]
     return [TroubleCode.decoded(part) for part in parts if part not in (bytes(CODE_BYTES), b"\xff" * CODE_BYTES)]

@@ -123,11 +123,17 @@ def budget(
     powers = [
         _powers(drive, others, process, rng) for drive, others, process in zip(drives, possible, unnamed, strict=True)
     ]
-    residuals = tuple(_residuals(each, given) for each in powers)
-    residual = np.concatenate([each.residual for each in powers])
+    residuals = tuple(_residuals(drive_powers, given) for drive_powers in powers)
+    residual = np.concatenate([drive_powers.residual for drive_powers in powers])
     total = _rms(residual)
-    drawn = _joined([each.draws for each in powers], [np.zeros((len(each.residual), DRAWS)) for each in powers])
-    held_out = _joined([each.held_out for each in powers], [np.zeros(len(each.residual)) for each in powers])
+    drawn = _joined(
+        [drive_powers.draws for drive_powers in powers],
+        [np.zeros((len(drive_powers.residual), DRAWS)) for drive_powers in powers],
+    )
+    held_out = _joined(
+        [drive_powers.held_out for drive_powers in powers],
+        [np.zeros(len(drive_powers.residual)) for drive_powers in powers],
+    )
     chosen = {component.name for drive in drives for component in drive.chosen}
     weak = dict.fromkeys(c.name for others in possible for c in others if c.name not in chosen)
     small = [
@@ -137,8 +143,8 @@ def budget(
         drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
     shares = {cause: residual @ draws / (residual @ residual) for cause, draws in drawn.items()}
     all_but_noise = 1 - sum(share for cause, share in shares.items() if cause in (NOISE, WHITE, *given))
-    found = all_but_noise - sum((shares[cause] for cause in (*weak, OTHERS) if cause in shares), np.zeros(DRAWS))
-    parts = [_part(cause, residual, drawn, held_out, given, (found, all_but_noise)) for cause in drawn]
+    found_share = all_but_noise - sum((shares[cause] for cause in (*weak, OTHERS) if cause in shares), np.zeros(DRAWS))
+    parts = [_part(cause, residual, drawn, held_out, given, (found_share, all_but_noise)) for cause in drawn]
     base, reached = _rms(_without(residual, held_out, given)), _rms(_without(residual, held_out, held_out))
     return Budget(
         total=total,
@@ -154,9 +160,9 @@ def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dic
 
     The arrays are removed from ``drives``, so that none is in memory twice.
     """
-    causes = dict.fromkeys(cause for each in drives for cause in each)
+    causes = dict.fromkeys(cause for drive in drives for cause in drive)
     return {
-        cause: np.concatenate([each.pop(cause, b) for each, b in zip(drives, blank, strict=True)]) for cause in causes
+        cause: np.concatenate([drive.pop(cause, b) for drive, b in zip(drives, blank, strict=True)]) for cause in causes
     }
 
 
@@ -258,9 +264,9 @@ def _rest(
         yield ROAD, slopes
     del residuals, unknowns, some
     scales = drive.fit.scales.values
-    own, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
-    share = (disturbance**2 / (disturbance**2 + own))[:, None]
-    doubt = np.sqrt(share * (1 - share) * (own + disturbance**2)[:, None])
+    remaining, disturbance = joint.model.noise_variance(scales), scales[DISTURBANCE]
+    share = (disturbance**2 / (disturbance**2 + remaining))[:, None]
+    doubt = np.sqrt(share * (1 - share) * (remaining + disturbance**2)[:, None])
     gusts = share * white + doubt * rng.standard_normal(white.shape)
     yield WHITE, gusts
     yield NOISE, errors + white - gusts
@@ -290,23 +296,25 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
     """Acceleration (n,) [m/s^2] by each effect and the road on stretches left out of the fit."""
     strides = drive.strides
     places = np.flatnonzero(strides.known)
-    found: dict[str, Floats] = {name: np.zeros(len(places)) for name in (*names, *([] if drive.is_level else [ROAD]))}
+    accelerations: dict[str, Floats] = {
+        name: np.zeros(len(places)) for name in (*names, *([] if drive.is_level else [ROAD]))
+    }
     for out in left_out(len(places), FOLDS, STRETCH):
-        known = strides.known.copy()
-        known[places[out]] = False
-        rest = replace(strides, known=known)
-        state = replace(drive, strides=rest, fit=replace(drive.fit, strides=rest[known]))
+        is_kept = strides.known.copy()
+        is_kept[places[out]] = False
+        rest = replace(strides, known=is_kept)
+        state = replace(drive, strides=rest, fit=replace(drive.fit, strides=rest[is_kept]))
         joint = state.joint
         posterior = joint.posterior(range(len(drive.chosen)))
         left = strides[places[out]]
         frame = Frame.of(replace(drive.fit, strides=left))
         for i, component in enumerate(drive.chosen):
             amplitude = posterior.mean[joint.places[i]]
-            found[names[i]][out] = component.columns(frame) @ amplitude
+            accelerations[names[i]][out] = component.columns(frame) @ amplitude
         if drive.is_level:
             continue
         unknowns = joint.conditioned.unknowns(joint.residual(posterior.mean * joint.unit))
-        found[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(left, unknowns)
+        accelerations[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(left, unknowns)
         if drive.stretches is not None:
-            found[ROAD][out] += drive.stretches.columns(frame) @ posterior.mean[joint.stretches]
-    return found
+            accelerations[ROAD][out] += drive.stretches.columns(frame) @ posterior.mean[joint.stretches]
+    return accelerations

@@ -63,11 +63,11 @@ class FoundForms:
 
     def add(self, number: int, drive: DriveState) -> None:
         """Record times and terms of everything chosen on a drive, and the times of its stretches of road."""
-        for one, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
-            if one.is_timed and one.spans:
-                self.times[number].add(one.spans)
-            if one.term is not None:
-                self.shape(number, one.term, size)
+        for component, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
+            if component.is_timed and component.spans:
+                self.times[number].add(component.spans)
+            if component.term is not None:
+                self.shape(number, component.term, size)
         if drive.stretches is not None and drive.stretches.spans:
             self.times[number].add(drive.stretches.spans)
 
@@ -77,17 +77,16 @@ class Candidates:
 
     Fitted times of effects come from four proposals. Those beside the latest chosen terms are renewed once these or
     their times change, or the slow noise halves or doubles. Those of fits without timed terms and stretches are kept.
-    Those that replace all timed terms are renewed once effects of other names or the first stretches of road are
-    chosen, because two effects may share the times that one of them has. Those ``found`` by earlier searches are
-    reused.
+    Those that replace all timed terms are renewed with the first stretches of road, and with effects of other names:
+    two effects may share the times that one of them has. Those of earlier searches, in ``forms``, are reused.
 
-    Shapes near those of chosen effects are candidates, and shapes near those ``found`` by earlier searches too.
+    Shapes near those of chosen effects are candidates, and so are shapes near those in ``forms``.
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.
     """
 
-    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]], found: FoundForms) -> None:
+    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]], forms: FoundForms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
-        self._given, self._found = given, found
+        self._given, self._forms = given, forms
         self._latest: dict[int, _Proposed] = {}
         self._untimed: dict[int, set[Spans]] = defaultdict(set)
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
@@ -121,18 +120,18 @@ class Candidates:
             names = frozenset(component.name for component in drive.chosen), steep is None
             if number not in self._instead or self._instead[number][0] != names:
                 self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
-        own = [component.spans for component in drive.chosen if component.is_timed and component.spans]
-        own += [] if steep is None else [steep]
-        both = {union(a, b) for a, b in combinations(own, 2)}
+        present = [component.spans for component in drive.chosen if component.is_timed and component.spans]
+        present += [] if steep is None else [steep]
+        both = {union(a, b) for a, b in combinations(present, 2)}
         proposed = self._latest[number].times | self._instead[number][1] | self._untimed[number]
-        proposed |= self._found.times[number]
-        return _different({*own, *both, *proposed}, own, drive.fit.strides.t)
+        proposed |= self._forms.times[number]
+        return _different({*present, *both, *proposed}, present, drive.fit.strides.t)
 
     def _as_the_bus_tells(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Effects that act always, that a signal shows, or that begin at a standstill."""
-        known = frozenset(drive.strides.context)
+        quantities = frozenset(drive.strides.context)
         for effect in self._effects:
-            for component in of_effect(frame, effect, known):
+            for component in of_effect(frame, effect, quantities):
                 term = component.term
                 assert term is not None
                 yield Candidate(
@@ -144,9 +143,9 @@ class Candidates:
 
     def _finer(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Shapes near those of chosen effects and of effects found before; given effects keep their shapes."""
-        chosen = [(one.term, size) for one, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if one.term]
-        own = {term.effect.name: (term, size) for term, size in chosen}
-        for term, size in (self._found.shapes[number] | own).values():
+        chosen = [(c.term, size) for c, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if c.term]
+        present = {term.effect.name: (term, size) for term, size in chosen}
+        for term, size in (self._forms.shapes[number] | present).values():
             if not is_free(term) or term.effect not in self._effects:
                 continue
             for finer in near(term, size):
@@ -159,15 +158,15 @@ class Candidates:
         self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
     ) -> Iterator[Candidate]:
         """Effects at fitted times, and at the times of chosen effects with other times added or subtracted."""
-        before = self._costs[number]  # costs of the last round: most times recur
+        last_costs = self._costs[number]  # costs of the last round: most times recur
         costs = self._costs[number] = {}
         for effect in self._timed:
-            own = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
-            changed = {change(spans, other) for spans in own for other in times for change in (union, without)}
-            for spans in _different({*times, *changed}, own, frame.strides.t):
+            present = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
+            changed = {change(spans, other) for spans in present for other in times for change in (union, without)}
+            for spans in _different({*times, *changed}, present, frame.strides.t):
                 key = effect.timing, effect.dwells, spans  # many effects share dwells
                 if key not in costs:
-                    costs[key] = before[key] if key in before else _cost(spans, effect, frame.strides.t)
+                    costs[key] = last_costs[key] if key in last_costs else _cost(spans, effect, frame.strides.t)
                 cost = costs[key]
                 if cost is not None:
                     component = of_term(frame, Term(effect, None, spans), cost)
@@ -178,21 +177,23 @@ class Candidates:
 
         The times of the latest chosen stretches are also united with, reduced by and cut at the proposed times.
         """
-        own, changed = None if drive.stretches is None else drive.stretches.spans, set[Spans]()
-        if own:
-            self._steep[number].add(own)
-            changed = {change(own, new) for new in self._latest[number].times for change in (union, without, cut)}
-        for spans in _different({*times, *changed, *self._steep[number]}, [own] if own else [], frame.strides.t):
+        present, changed = None if drive.stretches is None else drive.stretches.spans, set[Spans]()
+        if present:
+            self._steep[number].add(present)
+            changed = {change(present, new) for new in self._latest[number].times for change in (union, without, cut)}
+        for spans in _different(
+            {*times, *changed, *self._steep[number]}, [present] if present else [], frame.strides.t
+        ):
             for component in stretches(frame, spans):
                 yield Candidate(cause=component.name, is_event=True, form=spans, component=component)
 
 
-def _different(times: Set[Spans], own: Sequence[Spans], t: Floats) -> list[Spans]:
-    """Sorted times that differ on the strides at ``t`` (n,) [s]; the term's ``own`` times take precedence.
+def _different(times: Set[Spans], preferred: Sequence[Spans], t: Floats) -> list[Spans]:
+    """Sorted times that differ on the strides at ``t`` (n,) [s]; the term's ``preferred`` times take precedence.
 
     Times that differ only within gaps have the same column and would be counted several times.
     """
-    alike = {seen(spans, t): spans for spans in [*sorted(times), *own]}
+    alike = {seen(spans, t): spans for spans in [*sorted(times), *preferred]}
     return sorted(alike.values())
 
 

@@ -79,16 +79,16 @@ class DriveState:
 
     @classmethod
     def of(
-        cls, strides: Strides, rests: tuple[AtRest, ...] = (), is_level: bool = False, known: RoadScales | None = None
+        cls, strides: Strides, rests: tuple[AtRest, ...] = (), is_level: bool = False, scales: RoadScales | None = None
     ) -> "DriveState | None":
         """Drive without chosen terms; None if no fit is possible or its 1/m is not positive.
 
-        ``known``: scales of an earlier fit to start from.
+        ``scales``: scales of an earlier fit to start from.
         """
-        found = fit(strides, np.random.default_rng(PROBE_SEED), (), known, level=is_level, rests=rests)
-        if found is None or not found.beta[0] > 0:
+        fitted = fit(strides, np.random.default_rng(PROBE_SEED), (), scales, level=is_level, rests=rests)
+        if fitted is None or not fitted.beta[0] > 0:
             return None
-        return cls(strides=strides, fit=found, rests=rests)
+        return cls(strides=strides, fit=fitted, rests=rests)
 
     def having(
         self,
@@ -103,8 +103,8 @@ class DriveState:
         frame, further = Frame.of(self.fit), (*processes, *(() if stretches is None else (stretches,)))
         terms = [replace(component.term, usual_sds=1.0) for component in chosen if component.term is not None]
         terms += [term for process in further for term in as_terms(frame, process)]
-        found = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), terms, self.rests)
-        return replace(self, fit=found, chosen=chosen, stretches=stretches)
+        fitted = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), terms, self.rests)
+        return replace(self, fit=fitted, chosen=chosen, stretches=stretches)
 
     @property
     def sizes(self) -> Floats:
@@ -130,15 +130,15 @@ class DriveState:
         values = self.fit.scales.values.copy()
         for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):
             values[i] = min(values[i], SCALES[i].centre)
-        known = replace(self.fit.scales, values=values)
+        scales = replace(self.fit.scales, values=values)
         rng, terms = np.random.default_rng(PROBE_SEED), self.fit.terms
-        found = fit_given(self.strides, rng, known, terms, rests=self.rests)
-        return self if found is None else replace(self, fit=found)
+        fitted = fit_given(self.strides, rng, scales, terms, rests=self.rests)
+        return self if fitted is None else replace(self, fit=fitted)
 
     def is_possible(self, given: int) -> bool:
         """True if every effect after the first ``given`` ones is within its limits for the fitted road load."""
-        own = zip(self.chosen[given:], self.sizes[given:].tolist(), strict=True)
-        effects = [(c.term.effect, size) for c, size in own if c.term is not None]
+        sized = zip(self.chosen[given:], self.sizes[given:].tolist(), strict=True)
+        effects = [(c.term.effect, size) for c, size in sized if c.term is not None]
         load = Frame.of(self.fit).road_load
         return all(abs(size) <= effect.limit(load) and size <= effect.highest for effect, size in effects)
 
@@ -160,7 +160,7 @@ class DriveState:
         rng = np.random.default_rng(PROBE_SEED)
         joint = JointLikelihood(self._conditioned, self.fit, components, rng, stretches)
         for rest in self.rests:
-            terms = {i: one.term for i, one in enumerate(components) if one.term is not None}
+            terms = {i: component.term for i, component in enumerate(components) if component.term is not None}
             per_unit = {i: term.at_rest(rest) for i, term in terms.items()}
             weights = {i: power / rest.sd for i, power in per_unit.items() if power}
             joint.observe(weights, rest.power / rest.sd)
@@ -168,22 +168,22 @@ class DriveState:
 
     def forms(self, effects: Sequence[Effect]) -> dict[str, Form]:
         """Best form of each of ``effects`` that is not chosen and that this drive can test, by name."""
-        known, frame = frozenset(self.strides.context), Frame.of(self.fit)
+        quantities, frame = frozenset(self.strides.context), Frame.of(self.fit)
         present = {component.name for component in self.chosen}
         absent = [effect for effect in effects if effect.name not in present]
-        given = [component for effect in absent for component in of_effect(frame, effect, known)]
+        given = [component for effect in absent for component in of_effect(frame, effect, quantities)]
         joint, ours = self.joint_with(given), list(range(len(self.chosen)))
         places = range(len(ours), len(ours) + len(given))
         judged = joint.gains(ours, places)
-        switching, found = Switching(joint), dict[str, Form]()
+        switching, best_forms = Switching(joint), dict[str, Form]()
         for effect in absent:
             alike = [i for i, component in enumerate(given) if component.name == effect.name]
             if alike:
-                found[effect.name] = _best(frame, given, judged, alike)
+                best_forms[effect.name] = _best(frame, given, judged, alike)
             timed = _timed(switching, joint, ours, effect) if has_free_times(effect) else None
-            if timed is not None and (effect.name not in found or timed.gain > found[effect.name].gain):
-                found[effect.name] = timed
-        return found
+            if timed is not None and (effect.name not in best_forms or timed.gain > best_forms[effect.name].gain):
+                best_forms[effect.name] = timed
+        return best_forms
 
 
 def slow_noise(scales: Floats) -> Floats:

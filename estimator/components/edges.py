@@ -38,11 +38,11 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
     moves = MOVES[np.abs(MOVES) < half]
     leaving = [cost_of_leaving(spans[i][side], side == 1, term.effect, t) for i, side in edges]
     column = _Column(*_products(joint, chosen, term, edges, moves), sd=term.effect.usual(joint.frame.road_load))
-    found = [list(span) for span in spans]
+    edited = [list(span) for span in spans]
     for (i, side), move in zip(edges, _best_moves(column, leaving, len(moves)), strict=True):
         if move >= 0:
-            found[i][side] += float(moves[move])
-    return tuple((a, b) for a, b in found)
+            edited[i][side] += float(moves[move])
+    return tuple((a, b) for a, b in edited)
 
 
 def _products(
@@ -56,10 +56,10 @@ def _products(
     spans, t = term.spans or (), joint.frame.strides.t
     profile, column = joint.frame.column(replace(term, spans=None)), joint.frame.column(term)
     near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
-    each = [sp.csc_array((profile[near] * _moved(t[near], spans[i][side], moves, side)).T) for i, side in edges]
+    moved = [sp.csc_array((profile[near] * _moved(t[near], spans[i][side], moves, side)).T) for i, side in edges]
     single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
     G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
-    changes = sp.hstack(each, format="csc") if each else sp.csc_array((len(near), 0))
+    changes = sp.hstack(moved, format="csc") if moved else sp.csc_array((len(near), 0))
     return G, s, sp.block_diag([sp.csc_array([[1.0]]), changes], format="csc")
 
 
@@ -87,20 +87,20 @@ def _best_moves(column: "_Column", leaving: Sequence[float], number: int) -> lis
     taken, paid = [-1] * len(leaving), 0.0
     best = float(column.evidence())
     for _ in range(MAX_SWEEPS):
-        before = best
+        previous = best
         for k, cost in enumerate(leaving):
-            own = 1 + k * number + np.arange(number)
+            columns = 1 + k * number + np.arange(number)
             if taken[k] >= 0:
-                column.change(own[taken[k]], -1.0)
+                column.change(columns[taken[k]], -1.0)
                 paid -= cost
             stay = float(column.evidence()) - paid
-            gains = column.evidence_with(own) - (paid + cost)
+            gains = column.evidence_with(columns) - (paid + cost)
             taken[k] = int(np.argmax(gains)) if gains.max(initial=-np.inf) > stay else -1
             best = max(float(gains.max(initial=-np.inf)), stay)
             if taken[k] >= 0:
-                column.change(own[taken[k]], 1.0)
+                column.change(columns[taken[k]], 1.0)
                 paid += cost
-        if best <= before + MIN_SWEEP_GAIN:
+        if best <= previous + MIN_SWEEP_GAIN:
             break
     return taken
 
@@ -121,8 +121,8 @@ class _Column:
 
     def _products_with(self, k: int) -> Floats:
         """Products (1 + k,) of column ``k`` with all columns."""
-        own = slice(self._made.indptr[k], self._made.indptr[k + 1])
-        products: Floats = self._transposed @ (self._G[:, self._made.indices[own]] @ self._made.data[own])
+        elements = slice(self._made.indptr[k], self._made.indptr[k + 1])
+        products: Floats = self._transposed @ (self._G[:, self._made.indices[elements]] @ self._made.data[elements])
         return products
 
     def change(self, k: int, sign: float) -> None:
@@ -135,7 +135,10 @@ class _Column:
         """Log evidence of the amplitude of the column."""
         return amplitude_evidence(np.array(self._score), np.array(self._strength), self._sd, positive=False)
 
-    def evidence_with(self, own: NDArray[np.intp]) -> Floats:
-        """Log evidence (c,) of the amplitude with each of the changes ``own`` (c,) added alone."""
-        score, strength = self._score + self._s[own], self._strength + 2 * self._cross[own] + self._squares[own]
+    def evidence_with(self, changes: NDArray[np.intp]) -> Floats:
+        """Log evidence (c,) of the amplitude with each of ``changes`` (c,) added alone."""
+        score, strength = (
+            self._score + self._s[changes],
+            self._strength + 2 * self._cross[changes] + self._squares[changes],
+        )
         return amplitude_evidence(score, strength, self._sd, positive=False)

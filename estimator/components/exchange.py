@@ -1,11 +1,11 @@
 """Blocks of a drive in which an effect is on, found by exchanging runs of blocks.
 
-Amplitude b and times z (one of two states a block) have the log evidence
+The amplitude b and the times z (one of two states for each block) have the log evidence
 
     1/2 (z's)^2 / (z'Gz + 1/sd^2) - 1/2 log(1 + sd^2 z'Gz) - costs of changes of state
 
-with s and G the scores and products of a profile cut into blocks, everything else in the model eliminated (costs:
-`time_prior.py`). Every run of blocks is tried; the best is switched on or off as long as that adds evidence.
+with s and G the scores and products of a profile cut into blocks, everything else in the model eliminated. The costs
+are those of `time_prior.py`. Every run of blocks is tried; the best is switched on or off as long as evidence rises.
 """
 
 from collections.abc import Sequence
@@ -36,18 +36,20 @@ def exchanged(
     first, last = first[short], last[short] + 1
     corner = np.zeros((b + 1, b + 1))
     corner[1:, 1:] = G.cumsum(axis=0).cumsum(axis=1)
-    own = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
+    run_strength = corner[last, last] - corner[first, last] - corner[last, first] + corner[first, first]
     best = 0.0
     for _ in range(MAX_EXCHANGES):
         active = on.astype(float)
         score, strength = float(s @ active), float(active @ G @ active)
-        scores, crosses, counts = (np.insert(np.cumsum(each), 0, 0.0) for each in (s, G @ active, active))
+        scores, crosses, counts = (np.insert(np.cumsum(values), 0, 0.0) for values in (s, G @ active, active))
         in_run = counts[last] - counts[first]
         runs = np.flatnonzero((in_run == 0) | (in_run == last - first))  # all of one state
         begin, end, switch = first[runs], last[runs], np.where(in_run[runs] == 0, 1.0, -1.0)
         more, edges = changes.by_run(on, begin, end)
         scored, crossed = scores[end] - scores[begin], crosses[end] - crosses[begin]
-        gain = amplitude_evidence(score + switch * scored, strength + 2 * switch * crossed + own[runs], sd, positive)
+        gain = amplitude_evidence(
+            score + switch * scored, strength + 2 * switch * crossed + run_strength[runs], sd, positive
+        )
         gain -= changes.cost(on) + switch * more
         if single:  # a run at the beginning or the end of the drive has an edge there
             outer = (begin == 0).astype(float) + (end == b)
@@ -65,7 +67,7 @@ class Changes:
 
     def __init__(self, costs: Sequence[Costs]) -> None:
         self._begins, self._ends, self._stays = (
-            np.array([getattr(one, name) for one in costs]) for name in ("begins", "ends", "stays")
+            np.array([getattr(cost, name) for cost in costs]) for name in ("begins", "ends", "stays")
         )
 
     def cost(self, on: Mask) -> float:

@@ -40,8 +40,8 @@ class Ranked:
     @property
     def best(self) -> tuple[int, Form]:
         """Number of the drive with most evidence, and the form there."""
-        found = [(i, form) for i, form in enumerate(self.each) if form is not None]
-        return max(found, key=lambda pair: pair[1].gain)
+        forms = [(i, form) for i, form in enumerate(self.each) if form is not None]
+        return max(forms, key=lambda pair: pair[1].gain)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,9 +113,9 @@ class Explained:
 
 def ranked(drives: Sequence[DriveState], effects: Sequence[Effect]) -> tuple[Ranked, ...]:
     """Effects that some drive can test and that are not chosen, those with most evidence first."""
-    each = [drive.forms(effects) for drive in drives]
-    joined = [Ranked(effect, tuple(found.get(effect.name) for found in each)) for effect in effects]
-    return tuple(sorted((one for one in joined if any(one.each)), key=lambda one: -one.gain))
+    by_drive = [drive.forms(effects) for drive in drives]
+    joined = [Ranked(effect, tuple(forms.get(effect.name) for forms in by_drive)) for effect in effects]
+    return tuple(sorted((entry for entry in joined if any(entry.each)), key=lambda entry: -entry.gain))
 
 
 def log_evidence(drives: Sequence[DriveState]) -> float:
@@ -149,7 +149,7 @@ def explained_by(
 
     def without(others: Set[int]) -> float:
         """Log Bayes factor of the most probable hypothesis without ``others``; 0 where it is negative."""
-        alone = next(own for own in table.sets if not others & set(own))
+        alone = next(forms_of_set for forms_of_set in table.sets if not others & set(forms_of_set))
         return max(joint.unlimited(alone) - none, 0.0)
 
     return Explained(
@@ -157,7 +157,7 @@ def explained_by(
         choices=tuple(sorted(choices, key=lambda choice: -choice.log_bayes_factor)),
         ranking=first,
         beside=ranked(states, effects) if choices else first,
-        probability={name: table.holding(own) for name, own in forms_of.items()},
+        probability={name: table.holding(forms_of_set) for name, forms_of_set in forms_of.items()},
         none=1 - table.holding([*of_kind[Kind.EFFECT], *unnamed]),
         nameless=_nameless(joint, table, causes, named, unnamed),
         beyond_low_pass=_nameless(joint, table, causes, [*named, *low_pass], unnamed - low_pass),
@@ -174,7 +174,7 @@ def _choice(
 ) -> Choice:
     """Choice of an ``effect`` that is in the chosen hypothesis ``best``."""
     forms = forms_of[effect.name]
-    own = [i for i in best if i in forms]
+    chosen_forms = [i for i in best if i in forms]
     absent = {name: others for name, others in forms_of.items() if not set(others) & set(best)}
     rival, either = table.rival(forms, absent)
     return Choice(
@@ -182,8 +182,8 @@ def _choice(
         probability=table.holding(forms),
         rival=rival,
         either=either,
-        log_bayes_factor=joint.unlimited(best) - joint.unlimited([i for i in best if i not in own]),
-        drive=max(sorted({n for i in own for n in joint.each[i]}), key=lambda n: len(joint.drives[n].strides)),
+        log_bayes_factor=joint.unlimited(best) - joint.unlimited([i for i in best if i not in chosen_forms]),
+        drive=max(sorted({n for i in chosen_forms for n in joint.each[i]}), key=lambda n: len(joint.drives[n].strides)),
     )
 
 

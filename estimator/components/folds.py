@@ -13,8 +13,8 @@ FOLDS, STRETCHES = 5, 20  # of a record, for cross-validation
 def left_out(n: int, folds: int, length: int) -> Iterator[Mask]:
     """Mask (n,) of the rows that each of ``folds`` leaves out: in every round of ``folds`` stretches, one of each fold.
 
-    A stretch has ``length`` rows. The order is random in every round. At equal distances a fan that switches with their
-    period would act in the stretches of one fold only, and none of the others would show its size.
+    A stretch has ``length`` rows. The order is random in every round. With a fixed order, a fan that switches with the
+    same period would act in the stretches of one fold only, and no other fold would show its size.
     """
     stretch = np.arange(n) // max(length, 1)
     rounds = np.tile(np.arange(folds), (n // (folds * max(length, 1)) + 1, 1))

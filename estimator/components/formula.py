@@ -68,7 +68,7 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, judge
         Returns log Bayes factor, value and sd (c,) of columns (n, c) that have the rms of the residual. Each is judged
         alone beside everything else in the model, with the prior N(0, 1) of its amplitude.
     """
-    found: list[tuple[float, float, float, Sequence[Factor]]] = []
+    best_of_batches: list[tuple[float, float, float, Sequence[Factor]]] = []
     formulas = list(_formulas(variables))
     for start in range(0, len(formulas), BATCH):
         batch = formulas[start : start + BATCH]
@@ -80,10 +80,10 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, judge
         size = np.sqrt(np.mean(columns**2, axis=0)) / rms
         gains, values, sds = judge(columns / size)
         k = int(np.argmax(gains))
-        found.append((float(gains[k]), float(values[k] / size[k]), float(sds[k] / size[k]), batch[k]))
-    if not found:
+        best_of_batches.append((float(gains[k]), float(values[k] / size[k]), float(sds[k] / size[k]), batch[k]))
+    if not best_of_batches:
         return None
-    gain, value, sd, factors = max(found, key=lambda row: row[0])
+    gain, value, sd, factors = max(best_of_batches, key=lambda row: row[0])
     return Formula(
         text=" ".join(factor.text for factor in factors),
         value=value,
@@ -102,10 +102,10 @@ def judged(products: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _formulas(variables: Mapping[str, Variable]) -> Iterator[tuple[Factor, ...]]:
     factors = {name: list(_factors(name, variable)) for name, variable in variables.items()}
-    for own in factors.values():
-        yield from ((factor,) for factor in own)
-    for one, other in combinations(factors.values(), 2):
-        yield from ((a, b) for a in one for b in other)
+    for group in factors.values():
+        yield from ((factor,) for factor in group)
+    for first, other in combinations(factors.values(), 2):
+        yield from ((a, b) for a in first for b in other)
 
 
 def _column(factors: Sequence[Factor]) -> Floats:
@@ -142,15 +142,15 @@ def units_of(text: str) -> dict[str, int]:
     ValueError
         A bracket, a power without a unit, or an exponent that is not a whole number.
     """
-    found: dict[str, int] = {}
-    for place, part in enumerate(text.replace("*", " ").replace("·", " ").split("/")):
+    exponents: dict[str, int] = {}
+    for position, part in enumerate(text.replace("*", " ").replace("·", " ").split("/")):
         for symbol in part.split():
             power = re.fullmatch(r"([^()^]+)(?:\^([+-]?\d+))?", symbol)
             if power is None:
                 raise ValueError(f'the unit "{text}" is no product of whole powers such as "kg m/s^2"')
             if power[1] != "1":
-                found[power[1]] = found.get(power[1], 0) + int(power[2] or 1) * (-1 if place else 1)
-    return found
+                exponents[power[1]] = exponents.get(power[1], 0) + int(power[2] or 1) * (-1 if position else 1)
+    return exponents
 
 
 def _quotient(unit: str, factors: Sequence[Factor]) -> str:

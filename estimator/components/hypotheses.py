@@ -37,10 +37,10 @@ class OtherSets:
     covariance: Floats
 
 
-def _mixed(chosen: Moments, each: Sequence[Moments], weights: Floats) -> OtherSets:
+def _mixed(chosen: Moments, members: Sequence[Moments], weights: Floats) -> OtherSets:
     """Moments of a mixture minus those of ``chosen`` (law of total variance)."""
-    shift, spread = between(weights, np.array([mean - chosen[0] for mean, _ in each]))
-    within = sum(w * (covariance - chosen[1]) for w, (_, covariance) in zip(weights.tolist(), each, strict=True))
+    shift, spread = between(weights, np.array([mean - chosen[0] for mean, _ in members]))
+    within = sum(w * (covariance - chosen[1]) for w, (_, covariance) in zip(weights.tolist(), members, strict=True))
     return OtherSets(shift, spread + within)
 
 
@@ -66,21 +66,25 @@ class Hypotheses:
         candidates: Sequence[Iterable[Candidate]],
     ) -> None:
         self.drives, self.given = drives, given
-        found: dict[Key, dict[int, Component]] = defaultdict(dict)
+        components: dict[Key, dict[int, Component]] = defaultdict(dict)
         for number, own_candidates in enumerate(candidates):
-            for one in own_candidates:
-                found[one.cause, number if one.is_event else None, one.form][number] = one.component
-        self.keys, self.each = list(found), list(found.values())
-        own = [[each[number] for each in self.each if number in each] for number in range(len(drives))]
-        known = [
-            tuple(replace(component, largest=np.inf, highest=np.inf) for component in each) for each in given
+            for candidate in own_candidates:
+                components[candidate.cause, number if candidate.is_event else None, candidate.form][number] = (
+                    candidate.component
+                )
+        self.keys, self.each = list(components), list(components.values())
+        on_drives = [
+            [by_drive[number] for by_drive in self.each if number in by_drive] for number in range(len(drives))
+        ]
+        unlimited = [
+            tuple(replace(component, largest=np.inf, highest=np.inf) for component in terms) for terms in given
         ]  # without limits of their sizes
-        self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, known, own, strict=True)]
+        self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, unlimited, on_drives, strict=True)]
         count = [len(start) for start in given]
         self._places: list[dict[int, int]] = []
-        for each in self.each:
-            self._places.append({number: count[number] for number in each})
-            for number in each:
+        for by_drive in self.each:
+            self._places.append({number: count[number] for number in by_drive})
+            for number in by_drive:
                 count[number] += 1
 
     def before(self) -> Chosen:
@@ -89,9 +93,11 @@ class Hypotheses:
             (*drive.chosen[len(given) :], *([] if drive.stretches is None else [drive.stretches]))
             for drive, given in zip(self.drives, self.given, strict=True)
         ]
-        marks = [{(component.name, component.term, component.spans) for component in own} for own in acting]
-        found = (all((c.name, c.term, c.spans) in marks[n] for n, c in each.items()) for each in self.each)
-        return tuple(i for i, is_there in enumerate(found) if is_there)
+        marks = [
+            {(component.name, component.term, component.spans) for component in components} for components in acting
+        ]
+        is_chosen = (all((c.name, c.term, c.spans) in marks[n] for n, c in by_drive.items()) for by_drive in self.each)
+        return tuple(i for i, is_there in enumerate(is_chosen) if is_there)
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
         """Log evidence of a hypothesis, less costs; minus infinity if a size is impossible, given terms excepted."""
@@ -127,8 +133,8 @@ class Hypotheses:
 
     def _here(self, chosen: Sequence[int], number: int) -> list[int]:
         """Numbers of the given terms and of a hypothesis' terms in the likelihood of one drive."""
-        own = [self._places[i][number] for i in chosen if number in self._places[i]]
-        return [*range(len(self.given[number])), *own]
+        places = [self._places[i][number] for i in chosen if number in self._places[i]]
+        return [*range(len(self.given[number])), *places]
 
     def others(self, table: ModelTable, chosen: Chosen) -> tuple[OtherSets, ...]:
         """Contribution of hypotheses with other causes to the base coefficients, for each drive.
@@ -137,11 +143,15 @@ class Hypotheses:
         """
         likely = table.probability > MIN_PROBABILITY
         weights = table.probability[likely] / table.probability[likely].sum()
-        sets = [own for own, counts in zip(table.sets, likely, strict=True) if counts]
+        sets = [hypothesis for hypothesis, counts in zip(table.sets, likely, strict=True) if counts]
         causes = {self.keys[i][:2] for i in chosen}
-        sets = [chosen if {self.keys[i][:2] for i in own} == causes else own for own in sets]
+        sets = [chosen if {self.keys[i][:2] for i in hypothesis} == causes else hypothesis for hypothesis in sets]
         return tuple(
-            _mixed(joint.base(self._here(chosen, n)), [joint.base(self._here(own, n)) for own in sets], weights)
+            _mixed(
+                joint.base(self._here(chosen, n)),
+                [joint.base(self._here(hypothesis, n)) for hypothesis in sets],
+                weights,
+            )
             for n, joint in enumerate(self._joints)
         )
 
@@ -151,14 +161,16 @@ class Hypotheses:
         Each is taken from the most probable hypothesis that contains it.
         """
         names = {self.component(i).name for i in table.best}
-        for own in (own for own, p in zip(table.sets, table.probability, strict=True) if p > MIN_PROBABILITY):
-            new = [i for i in own if self.component(i).name not in names]
+        for hypothesis in (
+            hypothesis for hypothesis, p in zip(table.sets, table.probability, strict=True) if p > MIN_PROBABILITY
+        ):
+            new = [i for i in hypothesis if self.component(i).name not in names]
             names |= {self.component(i).name for i in new}
             for form in new:
                 for number, component in self.each[form].items():
                     if component.term is not None and is_free(component.term):
-                        here, place = self._here(own, number), self._places[form][number]
-                        yield number, component.term, self._joints[number].value(here, place)
+                        here, column = self._here(hypothesis, number), self._places[form][number]
+                        yield number, component.term, self._joints[number].value(here, column)
 
     def component(self, i: int) -> Component:
         """One of the components of form ``i``; all have the same name."""
@@ -169,7 +181,7 @@ class Hypotheses:
         grouped: dict[Key, list[int]] = defaultdict(list)
         for i, key in enumerate(self.keys):
             grouped[key[:2]].append(i)
-        kinds = {own: self.kind(forms[0]) for own, forms in grouped.items()}
+        kinds = {cause: self.kind(forms[0]) for cause, forms in grouped.items()}
         number = Counter(kinds.values())
         log_odds = {
             Kind.EFFECT: np.log(ODDS_OF_EFFECTS / max(number[Kind.EFFECT], 1)),
@@ -178,19 +190,19 @@ class Hypotheses:
         }
         return [
             Cause(
-                name=" ".join(map(str, own)),
-                is_named=kinds[own] is Kind.EFFECT,
+                name=" ".join(map(str, cause)),
+                is_named=kinds[cause] is Kind.EFFECT,
                 forms=tuple(forms),
-                log_odds=float(log_odds[kinds[own]]),
+                log_odds=float(log_odds[kinds[cause]]),
                 log_forms=float(np.log(max(sum(not self.component(i).is_timed for i in forms), 1))),
             )
-            for own, forms in grouped.items()
+            for cause, forms in grouped.items()
         ]
 
     def log_prior(self, chosen: Chosen, causes: Sequence[Cause]) -> float:
         """Log prior odds of a hypothesis among ``causes`` against none, costs of its times included."""
-        own = [(cause.log_prior, form) for cause in causes for form in cause.forms if form in chosen]
-        return sum(log_odds - self.component(form).cost for log_odds, form in own)
+        present = [(cause.log_prior, form) for cause in causes for form in cause.forms if form in chosen]
+        return sum(log_odds - self.component(form).cost for log_odds, form in present)
 
     def gain(self, chosen: Chosen, form: int) -> float:
         """Log Bayes factor of one form given the others of a hypothesis, less its cost."""

@@ -62,16 +62,16 @@ class JointLikelihood(SetLikelihood):
         base_precision = np.concatenate([np.diag(base.prior), of_stretches])
         super().__init__(self._products(self.columns), base_precision, self.components, places, unit)
         widest = np.concatenate([base_precision, np.full(columns.shape[1], np.inf)])
-        for place, component in zip(places, components, strict=True):
-            widest[place] = np.minimum(widest[place], component.sd**-2.0)
+        for columns_of, component in zip(places, components, strict=True):
+            widest[columns_of] = np.minimum(widest[columns_of], component.sd**-2.0)
         believed = self._information + np.diag(widest)
         self._information -= limited(self._noise(base, fit, rng), believed)
         self._moment = self._moment + ANSWERED * self._answered(base, fit)
 
     def _tall(self, columns: Floats | sp.sparray) -> sp.csc_array:
         """Columns (m, c) extended with zero rows to the length of the data (n, c)."""
-        found = sp.csc_array(columns)
-        return sp.csc_array((found.data, found.indices, found.indptr), (len(self.response), found.shape[1]))
+        sparse = sp.csc_array(columns)
+        return sp.csc_array((sparse.data, sparse.indices, sparse.indptr), (len(self.response), sparse.shape[1]))
 
     def _products(self, columns: sp.csc_array) -> Floats:
         """Products (1 + c, 1 + c) of the response and ``columns`` (n, c), weighted by K^-1."""
@@ -110,10 +110,10 @@ class JointLikelihood(SetLikelihood):
         """Components that contain the measured force, their columns, and the places of force, lag, drag and these."""
         noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
         components = [self.components[i] for i in noisy]
-        columns, own = _shared(components, self.frame, 0)
+        columns, columns_of = _shared(components, self.frame, 0)
         places = np.zeros(3 + columns.shape[1], dtype=np.int64)
         places[:3] = 0, LAG, DRAG
-        for here, i in zip(own, noisy, strict=True):
+        for here, i in zip(columns_of, noisy, strict=True):
             places[3 + here] = self.places[i]
         return components, columns, places
 
@@ -150,15 +150,15 @@ def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[
     at: dict[object, int] = {}
     rows, values = [np.empty(0, dtype=np.int64)], [np.empty(0)]
     places: dict[int, NDArray[np.int64]] = {}
-    for key, one in {id(one.columns): one for one in components}.items():
-        own = one.columns(frame).T
-        names = [column.tobytes() if one.is_slope else (key, k) for k, column in enumerate(own)]
-        for column, name in zip(own, names, strict=True):
+    for key, component in {id(component.columns): component for component in components}.items():
+        transposed = component.columns(frame).T
+        names = [column.tobytes() if component.is_slope else (key, k) for k, column in enumerate(transposed)]
+        for column, name in zip(transposed, names, strict=True):
             if name not in at:
                 at[name] = len(at)
                 rows.append(np.flatnonzero(column))
                 values.append(column[rows[-1]])
         places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
-    ends = np.cumsum([len(one) for one in rows])  # the first, empty list gives the leading 0
+    ends = np.cumsum([len(part) for part in rows])  # the first, empty list gives the leading 0
     columns = sp.csc_array((np.concatenate(values), np.concatenate(rows), ends), (len(frame.strides), len(at)))
-    return columns, [places[id(one.columns)] for one in components]
+    return columns, [places[id(component.columns)] for component in components]

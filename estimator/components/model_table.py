@@ -1,9 +1,10 @@
-"""The table of models: sets of causes with their posterior probabilities.
+"""Table of models: hypotheses (sets of forms of causes) with their posterior probabilities.
 
-Sets gain and lose one form at a time from those within Occam's window of the best (Madigan & Raftery 1994): a nameless
-process that stands for two candidates at first is left behind once both are there. The best one exchanges forms too:
-what explains most alone need not do so beside others. Steps begin at the empty set, and at one that was found before:
-two effects that explain most together may each explain little alone. Probabilities are sums over the table.
+The table grows by steps that add or remove one form, from sets within Occam's window of the best (Madigan & Raftery
+1994). A nameless process that first replaces two effects is so removed once both are in the set. The best set also
+exchanges forms, because the form with most evidence alone need not have most beside others. Steps begin at the empty
+set, and at a set from an earlier table: two effects may have most evidence together, and little alone. Probabilities
+are sums over the table.
 """
 
 from collections import defaultdict
@@ -26,20 +27,21 @@ Chosen = tuple[int, ...]
 
 
 class Evidence(Protocol):
-    """Of sets of forms, by their numbers."""
+    """Interface for the evidence of sets of forms, which are given by their numbers."""
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
-        """Of one set, less the costs of its forms."""
+        """Log evidence of one set, less the costs of its forms."""
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """Of the set with each of ``others`` added (c,)."""
+        """Log evidence (c,) of the set with each of ``others`` added."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """A candidate or a nameless process: the numbers of its forms, and the log prior odds that it acts.
+    """Effect or nameless process that may act: numbers of its forms, and log prior odds that it acts.
 
-    ``log_forms``: log of the number of forms that share these odds; forms with a cost of their own are not among them.
+    ``log_forms`` is the log of the number of forms that share these odds equally. Forms with a cost are not counted:
+    their cost is their prior probability.
     """
 
     name: str
@@ -50,13 +52,13 @@ class Cause:
 
     @property
     def log_prior(self) -> float:
-        """Of each form, against the cause's absence."""
+        """Log prior odds of each form against the absence of the cause, costs not counted."""
         return self.log_odds - self.log_forms
 
 
 @dataclass(frozen=True)
 class ModelTable:
-    """Sets of forms and their probabilities (m,), most probable first."""
+    """Sets of forms and their posterior probabilities (m,), most probable first."""
 
     sets: tuple[Chosen, ...]
     probability: Floats
@@ -64,7 +66,7 @@ class ModelTable:
 
     @property
     def best(self) -> Chosen:
-        """The most probable set."""
+        """Most probable set."""
         return self.sets[0]
 
     @property
@@ -74,12 +76,12 @@ class ModelTable:
 
     @cached_property
     def _having(self) -> dict[int, NDArray[np.intp]]:
-        """Numbers of the sets that hold each form."""
+        """Numbers of the sets that contain each form."""
         numbers: dict[int, list[int]] = defaultdict(list)
-        for number, own in enumerate(self.sets):
-            for form in own:
+        for number, chosen in enumerate(self.sets):
+            for form in chosen:
                 numbers[form].append(number)
-        return {form: np.array(own, dtype=np.intp) for form, own in numbers.items()}
+        return {form: np.array(sets, dtype=np.intp) for form, sets in numbers.items()}
 
     def holding(self, forms: Iterable[int]) -> float:
         """Probability that any of ``forms`` acts."""
@@ -89,12 +91,13 @@ class ModelTable:
         return min(float(self.probability[held].sum()), 1.0)  # rounding may add to more
 
     def rival(self, forms: Sequence[int], others: Mapping[str, Sequence[int]]) -> tuple[str, float]:
-        """Which of ``others``, by their forms, acts where none of ``forms`` does, and the probability that either acts.
+        """Name of the one of ``others`` that most likely acts if ``forms`` do not, and probability that either acts.
 
-        Empty, with the probability of ``forms`` alone, if none of them is more likely than not there.
+        ``others`` are forms by name. The name is empty, with the probability of ``forms``, if none of them has a
+        probability above 0.5 given that ``forms`` do not act.
         """
         alone = self.holding(forms)
-        either = {name: self.holding([*forms, *own]) for name, own in others.items()}
+        either = {name: self.holding([*forms, *other_forms]) for name, other_forms in others.items()}
         rival = max(either, key=lambda name: either[name], default="")
         return (rival, either[rival]) if rival and either[rival] - alone > (1 - alone) / 2 else ("", alone)
 
@@ -102,13 +105,13 @@ class ModelTable:
 def weigh(
     likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES, before: Chosen = ()
 ) -> ModelTable:
-    """Grow the table from the empty set and from that found ``before``, up to sets of ``max_causes``."""
+    """Make the table from steps from the empty set and the set ``before``, with at most ``max_causes`` in a set."""
     log = dict[Chosen, float]()
     for start in dict.fromkeys(((), before)):
         _grow(start, log, likelihood, causes, max_causes)
-    order = sorted(log, key=lambda own: -log[own])
-    values = np.array([log[own] for own in order])
-    others = [log[own] for own in order if own]
+    order = sorted(log, key=lambda chosen: -log[chosen])
+    values = np.array([log[chosen] for chosen in order])
+    others = [log[chosen] for chosen in order if chosen]
     odds = float(logsumexp(others)) - log[()] if others else -np.inf
     return ModelTable(tuple(order), np.exp(values - logsumexp(values)), odds)
 
@@ -116,34 +119,34 @@ def weigh(
 def _grow(
     start: Chosen, log: dict[Chosen, float], likelihood: Evidence, causes: Sequence[Cause], max_causes: int
 ) -> None:
-    """Add ``start`` and the sets that steps from it lead to, with their log probabilities, to ``log``."""
+    """Add ``start`` and the sets reached from it, with their log posterior up to a constant, to ``log``."""
     prior = {form: cause.log_prior for cause in causes for form in cause.forms}
 
-    def probable(own: Chosen) -> float:
-        return likelihood.log_evidence(own) + sum(prior[form] for form in own)
+    def probable(chosen: Chosen) -> float:
+        return likelihood.log_evidence(chosen) + sum(prior[form] for form in chosen)
 
     frontier, log[start] = [start], probable(start)
     for _ in range(2 * max_causes):  # up to the largest sets, and down again
-        found: dict[Chosen, float] = {}
-        for own in frontier:
-            smaller = [tuple(form for form in own if form != gone) for gone in own]
-            found |= {one: probable(one) for one in smaller if one not in log and one not in found}
-            for base in (own, *smaller) if own == frontier[0] else (own,):
+        reached: dict[Chosen, float] = {}
+        for chosen in frontier:
+            smaller = [tuple(form for form in chosen if form != gone) for gone in chosen]
+            reached |= {subset: probable(subset) for subset in smaller if subset not in log and subset not in reached}
+            for base in (chosen, *smaller) if chosen == frontier[0] else (chosen,):
                 added = _addable(base, causes, max_causes)
                 more = likelihood.with_each(base, added) + [prior[form] for form in added] if added else np.empty(0)
                 values = more + sum(prior[form] for form in base)
                 larger = [tuple(sorted((*base, form))) for form in added]
-                found |= dict(zip(larger, values.tolist(), strict=True))
-        new = sorted(found.keys() - log.keys(), key=lambda own: (-found[own], own))
-        log |= {own: found[own] for own in new}
+                reached |= dict(zip(larger, values.tolist(), strict=True))
+        new = sorted(reached.keys() - log.keys(), key=lambda chosen: (-reached[chosen], chosen))
+        log |= {chosen: reached[chosen] for chosen in new}
         least = max(log.values()) - WINDOW
-        frontier = [own for own in new[:BEAM] if found[own] > least]
+        frontier = [chosen for chosen in new[:BEAM] if reached[chosen] > least]
         if not frontier:
             break
 
 
-def _addable(own: Chosen, causes: Sequence[Cause], max_causes: int) -> list[int]:
-    """Forms of causes that are absent from a set; none once it is full."""
-    if len(own) >= max_causes:
+def _addable(chosen: Chosen, causes: Sequence[Cause], max_causes: int) -> list[int]:
+    """Forms of the causes that a set lacks; none if it has ``max_causes``."""
+    if len(chosen) >= max_causes:
         return []
-    return [form for cause in causes if not set(own) & set(cause.forms) for form in cause.forms]
+    return [form for cause in causes if not set(chosen) & set(cause.forms) for form in cause.forms]

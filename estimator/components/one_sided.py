@@ -1,4 +1,4 @@
-"""Gaussians of magnitudes that cannot be negative."""
+"""Gaussian distributions truncated at zero, for magnitudes that cannot be negative."""
 
 from collections.abc import Iterable
 
@@ -9,27 +9,27 @@ from estimator.signals import Floats
 
 
 def above_zero(value: Floats, sd: Floats) -> tuple[Floats, Floats]:
-    """Mean and sd of N(``value``, ``sd``^2) cut at zero, all (c,)."""
+    """Mean and sd (c,) of N(``value``, ``sd``^2) truncated to positive values."""
     at = value / sd
     raised = np.exp(-0.5 * at**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(at))  # normal density over its integral
     return value + sd * raised, sd * np.sqrt(np.maximum(1 - raised * (raised + at), 0.0))
 
 
 def log_evidence_of_sign(at: Floats | float) -> Floats:
-    """What amplitudes gain by half of a Gaussian prior, beside the whole one, by their means over their sds ``at``."""
+    """Gain in log evidence of a half-Gaussian prior over the whole Gaussian; ``at``: posterior mean over sd."""
     gained: Floats = log_ndtr(at) + np.log(2)
     return gained
 
 
 def cut_at_zero(mean: Floats, covariance: Floats, places: Iterable[int]) -> tuple[Floats, Floats]:
-    """Mean (p,) and covariance (p, p) of a Gaussian with each of ``places`` cut at zero, one after another.
+    """Mean (p,) and covariance (p, p) of a Gaussian with the elements ``places`` truncated at zero, one by one.
 
-    The other amplitudes follow as the data make them follow; exact for one place.
+    The other elements change by their regression on the truncated one. The moments are exact for one place.
     """
-    for place in places:
-        variance = covariance[place, place]
-        value, sd = above_zero(mean[[place]], np.sqrt([variance]))
-        along = covariance[:, place] / variance
-        mean = mean + along * (value[0] - mean[place])
+    for i in places:
+        variance = covariance[i, i]
+        value, sd = above_zero(mean[[i]], np.sqrt([variance]))
+        along = covariance[:, i] / variance
+        mean = mean + along * (value[0] - mean[i])
         covariance = covariance + np.outer(along, along) * (sd[0] ** 2 - variance)
     return mean, covariance

@@ -1,9 +1,8 @@
-"""The plain model of a drive: the road load on a level road, fitted to the power of its strides by least squares.
+"""Plain model of a drive: the road load on a level road, fitted to the power of its strides by least squares.
 
     P = A v + C v^3 + m v a + lag dP/dt + drag min(P, 0)
 
-This is the paper's criterion on strides of one second. Its residual is the gap: what a budget splits, a page draws, and
-a table of places lists.
+This is the paper's criterion on strides of one second. Its residual is the gap, which the budget splits into causes.
 """
 
 import numpy as np
@@ -20,21 +19,21 @@ MAX_CONDITION = 3e3  # condition number of the columns, scaled to one: beyond, t
 
 
 class PlainModel:
-    """Least squares of the power at the driven strides of a fit, off which any power can be projected.
+    """Least-squares fit of the power at the driven strides of a fit; it projects any power off its columns.
 
     Parameters
     ----------
     fit
-        Of the strides: it tells the lag of the power, and the strides whose force is known.
+        Fit of the road model: gives the strides whose force is known, and the lag of the power.
     is_aligned
-        Whether the power is moved by that lag; otherwise it is as it was measured.
+        True if the power is shifted by that lag; otherwise it is as measured.
 
     Attributes
     ----------
     power : Floats
         Measured power [W] (n,).
     second : ndarray
-        Places (k,) of the later stride of each pair that a mean over 2 s is taken of.
+        Indices (k,) of the later stride of each pair, over which means of 2 s are taken.
     """
 
     def __init__(self, fit: RoadFit, is_aligned: bool = True) -> None:
@@ -57,16 +56,16 @@ class PlainModel:
 
     @property
     def is_determined(self) -> bool:
-        """Whether A, C and m can be told apart."""
+        """True if the columns of A, C and m are independent, with a condition number below MAX_CONDITION."""
         return bool(np.linalg.cond(self._columns[:, :ROAD_LOAD]) < MAX_CONDITION)
 
     def as_power(self, acceleration: Floats, masses: Floats) -> Floats:
-        """Power [W] (n, d) that takes an acceleration [m/s^2] (n,) or (n, d) from vehicles of ``masses`` [kg] (d,)."""
+        """Power -m v a [W] (n, d) for an acceleration a [m/s^2] (n,) or (n, d) of vehicles of ``masses`` [kg] (d,)."""
         power: Floats = -acceleration.reshape(len(self._speed), -1) * self._speed[:, None] * masses
         return power
 
     def residual(self, power: Floats) -> Floats:
-        """Means over 2 s (k, ...) of ``power`` (n, ...), off the columns of the plain road load."""
+        """Residual (k, ...) of ``power`` (n, ...) after its projection off the plain road load, as means over 2 s."""
         rest = power - self._columns @ np.linalg.lstsq(self._columns, power, rcond=None)[0]
         return self.paired(rest)
 
@@ -77,7 +76,7 @@ class PlainModel:
 
     @property
     def road_load(self) -> tuple[Floats, Floats]:
-        """A [N], C [N s^2/m^2] and m [kg] (3,), and their standard deviations (3,); the residual is autocorrelated."""
+        """A [N], C [N s^2/m^2] and m [kg] (3,), and their sds (3,), which allow for an autocorrelated residual."""
         inverse = np.linalg.pinv(self._columns)
         theta = inverse @ self.power
         influence = inverse * (self.power - self._columns @ theta)
@@ -90,8 +89,8 @@ class PlainModel:
 def _sd(influence: Floats, parameters: int) -> float:
     """Standard deviation of a parameter from its ``influence`` (n,).
 
-    The fit uses up a degree of freedom for each of its ``parameters`` (dof / left), and the estimate is Student
-    distributed (left / (left - 2)).
+    The variance is multiplied by dof / left, because the fit takes one degree of freedom for each of ``parameters``.
+    It is also multiplied by left / (left - 2), the variance of the Student distribution.
     """
     variance, dof = long_run_variance(influence)
     left = max(dof - parameters, MIN_DOF)

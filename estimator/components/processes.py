@@ -1,7 +1,7 @@
-"""Nameless processes: what acts without being in the catalogue, as columns with a prior.
+"""Nameless processes: columns with a prior, for causes that are not in the catalogue.
 
-Most are hat functions along an axis, times what they are proportional to. A swing has one period during the whole
-drive; a mass on a spring and a damper rings on after accelerations; a power or a force may be switched.
+Most are hat functions along an axis, times a profile such as the speed. A swing has one period during the whole drive;
+a mass on a spring and a damper oscillates after accelerations; a power or a force may be switched.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -45,7 +45,7 @@ SWING, RING = "swings", "a mass that rings on after accelerations"
 
 
 def processes(frame: Frame) -> Iterator[Component]:
-    """All processes but swings, in all their lengths and strengths; a low-pass where the lag is not a usual one."""
+    """All processes but swings, in all lengths and strengths; a low-pass only if the lag is outside USUAL_LAG."""
     A, C, m = frame.road_load.tolist()
     s = frame.strides
     gusts = (GUSTS,) if s.t[-1] - s.t[0] < MAX_GUSTS * GUSTS else ()
@@ -76,9 +76,9 @@ def processes(frame: Frame) -> Iterator[Component]:
 
 
 def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Component]:
-    """A power or torque that swings with one period during the whole drive: the periods of most evidence.
+    """Powers and torques that swing with one period during the whole drive, for the periods of most evidence.
 
-    ``joint``: the likelihood; ``beside``: sets of its components, each of which periods are looked for beside.
+    Periods are searched beside each of the sets ``beside`` of components of the likelihood ``joint``.
     """
     frame, s = joint.frame, joint.frame.strides
     t = s.t - s.t[0]
@@ -88,13 +88,13 @@ def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Comp
         profiles.append(_torque)
     rests = [joint.weighed_residual(chosen) for chosen in beside]
     for profile in profiles:
-        found = set[float]()
+        tried = set[float]()
         for rest in rests:
             frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
-            found |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
+            tried |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
         # A form has a share of the process' prior; that is of all frequencies, of which few are tried.
-        cost = float(np.log(len(frequencies) / len(found)))
-        for frequency in sorted(found):
+        cost = float(np.log(len(frequencies) / len(tried)))
+        for frequency in sorted(tried):
             angle = 2 * np.pi * frequency * t
             columns = _along(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
             for strength in STRENGTHS:
@@ -103,22 +103,22 @@ def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Comp
 
 
 def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Frequencies [Hz] (f,) that a swing may have, and the size (f,) of sum_k values_k exp(2 pi i f t_k).
+    """Frequencies [Hz] (f,) that a swing may have, and the modulus (f,) of sum_k values_k exp(2 pi i f t_k).
 
     ``t`` [s] (n,) are times of the grid from 0 on, so a fast Fourier transform gives all frequencies.
     """
-    place = np.rint(t / STEP).astype(np.int64)
-    number = round(place[-1] / FREQUENCY_STEP)
+    index = np.rint(t / STEP).astype(np.int64)
+    number = round(index[-1] / FREQUENCY_STEP)
     frequencies = np.arange(1 / MAX_PERIOD, 1 / MIN_PERIOD, 1 / (number * STEP))
     lowest = np.zeros(number, dtype=np.complex128)  # turned so that the lowest frequency comes first
-    lowest[place] = values * np.exp(2j * np.pi * frequencies[0] * t)
+    lowest[index] = values * np.exp(2j * np.pi * frequencies[0] * t)
     return frequencies, number * np.abs(np.fft.ifft(lowest)[: len(frequencies)])
 
 
 def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
-    """A power and a force that are on in ``spans`` alone, and not for as long as those of any effect usually are.
+    """Power and force that are on in ``spans`` only, without the usual dwell of an effect.
 
-    None where that is nearly always, for A holds a constant force, or never.
+    There are none for an empty share of the drive, or one above MAX_ON_SHARE: A includes a constant force.
     """
     on = covered(frame.strides.t, DURATION, spans)[:, None]
     if not 0.0 < on.mean() <= MAX_ON_SHARE:
@@ -141,16 +141,16 @@ def _force(frame: Frame) -> Floats:
 
 
 def _geared(frame: Frame) -> Floats:
-    """Of a force while the engine turns."""
+    """Profile (n,) [m/s] of a force that acts while the engine turns."""
     return np.where(frame.strides.context[Quantity.ENGINE_SPEED] > LOWEST_TURNS, frame.strides.speed, 0.0)
 
 
 def _gear_ratio(turns: Floats, speed: Floats) -> Floats:
-    """Logarithm (n,) of engine over road speed; the lowest one where the engine rests."""
+    """Logarithm (n,) of engine speed over road speed; the lowest one where the engine does not turn."""
     is_turning = turns > LOWEST_TURNS
     ratio = np.log(np.where(is_turning, turns, np.inf) / speed)
-    found: Floats = np.where(is_turning, ratio, ratio.min())
-    return found
+    filled: Floats = np.where(is_turning, ratio, ratio.min())
+    return filled
 
 
 def _drag(frame: Frame) -> Floats:
@@ -162,7 +162,7 @@ def _measured(frame: Frame) -> Floats:
 
 
 def _gain_over_torque(frame: Frame) -> Floats:
-    """Errors of the measured power that rise with the torque and with its square, over the largest torque (n, 2)."""
+    """Columns (n, 2) of gain errors that rise with the torque, and with its square, relative to the largest torque."""
     power = frame.force * frame.strides.speed
     torque = np.abs(power) / np.maximum(frame.strides.context[Quantity.ENGINE_SPEED], LOWEST_TURNS)
     share = torque / max(float(np.quantile(torque, HIGH_TORQUE)), 1.0)
@@ -174,12 +174,12 @@ def _along(profile: Callable[[Frame], Floats], shapes: Floats) -> Columns:
 
 
 def _over(profile: Callable[[Frame], Floats], axis: Floats, spacing: float) -> Columns:
-    """Made when they are asked for: over 8 h there are 240 hats."""
+    """Columns of hats times a ``profile``, computed on demand to save memory: over 8 h there are 240 hats."""
     return lambda frame: hats(axis, spacing) * frame.as_acceleration(profile(frame))[:, None]
 
 
 def _bent(frame: Frame) -> Floats:
-    """Second derivative of the force [N/s^2] (n, 1): what a low-pass of the speed does beyond a lag."""
+    """Second derivative of the force [N/s^2] (n, 1): second-order term of a low-pass of the speed, after the lag."""
     force = frame.strides.force
     middle = int(np.clip(np.argmin(np.abs(force - frame.force[:, None]).sum(axis=0)), 1, force.shape[1] - 2))
     spacing = float(LAGS[1] - LAGS[0])
@@ -191,14 +191,14 @@ def _ring(period: float, ratio: float) -> Columns:
 
 
 def ringing(frame: Frame, period: float, ratio: float) -> Floats:
-    """Acceleration x'' [m/s^2] (n,) of a mass on a spring and a damper against the vehicle, averaged over each stride.
+    """Acceleration x'' [m/s^2] (n,), relative to the vehicle, of a mass on a spring and damper; means over strides.
 
-    x'' + 2 d w x' + w^2 x = -a, with w = 2 pi over the ``period`` [s], the damping ``ratio`` d, and the acceleration a
-    that the force gives the vehicle on level ground. With its complex mode q,
+    The equation is x'' + 2 d w x' + w^2 x = -a, with w = 2 pi / ``period`` [s] and the damping ``ratio`` d. The
+    acceleration a is that of the force on level ground. With the complex mode q,
 
         q' = L q + a,    L = w (-d + i sqrt(1 - d^2)),    x'' = -a - Im(L^2 q) / Im L
 
-    It rings out in the gaps of a drive.
+    The oscillation decays freely in the gaps of a drive.
     """
     w = 2 * np.pi / period
     mode = w * complex(-ratio, np.sqrt(1 - ratio**2))
@@ -211,17 +211,17 @@ def ringing(frame: Frame, period: float, ratio: float) -> Floats:
     at = np.cumsum(steps).astype(np.int64)  # with strides of no acceleration in the gaps
     a = np.zeros(at[-1] + 1)
     a[at] = frame.view.a
-    before = np.concatenate([[0.0], recursive(reached * a, np.array([1.0, -decay]))[:-1]])
-    q = before * (decay - 1) / (mode * DURATION) + a * mean
+    initial = np.concatenate([[0.0], recursive(reached * a, np.array([1.0, -decay]))[:-1]])
+    q = initial * (decay - 1) / (mode * DURATION) + a * mean
     ring: Floats = (-a - (mode**2 * q).imag / mode.imag)[at]
     return ring
 
 
 def hats(axis: Floats, spacing: float) -> Floats:
-    """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,): they sum to one everywhere."""
-    place = (axis - axis.min()) / spacing
-    below, every = np.floor(place).astype(np.int64), np.arange(len(axis))
-    found = np.zeros((len(axis), int(below.max()) + 2))
-    found[every, below] = 1 - (place - below)
-    found[every, below + 1] = place - below
-    return found[:, found.any(axis=0)]
+    """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,); they sum to one everywhere."""
+    position = (axis - axis.min()) / spacing
+    below, every = np.floor(position).astype(np.int64), np.arange(len(axis))
+    columns = np.zeros((len(axis), int(below.max()) + 2))
+    columns[every, below] = 1 - (position - below)
+    columns[every, below + 1] = position - below
+    return columns[:, columns.any(axis=0)]

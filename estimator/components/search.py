@@ -1,8 +1,8 @@
-"""Which components act: a table of models over effects and nameless processes, beside the scales of road and noise.
+"""Search for the most probable hypothesis: table of models and scales of road and noise, renewed in turn.
 
-Noise whose scale was found without the effects is too large, and hides them. So the table is made in rounds: sets of
-one cause more each time, with the scales of road and noise found again beside the most probable set, and times of
-effects that switch proposed beside it.
+Noise scales fitted without the effects are too large, and hide them. The table is therefore made in rounds, each with
+sets of one cause more. After each round, the scales of road and noise are refitted with the most probable set, and
+times of switching effects are proposed again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ ROUNDING = 1e-6  # of log evidence: by less, a round that finds the same set and
 
 @dataclass(frozen=True, kw_only=True)
 class _Round:
-    """A table of sets of up to ``room`` causes, the set chosen from it, and the drives fitted beside that set."""
+    """Table of sets of up to ``room`` causes, the set chosen from it, and the drives fitted with that set."""
 
     room: int
     joint: Hypotheses
@@ -36,38 +36,38 @@ class _Round:
 
     @cached_property
     def log_posterior(self) -> float:
-        """Log evidence of the set that was chosen, with its prior odds."""
+        """Log evidence of the chosen set plus its log prior odds."""
         return log_evidence(self.states) + self.joint.log_prior(self.chosen, self.joint.causes())
 
-    def expected(self, before: float) -> float:
-        """The log evidence of as many rounds as a set has causes, each with the gain over ``before`` of this one."""
+    def expected(self, previous: float) -> float:
+        """Log evidence after MAX_CAUSES further rounds, each with the gain of this one over ``previous``."""
         value = log_evidence(self.states)
-        return value + MAX_CAUSES * max(value - before, 0.0)
+        return value + MAX_CAUSES * max(value - previous, 0.0)
 
     @property
     def as_fitted(self) -> tuple[float, tuple[DriveState, ...]]:
-        """The log posterior and the drives alone."""
+        """Log posterior and fitted drives of this round, without its table."""
         return self.log_posterior, self.states
 
 
 class _OutOfReachError(Exception):
-    """The log posterior that is asked for will not be reached."""
+    """Raised if the search is not expected to reach the required log posterior."""
 
 
 class Search:
-    """A search among sets of ``effects`` and nameless processes, on ``drives`` that are one vehicle's.
+    """Search among sets of ``effects`` and nameless processes, on drives of one vehicle.
 
-    A process can hold the place of effects while the noise is fitted beside it. So the noise is first fitted beside
-    effects alone, and processes are weighed from there.
+    Effects are searched first: a process allowed from the start could absorb an effect before the noise scales are
+    refitted.
 
     Parameters
     ----------
     drives
-        With the effects that are given.
+        Drives, with the given effects as chosen terms.
     effects
-        That may act besides.
+        Further effects that may act.
     forms
-        That other searches on these drives found; those of this one are added.
+        Forms found by other searches on these drives; the search adds its own.
     """
 
     def __init__(
@@ -79,62 +79,64 @@ class Search:
 
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
-        """The drives fitted beside the most probable effects without any process."""
+        """Drives fitted with the most probable effects, without any process."""
         return self._alone()
 
     def explained(self) -> Explained:
-        """The drives with what acts on them."""
+        """Search, and return the chosen hypothesis with its evidence."""
         return self._explained(self._converged(self.alone, with_processes=True, with_stretches=True))
 
     def explained_above(self, least: float) -> Explained | None:
-        """The same; None once it shows that its log posterior will not reach ``least``."""
+        """Search as in `explained`; None as soon as the log posterior is not expected to reach ``least``."""
         try:
             alone = self._alone(least)
             return self._explained(self._converged(alone, with_processes=True, with_stretches=True, least=least))
         except _OutOfReachError:
             return None
 
-    def _explained(self, found: _Round) -> Explained:
+    def _explained(self, last_round: _Round) -> Explained:
         first = ranked(self._drives, self._effects)
-        return explained_by(found.joint, found.table, found.chosen, found.states, first, self._effects)
+        return explained_by(
+            last_round.joint, last_round.table, last_round.chosen, last_round.states, first, self._effects
+        )
 
     @property
     def _starts(self) -> Iterator[tuple[DriveState, ...]]:
-        """The drives with their own noise, and with the usual one where theirs is larger."""
+        """Starts of the search: the drives as fitted, and with usual noise if that of a drive is unusual."""
         yield self._drives
         if any(drive.has_unusual_noise for drive in self._drives):
             yield tuple(drive.with_usual_noise() for drive in self._drives)
 
     def _alone(self, least: float = -np.inf) -> tuple[DriveState, ...]:
-        """The drives beside effects alone. Tables are not kept: they have megabytes.
+        """Drives fitted with effects only. Tables are not kept, because they take megabytes.
 
-        Over a road that no signal shows, its stretches come before the effects or after them: either may hold the place
-        of the other.
+        On a hidden road, the search with stretches also starts from the drives with and without the effects found
+        first: effects and stretches can absorb each other.
 
         Raises
         ------
         _OutOfReachError
             No start would reach ``least``.
         """
-        found = list[tuple[float, tuple[DriveState, ...]]]()
+        fits = list[tuple[float, tuple[DriveState, ...]]]()
         for start in self._starts:
             with suppress(_OutOfReachError):
-                found.append(self._converged(start, least=least).as_fitted)
+                fits.append(self._converged(start, least=least).as_fitted)
                 if any(drive.is_hidden for drive in start):
-                    found += [self._converged(first, with_stretches=True).as_fitted for first in (found[-1][1], start)]
-        if not found:
+                    fits += [self._converged(first, with_stretches=True).as_fitted for first in (fits[-1][1], start)]
+        if not fits:
             raise _OutOfReachError
-        return max(found, key=lambda one: one[0])[1]
+        return max(fits, key=lambda fit: fit[0])[1]
 
     def _round(self, states: tuple[DriveState, ...], size: int, with_processes: bool, with_stretches: bool) -> _Round:
-        """Sets of up to ``size`` causes, or one more than act already, beside the drives as they are."""
+        """Make a table at the present scales, with sets of up to ``size`` causes, or one more than act already."""
         candidates = [
             self._candidates.on(number, state, with_processes, with_stretches) for number, state in enumerate(states)
         ]
         joint = Hypotheses(states, self._given, candidates)
-        known = joint.before() if with_processes else ()  # processes come to the effects found without them
-        room = max(size, len(known) + 1)
-        table = weigh(joint, joint.causes(), min(room, MAX_CAUSES), known)
+        start = joint.before() if with_processes else ()  # processes come to the effects found without them
+        room = max(size, len(start) + 1)
+        table = weigh(joint, joint.causes(), min(room, MAX_CAUSES), start)
         return _Round(room=room, joint=joint, table=table, chosen=table.best, states=joint.fitted(table.best))
 
     def _converged(
@@ -144,37 +146,38 @@ class Search:
         with_stretches: bool = False,
         least: float = -np.inf,
     ) -> _Round:
-        """Tables and scales, each found beside the other while that gains.
+        """Renew table and scales in turn, as long as the log posterior rises.
 
-        A set that is best with the scales found beside another one may have less evidence with its own, and sizes that
-        are impossible for the vehicle as it is found then: the next table goes on from there without that set.
+        A set that is best at the scales of another set may have less evidence at its own scales, or a size that is
+        impossible for the refitted vehicle. A round with an impossible size is not kept, but the next one starts from
+        its scales.
 
         Raises
         ------
         _OutOfReachError
-            As many rounds as a set has causes, each with the gain of the last, would not reach ``least``.
+            MAX_CAUSES further rounds, each with the gain of the last, would not reach ``least``.
         """
-        found, last, highest = None, None, log_evidence(states)
+        kept, last, highest = None, None, log_evidence(states)
         value = highest
         for size in range(2, MAX_ROUNDS + 2):
             latest = self._round(states, size, with_processes, with_stretches)
             if latest.expected(log_evidence(states)) < least:
                 raise _OutOfReachError
-            before, value = value, latest.log_posterior
-            if found is not None and value < highest - ROUNDING:
+            previous, value = value, latest.log_posterior
+            if kept is not None and value < highest - ROUNDING:
                 break
             last, states = latest, latest.states
             for number, term, magnitude in latest.joint.rivals(latest.table):
                 self._forms.shape(number, term, magnitude)
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
-                gain, found, highest = value - highest, latest, value
+                gain, kept, highest = value - highest, latest, value
             else:  # a set that is impossible and stays so gains nothing
-                gain = abs(value - before)
+                gain = abs(value - previous)
             if len(latest.chosen) < latest.room and gain < MIN_ROUND_GAIN:
                 break
-        found = found or last
-        assert found is not None
-        for number, state in enumerate(found.states):
+        kept = kept or last
+        assert kept is not None
+        for number, state in enumerate(kept.states):
             self._forms.add(number, state)
-        best = found.joint.worthwhile(found.chosen)
-        return found if best == found.chosen else replace(found, chosen=best, states=found.joint.fitted(best))
+        best = kept.joint.worthwhile(kept.chosen)
+        return kept if best == kept.chosen else replace(kept, chosen=best, states=kept.joint.fitted(best))

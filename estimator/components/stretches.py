@@ -1,11 +1,11 @@
-"""Stretches of a hidden road that are steeper than the rest: part of the road, neither an effect nor unknown.
+"""Stretches of a hidden road that are steeper than the rest: part of the road, neither an effect nor a process.
 
-The slopes of the road model are a Gaussian process of one sd. Real roads are nearly level for kilometres and steep on
-a bridge or a hill: on seven trips of a car whose accelerometer shows the slopes, their kurtosis is 2.5 to 8, where the
-process has 3. The beginning and the end of a steep stretch are then better explained by a load or a brake that
-switches. So the times at which an effect may act are also candidates for stretches of the road, each with a slope of
-its own: a load that switches is told from them if its power is the same in all its times, at all speeds, and a brake
-because it holds back at once, where the slope felt changes over a vertical curve and between the axles.
+The slopes of the road model are a Gaussian process of one sd. Real roads are nearly level for kilometres, and steep on
+a bridge or a hill. On seven trips of a car whose accelerometer shows the slopes, their kurtosis is 2.5 to 8; that of
+the process is 3. A load or a brake that switches would then explain the ends of a steep stretch better than the
+process. The times at which an effect may act are therefore candidates for stretches too, each with its own slope. A
+switching load differs from them by equal power in all its times, at all speeds. A brake differs because its force
+changes at once, while the slope under a vehicle changes over a vertical curve and the wheelbase.
 """
 
 from collections.abc import Iterator
@@ -41,9 +41,10 @@ STRETCHES = Effect(
 
 
 def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
-    """The road steeper or less steep in each of ``spans``; none if that is nearly everywhere, for A holds a slope.
+    """Component with one additional slope of the road in each of ``spans``.
 
-    Nor if one of them is nowhere.
+    There is none if they cover more than MAX_ON_SHARE of the drive, because A includes a constant slope, or if one of
+    them covers no stride.
     """
     on = [covered(frame.strides.t, DURATION, (span,)).mean() for span in spans]
     if not on or min(on) == 0.0 or sum(on) > MAX_ON_SHARE:

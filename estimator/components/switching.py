@@ -1,7 +1,7 @@
-"""Times of an effect that no signal shows: those with most evidence beside a set of components.
+"""Times of an effect that no signal shows: the times with most evidence beside a set of components.
 
-Blocks end where a step of the state would score most, and at gaps without strides. Runs of them are switched on or off
-(`exchange.py`), and the edges of what is on are moved (`edges.py`).
+The drive is cut into blocks at gaps, and where a change of state has the highest score. Runs of blocks are switched on
+or off (`exchange.py`), and the edges of the resulting times are moved (`edges.py`).
 """
 
 from collections.abc import Sequence
@@ -32,9 +32,9 @@ MIN_BLOCK_GAP = 5.0  # s without strides, where blocks end: in less the state ha
 
 @dataclass(frozen=True, kw_only=True)
 class _Cut:
-    """A profile cut into b blocks: their numbers (n,) by stride, products and scores off a set.
+    """Profile cut into b blocks: ``labels`` (n,) are the block of each stride, ``lengths`` (b,) [s] those of blocks.
 
-    ``lengths`` (b,) of the blocks and ``gaps`` (b - 1,) between them [s].
+    ``gaps`` (b - 1,) [s] lie between blocks. ``products`` (b, b) and ``score`` (b,) have a set eliminated.
     """
 
     labels: NDArray[np.int64]
@@ -45,23 +45,23 @@ class _Cut:
 
 
 class Switching:
-    """Times of effects beside components of one likelihood; effects with one profile share its products."""
+    """Finds times of effects beside components of one likelihood; effects with equal profiles share products."""
 
     def __init__(self, joint: JointLikelihood) -> None:
         self._joint = joint
         self._cuts: dict[tuple[tuple[int, ...], tuple[int, ...], bytes], _Cut] = {}
 
-    def best(self, chosen: Sequence[int], effect: Effect, own: Sequence[int] = ()) -> tuple[Spans, float] | None:
-        """Spans in which ``effect`` acts beside a set, and the cost of their changes; None where no times gain.
+    def best(self, chosen: Sequence[int], effect: Effect, earlier: Sequence[int] = ()) -> tuple[Spans, float] | None:
+        """Spans in which ``effect`` most likely acts beside a set, and their prior cost [nats]; None if none gain.
 
-        ``own``: components of the effect with times that were found before; changes from them are likely too.
+        ``earlier`` are components of the effect with earlier times; blocks are also cut at changes from these.
         """
         column, single = self._joint.frame.column(Term(effect)), effect.timing is Timing.WINDOW
         size = float(column[np.argmax(np.abs(column))])
         profile = np.round(column / size, PROFILE_DIGITS)
-        key = tuple(chosen), tuple(own), profile.tobytes()
+        key = tuple(chosen), tuple(earlier), profile.tobytes()
         if key not in self._cuts:
-            self._cuts[key] = self._cut(list(chosen), profile, list(own))
+            self._cuts[key] = self._cut(list(chosen), profile, list(earlier))
         cut, sd = self._cuts[key], effect.usual(self._joint.frame.road_load)
         costs = [least_costs(gap, effect) for gap in cut.gaps.tolist()]
         blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
@@ -71,54 +71,58 @@ class Switching:
         spans = _spans(self._joint.frame, on)
         return spans, prior_cost(spans, effect, self._joint.frame.strides.t)
 
-    def _cut(self, chosen: list[int], column: Floats, own: list[int]) -> _Cut:
-        """A ``column`` (n,) cut where its state most likely changes beside a set, at gaps, and at regular times."""
+    def _cut(self, chosen: list[int], column: Floats, earlier: list[int]) -> _Cut:
+        """Cut a ``column`` (n,) at likely changes of its state beside a set, at gaps, and at regular times."""
         t, steps = self._joint.frame.strides.t, np.zeros(len(self._joint.frame.strides), dtype=bool)
         steps[likely_steps(self._joint, chosen, column)] = True
-        if own:
-            steps[likely_steps(self._joint, [*chosen, *own], column)] = True
-            edges = np.array([edge for i in own for span in self._joint.components[i].spans or () for edge in span])
+        if earlier:
+            steps[likely_steps(self._joint, [*chosen, *earlier], column)] = True
+            edges = np.array([edge for i in earlier for span in self._joint.components[i].spans or () for edge in span])
             steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         gap = np.diff(t, prepend=t[0]) >= DURATION + MIN_BLOCK_GAP
-        there, place = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
-        products, score = self._joint.projected(chosen, _parts(column, place))
-        first = np.searchsorted(place, np.arange(len(there)))
+        there, label = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
+        products, score = self._joint.projected(chosen, _parts(column, label))
+        first = np.searchsorted(label, np.arange(len(there)))
         gaps = t[first[1:]] - t[first[1:] - 1] - DURATION
         lengths = np.append(t[first[1:]], t[-1]) - t[first]
-        return _Cut(labels=place, lengths=lengths, gaps=gaps, products=products, score=score)
+        return _Cut(labels=label, lengths=lengths, gaps=gaps, products=products, score=score)
 
     def proposed(self, effect: Effect) -> set[Spans]:
-        """Times that ``effect`` may have beside the other components."""
+        """Propose times of ``effect`` beside the other components."""
         components = self._joint.components
         others = [i for i, component in enumerate(components) if component.name != effect.name]
-        own = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
-        return self._found(effect, others, own)
+        same_effect = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
+        return self._proposals(effect, others, same_effect)
 
     def proposed_instead(self, effect: Effect) -> set[Spans]:
-        """Times that ``effect`` may have in the place of all components with times; none where it alone has any."""
+        """Propose times of ``effect`` in place of all components with times; none if no other component has any."""
         components = self._joint.components
         timed = [i for i, component in enumerate(components) if component.is_timed]
         others = [i for i, component in enumerate(components) if component.name != effect.name and i not in timed]
-        return self._found(effect, others, timed) if any(components[i].name != effect.name for i in timed) else set()
+        return (
+            self._proposals(effect, others, timed) if any(components[i].name != effect.name for i in timed) else set()
+        )
 
-    def _found(self, effect: Effect, beside: list[int], before: list[int]) -> set[Spans]:
-        """The best times beside a set, and those of components that it may replace, with the best edges.
+    def _proposals(self, effect: Effect, beside: list[int], replaced: list[int]) -> set[Spans]:
+        """Best times beside a set, and times of the components that it may replace, all with refined edges.
 
-        At a steady speed one effect on and another off give the same residual (drafting and a fan), so the times
-        between are proposed as well.
+        The complements of these times are proposed as well: at a steady speed, one effect on and another one off give
+        the same residual (a fan and drafting).
         """
         is_window = effect.timing is Timing.WINDOW
-        best = self.best(beside, effect, before)
-        known = {spans for i in before if (spans := self._joint.components[i].spans) and not (is_window and spans[1:])}
-        times = known | (set() if best is None else {best[0]})
-        found = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
-        return found if is_window else found | {_between(spans, self._joint.frame.strides.t) for spans in found}
+        best = self.best(beside, effect, replaced)
+        earlier_times = {
+            spans for i in replaced if (spans := self._joint.components[i].spans) and not (is_window and spans[1:])
+        }
+        times = earlier_times | (set() if best is None else {best[0]})
+        refined = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
+        return refined if is_window else refined | {_between(spans, self._joint.frame.strides.t) for spans in refined}
 
 
 def _between(spans: Spans, t: Floats) -> Spans:
-    """The times of the drive that are in none of ``spans``."""
+    """Complement of ``spans`` in the drive."""
     first, last = float(t[0]) - DURATION / 2, float(t[-1]) + DURATION / 2
     edges = [first, *(edge for span in spans for edge in span), last]
     return tuple((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
@@ -127,8 +131,8 @@ def _between(spans: Spans, t: Floats) -> Spans:
 def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> NDArray[np.intp]:
     """Strides at which a state with this ``column`` (n,) most likely changes.
 
-    A step at stride k has the column of all strides from k on. Its score is a sum over the weighed residual, and its
-    products are sums over those of the parts between steps.
+    A step at stride k has the column from stride k on. Its score is a sum over the weighed residual, and its products
+    are sums over those of the parts between steps.
     """
     n = len(column)
     scores = np.cumsum((column * joint.weighed_residual(chosen))[::-1])[::-1]
@@ -140,20 +144,20 @@ def likely_steps(joint: JointLikelihood, chosen: list[int], column: Floats) -> N
     return highest_peaks(np.abs(scores) / np.sqrt(strength))
 
 
-def _parts(column: Floats, place: NDArray[np.intp]) -> sp.csr_array:
-    """A ``column`` (n,) cut into one column for each part, by the number of the part at each stride (n,)."""
-    return sp.csr_array((column, place, np.arange(len(column) + 1)), (len(column), int(place.max()) + 1))
+def _parts(column: Floats, label: NDArray[np.intp]) -> sp.csr_array:
+    """Cut a ``column`` (n,) into one column for each part (n, parts); ``label`` (n,) is the part of each stride."""
+    return sp.csr_array((column, label, np.arange(len(column) + 1)), (len(column), int(label.max()) + 1))
 
 
 def highest_peaks(values: Floats) -> NDArray[np.intp]:
-    """Places of up to MAX_STEPS peaks of ``values`` (n,), the highest first, at least MIN_STEP_DISTANCE apart."""
+    """Indices of at most MAX_STEPS peaks of ``values`` (n,), the highest first, at least MIN_STEP_DISTANCE apart."""
     peaks = 1 + np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] > values[2:]))
-    is_free, found = np.ones(len(values), dtype=bool), list[int]()
-    for place in peaks[np.argsort(-values[peaks], kind="stable")].tolist():
-        if is_free[place] and len(found) < MAX_STEPS:
-            found.append(place)
-            is_free[max(place - MIN_STEP_DISTANCE + 1, 0) : place + MIN_STEP_DISTANCE] = False
-    return np.array(found, dtype=np.intp)
+    is_free, highest = np.ones(len(values), dtype=bool), list[int]()
+    for peak in peaks[np.argsort(-values[peaks], kind="stable")].tolist():
+        if is_free[peak] and len(highest) < MAX_STEPS:
+            highest.append(peak)
+            is_free[max(peak - MIN_STEP_DISTANCE + 1, 0) : peak + MIN_STEP_DISTANCE] = False
+    return np.array(highest, dtype=np.intp)
 
 
 def _spans(frame: Frame, on: Mask) -> Spans:

@@ -1,8 +1,8 @@
-"""Prior probability of times that no signal shows: those of a Markov chain of two states.
+"""Prior probability of times that no signal shows, by a Markov chain of two states, off and on.
 
-It is switched on about once in exp(CHANGE_COST) s, and off after a dwell of exponential length. Where the force is not
-known, at a standstill or on the brake, the chain goes on unseen: the longer such a gap, the less does the state after
-it depend on the one before it.
+The chain switches on about once in exp(CHANGE_COST) s, and off after a dwell with an exponential distribution. It
+continues unobserved in gaps without known force, at a standstill or while braking. The longer the gap, the less the
+state after it depends on the state before it.
 """
 
 from bisect import bisect_left
@@ -28,7 +28,7 @@ DWELL_COST = 2.0  # log of the e-foldings from seconds to the drive's length, wh
 
 @dataclass(frozen=True)
 class Costs:
-    """Of what a state does between two strides, against staying off: being switched on or off, or being on after it."""
+    """Prior costs [nats] of transitions between two strides, relative to off-off: off-on, on-off and on-on."""
 
     begins: float
     ends: float
@@ -37,7 +37,7 @@ class Costs:
 
 @lru_cache(maxsize=2**14)  # effects with the same dwells ask for the same gaps
 def in_gap(gap: float, dwell: float) -> Costs:
-    """Of a chain with a mean ``dwell`` [s] in a ``gap`` [s]; nothing is more likely than staying off."""
+    """Costs of the transitions of a chain with mean ``dwell`` [s] over a ``gap`` [s]; none is negative."""
     share, forgotten = _share_and_forgotten(gap, dwell)
     stays_off = 1.0 - share * forgotten
     return Costs(
@@ -48,31 +48,31 @@ def in_gap(gap: float, dwell: float) -> Costs:
 
 
 def begun_again(gap: float, dwell: float) -> float:
-    """Probability that what is on before and after a ``gap`` [s] was off in it."""
+    """Probability that a chain that is on before and after a ``gap`` [s] was off within it."""
     share, forgotten = _share_and_forgotten(gap, dwell)
     return 1.0 - exp(-gap / dwell) / (1.0 - (1.0 - share) * forgotten)
 
 
 def _share_and_forgotten(gap: float, dwell: float) -> tuple[float, float]:
-    """Of a chain: the share of time that it is on, and what a gap takes from what is known of its state."""
+    """Share of time for which a chain is on, and the loss 1 - rho of its autocorrelation rho over a ``gap`` [s]."""
     on, off = exp(-CHANGE_COST), 1.0 / dwell  # 1/s
     return on / (on + off), 1.0 - exp(-(on + off) * gap)
 
 
 def least_costs(gap: float, effect: Effect) -> Costs:
-    """Of a change in ``gap`` [s] by any dwell of an effect; as if seen in short gaps.
+    """Smallest costs of transitions over a ``gap`` [s] by any dwell of an effect; a gap below MIN_GAP counts as none.
 
-    For a window it is the same in all, since these costs only lead to times that `prior_cost` weighs.
+    A window has equal costs in all gaps, since these costs only propose times, and `prior_cost` judges them.
     """
     if gap < MIN_GAP or effect.timing is Timing.WINDOW:
         return Costs(CHANGE_COST, CHANGE_COST, 0.0)
-    each = [in_gap(gap, dwell) for dwell in effect.dwells]
-    return Costs(min(c.begins for c in each), min(c.ends for c in each), min(c.stays for c in each))
+    costs = [in_gap(gap, dwell) for dwell in effect.dwells]
+    return Costs(min(c.begins for c in costs), min(c.ends for c in costs), min(c.stays for c in costs))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Piece:
-    """Times of a span in one run of strides, from and to [s]; the gaps [s] before and after them, 0 in the run."""
+    """Part of a span within one run of strides [s]; ``before``, ``after``: adjoining gaps [s], 0 inside the run."""
 
     span: int
     run: int
@@ -83,20 +83,20 @@ class _Piece:
 
     @property
     def duration(self) -> float:
-        """For how long it is seen [s]."""
+        """Observed duration [s]."""
         return self.stop - self.start
 
     def meets(self, other: "_Piece") -> bool:
-        """Whether there is but a gap between this one and the ``other``, which follows."""
+        """True if only a gap separates this piece from the ``other``, which follows."""
         return self.run + 1 == other.run and min(self.after, other.before) > 0.0
 
 
 def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
-    """Of ``spans`` in order, in runs of strides at ``t`` (n,) [s]."""
+    """Cut ``spans``, in order, into pieces within runs of strides at ``t`` (n,) [s]."""
     first = np.flatnonzero(np.diff(t, prepend=-inf) >= DURATION + MIN_GAP)
     begin, end = t[first].tolist(), t[np.append(first[1:], len(t)) - 1].tolist()
     gaps = [inf, *(b - a - DURATION for a, b in zip(end[:-1], begin[1:], strict=True)), inf]
-    found = list[_Piece]()
+    pieces = list[_Piece]()
     for number, (start, stop) in enumerate(spans):
         for run in range(bisect_left(end, start - DURATION / 2), len(begin)):
             low, high = max(start, begin[run] - DURATION / 2), min(stop, end[run] + DURATION / 2)
@@ -106,11 +106,11 @@ def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
                 continue
             before = 0.0 if start > begin[run] else gaps[run]
             after = 0.0 if stop < end[run] else gaps[run + 1]
-            if found and found[-1].run == run:  # two of one run: neither reaches the gap between runs there
-                found[-1], before = replace(found[-1], after=0.0), 0.0
+            if pieces and pieces[-1].run == run:  # two of one run: neither reaches the gap between runs there
+                pieces[-1], before = replace(pieces[-1], after=0.0), 0.0
             piece = _Piece(span=number, run=run, start=low, stop=high, before=before, after=after)
-            found.append(piece)
-    return found
+            pieces.append(piece)
+    return pieces
 
 
 def _gaps(t: Floats) -> Floats:
@@ -120,26 +120,28 @@ def _gaps(t: Floats) -> Floats:
 
 
 def _periods(pieces: Sequence[_Piece], apart: bool) -> list[list[_Piece]]:
-    """Pieces in a row with but gaps between; ``apart``: and of one span."""
-    found = list[list[_Piece]]()
+    """Group consecutive pieces that only gaps separate; if ``apart``, those of one span only."""
+    periods = list[list[_Piece]]()
     for piece in pieces:
-        last = found[-1][-1] if found else None
+        last = periods[-1][-1] if periods else None
         if last is not None and last.meets(piece) and not (apart and last.span != piece.span):
-            found[-1].append(piece)
+            periods[-1].append(piece)
         else:
-            found.append([piece])
-    return found
+            periods.append([piece])
+    return periods
 
 
 def seen(spans: Spans, t: Floats) -> Spans:
-    """What of ``spans`` is seen on a drive with strides at ``t`` (n,) [s]: other times with the same look the same."""
+    """Part of ``spans`` on strides at ``t`` (n,) [s]; spans with equal parts cannot be distinguished."""
     return tuple((piece.start, piece.stop) for piece in _pieces(spans, t))
 
 
 def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
-    """Whether the mean of ``spans`` is not much shorter than a usual dwell, and none is seen for much longer.
+    """True if the spans of an effect have usual durations on a drive with strides at ``t`` (n,) [s].
 
-    Windows may be any. None act nearly always, or never, on a drive with strides at ``t`` (n,) [s].
+    Their mean exceeds the shortest dwell / MAX_DWELL_FACTOR, and the longest observed one is below MAX_DWELL_FACTOR
+    times the longest dwell. A window may have any duration, but there is one. No effect may act for more than
+    MAX_ON_SHARE of the drive, or never.
     """
     if not 0.0 < covered(t, DURATION, spans).mean() <= MAX_ON_SHARE:
         return False
@@ -151,9 +153,9 @@ def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
 
 
 def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
-    """Minus the log prior probability of times of an effect on a drive with strides at ``t`` (n,) [s].
+    """Prior cost [nats] of times of an effect on strides at ``t`` (n,) [s]: minus their log prior probability.
 
-    Each time has the nearest of the effect's dwells.
+    Each time has that dwell of the effect for which its cost is least.
     """
     if effect.timing is Timing.WINDOW:
         return sum(_cost_of_end(_gap_at(edge, t), t) for span in spans for edge in span if t[0] < edge < t[-1])
@@ -162,25 +164,25 @@ def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
 
 
 def _cost_of_end(gap: float, t: Floats) -> float:
-    """Of a beginning or an end of a window in a ``gap`` [s] between strides at ``t`` (n,) [s], or at one of them.
+    """Prior cost [nats] of an end of a window at strides ``t`` (n,) [s], or in a ``gap`` [s] between two of them.
 
-    It is at a place (a wet road) or at a time (a tyre gone soft) with equal probability: little way is made in a gap,
-    but all of its time passes.
+    With equal probability it depends on place (a wet road) or on time (a tyre that goes soft). A gap has little
+    distance, but all of its time.
     """
-    place, time = 1.0 / len(t), max(gap, DURATION) / (t[-1] - t[0] + DURATION)
-    return -log(0.5 * (place + time))
+    by_place, by_time = 1.0 / len(t), max(gap, DURATION) / (t[-1] - t[0] + DURATION)
+    return -log(0.5 * (by_place + by_time))
 
 
 def _gap_at(edge: float, t: Floats) -> float:
-    """The gap [s] between strides at ``t`` (n,) [s] that an edge lies in, less than MIN_GAP where it lies in none."""
+    """Duration [s] of the gap between strides at ``t`` (n,) [s] around an edge; below MIN_GAP if there is no gap."""
     after = int(np.clip(np.searchsorted(t, edge), 1, len(t) - 1))
     return float(t[after] - t[after - 1]) - DURATION
 
 
 def cost_apart(spans: Spans, dwells: Sequence[float], t: Floats) -> float:
-    """The same for spans that are states of their own, each of which may begin while another one lasts.
+    """Prior cost [nats] of spans that are independent states, each of which may begin while another one lasts.
 
-    Where one follows another in a run, that is one change.
+    Two spans that adjoin within a run have one change between them.
     """
     pieces = _pieces(spans, t)
     shared = sum(a.run == b.run and a.stop == b.start for a, b in pairwise(pieces))
@@ -188,7 +190,7 @@ def cost_apart(spans: Spans, dwells: Sequence[float], t: Floats) -> float:
 
 
 def _cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration: float, t: Floats) -> float:
-    """Of times of which each may begin within a ``duration`` [s] of what is seen."""
+    """Prior cost [nats] of the times ``periods``, each of which may begin within the observed ``duration`` [s]."""
     total, begins = 0.0, 0.0
     for period in periods:
         cost, dwell = min((_cost_by(dwell, period), dwell) for dwell in dwells)
@@ -200,7 +202,7 @@ def _cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration
 
 
 def _cost_by(dwell: float, period: Sequence[_Piece]) -> float:
-    """Of one time, with a ``dwell`` [s]."""
+    """Prior cost [nats] of one period, with a mean ``dwell`` [s]."""
     before, after = period[0].before, period[-1].after
     total = sum(piece.duration for piece in period) / dwell
     total += sum(in_gap(piece.after, dwell).stays for piece in period[:-1])
@@ -209,21 +211,21 @@ def _cost_by(dwell: float, period: Sequence[_Piece]) -> float:
 
 
 def _off(pieces: Sequence[_Piece], t: Floats) -> float:
-    """For how long [s] it is seen off."""
+    """Duration [s] for which the state is observed to be off."""
     return max(len(t) * DURATION - sum(piece.duration for piece in pieces), 0.0)
 
 
 def rate_cost(begins: float, duration: float) -> float:
-    """Cost of a number of beginnings that are possible for a ``duration`` [s], beyond CHANGE_COST for each.
+    """Prior cost [nats] of k = ``begins`` beginnings within a ``duration`` [s], beyond CHANGE_COST for each.
 
-    How often it is switched on is not known before: the rate has an exponential prior of mean 1/r, r = exp(CHANGE_COST)
-    s, so k beginnings have the density r k! / (duration + r)^(k + 1), the integral over all rates.
+    The rate of beginnings is unknown: it has an exponential prior of mean 1/r, with r = exp(CHANGE_COST) s. The
+    integral over all rates gives the density r k! / (duration + r)^(k + 1).
     """
     return (begins + 1) * log(1.0 + duration * exp(-CHANGE_COST)) - lgamma(begins + 1)
 
 
 def cost_without_dwell(spans: Spans, t: Floats) -> float:
-    """Minus the log prior probability of times of a state without a usual dwell: ends are as rare as beginnings are."""
+    """Prior cost [nats] of times of a state without a usual dwell: ends have the same rate as beginnings."""
     pieces = _pieces(spans, t)
     periods = _periods(pieces, apart=False)
     ends = [gap for period in periods for gap in (period[0].before, period[-1].after) if gap < inf]
@@ -232,7 +234,7 @@ def cost_without_dwell(spans: Spans, t: Floats) -> float:
 
 
 def cost_of_leaving(edge: float, is_end: bool, effect: Effect, t: Floats) -> float:
-    """What it costs to move an ``edge`` [s] out of the gap that it lies in; 0 where it lies in none."""
+    """Change of the prior cost [nats] if an ``edge`` [s] moves out of its gap; 0 if it lies in none."""
     gap = _gap_at(edge, t)
     if gap < MIN_GAP:
         return 0.0

@@ -217,7 +217,7 @@ class RoadInference:
     def _fitted_beside(
         self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None, is_search: bool
     ) -> RoadFit | None:
-        """With ``scales`` as they are, or those found from them; None: from the centres of their priors."""
+        """Fit ``terms`` at the given ``scales``, or search for scales from there; None: from their prior centres."""
         limit, rng = self._config.kinematics.maximum_lag_s, np.random.default_rng(PROBE_SEED)
         if scales is None or is_search:
             return fit(strides, rng, terms, scales, limit, self._departures)

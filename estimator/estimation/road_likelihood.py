@@ -40,7 +40,7 @@ PROBES = 8  # simulated noises that the correction is averaged over; with 4 and 
 
 
 def earlier_loads(t: Floats, departures: Sequence[float]) -> Mask:
-    """Which times (n,) [s] belong to each load before the last of the ``departures`` [s] (n, loads that have any)."""
+    """Mask (n, k) of times ``t`` (n,) [s] in each of the k non-empty loads before the last of ``departures`` [s]."""
     number = np.searchsorted(np.array(departures), t, side="right")
     mask: Mask = number[:, None] == np.unique(number[number < len(departures)])
     return mask
@@ -57,11 +57,11 @@ def shapes_of(present: Mask) -> Floats:
 def view_of(
     strides: Strides, force: Floats, road_load: Floats, taken: Floats | float, density: Floats | None = None
 ) -> View:
-    """What effects are computed from, for a ``force`` [N] (n,) of which other effects have ``taken`` a part [N].
+    """Quantities that effects are computed from, for a ``force`` F (n,) [N] and the force [N] ``taken`` by effects.
 
-    ``density`` (n,) [1]: of the air, over its mean in the fit; over that of these strides where it is not given.
+    ``density`` (n,) [1] is that of the air over its mean in the fit; None: over its mean in these strides.
 
-    The acceleration is that on level ground, (F - taken - A - C v^2) / m: the measured one has the road in it.
+    The acceleration is that on level ground, (F - taken - A - C v^2) / m: the measured one includes the slope.
     """
     A, C, m = road_load.tolist()
     density = strides.relative_density if density is None else density
@@ -203,7 +203,7 @@ class Likelihood:
         return -0.5 * (conditioned.log_determinant + volume + misfit)
 
     def score(self, scales: Floats) -> Score:
-        """How the log evidence changes with the logarithms of ``scales`` (k,)."""
+        """Derivative and average information of the log evidence by the logarithms of ``scales`` (k,)."""
         conditioned, gram = self.at(scales)
         beta, information, _ = self.solve(gram)
         return score(conditioned, scales, self.data, beta, information)
@@ -216,9 +216,9 @@ class Likelihood:
         return np.column_stack([self.data, changing])
 
     def disturbed(self, error: Floats, rate: Floats, shapes: Floats) -> Floats:
-        """What an ``error`` [N] (n,) of the force, with its ``rate`` [N/s] (n,), adds to the regressors (n, p + 3 k).
+        """Change (n, p + 3 k) of the regressors by an ``error`` (n,) [N] of the force with its ``rate`` (n,) [N/s].
 
-        In own units; of `with_changes` by ``shapes`` (n, k).
+        The regressors are those of `with_changes` for ``shapes`` (n, k), in the scaled units of the likelihood.
         """
         driven, p = self.model.driven, len(self.unit)
         places = np.array([*range(self._plain), *range(p - len(self.terms), p)])

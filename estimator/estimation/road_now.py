@@ -38,9 +38,10 @@ SPEED_CHANGE = 0.5  # m/s^2, sd of the acceleration since the newest speed
 
 @dataclass(frozen=True, kw_only=True)
 class RoadAhead:
-    """What is known of the road from the newest row on.
+    """Prediction of the road from the newest row on.
 
-    ``belief`` at the middle of a stride, the vehicle ``metres`` further on at time ``t`` [s] with a ``speed`` [m/s].
+    ``belief`` is that at the middle of a stride. The vehicle is ``metres`` further at time ``t`` [s], at ``speed``
+    [m/s].
     """
 
     t: float

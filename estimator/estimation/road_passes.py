@@ -1,16 +1,16 @@
-"""What one drive shows of the mean slope of parts of its road, without what was known of slopes beforehand.
+"""Mean slope of parts of the road by one drive alone, without the prior of the slopes.
 
-Given the coefficients beta, the mean slope of a part is Gaussian with posterior mean x and variance V, and had the
-variance P and the mean 0 before the drive. So the drive by itself shows
+Given the coefficients beta, the mean slope of a part is Gaussian with posterior mean x and variance V. Its prior has
+mean 0 and variance P. The estimate from the drive alone, and its variance, are
 
     z = x U / V,   U = 1 / (1/V - 1/P)
 
-which can be joined with other drives: the prior is not counted once a drive. x depends on beta, whose doubt moves the
-slopes of all parts together (a rolling resistance that is too large is a road that is too flat everywhere):
+so that drives can be combined without counting the prior once a drive. x depends on beta, whose uncertainty moves the
+slopes of all parts together: a rolling resistance that is too large makes the whole road too flat. This gives
 
     common variance = (U / V)^2 dx' cov(beta) dx,   dx = dx/dbeta
 
-It is kept apart from U, for more passes do not average it.
+It is separate from U, because more passes do not reduce it.
 """
 
 from dataclasses import dataclass

@@ -40,7 +40,7 @@ class RoadTarget:
 
     @classmethod
     def of(cls, fit: RoadFit, belief: Belief, lower: Floats, upper: Floats) -> "RoadTarget":
-        """From a fit, a ``belief`` about [A, C, m], and bounds (p,) of the box."""
+        """Make the target of a fit, a prior ``belief`` about [A, C, m], and bounds (p,) of the box."""
         effects = len(fit.terms)
         places = [*range(ROAD_LOAD), *range(len(fit.beta) - effects, len(fit.beta))]
         assert len(fit.beta) - effects >= PLAIN
@@ -84,12 +84,12 @@ class RoadTarget:
 
     @property
     def free_mode(self) -> Floats:
-        """Where the density would be highest without the box (p,)."""
+        """Mode (p,) of the density without the box."""
         return self._mode[0]
 
     @property
     def free_sd(self) -> Floats:
-        """Standard deviations (p,) there."""
+        """Standard deviations (p,) at `free_mode`."""
         return np.sqrt(np.diag(np.linalg.inv(self._mode[1])))
 
     @cached_property

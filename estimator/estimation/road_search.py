@@ -59,13 +59,13 @@ class RoadScales:
 
     @property
     def price(self) -> float:
-        """By how much more log evidence these orders need."""
+        """Log evidence that these orders must add to be chosen [nats]."""
         smooth = SMOOTH_PRICE * (self.alpha == ALPHAS[-1])
         changes = 0.0 if self.alpha == LEVEL else DESIGNED_PRICE * self.designed + TURN_PRICE * len(self.turns)
         return POWER_PRICE * self.has_power + smooth + changes
 
     def warping(self, speed: Floats) -> Floats:
-        """By how much (n,) sooner slopes change at a ``speed`` [m/s] (n,) than over the length among the scales."""
+        """Factor (n,) by which slopes change over less distance at a ``speed`` (n,) [m/s] than the slope length."""
         return warping(speed) if self.designed else np.ones(len(speed))
 
     @property
@@ -127,7 +127,7 @@ class Search:
         return Likelihood(model, self._terms, self._road_load, scales.lag, self._departures, self._taken)
 
     def given(self, scales: RoadScales) -> tuple[Likelihood, RoadScales, float]:
-        """With ``scales`` as they are; effects scale with the road load that is found beside them."""
+        """Likelihood and log evidence at the given ``scales``; effects scale with the road load fitted there."""
         for _ in range(PASSES if self._terms else 0):
             self._follow(self.likelihood(scales), scales)
         likelihood = self.likelihood(scales)
@@ -139,7 +139,7 @@ class Search:
         return self.likelihood(scales), scales, evidence
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
-        """The same with orders found too; without scales ``known``, from the centres of their priors."""
+        """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
         try:
             scales, evidence = self._lagged(known or self._central(level))
         except NotPositiveDefiniteError:  # scales of another part of the drive
@@ -194,7 +194,7 @@ class Search:
         return scales, evidence
 
     def _gains(self, scales: RoadScales, others: Sequence[RoadScales]) -> list[float]:
-        """How much more log evidence ``others`` of the same values have; their models are not kept."""
+        """Gain in log evidence of each of ``others`` with equal values; their models are not kept."""
         before = self.likelihood(scales).log_evidence(scales.values) - scales.price
         likelihoods = (self._likelihood_of(other.model_of(self._strides), other) for other in others)
         return [
@@ -246,7 +246,7 @@ def _sharpest(likelihood: Likelihood, scales: RoadScales) -> list[Place]:
 
 
 def _other_noise(scales: RoadScales) -> RoadScales:
-    """Without noise of the power where it is there, else with it in the place of noise of the torque."""
+    """Scales without noise of the power if they have it, else with it in place of noise of the torque."""
     values, torque, power = scales.values.copy(), slice(TORQUE, TORQUE + 2), slice(POWER, POWER + 2)
     centres = np.array([scale.centre for scale in SCALES])
     if scales.has_power:

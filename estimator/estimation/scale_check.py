@@ -60,7 +60,7 @@ COMPARED = {  # with what, by the role that it is known by, and by how much it m
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What is known of the speed and gears so far.
+    """Statistics of the speed and gears so far.
 
     ``fastest`` speed, exceeded for 10 s and 1 % of the drive [m/s]; ``gearing`` turns of the engine per
     distance in the highest gear [rad/m], None where they are not known; ``is_single`` whether that is the only gear, as
@@ -210,7 +210,7 @@ class ScaleCheck:
 
 
 def remedy(ratio: float, what: str = "its unit") -> str:
-    """To check ``what``, where a speed is read ``ratio`` times too large."""
+    """Advice to check ``what``, for a speed that is read ``ratio`` times too large."""
     unit = next((text for factor, text in UNITS.items() if abs(ratio / factor - 1) < UNIT_TOLERANCE), "")
     return f"check {what}; a factor of {1 / ratio:.3g} would fit" + (f" (in {unit}?)" if unit else "")
 

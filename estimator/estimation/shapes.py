@@ -75,7 +75,7 @@ def near(term: Term, size: float) -> list[Term]:
 
 
 def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term]]) -> tuple[Term, ...]:
-    """Of each effect the term, among its ``shapes``, that adds most to the evidence of a fit; its sign counts."""
+    """Term of each effect, among its ``shapes``, that adds most to the evidence of a fit; its sign is checked."""
     likelihood = ShapeLikelihood(strides, found)
     return tuple(each[int(np.argmax(likelihood.judged((), each)[0]))] for each in shapes if each)
 
@@ -129,9 +129,9 @@ class ShapeLikelihood:
         self._conditioned = Conditioned.of(self._model, found.scales.values)
 
     def judged(self, beside: tuple[Term, ...], shapes: Sequence[Term]) -> tuple[Floats, Floats]:
-        """What each of the ``shapes`` (k,) alone adds to the log evidence ``beside`` other terms.
+        """Gain (k,) in log evidence of each of ``shapes`` (k,) alone ``beside`` other terms, and coefficients (k, p).
 
-        And the coefficients (k, p) with it, its own last.
+        The last coefficient is that of the shape.
         """
         found, terms = self._found, (*beside, *shapes)
         likelihood = Likelihood(self._model, terms, found.road_load, found.scales.lag, found.departures, found.taken)

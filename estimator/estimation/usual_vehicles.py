@@ -72,16 +72,16 @@ class Size:
 
 
 def unusual(size: Size, motion: Motion | None, signal: str, masses: Range) -> str:
-    """What the size of the vehicle says against the unit of its speed; empty where it is usual enough.
+    """Sentence on the sizes of the vehicle that make the unit of its speed doubtful; empty if they are usual.
 
     Parameters
     ----------
     size, motion
-        The vehicle, and its speed and gears; None where these are not known.
+        Size of the vehicle, and statistics of its speed and gears; None if these are unknown.
     signal
-        Of the speed, for the message.
+        Signal of the speed, for the message.
     masses
-        That the vehicle may have by the configuration [kg].
+        Masses that the configuration allows [kg].
     """
     if size.mass <= 0 or motion is None:
         return ""
@@ -111,7 +111,7 @@ def _log_density(size: Size, motion: Motion, f: float) -> float:
 
 
 def _distances(size: Size, motion: Motion, f: float) -> Iterator[float]:
-    """How far each is from the usual one, in sd, of a ``size`` that is scaled already and a ``motion`` that is not."""
+    """Yield the distance [sd] of each quantity from its usual value; ``size`` is scaled by ``f`` already."""
     is_heavy = size.mass > HEAVY
     if size.A > 0 and (relative := float(size.sd[0]) / size.A) < MAX_RELATIVE_SD:
         usual = ROLLING_OF_TRUCKS if is_heavy else ROLLING_OF_CARS

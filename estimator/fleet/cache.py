@@ -1,4 +1,4 @@
-"""Results of drives on disk, by the contents of their logs, the program itself and the settings."""
+"""Cache of drive results on disk, keyed by the contents of their logs, the program and the settings."""
 
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -18,14 +18,14 @@ PROGRAM = Path(__file__).parents[1]  # its modules, which the results depend on
 
 @dataclass(frozen=True)
 class Cache:
-    """A folder of results; a result that cannot be read counts as missing."""
+    """Folder of results; an unreadable result counts as missing."""
 
     folder: Path
     settings: str
 
     @classmethod
     def of(cls, folder: Path, config: Config, with_diagnosis: bool) -> "Cache":
-        """The cache for runs with these settings.
+        """Return the cache for runs with these settings.
 
         Raises
         ------
@@ -39,19 +39,19 @@ class Cache:
         return cls(folder, f"{_program()} {with_diagnosis} {estimation_key(config)}")
 
     def get(self, drive: Drive) -> DriveResult | None:
-        """The result of a drive; None where there is none."""
+        """Result of a drive; None if there is none."""
         try:
             return msgspec.json.decode(self._path(drive).read_bytes(), type=DriveResult)
         except (OSError, msgspec.DecodeError):
             return None
 
     def put(self, drive: Drive, result: DriveResult) -> None:
-        """Keep a result.
+        """Store a result.
 
         Raises
         ------
         RoadloadError
-            It cannot be written.
+            The result cannot be written.
         """
         with whole(self._path(drive)) as file:
             file.write(msgspec.json.encode(result))
@@ -62,9 +62,9 @@ class Cache:
 
 
 def _program() -> str:
-    """A digest of the modules of the program and of the databases that it comes with."""
+    """Digest of the modules of the program and of its databases."""
     digest = blake2b(digest_size=16)
-    databases = sorted((each for each in files("estimator.dbc").iterdir()), key=lambda each: each.name)
-    for one in [*sorted(PROGRAM.rglob("*.py")), *(each for each in databases if each.name.endswith(".dbc"))]:
-        digest.update(blake2b(one.read_bytes()).digest())
+    databases = sorted((file for file in files("estimator.dbc").iterdir()), key=lambda file: file.name)
+    for path in [*sorted(PROGRAM.rglob("*.py")), *(file for file in databases if file.name.endswith(".dbc"))]:
+        digest.update(blake2b(path.read_bytes()).digest())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""One drive: its estimate for each load, with the statistics that a joint estimate needs."""
+"""Result of one drive: its estimate for each load, with the statistics that a joint estimate needs."""
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ MINUTE = 60.0  # s
 
 @dataclass(frozen=True)
 class Parameter:
-    """Status, reason and posterior of one parameter; no posterior where it is not estimated."""
+    """Status, reason and posterior of one parameter; no posterior if it is not estimated."""
 
     status: str
     reason: str
@@ -36,10 +36,11 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """The likelihood of a drive under one load.
+    """Estimate of a drive under one load.
 
-    ``start`` and ``minutes`` of the rows; the parameters m [kg], A [N] and C [N s^2/m^2]; ``mean`` (3,) and
-    ``covariance`` (3, 3) of the likelihood of [1/m, A/m, C/m], empty where the mass is not estimated.
+    ``start`` [s] and ``minutes`` [min] are those of its rows. ``parameters`` are m [kg], A [N] and C [N s^2/m^2].
+    ``mean`` (3,) and ``covariance`` (3, 3) are those of the likelihood of [1/m, A/m, C/m]; empty if the mass is not
+    estimated.
     """
 
     start: float
@@ -58,7 +59,7 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundEffect:
-    """An effect that the diagnosis of a drive names; ``magnitude`` and ``sd`` in ``unit``."""
+    """Effect that the diagnosis of a drive names, with ``magnitude`` and ``sd`` in ``unit``."""
 
     name: str
     probability: float
@@ -71,7 +72,7 @@ class FoundEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class DriveResult:
-    """The result of one drive; ``fault`` is the reason why there is none, or empty; ``passes`` of places."""
+    """Result of one drive, with its ``passes`` of places; ``fault`` is the reason why there is none, else empty."""
 
     segments: tuple[Segment, ...] = ()
     passes: Passes = field(default_factory=Passes)
@@ -99,21 +100,21 @@ def estimate_drive(drive: Drive, config: Config, with_diagnosis: bool = False) -
     named = diagnosis.effects if diagnosis.verdict is Verdict.EFFECT else ()  # else one that may act is among them
     effects = tuple(
         FoundEffect(
-            name=found.name,
-            probability=float(found.probability),
-            log_bayes_factor=float(found.log_bayes_factor),
-            quantity=found.magnitude.name,
-            magnitude=float(found.magnitude.value),
-            sd=float(found.magnitude.sd),
-            unit=found.magnitude.unit,
+            name=finding.name,
+            probability=float(finding.probability),
+            log_bayes_factor=float(finding.log_bayes_factor),
+            quantity=finding.magnitude.name,
+            magnitude=float(finding.magnitude.value),
+            sd=float(finding.magnitude.sd),
+            unit=finding.magnitude.unit,
         )
-        for found in named
+        for finding in named
     )
     return DriveResult(segments=segments, passes=passes, verdict=diagnosis.verdict.value, effects=effects)
 
 
 class _Loads:
-    """The newest update and the times of each load, and the road that was found with it."""
+    """Newest update, times and fitted road of each load of a drive."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
@@ -122,7 +123,7 @@ class _Loads:
         self._spans: dict[int, tuple[float, float]] = {}
 
     def take(self, update: Estimate) -> None:
-        """Note an update, as long as the pipeline has not gone on."""
+        """Note an update; must be called before the pipeline takes further rows."""
         estimator = self._pipeline.estimator
         evidence = estimator.evidence if update.status is Status.ESTIMATED else None
         self._updates[estimator.segment] = update, None if evidence is None else evidence.coefficients
@@ -131,18 +132,18 @@ class _Loads:
             self._roads[estimator.segment] = estimator.window.strides, evidence.fit
 
     def doubt(self, segment: int, reason: str) -> None:
-        """Use nothing of a load."""
+        """Make a load unestimated for this reason, and drop its road."""
         self._roads.pop(segment, None)
         if segment in self._updates:
-            found, _ = self._updates[segment]
+            update, _ = self._updates[segment]
             status = Status.UNESTIMATED
             doubtful = Estimate(
-                t=found.t, status=status, reason=reason, coverage=found.coverage, admitted=found.admitted
+                t=update.t, status=status, reason=reason, coverage=update.coverage, admitted=update.admitted
             )
             self._updates[segment] = doubtful, None
 
     def rows(self, first: float, last: float) -> None:
-        """Note the times of the first and last of the rows that have been used [s]."""
+        """Note the times [s] of the first and last of some used rows."""
         segment = self._pipeline.estimator.segment
         start, _ = self._spans.get(segment, (first, last))
         self._spans[segment] = start, last
@@ -153,14 +154,14 @@ class _Loads:
         return tuple(_segment(*self._updates[i], *self._spans[i]) for i in sorted(self._updates) if i in self._spans)
 
     def passes(self, places: Places) -> Passes:
-        """Passes of places, each by the load that it was driven with; the roads are forgotten."""
+        """Passes of places with each load; the fitted roads are then dropped."""
         roads, self._roads = self._roads, {}
-        found = [
+        passes = [
             passes_of(strides, fit, places, self._spans[i][0])
             for i, (strides, fit) in sorted(roads.items())
             if i in self._spans
         ]
-        return Passes.joined(found)
+        return Passes.joined(passes)
 
 
 def _segments(paths: list[Path], config: Config) -> tuple[tuple[Segment, ...], Passes]:

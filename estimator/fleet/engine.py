@@ -1,4 +1,4 @@
-"""Tasks of a fleet: in this process, or on Dask's workers."""
+"""Execution of the tasks of a fleet, in this process or on Dask's workers."""
 
 import logging
 import signal
@@ -20,25 +20,25 @@ DEATHS = 1  # of workers that a task may survive: a log that takes all memory do
 
 @dataclass(frozen=True)
 class Failure:
-    """A task that ended without a result, and why: an error in the program, or a worker that was lost."""
+    """Task without a result, and the reason: an error in the program, or a lost worker."""
 
     reason: str
     worker_died: bool = False
 
 
 class Engine(Protocol):
-    """Runs one function on many items."""
+    """Interface that runs one function on many items."""
 
     def map(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | Failure]]:
-        """Yield the index and the result of each item, in the order in which they are done."""
+        """Yield the index and the result of each item, in the order of completion."""
         ...
 
 
 class Serial:
-    """Runs in this process, one item after the other."""
+    """Runs items in this process, one by one."""
 
     def map(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | Failure]]:
-        """See `Engine.map`."""
+        """Yield the index and the result of each item; see `Engine.map`."""
         for i, item in enumerate(items):
             try:
                 result: Result | Failure = work(item)
@@ -48,13 +48,13 @@ class Serial:
 
 
 class Distributed:
-    """Runs on the workers of a Dask cluster."""
+    """Runs items on the workers of a Dask cluster."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
 
     def map(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | Failure]]:
-        """See `Engine.map`.
+        """Yield the index and the result of each item; see `Engine.map`.
 
         Raises
         ------
@@ -75,7 +75,7 @@ class Distributed:
             yield i, self._answer(self._client.submit(work, items[i], pure=False))
 
     def _answer(self, future: Any) -> Any:
-        """The result of a task, when it is done, or its failure."""
+        """Wait for a task, and return its result or failure."""
         from distributed import KilledWorker
         from distributed.client import FutureCancelledError
 
@@ -101,7 +101,7 @@ def _failure(error: BaseException) -> Failure:
 
 @contextmanager
 def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
-    """Workers of the cluster at the address ``scheduler``, or else processes of this machine.
+    """Yield an engine of the workers of the cluster at the address ``scheduler``, or of local processes without one.
 
     Raises
     ------
@@ -145,13 +145,13 @@ def _await_worker(client: Any, scheduler: str) -> None:
 
 @contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Let no thread and no process that is started in the block be interrupted from the terminal, then or later.
+    """Block Ctrl-C for all threads and processes that are started within the context.
 
-    Ctrl-C goes to all processes; each worker would write a traceback. It ends them through this one.
+    Ctrl-C goes to all processes, and each worker would write a traceback. This process ends the workers instead.
     """
     resource_tracker.ensure_running()  # once; its start would undo what follows for the thread that starts workers
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

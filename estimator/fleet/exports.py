@@ -1,4 +1,4 @@
-"""A vehicle for simulators and range planners."""
+"""Export of a vehicle for simulators and range planners."""
 
 from estimator.answers.vehicle import CoastDown, Fastsim, FastsimChassis, Shared, Value, Vecto, VehicleAnswer
 from estimator.estimates import Marginal
@@ -11,24 +11,24 @@ FRONTAL_AREA = 10.0  # m^2, about that of a truck; the drag coefficient goes wit
 KMH = 3.6  # km/h in a m/s
 
 
-def export(found: VehicleResult) -> VehicleAnswer | None:
-    """The vehicle; None where A/m or C is not estimated.
+def export(result: VehicleResult) -> VehicleAnswer | None:
+    """Export a vehicle; None if A/m or C is not estimated.
 
-    C becomes a drag area by the density that each program uses, so that it finds the same force again.
+    C is converted to a drag area with the air density of each program, so that the program computes an equal force.
     """
-    if found.rolling is None or found.drag is None or found.load is None:
+    if result.rolling is None or result.drag is None or result.load is None:
         return None
-    mass, mass_sd = found.load
-    C, rolling = found.drag.mean, found.rolling.mean
+    mass, mass_sd = result.load
+    C, rolling = result.drag.mean, result.rolling.mean
     coefficient = rolling / STANDARD_GRAVITY
     return VehicleAnswer(
-        vehicle=found.vehicle,
-        loads=len(found.masses),
+        vehicle=result.vehicle,
+        loads=len(result.masses),
         mass_kg=Value(mean=mass, sd=mass_sd),
-        A_N=_shared(found.rolling, found.scatter[ROLLING], mass),
+        A_N=_shared(result.rolling, result.scatter[ROLLING], mass),
         B_N_s_m=0.0,
-        C_N_s2_m2=_shared(found.drag, found.scatter[DRAG]),
-        A_per_mass_N_kg=_shared(found.rolling, found.scatter[ROLLING]),
+        C_N_s2_m2=_shared(result.drag, result.scatter[DRAG]),
+        A_per_mass_N_kg=_shared(result.rolling, result.scatter[ROLLING]),
         coast_down=CoastDown(F0_N=rolling * mass, F1_N_h_km=0.0, F2_N_h2_km2=C / KMH**2),
         fastsim=Fastsim(
             mass_kilograms=mass,
@@ -45,8 +45,8 @@ def export(found: VehicleResult) -> VehicleAnswer | None:
     )
 
 
-def _shared(found: Marginal, scatter: float, factor: float = 1.0) -> Shared:
-    return Shared(mean=factor * found.mean, sd=factor * found.sd, scatter=factor * scatter)
+def _shared(marginal: Marginal, scatter: float, factor: float = 1.0) -> Shared:
+    return Shared(mean=factor * marginal.mean, sd=factor * marginal.sd, scatter=factor * scatter)
 
 
 def _drag_area(C: float, density: float) -> float:

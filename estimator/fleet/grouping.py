@@ -1,4 +1,4 @@
-"""Logs to drives: files that continue each other are one, a log that appears twice counts once."""
+"""Grouping of logs to drives: files that continue each other are one drive, and a duplicate log is not used."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ CLOCK_YEARS = 2.0  # between the drives of a vehicle, beyond which one of the cl
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """The files of one drive in order, and hashes of their contents; times of its first and last frame [s]."""
+    """Files of one drive in order, hashes of their contents, and times [s] of its first and last frame."""
 
     vehicle: str
     sources: tuple[str, ...]
@@ -30,7 +30,7 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class Rejected:
-    """A log that gives no drive: ``status`` is "unreadable" or "duplicate"."""
+    """Log that gives no drive; ``status`` is "unreadable" or "duplicate"."""
 
     vehicle: str
     source: str
@@ -49,7 +49,7 @@ class Grouped:
 
     @cached_property
     def _spans(self) -> dict[str, list[tuple[float, float]]]:
-        """Times [s] of the drives whose clock was set, in order, by vehicle."""
+        """Start and end [s] of the drives whose clock was set, in order, by vehicle."""
         spans: dict[str, list[tuple[float, float]]] = defaultdict(list)
         for start, end, vehicle in sorted((d.start, d.end, d.vehicle) for d in self.drives):
             if start >= MIN_SET_CLOCK:
@@ -57,7 +57,7 @@ class Grouped:
         return spans
 
     def overlapping(self, vehicle: str) -> int:
-        """The number of drives of a vehicle that begin before another one has ended."""
+        """Number of drives of a vehicle that begin over OVERLAP before another one ends."""
         spans = self._spans[vehicle]
         ended = accumulate((end for _, end in spans), max)  # the latest so far
         return sum(start < end - OVERLAP for end, (start, _) in zip(ended, spans[1:], strict=False))
@@ -68,68 +68,75 @@ def group(surveys: Sequence[Survey]) -> Grouped:
     rejected: list[Rejected] = []
     by_vehicle: dict[str, list[Survey]] = defaultdict(list)
     seen: dict[str, Survey] = {}
-    for one in surveys:
-        if one.fault:
-            rejected.append(_rejection(one, "unreadable", one.fault))
-        elif one.content in seen:
-            reason = f"{one.log.source}: is the same log as {seen[one.content].log.source}; delete one of them"
-            rejected.append(_rejection(one, "duplicate", reason))
+    for survey in surveys:
+        if survey.fault:
+            rejected.append(_rejection(survey, "unreadable", survey.fault))
+        elif survey.content in seen:
+            reason = f"{survey.log.source}: is the same log as {seen[survey.content].log.source}; delete one of them"
+            rejected.append(_rejection(survey, "duplicate", reason))
         else:
-            seen[one.content] = one
-            by_vehicle[one.log.vehicle].append(one)
+            seen[survey.content] = survey
+            by_vehicle[survey.log.vehicle].append(survey)
     drives = [drive for name in sorted(by_vehicle) for drive in _joined(by_vehicle[name])]
     return Grouped(tuple(drives), tuple(rejected), _notes(drives))
 
 
 def by_engine(surveys: Sequence[Survey]) -> list[Survey]:
-    """The same logs, each of the vehicle whose engine claimed an address in it.
+    """Assign each log to the vehicle whose engine claimed an address in it.
 
-    Nodes claim addresses when they start, so files that continue such a log are of its vehicle. Others keep theirs.
+    Nodes claim addresses when they start, so files that continue such a log belong to its vehicle. Other logs keep
+    their vehicle.
     """
     named: dict[int, Survey] = {}
     last: dict[str, tuple[float, str]] = {}  # end [s] and vehicle of the newest log, by folder
-    for i, one in sorted(enumerate(surveys), key=lambda pair: (pair[1].start, pair[1].log.source)):
-        end, before = last.get(one.log.vehicle, (-inf, ""))
-        continues = end >= MIN_SET_CLOCK and 0 <= one.start - end <= JOIN_GAP
-        vehicle = one.engine or (before if continues else one.log.vehicle)
-        named[i] = replace(one, log=replace(one.log, vehicle=vehicle))
-        if not one.fault:
-            last[one.log.vehicle] = one.end, vehicle
+    for i, survey in sorted(enumerate(surveys), key=lambda pair: (pair[1].start, pair[1].log.source)):
+        end, last_vehicle = last.get(survey.log.vehicle, (-inf, ""))
+        continues = end >= MIN_SET_CLOCK and 0 <= survey.start - end <= JOIN_GAP
+        vehicle = survey.engine or (last_vehicle if continues else survey.log.vehicle)
+        named[i] = replace(survey, log=replace(survey.log, vehicle=vehicle))
+        if not survey.fault:
+            last[survey.log.vehicle] = survey.end, vehicle
     return [named[i] for i in range(len(surveys))]
 
 
-def _rejection(one: Survey, status: str, reason: str) -> Rejected:
-    return Rejected(vehicle=one.log.vehicle, source=one.log.source, start=one.start, status=status, reason=reason)
+def _rejection(survey: Survey, status: str, reason: str) -> Rejected:
+    return Rejected(
+        vehicle=survey.log.vehicle,
+        source=survey.log.source,
+        start=survey.start,
+        status=status,
+        reason=reason,
+    )
 
 
 def _joined(surveys: list[Survey]) -> list[Drive]:
-    """Drives of one vehicle; a file joins the one before if it begins where that one ends."""
+    """Drives of one vehicle; a file that begins where the previous one ends continues its drive."""
     chains: list[list[Survey]] = []
-    for one in sorted(surveys, key=lambda each: (each.start, each.log.source)):
+    for survey in sorted(surveys, key=lambda log: (log.start, log.log.source)):
         last = chains[-1][-1] if chains else None
-        continues = last is not None and last.end >= MIN_SET_CLOCK and 0 <= one.start - last.end <= JOIN_GAP
-        chains[-1].append(one) if continues else chains.append([one])
+        continues = last is not None and last.end >= MIN_SET_CLOCK and 0 <= survey.start - last.end <= JOIN_GAP
+        chains[-1].append(survey) if continues else chains.append([survey])
     return [
         Drive(
             vehicle=chain[0].log.vehicle,
-            sources=tuple(one.log.source for one in chain),
-            contents=tuple(one.content for one in chain),
+            sources=tuple(survey.log.source for survey in chain),
+            contents=tuple(survey.content for survey in chain),
             start=chain[0].start,
             end=chain[-1].end,
-            note=next((one.note for one in chain if one.note), ""),
+            note=next((survey.note for survey in chain if survey.note), ""),
         )
         for chain in chains
     ]
 
 
 def _notes(drives: list[Drive]) -> dict[str, str]:
-    """Doubts about channels and clocks, by the first source of a drive; that about the clock counts for more."""
+    """Doubts about channels or clocks, by the first source of a drive; a doubt about the clock has precedence."""
     notes = {drive.sources[0]: drive.note for drive in drives if drive.note}
     by_vehicle: dict[str, list[Drive]] = defaultdict(list)
     for drive in drives:
         by_vehicle[drive.vehicle].append(drive)
-    for vehicle, own in by_vehicle.items():
-        for drive, years in zip(own, years_off([drive.start for drive in own]), strict=True):
+    for vehicle, vehicle_drives in by_vehicle.items():
+        for drive, years in zip(vehicle_drives, years_off([drive.start for drive in vehicle_drives]), strict=True):
             if years is None:
                 notes[drive.sources[0]] = "the clock was not set: the times count from its start"
             elif abs(years) > CLOCK_YEARS:
@@ -138,10 +145,10 @@ def _notes(drives: list[Drive]) -> dict[str, str]:
 
 
 def years_off(starts: Sequence[float]) -> list[float | None]:
-    """By how many years the clock of each drive of a vehicle, begun at ``starts`` [s] (n,), is off that of most.
+    """Clock error [years] of each drive of a vehicle, begun at ``starts`` [s] (n,), relative to the median drive.
 
-    None where it was not set; 0 where too few are set to tell.
+    None if the clock was not set; 0 if at most two clocks were set.
     """
-    known = sorted(start for start in starts if start >= MIN_SET_CLOCK)
-    middle = known[len(known) // 2] if len(known) > 2 else None
+    set_starts = sorted(start for start in starts if start >= MIN_SET_CLOCK)
+    middle = set_starts[len(set_starts) // 2] if len(set_starts) > 2 else None
     return [None if start < MIN_SET_CLOCK else 0.0 if middle is None else (start - middle) / YEAR for start in starts]

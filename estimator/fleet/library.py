@@ -1,4 +1,4 @@
-"""A fleet for programs: logs in, a table out, in one process."""
+"""Fleet estimates for programs, in one process: logs in, a table out."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,16 +14,16 @@ from estimator.fleet.tables import DRIVES
 
 
 def estimate_drives(sources: Sequence[str | Path], config: Config, vehicle: str | None = None) -> dict[str, Any]:
-    """Estimate logs in this process: a table of drives, as arrays (n,) by column.
+    """Estimate logs in this process; returns a table of drives, as arrays (n,) by column.
 
-    ``pandas.DataFrame`` and ``polars.DataFrame`` take it. The columns are those of ``drives.parquet``; numbers that
-    are missing are NaN. ``vehicle`` is a regular expression whose first group names the vehicle in a path.
+    ``pandas.DataFrame`` and ``polars.DataFrame`` accept it. The columns are those of ``drives.parquet``; missing
+    numbers are NaN. ``vehicle`` is a regular expression whose first group is the name of the vehicle in a path.
 
     Raises
     ------
     InputError
-        A source is missing or holds no log; or the configuration is wrong. A log that cannot be read is a row.
+        A source is missing or has no log, or the configuration is invalid. An unreadable log is a row of the table.
     """
     check(config)
-    found = run_fleet(find_logs([str(source) for source in sources], vehicle), config, Serial())
-    return columns(DRIVES, drive_rows(found))
+    fleet = run_fleet(find_logs([str(source) for source in sources], vehicle), config, Serial())
+    return columns(DRIVES, drive_rows(fleet))

@@ -1,4 +1,4 @@
-"""The folder that a fleet is written to."""
+"""Output folder of a fleet."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -25,12 +25,12 @@ FORBIDDEN = str.maketrans(dict.fromkeys('/\\:*?"<>|', "_"))  # in names of files
 
 
 def prepare(out: Path) -> None:
-    """Make the folder, before the work is done.
+    """Make the folder, before the estimates.
 
     Raises
     ------
     ConfigError
-        It is a file, or cannot be made or written to.
+        The path is a file, or the folder cannot be made or written to.
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; give the name of a folder")
@@ -44,12 +44,12 @@ def prepare(out: Path) -> None:
 
 
 def check_names(vehicles: Iterable[str]) -> None:
-    """Refuse vehicles whose files would have one name, before the work is done.
+    """Refuse vehicles whose files would have one name, before the estimates.
 
     Raises
     ------
     ConfigError
-        The message names them.
+        There are such vehicles; the message names them.
     """
     named = {NEW_VEHICLE: "the belief about a new vehicle"}
     for vehicle in sorted(set(vehicles)):
@@ -60,11 +60,11 @@ def check_names(vehicles: Iterable[str]) -> None:
 
 
 def write_fleet(
-    found: Fleet, config: Config, out: Path, rate: float, *, with_diagnosis: bool = False, with_page: bool = False
+    fleet: Fleet, config: Config, out: Path, rate: float, *, with_diagnosis: bool = False, with_page: bool = False
 ) -> list[Path]:
-    """Write tables, estimated beliefs and, ``with_page``, the page: all files, or none; returns their names.
+    """Write tables, configurations and, if ``with_page``, the page: all files or none; returns their names.
 
-    ``rate`` is the false-discovery rate at which a vehicle is named as out of line.
+    ``rate`` is the false-discovery rate up to which a vehicle is named as an outlier.
 
     Raises
     ------
@@ -72,10 +72,10 @@ def write_fleet(
         A file cannot be written.
     """
     drives, vehicles, seasons, effects = (
-        drive_rows(found),
-        vehicle_rows(found, rate),
-        season_rows(found),
-        effect_rows(found),
+        drive_rows(fleet),
+        vehicle_rows(fleet, rate),
+        season_rows(fleet),
+        effect_rows(fleet),
     )
     tables = {
         out / "drives.parquet": (DRIVES, drives),
@@ -84,25 +84,25 @@ def write_fleet(
     }
     if with_diagnosis:
         tables[out / "effects.parquet"] = EFFECTS, effects
-    learnt = {one.vehicle: of_vehicle(config, one) for one in found.vehicles}
-    learnt[NEW_VEHICLE] = of_new_vehicle(config, found.vehicles, found.new)
+    learnt = {result.vehicle: of_vehicle(config, result) for result in fleet.vehicles}
+    learnt[NEW_VEHICLE] = of_new_vehicle(config, fleet.vehicles, fleet.new)
     texts = {out / PRIORS / f"{_file_name(name)}.toml": as_toml(c) for name, c in learnt.items() if c is not None}
     if with_page:
-        of = Tables(drives=drives, vehicles=vehicles, seasons=seasons, effects=effects, road=found.road, rate=rate)
+        of = Tables(drives=drives, vehicles=vehicles, seasons=seasons, effects=effects, road=fleet.road, rate=rate)
         texts[out / PAGE] = page(of)
-    exported = {out / EXPORTS / f"{_file_name(one.vehicle)}.json": export(one) for one in found.vehicles}
+    exported = {out / EXPORTS / f"{_file_name(result.vehicle)}.json": export(result) for result in fleet.vehicles}
     texts |= {path: encode(answer).decode() + "\n" for path, answer in exported.items() if answer is not None}
     maps: dict[Path, bytes] = {}
-    if len(found.road.key):
-        tables[out / ROAD_TABLE] = ROAD, road_rows(found.road)
-    if len(found.road.map.key):  # else a map that a gateway uses stays as it is
-        maps[out / ROAD_MAP] = found.road.map.encoded()
+    if len(fleet.road.key):
+        tables[out / ROAD_TABLE] = ROAD, road_rows(fleet.road)
+    if len(fleet.road.map.key):  # else a map that a gateway uses stays as it is
+        maps[out / ROAD_MAP] = fleet.road.map.encoded()
     write_tables(tables, {**texts, **maps})
     return [*tables, *texts, *maps]
 
 
 def left_over(out: Path, written: Sequence[Path]) -> list[Path]:
-    """Files of an earlier run in the folder, which the run that has ``written`` these did not make anew."""
+    """Files of an earlier run in the folder that are not among those ``written`` by this run."""
     made = [*out.glob("*.parquet"), out / PAGE, out / ROAD_MAP, *out.glob(f"{PRIORS}/*"), *out.glob(f"{EXPORTS}/*")]
     return sorted(path for path in made if path.is_file() and path not in set(written))
 

@@ -1,10 +1,10 @@
-"""How A/m and C of a vehicle change over the months: a trend, and a season of one year.
+"""Change of A/m and C of a vehicle over the months: a trend, and a season of one year.
 
     value(t) = now + trend t + c (cos 2 pi t - 1) + s sin 2 pi t,   t [years] since the newest drive
 
-so `now` is the value at the newest drive. The priors of the others are shares of the value: tyres lose a fifth of their
-rolling resistance until they are worn, and new ones bring it back; rolling resistance falls by 0.6 % a kelvin (ISO
-28580, correction to 25 degC for tyres of heavy vehicles), and the density of the air by 1/T, where the mean day of
+Here `now` is the value at the newest drive. The priors of the other terms are shares of the value. Tyres lose a fifth
+of their rolling resistance until they are worn, and new ones restore it. Rolling resistance falls by 0.6 % a kelvin
+(ISO 28580, correction to 25 degC for tyres of heavy vehicles), and the density of the air by 1/T. The mean day of
 summer or winter is some 10 K off that of the year.
 """
 
@@ -25,30 +25,30 @@ PRIOR_SD = np.column_stack([[np.inf, np.inf], BY_YEAR, _SEASON, _SEASON])  # (2,
 
 
 def newest(starts: Sequence[float]) -> float | None:
-    """When the newest of drives began [s], of those whose clock is not doubted; None where there is none."""
-    return max((start for start, known in zip(starts, _trusted(starts), strict=True) if known), default=None)
+    """Start [s] of the newest drive whose clock is trusted; None if there is none."""
+    return max((start for start, is_trusted in zip(starts, _trusted(starts), strict=True) if is_trusted), default=None)
 
 
 def years_since(now: float | None, starts: Sequence[float]) -> Floats:
-    """Times [years] (n,) of drives that began at ``starts`` [s]; 0 where the clock is doubted, or ``now`` not known."""
+    """Times [years] (n,) since ``now`` of drives that began at ``starts`` [s]; 0 without ``now`` or a trusted clock."""
     if now is None:
         return np.zeros(len(starts))
     return np.where(_trusted(starts), (np.array(starts, dtype=np.float64) - now) / YEAR, 0.0)
 
 
 def _trusted(starts: Sequence[float]) -> list[bool]:
-    """Whose clock was set, and is not years off that of most."""
+    """Flag (n,) the drives whose clock was set and differs by at most CLOCK_YEARS from the median."""
     return [years is not None and abs(years) <= CLOCK_YEARS for years in years_off(starts)]
 
 
 def terms(years: Floats) -> Floats:
-    """What now, trend, c and s count for (n, 4) at ``years`` (n,) since the newest drive."""
+    """Columns (n, 4) of now, trend, c and s at ``years`` (n,) since the newest drive."""
     angle = 2 * np.pi * years
     return np.column_stack([np.ones(len(years)), years, np.cos(angle) - 1, np.sin(angle)])
 
 
 def winter(now: float) -> Floats:
-    """What the terms count for (4,) in January less July, for a newest drive at ``now`` [s]; without the trend."""
+    """Difference (4,) of the columns in January and July, without the trend, for a newest drive at ``now`` [s]."""
     january = (COLDEST - now) / YEAR
     cold, warm = terms(np.array([january, january + 0.5]))
     difference: Floats = (cold - warm) * (1 - TREND)

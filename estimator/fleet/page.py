@@ -1,4 +1,4 @@
-"""A fleet as one page that opens offline: vehicles out of line, A/m and C, masses by day, seasons, gaps, the road."""
+"""Page of a fleet that opens offline: outliers, A/m and C, masses by day, seasons, gaps, the road."""
 
 import html
 import re
@@ -43,7 +43,7 @@ TERMS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Tables:
-    """Rows of the tables of a fleet, its road, and the false-discovery ``rate`` of its outliers."""
+    """Rows of the tables of a fleet, its road, and the false-discovery ``rate`` for outliers."""
 
     drives: Sequence[Row]
     vehicles: Sequence[Row]
@@ -54,7 +54,7 @@ class Tables:
 
 
 def page(of: Tables) -> str:
-    """The whole document."""
+    """HTML document of the page."""
     sections = [
         Section("outliers", "Which vehicles are out of line?", _outliers(of)),
         Section("vehicles", "A/m and C by vehicle", _vehicles(of.vehicles)),
@@ -80,8 +80,8 @@ def _header(of: Tables) -> str:
     none = "none out of line" if _is_compared(of.vehicles) else "not compared"
     pill = f"{counted(len(named), 'vehicle')} out of line" if named else none
     estimated = sum(row["status"] == "estimated" for row in of.drives)
-    known = sum("C_N_s2_m2_mean" in row for row in of.vehicles)
-    words = f"The mass is known of {estimated:,} loads, C of {known:,} of {counted(len(of.vehicles), 'vehicle')}. "
+    with_drag = sum("C_N_s2_m2_mean" in row for row in of.vehicles)
+    words = f"The mass is known of {estimated:,} loads, C of {with_drag:,} of {counted(len(of.vehicles), 'vehicle')}. "
     others = Counter(row["status"] for row in of.drives if row["status"] != "estimated")
     words += "; ".join(f"{count:,} {status}" for status, count in others.most_common()) + ("." if others else "")
     kind = "unknown-effect" if named else "no-gap"
@@ -126,16 +126,16 @@ def _is_compared(rows: Sequence[Row]) -> bool:
 
 
 def _median(rows: Sequence[Row], name: str) -> float:
-    known = [row[f"{name}_mean"] for row in rows if f"{name}_mean" in row]
-    return float(np.median(known)) if known else np.nan
+    means = [row[f"{name}_mean"] for row in rows if f"{name}_mean" in row]
+    return float(np.median(means)) if means else np.nan
 
 
 def _vehicles(rows: Sequence[Row]) -> str:
     lists = []
     for name, short, unit in PARAMETERS:
-        known = sorted((row for row in rows if f"{name}_mean" in row), key=lambda row: -row[f"{name}_mean"])
-        if known:
-            lists.append(f"<div><h3>{short} [{unit}]</h3>{_folded(_intervals(known, name, short))}</div>")
+        estimated = sorted((row for row in rows if f"{name}_mean" in row), key=lambda row: -row[f"{name}_mean"])
+        if estimated:
+            lists.append(f"<div><h3>{short} [{unit}]</h3>{_folded(_intervals(estimated, name, short))}</div>")
     if not lists:
         reasons = Counter(row["C_reason"] for row in rows if row["C_reason"])
         why = "".join(f": {html.escape(reason)}" for reason, _ in reasons.most_common(1))
@@ -145,7 +145,7 @@ def _vehicles(rows: Sequence[Row]) -> str:
 
 
 def _intervals(rows: Sequence[Row], name: str, short: str) -> list[str]:
-    """An entry for each vehicle: a dot and its interval, on one scale."""
+    """One entry for each vehicle: a dot and its interval, on a common scale."""
     scale = axis([row[f"{name}_{end}"] for row in rows for end in ("q05", "q95")], "", margin=0.03)
     middle = _share(scale.at(np.array([_median(rows, name)])))
     entries = []
@@ -173,33 +173,33 @@ def _folded(entries: Sequence[str]) -> str:
 
 
 def _masses(rows: Sequence[Row]) -> str:
-    known = [row for row in rows if "mass_kg_mean" in row and row["start"] >= MIN_SET_CLOCK]
-    if not known:
+    timed = [row for row in rows if "mass_kg_mean" in row and row["start"] >= MIN_SET_CLOCK]
+    if not timed:
         return ""
-    day = np.array([row["start"] for row in known]) / DAY
-    mean, low, high = (np.array([_tonnes(row, part) for row in known]) for part in ("mean", "q05", "q95"))
+    day = np.array([row["start"] for row in timed]) / DAY
+    mean, low, high = (np.array([_tonnes(row, part) for row in timed]) for part in ("mean", "q05", "q95"))
     days = axis([day.min() - 0.5, day.max() + 0.5], "")
     x = DateAxis(days.low, days.high, "day, UTC")
     y = axis([*low.tolist(), *high.tolist()], "mass [t]", zero=True, margin=0.04)
-    words = f"Masses of {len(known)} loads from {mean.min():.1f} to {mean.max():.1f} t by day"
+    words = f"Masses of {len(timed)} loads from {mean.min():.1f} to {mean.max():.1f} t by day"
     shapes = rods(x, y, day, low, high, "after") + dots(x, y, day, mean, "after")
-    note = f"A dot is a load, {len(known):,} in all, given all drives of its vehicle where they are joined; "
+    note = f"A dot is a load, {len(timed):,} in all, given all drives of its vehicle where they are joined; "
     note += "bars are 90 % intervals. Loads without a set clock are left out."
-    return f'<p class="soft">{note}</p>' + plot(shapes, x, y, words, kind="trace") + _loads_by_vehicle(known)
+    return f'<p class="soft">{note}</p>' + plot(shapes, x, y, words, kind="trace") + _loads_by_vehicle(timed)
 
 
 def _tonnes(row: Row, part: str) -> float:
-    """Mass of a load [t], given all drives of its vehicle, or by its drive alone."""
+    """Mass of a load [t] given all drives of its vehicle, else given its drive alone."""
     return float(row.get(f"joint_mass_kg_{part}", row[f"mass_kg_{part}"])) / 1e3
 
 
-def _loads_by_vehicle(known: Sequence[Row]) -> str:
+def _loads_by_vehicle(timed: Sequence[Row]) -> str:
     masses: dict[str, list[float]] = defaultdict(list)
-    for row in known:
+    for row in timed:
         masses[row["vehicle"]].append(_tonnes(row, "mean"))
     rows = [
-        (html.escape(vehicle), f"{len(own):,}", *(rounded(float(np.quantile(own, q)), 1) for q in (0.0, 0.5, 1.0)))
-        for vehicle, own in sorted(masses.items())
+        (html.escape(vehicle), f"{len(loads):,}", *(rounded(float(np.quantile(loads, q)), 1) for q in (0.0, 0.5, 1.0)))
+        for vehicle, loads in sorted(masses.items())
     ]
     content = table(("vehicle", "loads", "lightest [t]", "median [t]", "heaviest [t]"), rows, "loads")
     return f"<details><summary>Masses by vehicle</summary>{content}</details>"
@@ -211,11 +211,11 @@ def _seasons(of: Tables) -> str:
         return f"<p>All drives are in one season, {shown[0]}.</p>" if shown else ""
     parts = []
     for name, short, _ in PARAMETERS:
-        known: dict[str, dict[str, tuple[float, float]]] = defaultdict(dict)
+        by_season: dict[str, dict[str, tuple[float, float]]] = defaultdict(dict)
         for row in of.seasons:
             if f"{name}_mean" in row:
-                known[row["vehicle"]][row["season"]] = row[f"{name}_mean"], row[f"{name}_sd"]
-        if by_vehicle := {vehicle: _in_per_cent(own) for vehicle, own in known.items() if len(own) > 1}:
+                by_season[row["vehicle"]][row["season"]] = row[f"{name}_mean"], row[f"{name}_sd"]
+        if by_vehicle := {vehicle: _in_per_cent(seasons) for vehicle, seasons in by_season.items() if len(seasons) > 1}:
             parts.append(f"<div><h3>{short}</h3>{_changes(by_vehicle, shown)}</div>")
     note = (
         "Change [%] and its sd in these months of any year, against the mean of the vehicle's seasons, of two or more."
@@ -224,17 +224,17 @@ def _seasons(of: Tables) -> str:
     return f'<p class="soft">{note}</p><div class="columns">{"".join(parts)}</div>'
 
 
-def _in_per_cent(own: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """A vehicle's values and sds by season as changes [%] from the mean of its k seasons, of which each is a part."""
-    values, sds = np.array(list(own.values())).T
+def _in_per_cent(by_season: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Changes [%] and sds by season from the mean of a vehicle's k seasons; each season is part of that mean."""
+    values, sds = np.array(list(by_season.values())).T
     middle, k = values.mean() / 100, len(values)
     variances = ((1 - 1 / k) ** 2 - 1 / k**2) * sds**2 + (sds**2).sum() / k**2
     changes = zip((values / middle - 100).tolist(), (np.sqrt(variances) / middle).tolist(), strict=True)
-    return dict(zip(own, changes, strict=True))
+    return dict(zip(by_season, changes, strict=True))
 
 
 def _changes(by_vehicle: Mapping[str, Mapping[str, tuple[float, float]]], shown: Sequence[str]) -> str:
-    """The changes [%] of vehicles by season with their sd, below the median over the vehicles with the same seasons."""
+    """Table of the changes [%] of vehicles by season; first row: median over vehicles with the most common seasons."""
     usual, _ = Counter(tuple(sorted(changes)) for changes in by_vehicle.values()).most_common(1)[0]
     alike = [changes for changes in by_vehicle.values() if tuple(sorted(changes)) == usual]
     medians = {season: (float(np.median([changes[season][0] for changes in alike])), 0.0) for season in usual}
@@ -271,21 +271,21 @@ def _gaps(of: Tables) -> str:
     for row in of.effects:
         by_effect[row["effect"], row["magnitude"], row["unit"]].append(row)
     rows: list[tuple[Any, ...]] = []
-    for (effect, _, _), found in sorted(by_effect.items(), key=lambda item: -len(item[1])):
-        size = with_sd(float(np.median([abs(row["value"]) for row in found])), np.nan, found[0]["unit"])
-        share = 100 * len(found) / diagnosed
+    for (effect, _, _), effects in sorted(by_effect.items(), key=lambda item: -len(item[1])):
+        size = with_sd(float(np.median([abs(row["value"]) for row in effects])), np.nan, effects[0]["unit"])
+        share = 100 * len(effects) / diagnosed
         bar = f'<b class="bar"><i class="after" style="width:{min(share, 100):.1f}%"></i></b>'
-        vehicles = len({row["vehicle"] for row in found})
-        what = html.escape(f"{found[0]['magnitude']} {size}")
+        vehicles = len({row["vehicle"] for row in effects})
+        what = html.escape(f"{effects[0]['magnitude']} {size}")
         meter = f'<span class="meter">{bar}{share:.0f} %</span>'
-        rows.append((html.escape(wording.label(effect)), f"{len(found):,}", meter, f"{vehicles:,}", what))
+        rows.append((html.escape(wording.label(effect)), f"{len(effects):,}", meter, f"{vehicles:,}", what))
     said = ", ".join(f"{verdict} {count:,}" for verdict, count in verdicts.most_common())
     headings = ("cause", "drives", "of the diagnosed", "vehicles", "usual size, absolute")
     return f"<p>{counted(diagnosed, 'drive')} diagnosed: {html.escape(said)}.</p>{table(headings, rows, 'gaps')}"
 
 
 def _unestimated(of: Tables) -> str:
-    """Rows by status and reason, those that differ by numbers only as one, and doubts."""
+    """Numbers of rows by status and reason, where reasons that differ in numbers only count as one, and doubts."""
     alike: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in of.drives:
         if row["status"] != "estimated":

@@ -1,4 +1,4 @@
-"""Passes of places by a drive: the mean slope that each pass shows, small enough to be kept with a drive's result."""
+"""Passes of places by a drive: mean slope of each pass, in a compact form that is stored with the drive's result."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -28,10 +28,10 @@ UNIT = 1e-5  # of kept slopes and sds, rise over run: a centimetre on a kilometr
 
 @dataclass(frozen=True, kw_only=True)
 class Passes:
-    """Passes of places; lists (k,) of whole numbers, which JSON keeps in some 20 bytes a pass.
+    """Passes of places, as tuples (k,) of integers; JSON takes some 20 bytes a pass.
 
-    ``row``, ``column`` and ``octant`` of `road_map`, each less that of the pass before; ``slope``, ``own`` sd and
-    ``common`` sd in UNIT, see `road_passes`.
+    ``row``, ``column`` and ``octant`` of `road_map` are differences from the previous pass. ``slope``, ``own`` sd and
+    ``common`` sd are in UNIT, see `road_passes`.
     """
 
     row: tuple[int, ...] = ()
@@ -42,13 +42,14 @@ class Passes:
     common: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, key: Cells, slope: Floats, own: Floats, common: Floats) -> "Passes":
-        """From keys of places (k,), slopes, and sds (k,)."""
-        places = [np.diff(each, prepend=0) for each in place_of(key)]
+    def of(cls, key: Cells, slope: Floats, independent: Floats, common: Floats) -> "Passes":
+        """Encode keys of places (k,), slopes (k,), and own and common sds (k,)."""
+        places = [np.diff(numbers, prepend=0) for numbers in place_of(key)]
         values = [
-            np.round(each / UNIT).astype(np.int64) for each in (slope, np.maximum(own, UNIT), np.maximum(common, UNIT))
+            np.round(column / UNIT).astype(np.int64)
+            for column in (slope, np.maximum(independent, UNIT), np.maximum(common, UNIT))
         ]
-        return cls(**{each.name: tuple(v.tolist()) for each, v in zip(fields(cls), [*places, *values], strict=True)})
+        return cls(**{field.name: tuple(v.tolist()) for field, v in zip(fields(cls), [*places, *values], strict=True)})
 
     @property
     def keys(self) -> Cells:
@@ -59,15 +60,15 @@ class Passes:
     @property
     def values(self) -> tuple[Floats, Floats, Floats]:
         """Slopes, rise over run, own and common sds (k,) [1]."""
-        slope, own, common = (UNIT * np.array(v, float) for v in (self.slope, self.own, self.common))
-        return slope, own, common
+        slope, independent, common = (UNIT * np.array(v, float) for v in (self.slope, self.own, self.common))
+        return slope, independent, common
 
     @classmethod
     def joined(cls, parts: "Sequence[Passes]") -> "Passes":
-        """All passes of several."""
+        """Concatenate passes."""
         if not parts:
             return cls()
-        values = (np.concatenate(each) for each in zip(*(part.values for part in parts), strict=True))
+        values = (np.concatenate(columns) for columns in zip(*(part.values for part in parts), strict=True))
         return cls.of(np.concatenate([part.keys for part in parts]), *values)
 
 
@@ -79,7 +80,7 @@ class Places:
         self._parts: list[Floats] = []
 
     def add(self, rows: Rows) -> None:
-        """Take the next rows."""
+        """Add the next rows."""
         course = self._course.feed(rows)
         latitude, longitude = (rows.context.get(role) for role in (Role.LATITUDE, Role.LONGITUDE))
         if latitude is None or longitude is None:
@@ -88,21 +89,21 @@ class Places:
         self._parts.append(np.column_stack([rows.index * STEP, latitude, longitude, course])[kept])
 
     def under(self, strides: Strides) -> Cells:
-        """Key (n,) of the place of each stride, -1 where it is not known."""
-        found = np.full(len(strides), -1, np.int64)
-        known = np.concatenate([np.empty((0, 4)), *self._parts])
-        if len(known) < 2:
-            return found
-        t, latitude, longitude, course = known.T
+        """Key (n,) of the place of each stride; -1 if unknown."""
+        key = np.full(len(strides), -1, np.int64)
+        positions = np.concatenate([np.empty((0, 4)), *self._parts])
+        if len(positions) < 2:
+            return key
+        t, latitude, longitude, course = positions.T
         after = np.clip(np.searchsorted(t, strides.t), 1, len(t) - 1)
         near = (strides.t >= t[after - 1]) & (strides.t <= t[after]) & (t[after] - t[after - 1] <= MAX_GAP)
-        row, column = cells_at(*(np.interp(strides.t, t, each) for each in (latitude, longitude)))
-        found[near] = key_of(row, column, octant_of(course[after]))[near]
-        return found
+        row, column = cells_at(*(np.interp(strides.t, t, angle) for angle in (latitude, longitude)))
+        key[near] = key_of(row, column, octant_of(course[after]))[near]
+        return key
 
 
-def passes_of(strides: Strides, found: RoadFit, places: Places, start: float) -> Passes:
-    """The passes of places by a drive from time ``start`` [s] on, of the strides of a fit."""
+def passes_of(strides: Strides, fit: RoadFit, places: Places, start: float) -> Passes:
+    """Passes of places by the strides of a fit, from time ``start`` [s] on."""
     key = np.where(strides.t >= start, places.under(strides), -1)
     there = np.flatnonzero(key >= 0)
     if not len(there):
@@ -114,12 +115,14 @@ def passes_of(strides: Strides, found: RoadFit, places: Places, start: float) ->
     long = length >= MIN_LENGTH
     parts = np.full(len(strides), -1, np.int64)
     parts[there] = np.where(long[number], (np.cumsum(long) - 1)[number], -1)
-    shown = mean_slopes(strides, found, parts)
-    known = np.isfinite(shown.slope) & np.isfinite(shown.common)
-    sd, distance = found.scales.values[[SLOPE, LENGTH]].tolist()
+    shown = mean_slopes(strides, fit, parts)
+    is_known = np.isfinite(shown.slope) & np.isfinite(shown.common)
+    sd, distance = fit.scales.values[[SLOPE, LENGTH]].tolist()
     speed = length[long] / np.bincount(number)[long] / DURATION
-    nu = max(found.scales.alpha, ALPHAS[0]) - 0.5
-    gradient = sqrt(nu / (nu - 1)) * sd / distance * found.scales.warping(speed)  # 1/m, sd of that of the process
-    own = np.hypot(shown.own[known], PLACE_DOUBT * gradient[known])
-    run = np.sqrt(1 - np.clip(shown.slope[known], -0.5, 0.5) ** 2)  # sine to rise over run
-    return Passes.of(key[there][begins][long][known], shown.slope[known] / run, own, shown.common[known])
+    nu = max(fit.scales.alpha, ALPHAS[0]) - 0.5
+    gradient = sqrt(nu / (nu - 1)) * sd / distance * fit.scales.warping(speed)  # 1/m, sd of that of the process
+    independent = np.hypot(shown.own[is_known], PLACE_DOUBT * gradient[is_known])
+    run = np.sqrt(1 - np.clip(shown.slope[is_known], -0.5, 0.5) ** 2)  # sine to rise over run
+    return Passes.of(
+        key[there][begins][long][is_known], shown.slope[is_known] / run, independent, shown.common[is_known]
+    )

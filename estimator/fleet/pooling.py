@@ -1,10 +1,10 @@
-"""Estimates of one quantity from several drives, which scatter more than their own sd: a hierarchical model.
+"""Hierarchical model that pools estimates of several drives, which scatter by more than their sd.
 
-Drive ``i`` has the true value theta_i ~ N(X_i mu, T), T = diag(tau_1^2, tau_2^2), and shows z_i ~ N(theta_i, V_i).
-Wind, rain, tyres and errors of the model that last for a drive are in T; X_i are the terms of `over_time`, of which mu
-holds what the drives share. With a flat prior of the value now, and normal ones of trend and season, everything but tau
-is Gaussian (Gelman et al., Bayesian Data Analysis, section 5.4); tau, with a half-t prior (Gelman 2006), is summed over
-a grid, so there is no sampling and no choice of a seed.
+Drive ``i`` has the true value theta_i ~ N(X_i mu, T), T = diag(tau_1^2, tau_2^2), and the estimate
+z_i ~ N(theta_i, V_i). T includes wind, rain, tyres, and errors of the model that last for a drive. X_i are the terms of
+`over_time`, and mu their coefficients, which the drives share. The prior of the value now is flat, those of trend and
+season are normal, so everything but tau is Gaussian (Gelman et al., Bayesian Data Analysis, section 5.4). The scatter
+tau has a half-t prior (Gelman 2006) and is summed over a grid, without sampling or a seed.
 """
 
 from dataclasses import dataclass, replace
@@ -25,20 +25,20 @@ NEGLIGIBLE = 1e-8  # weight of a node, as a share of the largest
 
 @dataclass(frozen=True)
 class Mixture:
-    """A mixture of normal distributions: ``weights`` (k,), which add up to 1, ``means`` (k,) and ``sds`` (k,)."""
+    """Mixture of normal distributions: ``weights`` (k,) that sum to 1, ``means`` (k,) and ``sds`` (k,)."""
 
     weights: Floats
     means: Floats
     sds: Floats
 
     def cdf(self, x: float) -> float:
-        """Probability of values up to ``x``."""
+        """Cumulative probability at ``x``."""
         return float(self.weights @ ndtr((x - self.means) / self.sds))
 
     def quantile(self, p: float) -> float:
-        """Value that is exceeded with probability 1 - p: it lies among those of the parts."""
-        each = self.means + float(ndtri(p)) * self.sds
-        low, high = float(each.min()), float(each.max())
+        """Quantile for the probability ``p``; it lies between the smallest and largest one of the components."""
+        quantiles = self.means + float(ndtri(p)) * self.sds
+        low, high = float(quantiles.min()), float(quantiles.max())
         step = 1e-12 * max(abs(low), abs(high), 1e-300)
         if high - low <= step:
             return low
@@ -52,7 +52,7 @@ class Mixture:
 
     @property
     def marginal(self) -> Marginal:
-        """Moments and quantiles."""
+        """Mean, sd, and quantiles of 5, 50 and 95 %."""
         mean, sd = self.moments
         q05, q50, q95 = (self.quantile(p) for p in (0.05, 0.5, 0.95))
         return Marginal(mean=mean, sd=sd, q05=q05, q50=q50, q95=q95)
@@ -60,7 +60,7 @@ class Mixture:
 
 @dataclass(frozen=True, kw_only=True)
 class Pooled:
-    """Posterior of mu and of each theta_i; a sum over K nodes of the grid of tau.
+    """Posterior of mu and of each theta_i, as a mixture over K nodes of the grid of tau.
 
     ``weights`` (K,); ``tau`` (K, 2); ``mean`` (K, 2, q) and ``covariance`` (K, 2, q, 2, q) of mu, for q terms;
     ``drive_mean`` (K, n, 2) and ``drive_covariance`` (K, n, 2, 2) of theta.
@@ -74,16 +74,16 @@ class Pooled:
     drive_covariance: Floats
 
     def shared(self, i: int) -> Mixture:
-        """Posterior of component ``i`` now."""
+        """Posterior of component ``i`` at the newest drive."""
         return self.combined(i, NOW)
 
     def combined(self, i: int, share: Floats) -> Mixture:
-        """Posterior of a sum of the terms of component ``i``, each times its ``share`` (q,)."""
+        """Posterior of the sum of the terms of component ``i``, weighted by ``share`` (q,)."""
         variance = np.einsum("q,kqr,r->k", share, self.covariance[:, i, :, i], share)
         return Mixture(self.weights, self.mean[:, i] @ share, np.sqrt(variance))
 
     def predicted(self, i: int) -> Mixture:
-        """Distribution of component ``i`` of theta on a drive to come."""
+        """Predictive distribution of component ``i`` of theta on a future drive."""
         now = self.shared(i)
         return replace(now, sds=np.hypot(now.sds, self.tau[:, i]))
 
@@ -93,16 +93,16 @@ class Pooled:
 
 
 def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:
-    """Estimate what drives share.
+    """Estimate the coefficients that drives share.
 
     Parameters
     ----------
     z, V
-        Estimates (n, 2), positive by their meaning, and their covariances (n, 2, 2).
+        Estimates (n, 2) of positive quantities, and their covariances (n, 2, 2).
     scale
         Scale of the half-t prior of tau, as a share of the value.
     years
-        When the drives were, since the newest of them (n,).
+        Times of the drives (n,) [years] since the newest of them.
     """
     X = terms(years)
     centre = _weighted_mean(z, V, np.zeros(2))
@@ -126,8 +126,8 @@ def pool(z: Floats, V: Floats, scale: float, years: Floats) -> Pooled:
     log_weight = 0.5 * (np.log(_determinant(W)).sum(axis=1) - np.linalg.slogdet(information)[1] - misfit)
     weights = np.exp(log_weight - log_weight.max()) * share[nodes].prod(axis=1)
     used = weights > NEGLIGIBLE * weights.max()
-    weights, tau, T, W, P = (each[used] for each in (weights, tau, T, W, P))
-    mean, left, pulled = (each[used] for each in (mean, left, pulled))
+    weights, tau, T, W, P = (array[used] for array in (weights, tau, T, W, P))
+    mean, left, pulled = (array[used] for array in (mean, left, pulled))
     # theta_i given mu is N(X mu + T W (z - X mu), (1 - T W) T).
     rest = np.eye(2) - T[:, None, :, None] * W
     P = P.reshape(-1, *believed.shape, *believed.shape)

@@ -1,9 +1,9 @@
-"""The population of the vehicles of a fleet: its mean and spread, and outliers.
+"""Population of the vehicles of a fleet: mean, spread and outliers.
 
 A parameter of vehicle ``v`` is z_v with sd s_v. Most vehicles are drawn from N(mu, tau^2), a few from a second, wide
-component (Tukey's contaminated normal), so that outliers change mu and tau little. mu and tau are summed over a grid.
-Each vehicle is compared with the prediction from the others; the false-discovery rate over all comparisons is that of
-Benjamini and Hochberg (1995).
+component (Tukey's contaminated normal). Outliers so change mu and tau little. Both are summed over a grid. Each vehicle
+is compared with the prediction from the others. The false-discovery rate over all comparisons is that of Benjamini and
+Hochberg (1995).
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ MIN_VEHICLES = 4  # vehicles: each is compared with at least three others
 
 @dataclass(frozen=True)
 class Population:
-    """A parameter in a fleet: the distribution of a ``new`` vehicle's value, and p-values (n,) of the vehicles."""
+    """Parameter in a fleet: distribution of the value of a ``new`` vehicle, and p-values (n,) of the vehicles."""
 
     new: Mixture
     p_values: Floats

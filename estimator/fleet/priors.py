@@ -1,4 +1,4 @@
-"""The population of a fleet as configurations: beliefs with which a gateway begins its first drive."""
+"""Configurations from a fleet: priors (beliefs) of A and C with which a gateway begins its first drive."""
 
 from collections.abc import Sequence
 from math import sqrt
@@ -16,10 +16,10 @@ from estimator.fleet.vehicles import DRAG, ROLLING, Normal, VehicleResult
 
 
 def with_beliefs(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Config:
-    """The configuration with beliefs about A and C of the next drive.
+    """Add priors (beliefs) of A and C on the next drive to a configuration.
 
-    ``load`` is the mass [kg] to expect, ``rolling`` A/m [N/kg], ``drag`` C [N s^2/m^2]. The sd of A allows for loads
-    of other mass. The mass itself is left to the drive, for it changes with the load.
+    ``load`` is the expected mass [kg], ``rolling`` A/m [N/kg], ``drag`` C [N s^2/m^2], each with its sd. The sd of A
+    allows for other loads. The mass has no such prior, because it changes with the load.
 
     Raises
     ------
@@ -35,28 +35,28 @@ def with_beliefs(config: Config, load: Normal, rolling: Normal, drag: Normal) ->
     return changed
 
 
-def of_vehicle(config: Config, found: VehicleResult) -> Config | None:
-    """The configuration for a vehicle; None where A/m or C is not estimated, or the boxes exclude it."""
-    if found.rolling is None or found.drag is None or found.next_drive is None or found.load is None:
+def of_vehicle(config: Config, result: VehicleResult) -> Config | None:
+    """Configuration with the beliefs of a vehicle; None if A/m or C is not estimated, or the boxes exclude it."""
+    if result.rolling is None or result.drag is None or result.next_drive is None or result.load is None:
         return None
-    rolling, drag = found.next_drive
-    return _allowed(config, found.load, (rolling.mean, rolling.sd), (drag.mean, drag.sd))
+    rolling, drag = result.next_drive
+    return _allowed(config, result.load, (rolling.mean, rolling.sd), (drag.mean, drag.sd))
 
 
-def of_new_vehicle(config: Config, found: Sequence[VehicleResult], new: Sequence[Mixture]) -> Config | None:
-    """The configuration for a vehicle of this fleet's type before its first drive; ``new`` of A/m and C."""
-    known = [one for one in found if one.load is not None]
-    if not known or not new:
+def of_new_vehicle(config: Config, results: Sequence[VehicleResult], new: Sequence[Mixture]) -> Config | None:
+    """Configuration for a new vehicle of this fleet's type; ``new`` are the distributions of its A/m and C."""
+    loaded = [result for result in results if result.load is not None]
+    if not loaded or not new:
         return None
-    means = np.array([one.load[0] for one in known if one.load is not None])
-    variances = np.array([one.load[1] ** 2 for one in known if one.load is not None])
+    means = np.array([result.load[0] for result in loaded if result.load is not None])
+    variances = np.array([result.load[1] ** 2 for result in loaded if result.load is not None])
     load = float(means.mean()), float(np.sqrt(variances.mean() + means.var()))
-    rolling, drag = (_widened(new[i], [one.scatter[i] for one in known]) for i in (ROLLING, DRAG))
+    rolling, drag = (_widened(new[i], [result.scatter[i] for result in loaded]) for i in (ROLLING, DRAG))
     return _allowed(config, load, rolling, drag)
 
 
 def _widened(new: Mixture, scatter: Sequence[float]) -> Normal:
-    """A value of a new vehicle on one drive: the vehicle's, and the scatter of drives around it."""
+    """Mean and sd of a new vehicle's value on one drive, which includes the scatter between drives."""
     marginal = new.marginal
     return marginal.mean, sqrt(marginal.sd**2 + sum(s**2 for s in scatter) / len(scatter))
 
@@ -69,7 +69,7 @@ def _allowed(config: Config, load: Normal, rolling: Normal, drag: Normal) -> Con
 
 
 def as_toml(config: Config) -> str:
-    """A configuration as a file for any folder: paths of databases and of the map are absolute."""
+    """Convert a configuration to TOML that is valid in any folder: paths of databases and map are absolute."""
     databases = [str(Path(name).resolve()) for name in config.bus.dbc]
     road_map = None if config.road.map is None else str(Path(config.road.map).resolve())
     whole = configuration.replace(

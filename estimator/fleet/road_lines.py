@@ -1,9 +1,9 @@
-"""Places of a learned road one behind the other, as they are driven.
+"""Lines of places of a learned road, in the order of driving.
 
-A place is followed by the nearest place ahead of its direction of travel whose direction differs by at most an eighth
-of a turn; places that are passed about as often are taken first, for a road at the edge of two cells is now and then in
-the cell beside it. Several places may be followed by the same one: the longest way to its end has it, and the others
-end there. So each place is in one line.
+A place is followed by the nearest place in its direction of travel whose direction differs by at most an eighth of a
+turn. Places that are passed about as often have precedence, because a road at the edge of two cells is sometimes
+assigned to the neighbouring cell. If several places are followed by the same place, it belongs to the longest line, and
+the others end there. Each place is therefore in one line.
 """
 
 from collections.abc import Iterator
@@ -28,14 +28,14 @@ NONE = -1
 
 @dataclass(frozen=True)
 class RoadLine:
-    """Numbers of places (k,) in the order of driving, and the distance [m] (k,) along a smooth line near them."""
+    """Numbers of places (k,) in the order of driving, and distance [m] (k,) along a smoothed line through them."""
 
     places: NDArray[np.int64]
     distance: Floats
 
 
 def road_lines(key: Cells, passes: NDArray[np.int64]) -> list[RoadLine]:
-    """The lines of places with these keys (n,), which ascend, and numbers of ``passes`` (n,); the longest first."""
+    """Lines of places, the longest first, from their ascending keys (n,) and numbers of ``passes`` (n,)."""
     row, column, _ = place_of(key)
     latitude, longitude = centre_of(row, column)
     lines = (_line(places, latitude[places], longitude[places]) for places in _ways(_followers(key, passes)))
@@ -43,22 +43,22 @@ def road_lines(key: Cells, passes: NDArray[np.int64]) -> list[RoadLine]:
 
 
 def _line(places: NDArray[np.int64], latitude: Floats, longitude: Floats) -> RoadLine:
-    """The line of places with centres at these positions [rad] (k,)."""
+    """Line of places with centres at these positions [rad] (k,)."""
     turns = (longitude - longitude[0]) / (2 * pi)
     east = 2 * pi * (turns - np.round(turns)) * np.cos(latitude)
-    steps = [np.diff(_smooth(EARTH_RADIUS * each)) for each in (latitude, east)]
+    steps = [np.diff(_smooth(EARTH_RADIUS * coordinate)) for coordinate in (latitude, east)]
     return RoadLine(places, np.concatenate([[0.0], np.cumsum(np.hypot(*steps))]))
 
 
 def _smooth(x: Floats) -> Floats:
-    """Means (k,) of each SMOOTHED values of ``x`` (k,); the first and the last go on."""
+    """Moving average (k,) of ``x`` (k,) over SMOOTHED values, padded with the first and last value."""
     half = SMOOTHED // 2
     means: Floats = sliding_window_view(np.pad(x, half, mode="edge"), SMOOTHED).mean(axis=1)
     return means
 
 
 def _followers(key: Cells, passes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The place (n,) that follows each, NONE where there is none."""
+    """Number (n,) of the place that follows each place; NONE if there is none."""
     row, column, octant = place_of(key)
     latitude, longitude = centre_of(row, column)
     follower = np.full(len(key), NONE)
@@ -78,35 +78,35 @@ def _followers(key: Cells, passes: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _steps() -> list[tuple[int, int, int]]:
-    """Cells to the north and to the east, and eighths of a turn, of places that may follow, the likeliest first."""
+    """Offsets of places that may follow, the likeliest first: cells to the north and east, and eighths of a turn."""
     ways = [(north, east) for north, east in product(range(-REACH, REACH + 1), repeat=2) if north or east]
     nearest = sorted(ways, key=lambda way: np.hypot(*way))
     return [*((*way, turn) for way in nearest for turn in (0, -1, 1)), (0, 0, -1), (0, 0, 1)]
 
 
 def _ways(follower: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Places in the order in which they follow each other, each once: the longest ways have them first."""
+    """Yield lines of places in order, the longest first; each place is in one line."""
     after, is_used = follower.tolist(), [False] * len(follower)
     for start in np.argsort(-_lengths(after), kind="stable").tolist():
-        line, place = [], start
-        while place != NONE and not is_used[place]:
-            is_used[place] = True
-            line.append(place)
-            place = after[place]
+        line, number = [], start
+        while number != NONE and not is_used[number]:
+            is_used[number] = True
+            line.append(number)
+            number = after[number]
         if line:
             yield np.array(line)
 
 
 def _lengths(after: list[int]) -> NDArray[np.int64]:
-    """Number of places (n,) from each to the end of its way; a ring is cut where it is met again."""
+    """Number (n,) of places from each to the end of its line; a ring is cut where it closes."""
     lengths = [0] * len(after)
     for start in range(len(after)):
-        way, place = [], start
-        while place != NONE and not lengths[place]:
-            lengths[place] = 1  # until the end of the way is known
-            way.append(place)
-            place = after[place]
-        length = 0 if place == NONE else lengths[place]
+        way, number = [], start
+        while number != NONE and not lengths[number]:
+            lengths[number] = 1  # until the end of the way is known
+            way.append(number)
+            number = after[number]
+        length = 0 if number == NONE else lengths[number]
         for passed in reversed(way):
             length += 1
             lengths[passed] = length

@@ -1,4 +1,4 @@
-"""The learned road on the page of a fleet: the slope along the longest lines of places, with its sd."""
+"""Learned road on the page of a fleet: slope along the longest lines of places, with its sd."""
 
 import numpy as np
 
@@ -18,13 +18,13 @@ assert len(DIRECTIONS) == COURSES
 
 
 def road_figures(road: LearnedRoad) -> str:
-    """Figures of the longest lines, and a table of where lines are; a sentence where no place is known."""
+    """Figures of the longest lines, and a table of their positions; a sentence if no place is known."""
     if not len(road.key):
         return (
             "<p>No road was learned: latitude and longitude are not on the bus, or a map is in the configuration.</p>"
         )
     lines = road_lines(road.key, road.passes)
-    long = [each for each in lines if each.distance[-1] >= MIN_LENGTH]
+    long = [line for line in lines if line.distance[-1] >= MIN_LENGTH]
     number, sure = len(road.key), len(road.map.key)
     passes = int(road.passes.sum())
     words = (
@@ -34,7 +34,7 @@ def road_figures(road: LearnedRoad) -> str:
     if not long:
         return f"<p>{words}No {MIN_LENGTH / 1e3:.0f} km of places follow each other; they are in road.parquet.</p>"
     note = "Slope along the longest lines of places, in the direction of travel; the area is a 90 % interval."
-    figures = "".join(_figure(road, each, i) for i, each in enumerate(long[:MAX_LINES], start=1))
+    figures = "".join(_figure(road, line, i) for i, line in enumerate(long[:MAX_LINES], start=1))
     return f'<p>{words}</p><p class="soft">{note}</p>{figures}{_where(road, long, len(lines))}'
 
 
@@ -54,7 +54,7 @@ def _direction(road: LearnedRoad, along: RoadLine) -> str:
 
 
 def _where(road: LearnedRoad, lines: list[RoadLine], number: int) -> str:
-    """Beginnings and ends of lines, and how certain their slopes are."""
+    """Table of the beginnings and ends of lines, and of the sds of their slopes."""
     rows = []
     for i, along in enumerate(lines[:MAX_ROWS], start=1):
         row, column, _ = place_of(road.key[along.places[[0, -1]]])

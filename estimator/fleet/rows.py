@@ -1,4 +1,4 @@
-"""A fleet as rows of its tables."""
+"""Rows of the tables of a fleet."""
 
 from collections import defaultdict
 from typing import Any
@@ -19,16 +19,16 @@ MINUTE = 60.0  # s
 DEGREE_DIGITS = 6  # 0.1 m
 
 
-def drive_rows(found: Fleet) -> list[Row]:
-    """Rows of `DRIVES`: a row for each load of a drive, for each drive without, and for each rejected log."""
-    masses = {one.vehicle: iter(one.masses) for one in found.vehicles}
+def drive_rows(fleet: Fleet) -> list[Row]:
+    """Rows of `DRIVES`: one for each load of a drive, for each drive without a load, and for each rejected log."""
+    masses = {vehicle.vehicle: iter(vehicle.masses) for vehicle in fleet.vehicles}
     rows: list[Row] = []
-    for drive, result in zip(found.grouped.drives, found.results, strict=True):
+    for drive, result in zip(fleet.grouped.drives, fleet.results, strict=True):
         common = {
             "source": drive.sources[0],
             "files": len(drive.sources),
             "vehicle": drive.vehicle,
-            "note": found.grouped.notes.get(drive.sources[0], ""),
+            "note": fleet.grouped.notes.get(drive.sources[0], ""),
             "verdict": result.verdict,
         }
         if not result.segments:
@@ -39,7 +39,7 @@ def drive_rows(found: Fleet) -> list[Row]:
         for number, segment in enumerate(result.segments):
             joint = next(masses[drive.vehicle], None) if segment.mean else None
             rows.append(common | {"segment": number} | _segment_cells(segment, joint))
-    for log in found.grouped.rejected:
+    for log in fleet.grouped.rejected:
         cells = {"source": log.source, "files": 1, "vehicle": log.vehicle, "start": log.start}
         rows.append(cells | {"status": log.status, "reason": log.reason})
     return sorted(rows, key=lambda row: (row["vehicle"], row["start"], row["source"], row.get("segment", 0)))
@@ -61,43 +61,43 @@ def _segment_cells(segment: Segment, joint: Marginal | None) -> dict[str, Any]:
     }
 
 
-def vehicle_rows(found: Fleet, rate: float) -> list[Row]:
-    """Rows of `VEHICLES`; a parameter is out of line where its false-discovery rate is at most ``rate``."""
+def vehicle_rows(fleet: Fleet, rate: float) -> list[Row]:
+    """Rows of `VEHICLES`; a parameter is an outlier if its false-discovery rate is at most ``rate``."""
     rows: list[Row] = []
     by_vehicle: dict[str, list[tuple[Drive, DriveResult]]] = defaultdict(list)
-    for drive, result in zip(found.grouped.drives, found.results, strict=True):
+    for drive, result in zip(fleet.grouped.drives, fleet.results, strict=True):
         by_vehicle[drive.vehicle].append((drive, result))
-    for one, q in zip(found.vehicles, found.q_values, strict=True):
-        drives = by_vehicle[one.vehicle]
+    for vehicle, q in zip(fleet.vehicles, fleet.q_values, strict=True):
+        drives = by_vehicle[vehicle.vehicle]
         row: dict[str, Any] = {
-            "vehicle": one.vehicle,
+            "vehicle": vehicle.vehicle,
             "drives": len(drives),
             "loads": sum(bool(segment.mean) for _, result in drives for segment in result.segments),
             "minutes": sum(segment.minutes for _, result in drives for segment in result.segments),
             "start": min(drive.start for drive, _ in drives),
             "end": max(drive.end for drive, _ in drives),
-            "status": one.status,
-            **statistics("A_per_mass_N_kg", one.rolling),
-            "A_per_mass_reason": one.reasons[ROLLING],
+            "status": vehicle.status,
+            **statistics("A_per_mass_N_kg", vehicle.rolling),
+            "A_per_mass_reason": vehicle.reasons[ROLLING],
             "A_per_mass_q_value": float(q[ROLLING]),
-            **statistics("C_N_s2_m2", one.drag),
-            "C_reason": one.reasons[DRAG],
+            **statistics("C_N_s2_m2", vehicle.drag),
+            "C_reason": vehicle.reasons[DRAG],
             "C_q_value": float(q[DRAG]),
-            "outlier": ", ".join(_out_of_line(found, one, q, rate)),
+            "outlier": ", ".join(_out_of_line(fleet, vehicle, q, rate)),
         }
-        if one.load is not None:
-            row |= {"mass_kg_mean": one.load[0], "mass_kg_sd": one.load[1]}
-            row |= {"A_per_mass_scatter_N_kg": one.scatter[ROLLING], "C_scatter_N_s2_m2": one.scatter[DRAG]}
-        row |= _changes("trend", one.trend) | _changes("winter", one.winter)
+        if vehicle.load is not None:
+            row |= {"mass_kg_mean": vehicle.load[0], "mass_kg_sd": vehicle.load[1]}
+            row |= {"A_per_mass_scatter_N_kg": vehicle.scatter[ROLLING], "C_scatter_N_s2_m2": vehicle.scatter[DRAG]}
+        row |= _changes("trend", vehicle.trend) | _changes("winter", vehicle.winter)
         rows.append(row)
     return rows
 
 
-def _changes(kind: str, found: tuple[Normal, Normal] | None) -> dict[str, float]:
-    """The columns of a change of A/m and C; none where no clock was set."""
-    if found is None:
+def _changes(kind: str, change: tuple[Normal, Normal] | None) -> dict[str, float]:
+    """Columns of a change of A/m and C; none if no clock was set."""
+    if change is None:
         return {}
-    (rolling, rolling_sd), (drag, drag_sd) = found
+    (rolling, rolling_sd), (drag, drag_sd) = change
     return {
         f"A_per_mass_{kind}_N_kg_mean": rolling,
         f"A_per_mass_{kind}_N_kg_sd": rolling_sd,
@@ -106,33 +106,33 @@ def _changes(kind: str, found: tuple[Normal, Normal] | None) -> dict[str, float]
     }
 
 
-def _out_of_line(found: Fleet, one: VehicleResult, q: Floats, rate: float) -> list[str]:
+def _out_of_line(fleet: Fleet, vehicle: VehicleResult, q: Floats, rate: float) -> list[str]:
     words = []
-    for i, (name, marginal) in enumerate(zip(("A/m", "C"), one.compared, strict=True)):
+    for i, (name, marginal) in enumerate(zip(("A/m", "C"), vehicle.compared, strict=True)):
         if marginal is not None and q[i] <= rate:
-            others = [each for v in found.vehicles if (each := v.compared[i]) is not None]
-            middle = float(np.median([each.mean for each in others]))
+            others = [other for v in fleet.vehicles if (other := v.compared[i]) is not None]
+            middle = float(np.median([other.mean for other in others]))
             words.append(f"{name} {100 * (marginal.mean / middle - 1):+.0f} %")
     return words
 
 
-def season_rows(found: Fleet) -> list[Row]:
-    """Rows of `SEASONS`."""
+def season_rows(fleet: Fleet) -> list[Row]:
+    """Rows of `SEASONS`: one for each season of a vehicle."""
     return [
         {
             "vehicle": vehicle.vehicle,
-            "season": one.season,
-            "loads": one.loads,
-            **statistics("A_per_mass_N_kg", one.rolling),
-            **statistics("C_N_s2_m2", one.drag),
+            "season": season.season,
+            "loads": season.loads,
+            **statistics("A_per_mass_N_kg", season.rolling),
+            **statistics("C_N_s2_m2", season.drag),
         }
-        for vehicle, seasons in zip(found.vehicles, found.seasons, strict=True)
-        for one in seasons
+        for vehicle, seasons in zip(fleet.vehicles, fleet.seasons, strict=True)
+        for season in seasons
     ]
 
 
-def effect_rows(found: Fleet) -> list[Row]:
-    """Rows of `EFFECTS`."""
+def effect_rows(fleet: Fleet) -> list[Row]:
+    """Rows of `EFFECTS`: one for each effect that the diagnosis of a drive names."""
     return [
         {
             "source": drive.sources[0],
@@ -145,15 +145,15 @@ def effect_rows(found: Fleet) -> list[Row]:
             "sd": effect.sd,
             "unit": effect.unit,
         }
-        for drive, result in zip(found.grouped.drives, found.results, strict=True)
+        for drive, result in zip(fleet.grouped.drives, fleet.results, strict=True)
         for effect in result.effects
     ]
 
 
 def road_rows(road: LearnedRoad) -> list[Row]:
-    """Rows of `ROAD`."""
+    """Rows of `ROAD`: one for each place."""
     row, column, octant = place_of(road.key)
-    latitude, longitude = (np.round(np.degrees(each), DEGREE_DIGITS) for each in centre_of(row, column))
+    latitude, longitude = (np.round(np.degrees(angle), DEGREE_DIGITS) for angle in centre_of(row, column))
     columns = {
         "latitude": latitude,
         "longitude": longitude,

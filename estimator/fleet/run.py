@@ -1,4 +1,4 @@
-"""A fleet from its logs to tables: survey, estimate each drive, join the drives of each vehicle, compare vehicles."""
+"""Run of a fleet: survey logs, estimate each drive, pool the drives of each vehicle, compare vehicles."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -38,11 +38,11 @@ MIN_SCALE = 1e-3  # of the scatter between drives, where `load.change_sd` is 0: 
 
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """Logs grouped to drives, the result of each drive, the vehicles, their seasons, and their comparison.
+    """Result of a fleet: logs grouped to drives, results of drives, vehicles, their seasons, and their comparison.
 
-    ``seasons`` are those of each vehicle, in the order of vehicles; ``q_values`` (n, 2) of A/m and C of the vehicles,
-    NaN where they are not compared; ``new`` is the distribution of A/m and C of a new vehicle, empty where the vehicles
-    are too few; ``road`` is what the drives show of the slopes of places.
+    ``seasons`` are those of each vehicle, in the order of vehicles. ``q_values`` (n, 2) are false-discovery rates of
+    A/m and C of the vehicles, NaN if not compared. ``new`` are the distributions of A/m and C of a new vehicle, empty
+    if there are too few vehicles. ``road`` has the slopes of places that the drives show.
     """
 
     grouped: Grouped
@@ -56,7 +56,7 @@ class Fleet:
 
 @dataclass(frozen=True)
 class _Vehicle:
-    """The likelihoods of its loads, when these begin [s], and why they must not be joined, or empty."""
+    """Likelihoods of the loads of a vehicle, their starts [s], and a reason not to pool them, else empty."""
 
     name: str
     loads: list[Coefficients]
@@ -65,13 +65,13 @@ class _Vehicle:
 
 
 def check(config: Config) -> None:
-    """Refuse a configuration with which no drive can be estimated, before the work is done.
+    """Refuse a configuration with which no drive can be estimated, before the estimates.
 
     Raises
     ------
     InputError
-        It has another likelihood than "road", loads that share their driving or an unknown effect, or its databases or
-        its map do not fit.
+        The likelihood is not "road", loads share their driving, an effect is unknown, or the databases or the map do
+        not fit.
     """
     if config.sampler.likelihood != "road":
         raise ConfigError('sampler.likelihood: drives are joined with "road" only; take the key out')
@@ -96,9 +96,9 @@ def run_fleet(
     are_named: bool = False,
     progress: Progress = lambda share: None,
 ) -> Fleet:
-    """Estimate the drives and vehicles of a fleet; where they ``are_named``, by the NAME that each engine claims.
+    """Estimate the drives and vehicles of a fleet; if ``are_named``, vehicles are those of the engines' NAMEs.
 
-    `check` has been called with the configuration.
+    `check` must have been called with the configuration.
     """
     surveys = _surveys(logs, config, engine, progress)
     grouped = group(by_engine(surveys) if are_named else surveys)
@@ -107,7 +107,7 @@ def run_fleet(
 
 
 def conclude(grouped: Grouped, results: tuple[DriveResult, ...], config: Config, engine: Engine) -> Fleet:
-    """Join the drives of each vehicle and compare the vehicles, given the result of each drive."""
+    """Pool the drives of each vehicle and compare the vehicles, given the result of each drive."""
     joined = _vehicles(grouped, results, config, engine)
     vehicles = tuple(vehicle for vehicle, _ in joined)
     compared, new = _compared(vehicles)
@@ -119,14 +119,14 @@ def conclude(grouped: Grouped, results: tuple[DriveResult, ...], config: Config,
 
 
 def _surveys(logs: Sequence[LogFile], config: Config, engine: Engine, progress: Progress) -> list[Survey]:
-    found: dict[int, Survey] = {}
+    surveys: dict[int, Survey] = {}
     for done, (i, result) in enumerate(engine.map(partial(survey, config=config), logs), start=1):
         if isinstance(result, Failure):
             fault = f"{logs[i].source}: {result.reason}"
             result = Survey(log=logs[i], content="", start=0.0, end=0.0, fault=fault)
-        found[i] = result
+        surveys[i] = result
         progress(SURVEYING * done / len(logs))
-    return [found[i] for i in range(len(logs))]
+    return [surveys[i] for i in range(len(logs))]
 
 
 def _results(
@@ -137,7 +137,7 @@ def _results(
     with_diagnosis: bool,
     progress: Progress,
 ) -> tuple[DriveResult, ...]:
-    """Results of the drives in their order: those of the cache, and the others computed and, without a fault, kept."""
+    """Results of the drives in order, from the cache or computed; computed ones without a fault are cached."""
     kept = [None if cache is None else cache.get(drive) for drive in drives]
     missing = [i for i, result in enumerate(kept) if result is None]
     work = partial(estimate_drive, config=config, with_diagnosis=with_diagnosis)
@@ -161,13 +161,13 @@ def _vehicles(grouped: Grouped, results: Sequence[DriveResult], config: Config, 
                 vehicles[drive.vehicle].loads.append(coefficients)
                 vehicles[drive.vehicle].starts.append(segment.start)
     gate, scale = config.gate, max(config.load.change_sd, MIN_SCALE)
-    found: dict[int, Joined] = {}
-    last = newest([start for one in vehicles.values() for start in one.starts])
+    by_index: dict[int, Joined] = {}
+    last = newest([start for vehicle in vehicles.values() for start in vehicle.starts])
     for i, answer in engine.map(partial(_joined, gate=gate, scale=scale, last=last), list(vehicles.values())):
         if isinstance(answer, Failure):
             answer = join(names[i], (), (), gate, scale, answer.reason), ()
-        found[i] = answer
-    return [found[i] for i in range(len(names))]
+        by_index[i] = answer
+    return [by_index[i] for i in range(len(names))]
 
 
 def _joined(vehicle: _Vehicle, gate: Gate, scale: float, last: float | None) -> Joined:
@@ -187,12 +187,14 @@ def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture,
     rates = np.full((len(vehicles), 2), np.nan)
     new: list[Mixture] = []
     for i in (ROLLING, DRAG):
-        known = [(v, found) for v, one in enumerate(vehicles) if (found := one.compared[i]) is not None]
-        if len(known) < MIN_VEHICLES:
+        estimated = [
+            (v, marginal) for v, vehicle in enumerate(vehicles) if (marginal := vehicle.compared[i]) is not None
+        ]
+        if len(estimated) < MIN_VEHICLES:
             continue
-        means, sds = (np.array([getattr(found, part) for _, found in known]) for part in ("mean", "sd"))
+        means, sds = (np.array([getattr(marginal, part) for _, marginal in estimated]) for part in ("mean", "sd"))
         compared = population(means, sds)
-        rates[[v for v, _ in known], i] = compared.p_values
+        rates[[v for v, _ in estimated], i] = compared.p_values
         new.append(compared.new)
     shown = np.isfinite(rates)
     if shown.any():

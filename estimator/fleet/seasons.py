@@ -1,4 +1,4 @@
-"""A vehicle by season: A/m and C of its drives in three months of any year."""
+"""Seasons of a vehicle: A/m and C of its drives in three months of any year."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ SEASONS = ("Dec to Feb", "Mar to May", "Jun to Aug", "Sep to Nov")
 
 @dataclass(frozen=True, kw_only=True)
 class SeasonResult:
-    """The pooled result of a vehicle's ``loads`` of a season; None where a parameter is not estimated."""
+    """Pooled result of the ``loads`` of a vehicle in one season; None for a parameter that is not estimated."""
 
     season: str
     loads: int
@@ -24,28 +24,28 @@ class SeasonResult:
 
 
 def season_of(t: float) -> str:
-    """The season of a time [s], by UTC; empty where the clock was not set."""
+    """Season of a time [s] in UTC; empty if the clock was not set."""
     return SEASONS[datetime.fromtimestamp(t, UTC).month % 12 // 3] if t >= MIN_SET_CLOCK else ""
 
 
 def by_season(
     whole: VehicleResult, loads: Sequence[Coefficients], starts: Sequence[float], gate: Gate, scale: float
 ) -> tuple[SeasonResult, ...]:
-    """A vehicle by season, given its result over all seasons; none where its drives must not be joined.
+    """Pool the loads of a vehicle by season; empty if its drives must not be pooled.
 
     Parameters
     ----------
     whole
-        The result of all loads.
+        Result of all loads of the vehicle.
     loads, starts
-        Likelihoods of [1/m, A/m, C/m], one for each load, and when these begin [s].
+        Likelihoods of [1/m, A/m, C/m], one for each load, and their starts [s].
     gate, scale
-        As `shared` takes them.
+        See `shared`.
     """
     if not whole.masses:
         return ()
     seasons = [season_of(t) for t in starts]
-    found = []
+    results = []
     for season in (name for name in SEASONS if name in seasons):
         places = [i for i, name in enumerate(seasons) if name == season]
         chosen, then = [loads[i] for i in places], [starts[i] for i in places]
@@ -53,5 +53,5 @@ def by_season(
             rolling, drag = whole.rolling, whole.drag
         else:
             rolling, drag = shared(chosen, then, gate, scale)
-        found.append(SeasonResult(season=season, loads=len(chosen), rolling=rolling, drag=drag))
-    return tuple(found)
+        results.append(SeasonResult(season=season, loads=len(chosen), rolling=rolling, drag=drag))
+    return tuple(results)

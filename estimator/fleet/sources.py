@@ -1,4 +1,4 @@
-"""The logs of a fleet, and the vehicle of each.
+"""Logs of a fleet, and the vehicle of each.
 
 A source is a log, a folder, a glob, a list of logs or a URL of fsspec (``s3://bucket/truck-*/``).
 """
@@ -25,7 +25,7 @@ WILD = re.compile(r"[*?\[]")
 
 @dataclass(frozen=True, order=True)
 class LogFile:
-    """A log, by path or URL, and the name of its vehicle."""
+    """Log, by path or URL, and the name of its vehicle."""
 
     source: str
     vehicle: str
@@ -34,18 +34,18 @@ class LogFile:
 def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFile]:
     """Find the logs, each once, in the order of vehicles and names.
 
-    The vehicle is the first group of ``pattern`` in the path of the log; without a pattern the first folder below the
-    source, or the folder of the log where there is none.
+    The vehicle is the first group of ``pattern`` in the path of the log. Without a pattern it is the first folder below
+    the source, or the folder of the log if there is none.
 
     Raises
     ------
     InputError
-        A source is missing, holds no log or must not be read.
+        A source is missing, has no log or must not be read.
     ConfigError
         The pattern is no regular expression with a group, or matches the path of no log.
     """
     expression = None if pattern is None else _compiled(pattern)
-    found: dict[str, str] = {}
+    vehicle_of: dict[str, str] = {}
     for source in sources:
         try:
             logs = list(_logs_of(source))
@@ -54,8 +54,10 @@ def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFil
         if not logs:
             raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(FORMATS)}")
         for log in logs:
-            found.setdefault(log.source, _named(log, expression))
-    return sorted((LogFile(log, vehicle) for log, vehicle in found.items()), key=lambda log: (log.vehicle, log.source))
+            vehicle_of.setdefault(log.source, _named(log, expression))
+    return sorted(
+        (LogFile(log, vehicle) for log, vehicle in vehicle_of.items()), key=lambda log: (log.vehicle, log.source)
+    )
 
 
 def _compiled(pattern: str) -> re.Pattern[str]:
@@ -103,9 +105,9 @@ def _logs_of(source: str) -> Iterator[LogFile]:
 
 
 def _files_below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
-    """Files below a folder, links followed; a folder that must not be read stands for its files.
+    """Yield the files below a folder, following links; an unreadable folder is yielded in place of its files.
 
-    ``seen`` are the devices and inodes of the folders on the way, so that links in a circle end.
+    ``seen`` are the devices and inodes of the parent folders, so that circular links end.
     """
     try:
         entries = sorted(folder.iterdir())
@@ -113,17 +115,17 @@ def _files_below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
     except PermissionError:
         yield folder
         return
-    if (place := (status.st_dev, status.st_ino)) in seen:
+    if (inode := (status.st_dev, status.st_ino)) in seen:
         return
     for entry in entries:
         if os.path.isdir(entry):
-            yield from _files_below(entry, seen | {place})
+            yield from _files_below(entry, seen | {inode})
         else:
             yield entry
 
 
 def _listed(path: Path) -> Iterator[LogFile]:
-    """Logs of a list; paths in it are relative to it."""
+    """Logs named in a list file; its paths are relative to the file."""
     try:
         lines = read_bounded(path, MAX_LIST_BYTES).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -133,18 +135,18 @@ def _listed(path: Path) -> Iterator[LogFile]:
         name, _, vehicle = line.strip().partition("\t")
         if not name:
             continue
-        place = name if "://" in name else str(path.parent / name)
-        if "://" not in name and not (files_of(Path(place)) if is_day(Path(place)) else Path(place).is_file()):
+        log = name if "://" in name else str(path.parent / name)
+        if "://" not in name and not (files_of(Path(log)) if is_day(Path(log)) else Path(log).is_file()):
             remedy = f"correct or delete the line, or give {path.name} another suffix if it is a log itself"
-            raise InputError(f"{path}:{number}: no such log: {place}; {remedy}")
-        yield LogFile(place, vehicle.strip() or _vehicle(place, place))
+            raise InputError(f"{path}:{number}: no such log: {log}; {remedy}")
+        yield LogFile(log, vehicle.strip() or _vehicle(log, log))
 
 
 def _remote(source: str) -> Iterator[LogFile]:
     files, root = file_system(source)
     try:
         if WILD.search(root):
-            names = [name for one in files.glob(root) for name in (files.find(one) if files.isdir(one) else [one])]
+            names = [name for path in files.glob(root) for name in (files.find(path) if files.isdir(path) else [path])]
             root = root[: root.rfind("/", 0, WILD.search(root).start()) + 1]  # type: ignore[union-attr]
         else:
             names = files.find(root)
@@ -156,7 +158,7 @@ def _remote(source: str) -> Iterator[LogFile]:
 
 
 def _log_of(name: str, root: str) -> LogFile | None:
-    """The log that a file is, or a part of; None where it is none. ``root`` is the source that it was found in."""
+    """Log that a file is, or belongs to; None if it is no log. ``root`` is the source in which it was found."""
     if PurePosixPath(name).name.startswith("."):
         return None
     if name.lower().endswith(tuple(FORMATS)):
@@ -166,12 +168,12 @@ def _log_of(name: str, root: str) -> LogFile | None:
 
 
 def _device(day: str) -> str:
-    """The folder that the messages of a lake are in."""
+    """Folder of the messages of a lake."""
     return PurePosixPath(day).parents[4].name or Path.cwd().name
 
 
 def _vehicle(root: str, log: str) -> str:
-    """The first folder between a source and the log, or the folder that the log is in."""
+    """Name of the first folder between a source and the log, or of the folder of the log."""
     path = PurePosixPath(Path(log).as_posix())
     base = PurePosixPath(Path(root).as_posix())
     below = path.relative_to(base).parts if path.is_relative_to(base) else ()
@@ -181,7 +183,7 @@ def _vehicle(root: str, log: str) -> str:
 
 
 def file_system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it.
+    """File system of a URL, and the path in it.
 
     Raises
     ------
@@ -201,12 +203,12 @@ def file_system(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def local_copy(source: str) -> Iterator[Path]:
-    """The log as a local file; that of a URL is there for the time of the block, whose errors name the URL.
+    """Yield the log as a local file; that of a URL exists during the context, whose errors name the URL.
 
     Raises
     ------
     LogError
-        It cannot be fetched.
+        The log cannot be fetched.
     """
     if "://" not in source:
         yield Path(source)
@@ -224,15 +226,15 @@ def local_copy(source: str) -> Iterator[Path]:
 
 
 def _fetch(files: Any, name: str, folder: Path) -> Path:
-    """Copy a log, or all files of a day of a lake, into a folder; its path there."""
+    """Copy a log, or all files of a day of a lake, into a folder; returns its path there."""
     path = PurePosixPath(name)
     if not is_day(path):
         files.get_file(name, str(folder / path.name))
         return folder / path.name
-    for one in files.glob(name):
-        copy = folder.joinpath(*PurePosixPath(one).parts[-5:])
+    for source in files.glob(name):
+        copy = folder.joinpath(*PurePosixPath(source).parts[-5:])
         copy.parent.mkdir(parents=True, exist_ok=True)
-        files.get_file(one, str(copy))
+        files.get_file(source, str(copy))
     return folder.joinpath(*path.parts[-5:])
 
 

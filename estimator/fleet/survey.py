@@ -1,4 +1,4 @@
-"""Hash and times of a log, read once before the estimates."""
+"""Survey of a log before the estimates: hash of its contents, and times."""
 
 import os
 from collections.abc import Mapping
@@ -26,11 +26,11 @@ ENGINE_CLAIM = EXTENDED | ADDRESS_CLAIMED << 8 | GLOBAL << 8  # by the address 0
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """A log and its contents.
+    """Log with a summary of its contents.
 
-    ``content`` is a hash of its bytes, empty where it cannot be read; ``start`` and ``end`` are the times of its
-    first and last frame [s], ``fault`` is the reason why it cannot be read to the end, or empty, and ``note`` a doubt.
-    ``engine`` is the J1939 NAME that the engine claimed its address with, in hexadecimal, or empty.
+    ``content`` is a hash of its bytes, empty if it cannot be read. ``start`` and ``end`` [s] are the times of its first
+    and last frame. ``fault`` is the reason why it cannot be read to the end, else empty, and ``note`` a doubt.
+    ``engine`` is the J1939 NAME with which the engine claimed its address, in hexadecimal, else empty.
     """
 
     log: LogFile
@@ -60,9 +60,10 @@ def survey(log: LogFile, config: Config) -> Survey:
 
 
 def _engine(frames: Frames) -> str:
-    """The NAME in the first address claim of the engine with a serial number, empty where there is none.
+    """NAME in the first address claim of the engine with a serial number; empty if there is none.
 
-    Without one (0), units of one kind have the same NAME; a forged claim has it too, for the lowest NAME wins.
+    With the serial number 0, units of one kind have equal NAMEs. A forged claim also has it, because the lowest NAME
+    wins.
     """
     claims = np.flatnonzero((frames.ident & np.uint32(WITHOUT_PRIORITY) == ENGINE_CLAIM) & (frames.length == BYTES))
     names = (bytes(frames.data[claim, :BYTES]) for claim in claims)
@@ -79,13 +80,13 @@ def _line(log: LogFile, error: Exception) -> str:
 
 
 def _content(path: Path) -> str:
-    """Hash of the bytes of a file, or of all files of a day of a lake with their names, which say what they hold."""
+    """Hash of the bytes of a file, or of the names and bytes of all files of a day of a lake."""
     digest = blake2b(digest_size=16)
     parts = files_of(path) if is_day(path) else [path]
-    for one in parts:
+    for part in parts:
         if len(parts) > 1:
-            digest.update(os.fsencode(f"{'/'.join(one.parts[-5:])} {one.stat().st_size} "))
-        with one.open("rb") as file:
+            digest.update(os.fsencode(f"{'/'.join(part.parts[-5:])} {part.stat().st_size} "))
+        with part.open("rb") as file:
             while piece := file.read(PIECE):
                 digest.update(piece)
     return digest.hexdigest()

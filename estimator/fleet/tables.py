@@ -88,7 +88,7 @@ ROAD = (
 
 
 def doubts(drives: Sequence[Row], vehicles: Sequence[Row]) -> list[str]:
-    """What is doubted of drives that are used, and vehicles whose drives are not joined, by their rows."""
+    """Lines on doubts about used drives, and on vehicles whose drives are not pooled, from the rows of the tables."""
     noted = [row for row in drives if row.get("note") and not row.get("segment")]
     apart = [row for row in vehicles if "overlap" in row["C_reason"]]
     return [f"{row['source']}: {row['note']}" for row in noted] + [
@@ -121,12 +121,12 @@ def write_tables(
 
 
 def require_arrow() -> Any:
-    """The modules of pyarrow that write a table.
+    """Import the modules of pyarrow that write a table.
 
     Raises
     ------
     RoadloadError
-        It is not installed.
+        pyarrow is not installed.
     """
     try:
         import pyarrow
@@ -156,7 +156,7 @@ def _parquet(schema: Sequence[Column], rows: Sequence[Row]) -> bytes:
 
 
 def _cell(column: Column, row: Row) -> Any:
-    """A value for Arrow; None where there is none."""
+    """Convert a value for Arrow; None if it is missing."""
     value = row.get(column.name)
     if value is None or (column.kind == "number" and not np.isfinite(value)):
         return None

@@ -1,4 +1,4 @@
-"""A vehicle over its drives: rolling coefficient A/m and drag C change with the months, each load has its own mass."""
+"""Pooling of the drives of a vehicle: A/m and C vary slowly over the months, each load has its own mass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,13 +22,14 @@ Known = tuple[Marginal | None, Marginal | None]  # A/m and C
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleResult:
-    """The pooled result of the drives of a vehicle.
+    """Pooled result of the drives of a vehicle.
 
-    ``rolling`` A/m [N/kg] and ``drag`` C [N s^2/m^2] at the newest drive, None where they are not estimated, with the
-    ``reasons``; mean and sd of their ``trend`` [a year] and of what they are in January above July (``winter``), None
-    where no clock was set; both as ``compared`` with other vehicles, at the newest drive of all; their ``scatter``
-    between drives (2,); ``next_drive`` is what to expect of A/m and C on a drive to come; ``masses`` [kg] of the loads,
-    given all drives, in the order of what was passed in; ``load`` mean and sd [kg] of the mass under a load to come.
+    ``rolling`` A/m [N/kg] and ``drag`` C [N s^2/m^2] are those at the newest drive, None if not estimated, with the
+    ``reasons``. ``trend`` is the mean and sd of their change a year, and ``winter`` of their difference between January
+    and July; None if no clock was set. ``compared`` are both at the newest drive of all vehicles, for the comparison of
+    vehicles. ``scatter`` (2,) is their sd between drives, ``next_drive`` their prediction for a future drive.
+    ``masses`` [kg] are those of the loads given all drives, in the order of the input. ``load`` is the mean and sd [kg]
+    of the mass with a future load.
     """
 
     vehicle: str
@@ -59,17 +60,17 @@ def join(
     Parameters
     ----------
     vehicle
-        Its name.
+        Name of the vehicle.
     loads, starts
-        Likelihoods of [1/m, A/m, C/m], one for each load of each drive, and when it begins [s].
+        Likelihoods of [1/m, A/m, C/m], one for each load of each drive, and their starts [s].
     gate
-        Whose ``relative_sd`` bounds the relative sd of an estimate.
+        Gate whose ``relative_sd`` is the largest relative sd of an estimate.
     scale
         Scale of the prior of the scatter between drives, as a share; see `pool`.
     doubt
-        Why the drives must not be joined, or empty.
+        Reason why the drives must not be pooled, else empty.
     last
-        When the newest drive of all vehicles began [s], if known.
+        Start of the newest drive of all vehicles [s], if known.
     """
     if doubt or not loads:
         reason = doubt or "no drive with an estimated mass"
@@ -77,7 +78,7 @@ def join(
     m, z, V, with_mass, m_variance = _first_order(loads)
     now = newest(starts)
     pooled = pool(z, V, scale, years_since(now, starts))
-    known, reasons = _shared(pooled, gate)
+    estimated, reasons = _shared(pooled, gate)
     masses = _masses(m, z, V, with_mass, m_variance, pooled)
     at = NOW if now is None or last is None else terms(np.array([(last - now) / YEAR]))[0]
     means = np.array([mass.mean for mass in masses])
@@ -88,8 +89,8 @@ def join(
         vehicle=vehicle,
         status=Status.UNESTIMATED if all(reasons) else Status.ESTIMATED,
         reasons=reasons,
-        rolling=known[ROLLING],
-        drag=known[DRAG],
+        rolling=estimated[ROLLING],
+        drag=estimated[DRAG],
         trend=None if now is None else _pair(pooled, TREND),
         winter=None if now is None else _pair(pooled, winter(now)),
         compared=(
@@ -104,13 +105,13 @@ def join(
 
 
 def shared(loads: Sequence[Coefficients], starts: Sequence[float], gate: Gate, scale: float) -> Known:
-    """A/m and C at the newest of some drives, as `join` finds them; None where they are not estimated."""
+    """A/m and C at the newest of some drives, as by `join`; None if not estimated."""
     _, z, V, _, _ = _first_order(loads)
     return _shared(pool(z, V, scale, years_since(newest(starts), starts)), gate)[0]
 
 
 def _shared(pooled: Pooled, gate: Gate) -> tuple[Known, tuple[str, str]]:
-    """A/m and C where their sd is small enough, and the reasons where it is not."""
+    """A/m and C, None if the sd is too large, and the reasons for None."""
     rolling, drag = (pooled.shared(i).marginal for i in (ROLLING, DRAG))
     reasons = _reason(ROLLING, rolling, gate.relative_sd[ROLLING]), _reason(DRAG, drag, gate.relative_sd[DRAG])
     return (None if reasons[ROLLING] else rolling, None if reasons[DRAG] else drag), reasons
@@ -137,17 +138,17 @@ def _pair(pooled: Pooled, share: Floats) -> tuple[Normal, Normal]:
     return pooled.combined(ROLLING, share).moments, pooled.combined(DRAG, share).moments
 
 
-def _reason(i: int, found: Marginal, largest: float) -> str:
-    if found.sd <= largest * found.mean:
+def _reason(i: int, marginal: Marginal, largest: float) -> str:
+    if marginal.sd <= largest * marginal.mean:
         return ""
-    share = 100 * found.sd / max(found.mean, 1e-12)
+    share = 100 * marginal.sd / max(marginal.mean, 1e-12)
     return f"sd of {NAMES[i]} is {min(share, 1000):.0f} % of its value; give more drives"
 
 
 def _first_order(loads: Sequence[Coefficients]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Mass (n,), [A/m, C] (n, 2), its covariance (n, 2, 2), that with the mass (n, 2), and the mass's variance (n,).
+    """Mass (n,), [A/m, C] (n, 2), their covariance (n, 2, 2), that with the mass (n, 2), and variance of the mass (n,).
 
-    By the delta method: the gate lets no mass pass whose relative sd is over a tenth.
+    The delta method is accurate enough, because the gate allows no mass with a relative sd above a tenth.
     """
     mean = np.array([load.mean for load in loads])
     covariance = np.array([load.covariance for load in loads])
@@ -163,7 +164,7 @@ def _first_order(loads: Sequence[Coefficients]) -> tuple[Floats, Floats, Floats,
 def _masses(
     m: Floats, z: Floats, V: Floats, with_mass: Floats, m_variance: Floats, pooled: Pooled
 ) -> tuple[Marginal, ...]:
-    """Posteriors of the masses: each drive's own, updated with A/m and C of the other drives."""
+    """Posteriors of the masses: estimate of each drive, updated with A/m and C of the other drives."""
     gain = np.linalg.solve(V, with_mass[:, :, None])[:, :, 0]
     rest = m_variance - np.einsum("ni,ni->n", gain, with_mass)
     means = m + np.einsum("ni,kni->kn", gain, pooled.drive_mean - z)

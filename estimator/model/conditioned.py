@@ -1,6 +1,6 @@
-"""A road model with given scales: what its unknowns are, given the data, and what the data say of the parameters.
+"""Road model with given scales: posterior of its unknowns, and products with the inverse covariance of the data.
 
-The data are Y = X beta + A u + errors, with unknowns u of precision Q and errors of the variances D, so that
+The data are Y = X beta + A u + errors, with unknowns u of precision Q and errors of the variances D. Therefore
 
     K^-1 = D^-1 - D^-1 A (Q + A' D^-1 A)^-1 A' D^-1,   log|K| = log|D| + log|Q + A' D^-1 A| - log|Q|
 
@@ -22,7 +22,7 @@ TOGETHER = 16  # draws that are made at once: bounds the memory beside the draws
 
 @dataclass(frozen=True)
 class Conditioned:
-    """A road model with given scales: K is the covariance of the data."""
+    """Road model with given scales; K is the covariance of the data."""
 
     model: RoadModel
     variance: Floats
@@ -31,7 +31,7 @@ class Conditioned:
 
     @classmethod
     def of(cls, model: RoadModel, scales: Floats) -> "Conditioned":
-        """With ``scales`` (k,), in the order of `RoadModel.scales`.
+        """Condition a model with ``scales`` (k,), in the order of `RoadModel.scales`.
 
         Raises
         ------
@@ -46,7 +46,7 @@ class Conditioned:
 
     @cached_property
     def _of_slopes(self) -> tuple[Floats, Floats]:
-        """What the covariance of the unknowns says of the slopes: `freedom` and `slope_variance`."""
+        """`freedom` (n,) and `slope_variance` (N,), from the covariance of the unknowns."""
         n, model = self.model.counts[0], self.model
         if model.is_level:
             return np.zeros(n), np.zeros(len(model.nodes.s))
@@ -57,14 +57,14 @@ class Conditioned:
     def freedom(self) -> Floats:
         """Share (n,) of each driven stride's acceleration that the slopes may explain.
 
-        It is the diagonal of K^-1 times the covariance that the slopes alone would give the accelerations; the sum is
-        their effective number of parameters.
+        It is the diagonal of the product of K^-1 and the prior covariance of the accelerations by the slopes alone. Its
+        sum is the effective number of parameters of the slopes.
         """
         return self._of_slopes[0]
 
     @property
     def slope_variance(self) -> Floats:
-        """Posterior variance [1] of the slope at each node of the road, the parameters given."""
+        """Posterior variance (N,) [1] of the slope at each node of the road, given the parameters."""
         return self._of_slopes[1]
 
     def gram(self, data: Rows) -> Floats:
@@ -72,7 +72,7 @@ class Conditioned:
         return gram(self.factor, self.model.kinds, self.variance, data)
 
     def unknowns(self, residual: Floats) -> Floats:
-        """Posterior mean (size,) of all unknowns, given the data less the parameters' part (sum of counts,)."""
+        """Posterior mean (size,) of all unknowns, given the data less X beta (sum of counts,)."""
         solved: Floats = self.factor.solve(self.model.gathered((residual / self.variance)[:, None]))[:, 0]
         return solved
 
@@ -84,7 +84,7 @@ class Conditioned:
         return rest.reshape(residual.shape)
 
     def draws(self, residuals: Floats, rng: np.random.Generator) -> Floats:
-        """Draws (size, d) of all unknowns from their posterior, one for each column of residuals (sum of counts, d)."""
+        """Draw all unknowns (size, d) from their posterior, once for each column of residuals (sum of counts, d)."""
         drawn = rng.standard_normal((self.model.size, residuals.shape[1]))
         for first in range(0, residuals.shape[1], TOGETHER):
             some = slice(first, first + TOGETHER)

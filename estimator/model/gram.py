@@ -1,13 +1,13 @@
-"""Products of columns of data weighed by the inverse of their covariance, in pieces of time.
+"""Gram matrix of data columns, weighted by the inverse of their covariance and computed in pieces of time.
 
 With the factor F of the precision of all unknowns given the data (`linear_gaussian`), columns Y of data have
 
     Y' K^-1 Y = Y' R^-1 Y - W' W,   F W = A' R^-1 Y
 
-Unknowns are in order of time and F is banded, so the elements of W in a piece follow from the data there and from the
+Unknowns are in order of time and F is banded. The elements of W in a piece so follow from the data there and from the
 last elements of W before it, as a filter's estimate follows from its state. One piece of W is in memory at a time. A
-column that is zero in a piece goes on from its last elements c as H c, with one H for all columns, and adds c' (H'H) c:
-most columns of what is switched, or wanders over time, are zero at most times, and cost little there.
+column that is zero in a piece, with last elements c, continues as H c and adds c' (H'H) c, with one H for all columns.
+Most columns of switching effects and of processes are zero at most times, and cost little there.
 """
 
 from collections.abc import Sequence
@@ -32,21 +32,21 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
     Parameters
     ----------
     factor
-        F.
+        Factor F of the precision.
     kinds
-        The maps A of each kind of observations, and their rows of the data.
+        Map A and rows of the data of each kind of observations.
     variance
-        Of the data given the unknowns (n,), R.
+        Diagonal (n,) of R: variances of the data given the unknowns.
     data
-        Y (n, c), sparse where most of it is zero.
+        Columns Y (n, c); sparse if most elements are zero.
     """
     size, count = factor.lower.shape[1], data.shape[1]
     weight, whitened = 1 / np.sqrt(variance)[:, None], _Whitened(factor, count)
     product, behind = np.zeros((count, count)), np.zeros((count, whitened.reach))
     length = max(ELEMENTS // max(count, 1), MIN_PIECE, whitened.reach)
     for begin in range(0, size, length):
-        width, found = min(length, size - begin), []
-        own: Mask = np.any(behind, axis=1)
+        width, parts = min(length, size - begin), []
+        is_active: Mask = np.any(behind, axis=1)
         for observed, rows in kinds:
             part = observed.within(begin, begin + width)
             here = slice(rows.start + part.start, rows.start + part.stop)
@@ -54,24 +54,24 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
             if len(there):
                 scaled = values * weight[here]
                 product[np.ix_(there, there)] += scaled.T @ scaled
-                own[there] = True
-                found.append((observed, part, there, scaled * weight[here]))
+                is_active[there] = True
+                parts.append((observed, part, there, scaled * weight[here]))
         # Column by column, as LAPACK has it; what lies behind the piece is the beginning of the next.
-        place, next_behind = np.cumsum(own) - 1, np.zeros_like(behind)
-        gathered = np.zeros((np.count_nonzero(own), width))
+        column_of, next_behind = np.cumsum(is_active) - 1, np.zeros_like(behind)
+        gathered = np.zeros((np.count_nonzero(is_active), width))
         reaching = min(whitened.reach, width)
-        gathered[:, :reaching] = behind[own, :reaching]
-        for observed, part, there, weighed in found:
+        gathered[:, :reaching] = behind[is_active, :reaching]
+        for observed, part, there, weighed in parts:
             added = observed.gathered_within(part, weighed, begin, min(width + whitened.reach, size - begin)).T
-            gathered[place[there]] += added[:, :width]
+            gathered[column_of[there]] += added[:, :width]
             next_behind[there, : added.shape[1] - width] += added[:, width:]
         behind = next_behind
-        whitened.add(begin, own, gathered.T)
+        whitened.add(begin, is_active, gathered.T)
     return product - whitened.product
 
 
 def _present(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
-    """Which columns (k,) are not zero in all rows (m,) ``here``, and those columns (m, k)."""
+    """Indices (k,) of columns with a non-zero element in the rows ``here`` (m,), and those columns (m, k)."""
     if not isinstance(data, sp.csr_array):
         rows = data[here]
         there = np.flatnonzero(rows.any(axis=0))
@@ -80,14 +80,14 @@ def _present(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
     indices, values = data.indices[ends[0] : ends[-1]], data.data[ends[0] : ends[-1]]
     is_there = np.zeros(data.shape[1], dtype=np.bool_)
     is_there[indices] = True
-    there, place = np.flatnonzero(is_there), np.cumsum(is_there) - 1
+    there, column_of = np.flatnonzero(is_there), np.cumsum(is_there) - 1
     columns = np.zeros((len(ends) - 1, len(there)))
-    columns[np.repeat(np.arange(len(ends) - 1), np.diff(ends)), place[indices]] = values
+    columns[np.repeat(np.arange(len(ends) - 1), np.diff(ends)), column_of[indices]] = values
     return there, columns
 
 
 class _Whitened:
-    """The products (c, c) of ``count`` columns W that come in pieces."""
+    """Accumulates W' W (c, c) of ``count`` columns W that come in pieces."""
 
     def __init__(self, factor: Factor, count: int) -> None:
         self._lower, self.reach = factor.lower, len(factor.lower) - 1
@@ -95,28 +95,28 @@ class _Whitened:
         self._row, self._column = np.indices((self.reach, self.reach))
         self.product = np.zeros((count, count))
 
-    def add(self, begin: int, own: Mask, columns: Floats) -> None:
-        """The next piece of F W: of columns that are ``own`` (c,) there, the elements (m, own) from ``begin`` on."""
+    def add(self, begin: int, is_active: Mask, columns: Floats) -> None:
+        """Add the piece of F W from row ``begin`` on: ``columns`` (m, k) of those that are ``is_active`` (c,)."""
         link = self._link(begin)[: len(columns)]
-        columns[: len(link)] += link @ self._last[:, own]
+        columns[: len(link)] += link @ self._last[:, is_active]
         W = self._solved(begin, columns)
-        self.product[np.ix_(own, own)] += W.T @ W
+        self.product[np.ix_(is_active, is_active)] += W.T @ W
         last = np.zeros_like(self._last)
-        last[-len(W) :, own] = W[-self.reach :]  # of the last piece, which may be shorter, nothing is needed
-        going = np.flatnonzero(np.where(own, False, self._last.any(axis=0)))
+        last[-len(W) :, is_active] = W[-self.reach :]  # of the last piece, which may be shorter, nothing is needed
+        going = np.flatnonzero(np.where(is_active, False, self._last.any(axis=0)))
         if len(going):
             answers = np.zeros((len(columns), self.reach), order="F")
             answers[: len(link)] = link
             H, state = self._solved(begin, answers), self._last[:, going]
             self.product[np.ix_(going, going)] += state.T @ (H.T @ H) @ state
             cross = (W.T @ H) @ state
-            self.product[np.ix_(own, going)] += cross
-            self.product[np.ix_(going, own)] += cross.T
+            self.product[np.ix_(is_active, going)] += cross
+            self.product[np.ix_(going, is_active)] += cross.T
             last[-len(H) :, going] = H[-self.reach :] @ state
         self._last = last
 
     def _link(self, begin: int) -> Floats:
-        """What the elements (reach,) before ``begin`` add to the right-hand side (reach,) from there on."""
+        """Matrix (reach, reach) from elements before ``begin`` to their part of the right-hand side behind it."""
         if not begin:
             return np.zeros((self.reach, self.reach))
         down = np.minimum(self.reach + self._row - self._column, self.reach)
@@ -125,7 +125,7 @@ class _Whitened:
         return added
 
     def _solved(self, begin: int, columns: Floats) -> Floats:
-        """The rows and columns of F from ``begin`` on, solved for ``columns`` (m, c), which are overwritten."""
+        """Solve the block of F from ``begin`` on for ``columns`` (m, c), which are overwritten."""
         if not columns.size:  # without columns, scipy's call of LAPACK spoils memory
             return columns
         solved: Floats = dtbtrs(self._lower[:, begin : begin + len(columns)], columns, uplo="L", overwrite_b=1)[0]

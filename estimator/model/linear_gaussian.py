@@ -4,8 +4,8 @@ Unknowns x (size,) have a Gaussian prior of precision Q, and observations are li
 
     data_k = sum_q weight_kq x[place_kq] + e_k,   e_k ~ N(0, variance_k)
 
-The places of one observation lie near each other, and Q is banded, so the precision of x given the data,
-L = Q + A' R^-1 A, is banded too, and a banded Cholesky factor gives, for any columns Y of data,
+The places of one observation lie near each other, and Q is banded. The precision of x given the data,
+L = Q + A' R^-1 A, is therefore banded too. Its banded Cholesky factor gives, for any columns Y of data,
 
     Y' K^-1 Y = Y' R^-1 Y - (A' R^-1 Y)' L^-1 (A' R^-1 Y),      log|K| = log|R| + log|L| - log|Q|
 
@@ -33,11 +33,11 @@ CHUNK = 16  # columns that are whitened at once, from the first element of any o
 
 
 class NotPositiveDefiniteError(ArithmeticError):
-    """The precision is not positive definite in floating point: the scales of its parts lie too far apart."""
+    """Raised if a precision is not positive definite in floating point: the scales of its parts lie too far apart."""
 
 
 def bandwidth(places: Places) -> int:
-    """How far apart (n, q) places of one observation are at most."""
+    """Largest distance between two places of one observation, of ``places`` (n, q)."""
     return int((places.max(axis=1) - places.min(axis=1)).max()) if places.size else 0
 
 
@@ -53,20 +53,20 @@ def band(rows: Places, columns: Places, values: Floats, shape: tuple[int, int]) 
 
 
 def both_triangles(stored: Floats) -> Floats:
-    """A band whose elements off the diagonal count twice, in place: sums over it are sums over the whole matrix."""
+    """Double the elements off the diagonal in place: sums over the band become sums over the whole matrix."""
     stored[1:] *= 2
     return stored
 
 
 def add_squares(target: Floats, columns: Floats) -> None:
-    """Add the sum of x x' over ``columns`` x (size, c) to a band (bandwidth + 1, size) as `both_triangles` makes it."""
+    """Add x x' (summed over ``columns`` x (size, c)) to a band (bandwidth + 1, size) of `both_triangles`."""
     target[0] += np.einsum("ij,ij->i", columns, columns)
     for down in range(1, min(len(target), len(columns))):
         target[down, :-down] += 2 * np.einsum("ij,ij->i", columns[down:], columns[:-down])
 
 
 def _by_observation(rows: Places, values: Floats, size: int) -> sp.csc_matrix:
-    """A matrix (size, n) whose column k has ``values`` (n, q) at the rows (n, q); those given twice add up."""
+    """Sparse matrix (size, n): column k has ``values[k]`` (q,) at ``rows[k]`` (q,); values of equal rows add up."""
     n, q = rows.shape
     made = sp.csc_matrix((values.ravel(), rows.ravel(), np.arange(0, n * q + 1, q)), (size, n), copy=True)
     made.sort_indices()
@@ -74,16 +74,16 @@ def _by_observation(rows: Places, values: Floats, size: int) -> sp.csc_matrix:
 
 
 class Observations:
-    """The linear map A of n observations, in the two forms that the likelihood needs.
+    """Linear map A of n observations, in the two forms that the likelihood needs.
 
     Parameters
     ----------
     places
-        Unknowns that an observation depends on (n, q); a weight of zero makes a place irrelevant.
+        Unknowns that each observation depends on (n, q); a weight of zero makes a place irrelevant.
     weights
-        Their factors (n, q).
+        Factors of these unknowns (n, q).
     shape
-        Of the band of the precision: (bandwidth + 1, size).
+        Shape of the band of the precision: (bandwidth + 1, size).
     """
 
     def __init__(self, places: Places, weights: Floats, shape: tuple[int, int]) -> None:
@@ -108,12 +108,12 @@ class Observations:
         target.ravel()[self._touched] += self._square @ (1 / variance)
 
     def variance(self, products: Floats) -> Floats:
-        """What unknowns of `both_triangles` of a covariance add to the variance of each observation (n,)."""
+        """Variance of A x (n,), for unknowns x whose covariance is given as `both_triangles`."""
         spread: Floats = self._square.T @ products.ravel()[self._touched]
         return spread
 
     def within(self, begin: int, end: int) -> slice:
-        """The observations whose first unknown is at ``begin`` or behind it, and before ``end``."""
+        """Range of the observations whose first unknown is in the half-open interval ``begin`` to ``end``."""
         first, last = np.searchsorted(self._first, [begin, end]).tolist()
         return slice(first, last)
 
@@ -123,15 +123,15 @@ class Observations:
         return total
 
     def gathered_within(self, part: slice, scaled: Floats, begin: int, length: int) -> Floats:
-        """The ``length`` elements from ``begin`` on of A' times columns (m, c) of the observations in ``part``.
+        """Elements (length, c) from ``begin`` on of A' times columns (m, c) of the observations in ``part``.
 
-        They depend on no other unknowns.
+        These observations must depend on no other unknowns.
         """
         whole = self._gather
         if whole.shape == (length, len(scaled)):
             return self.gathered(scaled)
-        own = slice(whole.indptr[part.start], whole.indptr[part.stop])
-        kept = whole.data[own], whole.indices[own] - begin, whole.indptr[: len(scaled) + 1]
+        elements = slice(whole.indptr[part.start], whole.indptr[part.stop])
+        kept = whole.data[elements], whole.indices[elements] - begin, whole.indptr[: len(scaled) + 1]
         total: Floats = sp.csc_array(kept, (length, len(scaled))) @ scaled
         return total
 
@@ -154,7 +154,7 @@ class Factor:
         Raises
         ------
         NotPositiveDefiniteError
-            It is not positive definite.
+            The precision is not positive definite.
         """
         lower, failed = dpbtrf(precision, lower=1, overwrite_ab=1)
         if failed:
@@ -163,11 +163,11 @@ class Factor:
 
     @property
     def log_determinant(self) -> float:
-        """log|L| of the precision."""
+        """Logarithm of the determinant of the precision, log|L|."""
         return 2 * float(np.log(self.lower[0]).sum())
 
     def whiten(self, columns: Floats) -> Floats:
-        """The factor's inverse times ``columns`` (size, c); zero above the first element of a column, as that is."""
+        """Inverse of the factor times ``columns`` (size, c); leading zeros of a column stay zero."""
         first = np.argmax(columns != 0, axis=0)
         order = np.argsort(first, kind="stable")
         whitened = np.zeros(columns.shape, order="F")
@@ -182,13 +182,13 @@ class Factor:
         return self.unwhiten(self.whiten(columns))
 
     def unwhiten(self, columns: Floats) -> Floats:
-        """The inverse of the factor's transpose times ``columns`` (size, c): white noise becomes draws of the prior."""
+        """Inverse of the factor's transpose times ``columns`` (size, c): white noise gets the covariance L^-1."""
         solved, _ = dtbtrs(self.lower, columns, uplo="L", trans="T")
         solution: Floats = solved
         return solution
 
     def covariance(self) -> Floats:
-        """The band (bandwidth + 1, size) of L^-1.
+        """Band (bandwidth + 1, size) of L^-1.
 
         With the factor cut into blocks D on the diagonal and E below them, from the last block to the first:
 
@@ -196,7 +196,7 @@ class Factor:
         """
         reach, size = len(self.lower) - 1, self.lower.shape[1]
         width = max(reach, MIN_BLOCK)
-        found, after = np.empty_like(self.lower, order="C"), np.zeros((width, width))
+        inverse_band, after = np.empty_like(self.lower, order="C"), np.zeros((width, width))
         for begin in reversed(range(0, size, SEGMENT * width)):
             part = self.lower[:, begin : begin + SEGMENT * width]
             number = -(-part.shape[1] // width)
@@ -206,22 +206,23 @@ class Factor:
             blocks, stored = _blocks(number, width, reach)
             stored[:] = padded.reshape(stored.shape)
             inverse = np.array([dtrtri(block.T, lower=0)[0].T for block in blocks[:, :width]])
-            own, turned = inverse.transpose(0, 2, 1) @ inverse, blocks[:, width:] @ inverse
+            diagonal, turned = inverse.transpose(0, 2, 1) @ inverse, blocks[:, width:] @ inverse
             across, product = np.empty_like(turned), np.empty((width, width))
-            for turn, S_kk_G, S_ii in zip(turned[::-1], across[::-1], own[::-1], strict=True):
+            for turn, S_kk_G, S_ii in zip(turned[::-1], across[::-1], diagonal[::-1], strict=True):
                 np.matmul(after, turn, out=S_kk_G)
                 S_ii += np.matmul(turn.T, S_kk_G, out=product)
                 after = S_ii
-            blocks[:, :width] = own
+            blocks[:, :width] = diagonal
             np.negative(across, out=blocks[:, width:])
-            found[:, begin : begin + part.shape[1]] = stored.reshape(reach + 1, -1)[:, : part.shape[1]]
-        return found
+            inverse_band[:, begin : begin + part.shape[1]] = stored.reshape(reach + 1, -1)[:, : part.shape[1]]
+        return inverse_band
 
 
 def _blocks(number: int, width: int, reach: int) -> tuple[Floats, Floats]:
-    """Zeros (number, 2 width, width), blocks on the diagonal over those below, and the same memory as a band.
+    """Two views of one memory of zeros: as blocks and as a band.
 
-    The second is (reach + 1, number, width), with element (d, i, j) at (i, j + d, j) of the first.
+    The blocks (number, 2 width, width) are those on the diagonal over those below it. The band is (reach + 1, number,
+    width), with element (d, i, j) at (i, j + d, j) of the blocks.
     """
     blocks = np.zeros((number, 2 * width, width))
     block, row, column = blocks.strides

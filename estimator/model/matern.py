@@ -2,13 +2,13 @@
 
 The stationary solution of (kappa^2 - d^2/ds^2)^(alpha/2) x = white noise has a Matern covariance of smoothness
 nu = alpha - 1/2 (Whittle 1954). On nodes joined by linear elements its precision is banded (Lindgren, Rue & Lindstroem
-2011): with the lumped mass matrix M and the stiffness matrix G
+2011). With the lumped mass matrix M and the stiffness matrix G it is
 
     Q = tau (kappa^2 M + G) (M^-1 (kappa^2 M + G))^(alpha - 1),   kappa = sqrt(2 nu) / length,
     tau = Gamma(nu) / (Gamma(alpha) sqrt(4 pi) kappa^(2 nu) sd^2)
 
-which is a polynomial in kappa^2 with fixed bands, so other scales cost no new assembly. The ends of a stretch are
-free (Neumann), where the variance doubles.
+This is a polynomial in kappa^2 with fixed bands, so other scales need no new assembly. The ends of a stretch are free
+(Neumann boundary), where the variance doubles.
 """
 
 from math import comb, pi, sqrt
@@ -23,20 +23,20 @@ from estimator.signals import Floats
 
 
 class MaternField:
-    """The precision of a Matern process at nodes along stretches of road, or of time.
+    """Precision of a Matern process at nodes along stretches of road, or of time.
 
     Parameters
     ----------
     nodes
         Distances [m] or times [s] (N,), ascending.
     joined
-        Whether a node belongs to the stretch of the node before (N,); False for the first.
+        True (N,) where a node belongs to the stretch of the node before it; False for the first.
     alpha
         Order of the operator: 2, 3, 4 for a smoothness nu of 3/2, 5/2, 7/2.
     places
-        Of the nodes among the unknowns (N,), ascending.
+        Indices of the nodes among the unknowns (N,), ascending.
     shape
-        Of the band.
+        Shape of the band of the precision of all unknowns, (bandwidth + 1, size).
     """
 
     def __init__(self, nodes: Floats, joined: np.ndarray, alpha: int, places: Places, shape: tuple[int, int]) -> None:
@@ -58,7 +58,7 @@ class MaternField:
 
     @property
     def _nu(self) -> float:
-        """Smoothness."""
+        """Smoothness nu."""
         return self.alpha - 0.5
 
     def _kappa_tau(self, sd: float, length: float) -> tuple[float, float]:
@@ -67,12 +67,12 @@ class MaternField:
         return kappa, float(gamma(nu)) / (float(gamma(self.alpha)) * sqrt(4 * pi) * kappa ** (2 * nu) * sd**2)
 
     def _factors(self, kappa: float, tau: float) -> Floats:
-        """Of the powers (alpha + 1,) that the precision is the sum of."""
+        """Factors (alpha + 1,) of the terms of the polynomial in kappa^2."""
         factors: Floats = tau * kappa ** (2.0 * (self.alpha - np.arange(self.alpha + 1)))
         return factors
 
     def _operator(self, kappa: float) -> Floats:
-        """The band (2, N) of kappa^2 M + G."""
+        """Band (2, N) of kappa^2 M + G."""
         return np.vstack([kappa**2 * self._mass + self._diagonal, np.append(self._off, 0.0)])
 
     def add_precision(self, target: Floats, sd: float, length: float) -> float:
@@ -90,18 +90,21 @@ class MaternField:
         )
 
     def score(self, products: Floats, sd: float, length: float) -> Floats:
-        """Derivative (2,) of the log density by log ``sd`` and log ``length``, for `both_triangles` of the products."""
+        """Derivative (2,) of the log density by log ``sd`` and log ``length``.
+
+        ``products`` is the mean of x x', as `both_triangles`.
+        """
         kappa, tau = self._kappa_tau(sd, length)
-        each = self._factors(kappa, tau) * (self._powers @ products.ravel()[self._touched])
+        terms = self._factors(kappa, tau) * (self._powers @ products.ravel()[self._touched])
         orders = 2 * (self.alpha - np.arange(self.alpha + 1)) - 2 * self._nu  # of kappa in the factors
         inverse = _inverse_diagonal(*self._operator(kappa))
         by_kappa = (
-            self.alpha * kappa**2 * float(self._mass @ inverse) - self._nu * self.size - 0.5 * float(orders @ each)
+            self.alpha * kappa**2 * float(self._mass @ inverse) - self._nu * self.size - 0.5 * float(orders @ terms)
         )
-        return np.array([each.sum() - self.size, -by_kappa])
+        return np.array([terms.sum() - self.size, -by_kappa])
 
     def response(self, x: Floats, sd: float, length: float) -> Floats:
-        """V' V^-1 ``x`` (N, 2) with V the covariance and V' its derivative by log ``sd`` and log ``length``."""
+        """Product V' V^-1 ``x`` (N, 2), with V the covariance and V' its derivative by log ``sd`` or log ``length``."""
         kappa, _ = self._kappa_tau(sd, length)
         smoothed = solveh_banded(self._operator(kappa), self._mass * x, lower=True)
         return np.column_stack([2 * x, 2 * self.alpha * kappa**2 * smoothed - 2 * self._nu * x])
@@ -110,10 +113,10 @@ class MaternField:
 def _inverse_diagonal(diagonal: Floats, off: Floats) -> Floats:
     """Diagonal (N,) of the inverse of a tridiagonal positive definite matrix of two rows or more.
 
-    ``off`` (N,): elements beside its diagonal, the last one not used.
+    ``off`` (N,) are the elements beside the diagonal; the last one is not used.
 
-    An element less what the elements before it explain, and less what those behind explain, is 1 over that of the
-    inverse; what each side explains follows from the pivots of the factor from that side.
+    Element i of the inverse is 1 / (p_i + q_i - d_i), with d the diagonal. The pivots p and q are those of the
+    factorisations from the first and from the last row.
     """
     before, behind = dpttrf(diagonal, off[:-1])[0], dpttrf(diagonal[::-1], off[-2::-1])[0][::-1]
     inverse: Floats = 1 / (before + behind - diagonal)
@@ -121,7 +124,7 @@ def _inverse_diagonal(diagonal: Floats, off: Floats) -> Floats:
 
 
 def _product(stiffness: Floats, scale: Floats, power: Floats) -> Floats:
-    """Diagonals (2 r + 3, N) of the matrix S diag(scale) P.
+    """Diagonals (2 r + 3, N) of the product S diag(scale) P.
 
     Row r + d of diagonals (2 r + 1, N) holds the elements (i, i + d) at places i; S has those of r = 1.
     """
@@ -133,10 +136,10 @@ def _product(stiffness: Floats, scale: Floats, power: Floats) -> Floats:
 
 
 def _lower(powers: list[Floats], places: Places, size: int) -> tuple[Places, Floats]:
-    """Elements of bands of ``size`` unknowns that hold symmetric matrices on ``places`` (N,): where, and their values.
+    """Flat indices (m,) into a band of ``size`` unknowns, and values there (len(powers), m), of symmetric matrices.
 
-    Each of the ``powers`` is given by its diagonals (2 r + 1, N). Elements (m,) that are zero in all of them are left
-    out; the values are (len(powers), m).
+    Each of the ``powers`` is given by its diagonals (2 r + 1, N), and acts on the unknowns ``places`` (N,). Elements
+    that are zero in all of them are left out.
     """
     n, reach = len(places), min(len(powers[-1]) // 2 + 1, len(places))
     where = np.concatenate([(places[down:] - places[: n - down]) * size + places[: n - down] for down in range(reach)])

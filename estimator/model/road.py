@@ -1,7 +1,7 @@
-"""The road as a state: the likelihood of a drive's strides where the slopes are unknown or measured with noise.
+"""The road as a state: likelihood of a drive's strides with slopes that are unknown, or measured with noise.
 
-Newton's second law over a stride, solved for the acceleration (the driver reacts to past speed, not to the slopes
-ahead, so force and speed are predetermined while acceleration is not):
+Newton's second law over a stride is solved for the acceleration. The driver reacts to past speed, not to the slopes
+ahead, so force and speed are predetermined while acceleration is not:
 
     a = F / m - A / m - (C / m) rho v^2 - g theta(s) + (e1 - e0) / T - (f0 + f1) / 2 - (p0 + p1) / 2 + w
 
@@ -10,8 +10,8 @@ with F the engine's force at the wheels and the unknown
     theta(s)   sine of the slope over distance, in metres or warped by the speed: a Matern process,
     e          errors of the speeds at both ends of the stride: white,
     f          error of the measured force over the mass: Ornstein-Uhlenbeck in time, in proportion to the gearing
-               (what is measured is the engine's torque),
-    p          noise of the power over the mass (of what is measured, or of losses that vary): Ornstein-Uhlenbeck in
+               (the measured quantity is the engine's torque),
+    p          noise of the power over the mass (of the measured power, or of losses that vary): Ornstein-Uhlenbeck in
                time, over the speed,
     w          the parts of f and p that do not follow from both ends, and white accelerations that no signal shows
                (gusts, rough road).
@@ -20,11 +20,11 @@ Altitude, grade and an accelerometer are measurements of the same theta, each wi
 
     altitude = h(s) + wander + white,  h' = theta;   grade, gravity / g = theta(s) + offset + wander + white
 
-where the wander is rough (Ornstein-Uhlenbeck) or smooth (Matern 3/2) in time, as the signal's filter makes it.
-The model is linear in (1/m, A/m, C/m), and the covariance of everything else does not depend on m; theta is known
-only through its prior and these signals. All unknowns are ordered by time, so the precision is banded and one
-evaluation of the likelihood costs O(n). On a road that is known to be level theta is 0: nothing links the signals to
-the motion, so their unknowns come behind, and the band is a quarter as wide.
+where the wander is rough (Ornstein-Uhlenbeck) or smooth (Matern 3/2) in time, depending on the signal's filter.
+The model is linear in (1/m, A/m, C/m), and the covariance of everything else does not depend on m. Only its prior and
+these signals determine theta. All unknowns are ordered by time, so the precision is banded and one evaluation of the
+likelihood costs O(n). On a level road theta is 0, and nothing links the signals to the motion. The unknowns of the
+signals then follow those of the motion, and the band is a quarter as wide.
 """
 
 from collections.abc import Sequence
@@ -68,10 +68,10 @@ _SHARES = np.array([0.08, 0.25, 0.34, 0.25, 0.08])  # their weights in the strid
 
 @dataclass(frozen=True, kw_only=True)
 class Acting:
-    """A process among the unknowns, and what it is conditioned with.
+    """Process among the unknowns, with the scales that it is conditioned with.
 
-    ``sd`` of it and its ``memory``, a correlation time [s] or length [m]; ``by`` (2, k): how the logarithms of both
-    change with those of the scales.
+    ``sd`` is its standard deviation and ``memory`` its correlation time [s] or length [m]. ``by`` (2, k) is the
+    derivative of the logarithms of both by those of the scales.
     """
 
     process: Chain | MaternField
@@ -81,22 +81,22 @@ class Acting:
 
 
 class RoadModel:
-    """The likelihood of strides given the scales of road and noise; linear in the vehicle's parameters.
+    """Likelihood of strides given the scales of road and noise; linear in the vehicle's parameters.
 
     Parameters
     ----------
     strides
-        Those of one or several drives, in order of time.
+        Strides of one or several drives, in order of time.
     alpha
         Order of the road's Matern process, of ALPHAS, or LEVEL.
     wander
         Order of the wander of all signals of the road: ROUGH or SMOOTH.
     power
-        Whether noise of the power is among the unknowns.
+        True if noise of the power is among the unknowns.
     designed
-        Whether the road is designed for the speed it is driven at: slopes change the sooner the slower that is.
+        True if the road is designed for the speed it is driven at: at lower speed, slopes change over less distance.
     turns
-        Places where the vehicle turns, so that slopes change at once.
+        Ranges of distance [m] in which the vehicle turns, and slopes change over less distance.
     """
 
     def __init__(
@@ -126,21 +126,21 @@ class RoadModel:
 
     @property
     def reading_names(self) -> tuple[str, ...]:
-        """Signals of the road that are there."""
+        """Names of the signals of the road that the drive has."""
         return tuple(reading.name for reading in self.readings)
 
     @property
     def is_level(self) -> bool:
-        """Whether the road has no slopes."""
+        """True if the road has no slopes."""
         return self.alpha == LEVEL
 
     @property
     def has_altitude(self) -> bool:
-        """Whether height is among the unknowns."""
+        """True if height is among the unknowns."""
         return any(reading.name == "altitude" for reading in self.readings)
 
     def _place(self) -> None:
-        """Give every unknown its place in the order of time."""
+        """Assign each unknown its index, in order of time."""
         driven, nodes = self.driven, self.nodes
         begins = np.flatnonzero(~self.joined)
         # Ends of strides: each stride's begin where it is not joined, and each stride's end.
@@ -172,12 +172,12 @@ class RoadModel:
         self.size = len(order)
 
     def _motion(self) -> tuple[Places, Floats]:
-        """Unknowns that each driven stride's acceleration depends on, and their weights."""
+        """Unknowns that the acceleration of each driven stride depends on (n, q), and their weights (n, q)."""
         places, weights = zip(self._errors(), self._slopes(), strict=True)
         return np.hstack(places), np.hstack(weights)
 
     def _errors(self) -> tuple[Places, Floats]:
-        """Errors of speed, torque and power among them."""
+        """Errors of speed, torque and power among the unknowns of `_motion`, and their weights."""
         ends = np.column_stack([self._before, self._after])
         places = [error[ends] for error in (self._speed_error, *self._force_errors)]
         weights = [np.tile([-1 / DURATION, 1 / DURATION], (len(self.driven), 1))]
@@ -185,25 +185,25 @@ class RoadModel:
         return np.hstack(places), np.hstack(weights)
 
     def _slopes(self) -> tuple[Places, Floats]:
-        """Slopes among them."""
+        """Slopes among the unknowns of `_motion`, and their weights."""
         if self.is_level:
             return np.empty((len(self.driven), 0), np.int64), np.empty((len(self.driven), 0))
         touched, hats = self._slope_weights()
         return self._slope[touched], -STANDARD_GRAVITY * hats
 
     def _slope_weights(self) -> tuple[Places, Floats]:
-        """Nodes near each driven stride, and their weights in its mean slope."""
+        """Nodes near each driven stride (n, q), and their weights in its mean slope (n, q)."""
         driven, nodes = self.driven, self.nodes
-        before, share = nodes.between(driven.s0[:, None] + (driven.s1 - driven.s0)[:, None] * _POINTS)
-        first = before.min(axis=1)
-        width = int((before.max(axis=1) - first).max()) + 2
+        node, share = nodes.between(driven.s0[:, None] + (driven.s1 - driven.s0)[:, None] * _POINTS)
+        first = node.min(axis=1)
+        width = int((node.max(axis=1) - first).max()) + 2
         hats, row = np.zeros((len(driven), width)), np.arange(len(driven))[:, None]
-        np.add.at(hats, (row, before - first[:, None]), (1 - share) * _SHARES)
-        np.add.at(hats, (row, before + 1 - first[:, None]), share * _SHARES)
+        np.add.at(hats, (row, node - first[:, None]), (1 - share) * _SHARES)
+        np.add.at(hats, (row, node + 1 - first[:, None]), share * _SHARES)
         return np.minimum(first[:, None] + np.arange(width), len(nodes.s) - 1), hats
 
     def _heights(self) -> list[tuple[Places, Floats]]:
-        """The links between heights and slopes, and where heights start."""
+        """Observations that link heights to slopes, and that start heights: unknowns and weights of each kind."""
         nodes, height = self.nodes, self._height
         on, start = np.flatnonzero(nodes.joined), np.flatnonzero(~nodes.joined)
         half = 0.5 * (nodes.s[on] - nodes.s[on - 1])[:, None]
@@ -214,7 +214,7 @@ class RoadModel:
         return [(np.column_stack(places), np.hstack(weights)), (height[start][:, None], np.ones((len(start), 1)))]
 
     def _measured(self, reading: Reading, wander: Places) -> tuple[Places, Floats]:
-        """The unknowns that a signal shows: its part of the road, and its wander."""
+        """Unknowns that each reading of a signal shows, with weights: slope or height at its node, and its wander."""
         shown = self._height if reading.name == "altitude" else self._slope
         places = [*([shown[reading.nodes]] if len(shown) else []), wander[reading.nodes]]
         return np.column_stack(places), np.ones((len(reading.nodes), len(places)))
@@ -243,16 +243,16 @@ class RoadModel:
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
-        """Number of observations of each kind: motion, height's links and starts, each reading."""
+        """Number of observations of each kind: motion, links and starts of heights, each signal of the road."""
         joined = int(self.nodes.joined.sum())
         link = (joined, len(self.nodes.s) - joined) if self.has_altitude else ()
         return (len(self.driven), *link, *(len(reading.values) for reading in self.readings))
 
     def given(self, columns: Floats) -> Floats:
-        """Data columns (sum of counts, c): the response's first, then those of the parameters.
+        """Data columns (sum of counts, c + offsets): first that of the response, then those of the parameters.
 
-        ``columns`` (n, c) belong to the motion of the n driven strides. Behind them come, in the first column the
-        readings of the road, and in further columns of their own the offsets of each.
+        ``columns`` (n, c) belong to the motion of the n driven strides. In the rows behind them, the first column holds
+        the readings of the road, and further columns the shapes of the offsets of each signal.
         """
         offsets = sum(reading.offsets.shape[1] for reading in self.readings)
         data = np.zeros((sum(self.counts), columns.shape[1] + offsets))
@@ -263,13 +263,13 @@ class RoadModel:
             stop = at + len(reading.values)
             origin = reading.values[0] if reading.name == "altitude" else 0.0
             data[at:stop, 0] = reading.values - origin
-            own = reading.offsets.shape[1]
-            data[at:stop, extra : extra + own] = reading.offsets
-            at, extra = stop, extra + own
+            count = reading.offsets.shape[1]
+            data[at:stop, extra : extra + count] = reading.offsets
+            at, extra = stop, extra + count
         return data
 
     def acting(self, scales: Floats) -> tuple[Acting, ...]:
-        """All processes among the unknowns, for ``scales`` (k,) in the order of `scales`."""
+        """Processes among the unknowns, for ``scales`` (k,) in the order of `RoadModel.scales`."""
         speed, slope, length = scales[SPEED], scales[SLOPE], scales[LENGTH]
         unit = np.eye(len(scales))
         processes = [
@@ -284,31 +284,33 @@ class RoadModel:
         return tuple(processes)
 
     def noise_variance(self, scales: Floats) -> Floats:
-        """Variance [m^2/s^4] (n,) of the strides' mean f and p that does not follow from both ends."""
-        found = np.zeros(self.counts[0])
+        """Variance [m^2/s^4] (n,) of the mean f and p of each stride, given their values at both ends."""
+        total = np.zeros(self.counts[0])
         for at, share in self._shares:
-            _, own = mean_given_ends(DURATION, scales[at + 1])
-            found += scales[at] ** 2 * own * share**2
-        return found
+            _, remaining = mean_given_ends(DURATION, scales[at + 1])
+            total += scales[at] ** 2 * remaining * share**2
+        return total
 
     def variances(self, scales: Floats) -> list[Floats]:
         """Variances of the observations of each kind, for ``scales`` (k,)."""
-        found = [scales[DISTURBANCE] ** 2 + self.noise_variance(scales)]
+        variances = [scales[DISTURBANCE] ** 2 + self.noise_variance(scales)]
         counts = list(self.counts[1:])
         if self.has_altitude:
-            found += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
+            variances += [np.full(counts.pop(0), HEIGHT_SD**2), np.full(counts.pop(0), START_HEIGHT_SD**2)]
         for i, reading in enumerate(self.readings):
-            found.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0) + reading.bends)
-        return found
+            variances.append(scales[len(SCALES) + 3 * i] ** 2 / np.minimum(reading.counts, 10.0) + reading.bends)
+        return variances
 
     def variances_by(self, scales: Floats) -> Floats:
-        """How the variances of all observations change with the logarithms of the scales: (sum of counts, k)."""
+        """Derivative (sum of counts, k) of the variances of all observations by the logarithms of the scales."""
         variances, ends = self.variances(scales), np.cumsum(self.counts)
         change = np.zeros((ends[-1], len(scales)))
         n = self.counts[0]
         for at, share in self._shares:
-            (_, own), (_, turned) = (f(DURATION, scales[at + 1]) for f in (mean_given_ends, mean_given_ends_by_time))
-            change[:n, at] = 2 * scales[at] ** 2 * own * share**2
+            (_, remaining), (_, turned) = (
+                f(DURATION, scales[at + 1]) for f in (mean_given_ends, mean_given_ends_by_time)
+            )
+            change[:n, at] = 2 * scales[at] ** 2 * remaining * share**2
             change[:n, at + 1] = scales[at] ** 2 * turned * share**2
         change[:n, DISTURBANCE] = 2 * scales[DISTURBANCE] ** 2
         first = len(self.counts) - len(self.readings)
@@ -318,14 +320,16 @@ class RoadModel:
         return change
 
     def precision(self, scales: Floats, variances: Sequence[Floats]) -> tuple[Floats, float]:
-        """Precision of all unknowns given the data, as a lower band, and the log determinant of their prior's.
+        """Precision of all unknowns given the data, as a lower band, and log determinant of their prior precision.
 
-        For ``scales`` (k,), with the ``variances`` of the observations.
+        ``scales`` (k,) are those of the processes, ``variances`` those of the observations of each kind.
         """
         precision = np.zeros(self._shape)
         for observed, variance in zip(self._maps, variances, strict=True):
             observed.add_information(precision, variance)
-        log_prior = sum(each.process.add_precision(precision, each.sd, each.memory) for each in self.acting(scales))
+        log_prior = sum(
+            acting.process.add_precision(precision, acting.sd, acting.memory) for acting in self.acting(scales)
+        )
         return precision, float(log_prior)
 
     def gathered(self, scaled: Floats) -> Floats:
@@ -337,7 +341,7 @@ class RoadModel:
 
     @cached_property
     def kinds(self) -> list[tuple[Observations, slice]]:
-        """The map of each kind of observations, and their rows of data columns (sum of counts, c)."""
+        """Linear map of each kind of observations, and its rows of data columns (sum of counts, c)."""
         ends = np.cumsum([0, *self.counts]).tolist()
         return [
             (observed, slice(start, end)) for observed, (start, end) in zip(self._maps, pairwise(ends), strict=True)
@@ -348,38 +352,38 @@ class RoadModel:
         return np.concatenate([observed.observed(unknowns) for observed in self._maps])
 
     def variance(self, products: Floats) -> Floats:
-        """What unknowns of a covariance, as `both_triangles`, add to the variances of all observations."""
+        """Variance (sum of counts,) of all observations by unknowns whose covariance is given as `both_triangles`."""
         return np.concatenate([observed.variance(products) for observed in self._maps])
 
     def road(self, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Slope at the nodes, and at the driven strides, of ``unknowns`` (size,)."""
+        """Slope (N,) at the nodes and (n,) at the driven strides, from ``unknowns`` (size,)."""
         slope = np.zeros(len(self.nodes.s)) if self.is_level else unknowns[self._slope]
         return slope, self.slope_under(self.driven, unknowns)
 
     def slope_under(self, strides: Strides, unknowns: Floats) -> Floats:
-        """Slope (n, ...) at the middle of strides on this road, of ``unknowns`` (size, ...)."""
+        """Slope (n, ...) at the middle of strides on this road, from ``unknowns`` (size, ...)."""
         if self.is_level:
             return np.zeros((len(strides), *unknowns.shape[1:]))
         slope = unknowns[self._slope]
-        before, share = self.nodes.between(0.5 * (strides.s0 + strides.s1))
-        here: Floats = ((1 - share) * slope[before].T + share * slope[before + 1].T).T
+        node, share = self.nodes.between(0.5 * (strides.s0 + strides.s1))
+        here: Floats = ((1 - share) * slope[node].T + share * slope[node + 1].T).T
         return here
 
     def averages(self, strides: Strides, parts: NDArray[np.int64]) -> sp.csr_matrix:
-        """The map (k, size) from unknowns to the mean slope of each of k parts of a road that is not level.
+        """Linear map (k, size) from unknowns to the mean slope of each of k parts of a road that is not level.
 
-        ``parts`` (n,) is the number of the part of each stride, -1 for none; a stride counts by its length.
+        ``parts`` (n,) is the number of the part of each stride, -1 for none; a stride is weighted by its length.
         """
         inside = np.flatnonzero(parts >= 0)
         part, length = parts[inside], (strides.s1 - strides.s0)[inside]
         weight = length / np.bincount(part, length)[part]
-        before, share = self.nodes.between(0.5 * (strides.s0 + strides.s1)[inside])
+        node, share = self.nodes.between(0.5 * (strides.s0 + strides.s1)[inside])
         values = np.concatenate([(1 - share) * weight, share * weight])
-        places = (np.tile(part, 2), np.concatenate([self._slope[before], self._slope[before + 1]]))
+        places = (np.tile(part, 2), np.concatenate([self._slope[node], self._slope[node + 1]]))
         return sp.csr_matrix((values, places), (int(part.max(initial=-1)) + 1, self.size))
 
     def slopes_before(self, scales: Floats) -> Factor:
-        """Factor of the prior precision of the slopes of a road that is not level; of 1 for the other unknowns."""
+        """Factor of the prior precision of the slopes of a road that is not level; other unknowns have precision 1."""
         assert self._field is not None
         precision = np.zeros(self._shape)
         precision[0] = 1.0
@@ -388,22 +392,22 @@ class RoadModel:
         return Factor.of(precision)
 
     def shared_with_slopes(self, products: Floats) -> Floats:
-        """Covariance [m^2/s^4] (n,) of the driven strides' acceleration with the part of it that slopes make.
+        """Covariance [m^2/s^4] (n,) of the acceleration of each driven stride with its part by the slopes.
 
-        ``products`` are those of the unknowns' covariance, as `both_triangles`.
+        ``products`` is the covariance of the unknowns, as `both_triangles`.
         """
         errors, slopes = (Observations(*part, self._shape) for part in (self._errors(), self._slopes()))
-        both, own, others = (part.variance(products) for part in (self._maps[0], slopes, errors))
-        shared: Floats = 0.5 * (both + own - others)
+        both, by_slopes, by_errors = (part.variance(products) for part in (self._maps[0], slopes, errors))
+        shared: Floats = 0.5 * (both + by_slopes - by_errors)
         return shared
 
     def slope_variance(self, products: Floats) -> Floats:
-        """Variance [1] of the slopes at the nodes, of the same ``products``."""
+        """Variance (N,) [1] of the slope at each node; ``products`` as in `shared_with_slopes`."""
         variance: Floats = products[0, self._slope]
         return variance
 
     def sensor_errors(self, unknowns: Floats) -> Floats:
-        """Acceleration [m/s^2] (n, ...) of the driven strides by e, f and p, but for the white part."""
+        """Acceleration [m/s^2] (n, ...) of the driven strides by e, f and p, without the white part w."""
         speed, turned = unknowns[self._speed_error], np.zeros((*unknowns.shape[1:], len(self.driven)))
         for at, (_, share) in zip(self._force_errors, self._shares, strict=True):
             error = unknowns[at]
@@ -413,7 +417,7 @@ class RoadModel:
 
 
 def _of_ends(process: Chain, scales: Floats, at: int) -> Acting:
-    """A process whose mean over a stride counts, with sd and time at places ``at`` and behind it."""
+    """Process whose mean over a stride acts, with sd and time from the scales ``at`` and ``at + 1``."""
     unit, time = np.eye(len(scales)), scales[at + 1]
     weight, _ = mean_given_ends(DURATION, time)
     turned = mean_given_ends_by_time(DURATION, time)[0] * unit[at + 1]
@@ -423,5 +427,5 @@ def _of_ends(process: Chain, scales: Floats, at: int) -> Acting:
 
 
 def _reach(places: Places, step: int) -> int:
-    """How far apart places ``step`` apart in (n,) are at most."""
+    """Largest difference between elements of ``places`` (n,) that are ``step`` elements apart."""
     return int((places[step:] - places[:-step]).max()) if len(places) > step else 0

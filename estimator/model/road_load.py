@@ -1,4 +1,4 @@
-"""The road-load model: power at the wheels from speed and acceleration.
+"""Road-load model: power at the wheels from speed and acceleration.
 
     P = A v + C v^3 + m v a,   and 0 where that is negative
 

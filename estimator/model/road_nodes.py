@@ -1,4 +1,4 @@
-"""Points of the road under a drive, and the signals of the road averaged near each of them."""
+"""Nodes along the road of a drive, and the signals of the road averaged near each of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,16 +33,17 @@ Place = tuple[float, float]  # from one distance [m] to another
 
 
 def warping(speed: Floats) -> Floats:
-    """By how much (n,) sooner slopes change on a road designed for a ``speed`` [m/s] (n,) than on one for any speed."""
+    """Factor (n,) by which slopes change over less distance on a road designed for a ``speed`` [m/s] (n,)."""
     factor: Floats = 1 + (DESIGN_SPEED / np.maximum(speed, SLOWEST)) ** 2
     return factor
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Points of the road [m] (N,), ascending; ``joined`` to the one before; ``t`` [s] when they were passed.
+    """Nodes of the road at distances ``s`` (N,) [m], ascending, passed at the times ``t`` (N,) [s].
 
-    ``speed`` (N - 1,) [m/s]: driven from each to the next.
+    ``joined`` (N,) is True where slopes continue from the node before. ``speed`` (N - 1,) [m/s] is that from each node
+    to the next.
     """
 
     s: Floats
@@ -52,7 +53,7 @@ class Nodes:
 
     @classmethod
     def under(cls, strides: Strides) -> "Nodes":
-        """Nodes every SPACING around all ``strides``, gaps up to MAX_BRIDGE filled."""
+        """Place nodes every SPACING along all ``strides``, and across gaps up to MAX_BRIDGE."""
         cells = np.unique(np.floor(np.concatenate([strides.s0, strides.s1]) / SPACING).astype(np.int64))
         steps = np.diff(cells)
         bridged = steps * SPACING <= MAX_BRIDGE
@@ -69,10 +70,10 @@ class Nodes:
         return cls(s, joined, passed, speed)
 
     def along(self, designed: bool, turns: Sequence[Place]) -> Floats:
-        """The distance (N,) [m] over which slopes change.
+        """Warped distance (N,) [m] of the nodes, over which slopes change at one rate.
 
-        It is longer where the road is ``designed`` for the speed that it is driven at, or where the vehicle ``turns``:
-        there as if that were a road for the slowest speed.
+        It is stretched by `warping` where the road is ``designed`` for the speed that it is driven at. Within ``turns``
+        it is stretched as on a road for SLOWEST.
         """
         factor = warping(self.speed) if designed else np.ones(len(self.speed))
         middle = 0.5 * (self.s[1:] + self.s[:-1])
@@ -81,25 +82,25 @@ class Nodes:
         return np.cumsum(np.concatenate([self.s[:1], np.diff(self.s) * factor]))
 
     def slow_places(self) -> list[Place]:
-        """Where the vehicle may turn."""
+        """Ranges of distance [m] driven below TURNING_SPEED, in which the vehicle may turn."""
         slow = np.concatenate([[False], self.joined[1:] & (self.speed < TURNING_SPEED), [False]])
         edges = self.s[np.flatnonzero(np.diff(slow))]
         return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
     def between(self, s: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """For each distance ``s`` (n,) [m] the node at or before it (n,), and the share of the way to the next (n,)."""
-        before = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2).astype(np.int64)
-        return before, (s - self.s[before]) / (self.s[before + 1] - self.s[before])
+        """Node at or before each distance ``s`` (n,) [m], and share (n,) of the interval to the next node."""
+        node = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2).astype(np.int64)
+        return node, (s - self.s[node]) / (self.s[node + 1] - self.s[node])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """One signal of the road averaged over the strides near each node: values (k,) at ``nodes`` (k,).
+    """Signal of the road averaged over the strides near each node: ``values`` (k,) at ``nodes`` (k,).
 
-    ``bends`` (k,) is the variance of what bends add to an accelerometer. ``offsets`` (k, c) are the shapes of its
-    lasting errors, and ``offset_sd`` is that of the prior of each: a constant for a signal of slope. The errors of a
-    map were left by drag as well as by rolling resistance, on drives about as fast as this one, so a map has a second
-    one in proportion to the square of the speed.
+    ``bends`` (k,) is the variance that bends add to an accelerometer. ``offsets`` (k, c) are the shapes of its constant
+    errors, and ``offset_sd`` is the prior sd of each. A signal of slope has one, a constant. Errors of a map come from
+    the rolling resistance and the drag of earlier drives at about this speed. A map so has a second one, in proportion
+    to the square of the speed.
     """
 
     name: str
@@ -113,23 +114,23 @@ class Reading:
 
     @classmethod
     def of(cls, name: str, strides: Strides, nodes: Nodes) -> "Reading | None":
-        """The signal ``name`` of SIGNALS; None where it is missing or has fewer than two values."""
+        """Average the signal ``name`` of SIGNALS; None if it has fewer than two values."""
         values = getattr(strides, name)
         there = np.isfinite(values)
         if there.sum() < 2:
             return None
         values = values[there] / (STANDARD_GRAVITY if name == "gravity" else 1.0)
-        before, share = nodes.between(0.5 * (strides.s0 + strides.s1)[there])
-        nearest = before + (share > 0.5)
+        node, share = nodes.between(0.5 * (strides.s0 + strides.s1)[there])
+        nearest = node + (share > 0.5)
         count = np.bincount(nearest, minlength=len(nodes.s)).astype(float)
         total = np.bincount(nearest, values, len(nodes.s))
         heard = np.flatnonzero(count)
         squares = _means(strides.speed[there] ** 2, nearest, len(nodes.s))[heard]
         offsets, offset_sd = np.ones((len(heard), 0 if name == "altitude" else 1)), OFFSET_SD
-        known = strides.grade_offset_sd[there]
-        if name == "grade" and np.isfinite(known).any():
+        offset_sds = strides.grade_offset_sd[there]
+        if name == "grade" and np.isfinite(offset_sds).any():
             offsets = np.column_stack([offsets, squares / squares.mean()])
-            offset_sd = float(np.sqrt(np.nanmean(known**2)))
+            offset_sd = float(np.sqrt(np.nanmean(offset_sds**2)))
         return cls(
             name=name,
             nodes=heard,
@@ -143,9 +144,9 @@ class Reading:
 
 
 def _means(values: Floats, places: NDArray[np.int64], number: int) -> Floats:
-    """Mean (number,) of the ``values`` (n,) at each of the ``places`` (n,); of all where none is known."""
-    known = np.isfinite(values)
-    total, count = (np.bincount(places[known], weights, number) for weights in (values[known], None))
+    """Mean (number,) of the known ``values`` (n,) at each of the ``places`` (n,); the overall mean if there is none."""
+    is_known = np.isfinite(values)
+    total, count = (np.bincount(places[is_known], weights, number) for weights in (values[is_known], None))
     means = np.full(number, total.sum() / max(int(count.sum()), 1))
     means[count > 0] = total[count > 0] / count[count > 0]
     return means

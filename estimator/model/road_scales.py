@@ -1,11 +1,11 @@
-"""Scales of the road and of the noise of all signals: what each may be before a drive is seen."""
+"""Scales of the road and of the noise of all signals, with their priors."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """A scale of the noise or of the road: lognormal prior ``centre`` and ``spread`` of the logarithm, and bounds."""
+    """Scale of the noise or of the road: lognormal prior of median ``centre`` and log sd ``spread``, and bounds."""
 
     name: str
     centre: float

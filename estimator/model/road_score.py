@@ -1,13 +1,13 @@
-"""How the evidence of a road model changes with the scales of road and noise.
+"""Derivatives of the log evidence of a road model by the scales of road and noise.
 
-With the unknowns x and the coefficients beta integrated out, the derivative of the log evidence by a scale is the
-posterior mean of that of log p(data, x, beta) (Fisher's identity), which needs second moments within the band alone.
-Its second derivative is near minus the average information (Gilmour, Thompson & Cullis 1995): with V the covariance
-of the data and V_i its derivative by the logarithm of scale i,
+The unknowns x and the coefficients beta are integrated out. The derivative of the log evidence by a scale is then the
+posterior mean of that of log p(data, x, beta) (Fisher's identity). It needs second moments within the band alone. The
+second derivative is near minus the average information (Gilmour, Thompson & Cullis 1995)
 
     1/2 r_i' V^-1 r_j,   r_i = V_i V^-1 data
 
-which is that of the score, observed and expected, on average. It is never negative.
+with V the covariance of the data and V_i its derivative by the logarithm of scale i. This is the average of the
+observed and the expected information. It is never negative.
 """
 
 from dataclasses import dataclass
@@ -21,21 +21,21 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True)
 class Score:
-    """By the logarithms of the scales: ``gradient`` (k,) of the log evidence and its average ``information`` (k, k)."""
+    """``gradient`` (k,) of the log evidence by the log scales, and its average ``information`` (k, k)."""
 
     gradient: Floats
     information: Floats
 
 
 def score(conditioned: Conditioned, scales: Floats, data: Floats, beta: Floats, precision: Floats) -> Score:
-    """At ``scales`` (k,), which the model is ``conditioned`` with.
+    """Score of a road model at its scales.
 
     Parameters
     ----------
     conditioned
-        The model with these scales.
+        Model conditioned with these scales.
     scales
-        In the order of `RoadModel.scales`.
+        Scales (k,), in the order of `RoadModel.scales`.
     data
         Data, and columns of the coefficients (n, 1 + p).
     beta, precision
@@ -61,13 +61,13 @@ def score(conditioned: Conditioned, scales: Floats, data: Floats, beta: Floats, 
 
 
 def changed_by_scales(conditioned: Conditioned, scales: Floats, residual: Floats) -> Floats:
-    """V_i V^-1 times a residual (sum of counts,), for each scale i: (sum of counts, k)."""
+    """Products V_i V^-1 residual (sum of counts, k), for each scale i and a residual (sum of counts,)."""
     unknowns = conditioned.unknowns(residual)
     return _changed(conditioned, scales, unknowns, residual - conditioned.model.observed(unknowns))
 
 
 def _changed(conditioned: Conditioned, scales: Floats, unknowns: Floats, rest: Floats) -> Floats:
-    """The same, for a residual's posterior mean of the unknowns (size,) and the ``rest`` that it leaves."""
+    """Products of `changed_by_scales`, given the posterior mean ``unknowns`` (size,) and the ``rest`` it leaves."""
     model = conditioned.model
     answer = np.zeros((model.size, len(scales)))  # of the unknowns, to the covariance's change
     for acting in model.acting(scales):

@@ -1,4 +1,4 @@
-"""Spans: sets of times in which something acts, and what may be done with them."""
+"""Spans: sets of times in which an effect or a process acts, and operations on them."""
 
 from itertools import pairwise
 
@@ -19,7 +19,7 @@ def inside(t: Floats, spans: Spans) -> Floats:
 
 
 def covered(t: Floats, duration: float | Floats, spans: Spans) -> Floats:
-    """Share (n,) of the ``duration`` [s], one or (n,), around each time ``t`` [s] (n,) that lies within ``spans``."""
+    """Share (n,) within ``spans`` of the intervals of ``duration`` [s], scalar or (n,), centred at ``t`` (n,) [s]."""
     if not np.any(duration):
         return inside(t, spans)
     edges = np.array(spans).reshape(-1, 2)
@@ -31,10 +31,10 @@ def covered(t: Floats, duration: float | Floats, spans: Spans) -> Floats:
     return share
 
 
-def union(one: Spans, other: Spans) -> Spans:
-    """Times that are within either."""
+def union(spans: Spans, other: Spans) -> Spans:
+    """Union of two sets of times."""
     joined: list[tuple[float, float]] = []
-    for start, end in sorted((*one, *other)):
+    for start, end in sorted((*spans, *other)):
         if joined and start <= joined[-1][1]:
             joined[-1] = (joined[-1][0], max(end, joined[-1][1]))
         else:
@@ -42,17 +42,17 @@ def union(one: Spans, other: Spans) -> Spans:
     return tuple(joined)
 
 
-def cut(one: Spans, other: Spans) -> Spans:
-    """Times that are within either, cut wherever a span of either begins or ends."""
-    edges = sorted({edge for span in (*one, *other) for edge in span})
-    within = union(one, other)
+def cut(spans: Spans, other: Spans) -> Spans:
+    """Union of two sets of times, cut wherever a span of either begins or ends."""
+    edges = sorted({edge for span in (*spans, *other) for edge in span})
+    within = union(spans, other)
     return tuple((a, b) for a, b in pairwise(edges) if any(start <= a and b <= end for start, end in within))
 
 
-def without(one: Spans, other: Spans) -> Spans:
-    """Times that are within ``one`` and not within the other."""
+def without(spans: Spans, other: Spans) -> Spans:
+    """Difference of two sets of times: times within ``spans`` and outside ``other``."""
     left: list[tuple[float, float]] = []
-    for start, end in one:
+    for start, end in spans:
         for other_start, other_end in sorted(other):
             if start < other_end and other_start < end:
                 left += [(start, other_start)] if start < other_start else []

@@ -1,13 +1,13 @@
-"""A Matern process as a state that goes on from place to place: the same process as `matern`, one place at a time.
+"""Matern process in state-space form: the process of `matern`, computed one place at a time.
 
-The stationary solution of (kappa + d/ds)^alpha x = white noise has a Matern covariance of smoothness nu = alpha - 1/2,
-and so is a Markov process of its first alpha - 1 derivatives (Hartikainen & Sarkka 2010). Over u = kappa ds, with the
-k-th derivative divided by kappa^k, the state goes on by
+The stationary solution of (kappa + d/ds)^alpha x = white noise has a Matern covariance of smoothness nu = alpha - 1/2.
+With its first alpha - 1 derivatives it is a Markov process (Hartikainen & Sarkka 2010). Let u = kappa ds, and divide
+the k-th derivative by kappa^k. The transition matrix F and the noise covariance Q of the state are then
 
     F = exp(A u) = exp(-u) sum_j (N u)^j / j!,   N = A + 1 (nilpotent),   Q = P - F P F'
 
 with A the companion matrix of (1 + d/du)^alpha and P the stationary covariance. Order 1 is an Ornstein-Uhlenbeck
-process, with the length in the place of the time.
+process, with the length as its correlation time.
 """
 
 from functools import cache
@@ -20,12 +20,12 @@ from estimator.signals import Floats
 
 
 def rate(alpha: int, length: float) -> float:
-    """Kappa [1/m] or [1/s] of a process of order ``alpha`` and a correlation ``length`` [m] or [s], as in `matern`."""
+    """Rate kappa [1/m] or [1/s] of a process of order ``alpha`` and correlation ``length`` [m] or [s], see `matern`."""
     return sqrt(2 * alpha - 1) / length
 
 
 def passage(alpha: int, u: float) -> tuple[Floats, Floats]:
-    """Transition (alpha, alpha) over a scaled distance ``u`` [1] and covariance of its noise, of a process of sd 1."""
+    """Transition F and noise covariance Q, both (alpha, alpha), over a scaled distance ``u`` [1], for sd 1."""
     powers, covariance = _process(alpha)
     transition: Floats = exp(-u) * (u ** np.arange(alpha) @ powers).reshape(alpha, alpha)
     noise: Floats = covariance - transition @ covariance @ transition.T
@@ -33,13 +33,13 @@ def passage(alpha: int, u: float) -> tuple[Floats, Floats]:
 
 
 def stationary(alpha: int) -> Floats:
-    """Covariance (alpha, alpha) of the process of sd 1 and its scaled derivatives."""
+    """Stationary covariance P (alpha, alpha) of the process of sd 1 and its scaled derivatives."""
     return _process(alpha)[1]
 
 
 @cache
 def _process(alpha: int) -> tuple[Floats, Floats]:
-    """N^j / j! for j below alpha, as rows (alpha, alpha^2), and the stationary covariance (alpha, alpha)."""
+    """Matrices N^j / j! for j < alpha, as rows (alpha, alpha^2), and the stationary covariance P (alpha, alpha)."""
     companion = np.eye(alpha, k=1)
     companion[-1] = [-comb(alpha, k) for k in range(alpha)]
     noise = np.zeros((alpha, alpha))

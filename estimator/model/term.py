@@ -1,4 +1,4 @@
-"""A term of the model: an effect with its shape, when it acts, and the prior of its magnitude."""
+"""Term of the model: an effect with its shape, its times and the prior of its magnitude."""
 
 from collections.abc import Set
 from dataclasses import KW_ONLY, dataclass
@@ -13,9 +13,9 @@ USUAL_SDS = 3.0  # prior sd of the magnitude of an effect that is given, in usua
 
 @dataclass(frozen=True)
 class Term:
-    """An effect as it is in the model: its shape, and when it acts, from and to [s], None for always.
+    """Effect in the model, with its shape and the ``spans`` [s] in which it acts; None: always.
 
-    ``usual_sds``: prior sd of its magnitude, in usual magnitudes.
+    ``usual_sds`` is the prior sd of its magnitude, in usual magnitudes.
     """
 
     effect: Effect
@@ -30,16 +30,16 @@ class Term:
         return power if self.spans is None else power * covered(view.t, view.duration, self.spans)
 
     def prior_sd(self, road_load: Floats) -> float:
-        """Of its magnitude, for a vehicle with ``road_load`` = [A, C, m] (3,)."""
+        """Prior sd of its magnitude, for a vehicle with ``road_load`` = [A, C, m] (3,)."""
         return self.usual_sds * self.effect.usual(road_load)
 
     def at_rest(self, rest: AtRest) -> float:
-        """Power [W] per unit of magnitude that it takes while the vehicle stands."""
+        """Power [W] per unit of magnitude during a standstill."""
         return 0.0 if self.effect.at_rest is None else self.effect.at_rest(rest, self.shape)
 
 
 def wanted_by(effects: tuple[Effect, ...], known: Set[Quantity]) -> frozenset[Quantity]:
-    """The context, of that which is ``known``, that these effects are computed from."""
+    """Quantities, of those ``known``, that these effects are computed from."""
     if not effects:
         return frozenset()
     shapes = {

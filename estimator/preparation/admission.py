@@ -12,7 +12,7 @@ from estimator.signals import Floats, Mask, Quantity, Role
 
 
 class Reason(StrEnum):
-    """Why a row is not used, in order of precedence."""
+    """Reason why a row is not used, in order of precedence."""
 
     SPEED_STALE = "speed stale"
     WHEELS_CONTRADICT = "wheel speeds contradict each other"
@@ -40,9 +40,9 @@ RETARDER_TORQUE = -0.01  # fraction of reference torque: one bit of SPN 520
 
 
 def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
-    """Code of the first reason against each row (n,), or ADMITTED.
+    """Code (n,) of the first reason against each row, or ADMITTED.
 
-    Roles that the bus does not carry exclude nothing; neither does a switch that is not available.
+    Missing roles and switches without a value exclude no row.
     """
     blank = np.full(len(rows), np.nan)
 
@@ -76,7 +76,7 @@ def row_reasons(rows: Rows, admission: Admission) -> NDArray[np.int8]:
 
 
 def is_braking(rows: Rows) -> Mask:
-    """Where a brake is used (n,): by its switch, its pedal, or parked."""
+    """Mask (n,) of rows with a brake applied, by brake switch, pedal or parking brake."""
     blank = np.full(len(rows), np.nan)
     pedal, switch, park = (
         rows.context.get(role, blank) for role in (Role.BRAKE_PEDAL, Role.BRAKE_SWITCH, Role.PARK_BRAKE)
@@ -86,7 +86,7 @@ def is_braking(rows: Rows) -> Mask:
 
 
 def is_shifting(rows: Rows) -> Mask:
-    """Where the engine may not drive the wheels (n,): gear change, clutch, neutral."""
+    """Mask (n,) of rows in which the driveline may be open: gear change, clutch or neutral."""
     blank = np.full(len(rows), np.nan)
     shift, engaged, clutch, gear = (
         rows.context.get(role, blank)
@@ -97,9 +97,10 @@ def is_shifting(rows: Rows) -> Mask:
 
 
 def is_coasting(rows: Rows, margin: int) -> Mask:
-    """Where the bus signals that the driveline is open and stays open (n,): no force comes from the engine.
+    """Mask (n,) of rows in which the driveline is open, so that the engine gives no force.
 
-    Neutral, disengaged and no gear change in process, all three signalled, for ``margin`` rows on either side.
+    The bus must signal neutral, a disengaged driveline and no gear change in process, for ``margin`` rows on either
+    side.
     """
     blank = np.full(len(rows), np.nan)
     shift, engaged, gear = (
@@ -111,14 +112,14 @@ def is_coasting(rows: Rows, margin: int) -> Mask:
 
 
 def count_reasons(codes: NDArray[np.int8], rejected: Counter[str]) -> None:
-    """Count the rows that are left out by their ``codes`` (n,); ADMITTED ones lack complete surroundings."""
+    """Count unused rows by their ``codes`` (n,); ADMITTED ones are counted as INCOMPLETE."""
     codes = np.where(codes == ADMITTED, _ORDER.index(Reason.INCOMPLETE), codes)
     for code, count in zip(*(x.tolist() for x in np.unique(codes, return_counts=True)), strict=True):
         rejected[_ORDER[code]] += count
 
 
 def near(mask: Mask, reach: int) -> Mask:
-    """Whether each row of ``mask`` (n,) is within ``reach`` rows of a true one (n,)."""
+    """Mask (n,) of rows within ``reach`` rows of a True row of ``mask`` (n,)."""
     count = np.concatenate([[0], np.cumsum(mask)])
     n = len(mask)
     i = np.arange(n)

@@ -1,4 +1,4 @@
-"""What rows of the time grid hold besides speed and power: quantities that effects are computed from, and the air."""
+"""Quantities of rows besides speed and power: those that effects are computed from, and the density of the air."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ SAME = {
 
 
 def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
-    """Quantities of rows, each (n,); time elapsed counts from ``start`` [s]."""
+    """Quantities of rows, each (n,); elapsed time is counted from ``start`` [s]."""
     quantities = {Quantity.ELAPSED: rows.t - start, **rows.derived}
     quantities |= {quantity: rows.context[role] for quantity, role in SAME.items() if role in rows.context}
     for role in (Role.BRAKE_PEDAL, Role.BRAKE_SWITCH):
@@ -30,7 +30,7 @@ def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
 
 
 def air_density(rows: Rows) -> Floats:
-    """Density of dry air [kg/m^3] (n,) from temperature and pressure, NaN where either is not known."""
+    """Density of dry air [kg/m^3] (n,) from temperature and pressure; NaN where either is unknown."""
     blank = np.full(len(rows), np.nan)
     temperature = rows.context.get(Role.AMBIENT_TEMPERATURE, blank)
     return rows.context.get(Role.AIR_PRESSURE, blank) / (GAS_CONSTANT * temperature)

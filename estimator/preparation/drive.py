@@ -1,7 +1,7 @@
-"""One drive: rows of the time grid and strides of one second, with what was measured, stops, power at rest, counts.
+"""One drive: its rows, strides, stops, power at rest and rejected rows by reason.
 
-A drive is read from frames or from a table, and is all that a fit needs: `estimate` takes its rows one after another,
-as they came from the bus, `diagnose` its strides.
+A drive is read from frames or from a table, and is all that a fit needs. `estimate` takes its rows in order, as from
+the bus; `diagnose` takes its strides.
 """
 
 from collections import Counter
@@ -29,12 +29,11 @@ STATES = (Quantity.GEAR, Quantity.BRAKE, Quantity.FROZEN)  # between two of thei
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Drive:
-    """One drive of a vehicle.
+    """One drive of a vehicle: a whole log, or one of several drives in a log.
 
-    ``pieces`` of rows without a gap, in order of time; ``strides`` of all of them, with the whole context that was
-    heard; ``rests``: the power while the vehicle stood; ``rejected``: rows that are in no stride of known force, by
-    reason. It is the whole of a log, or one of several drives in it: ``log`` says which, ``log_start`` when that began
-    [s].
+    ``pieces`` are rows without a gap, in order of time. ``strides`` are those of all pieces, with all known context.
+    ``rests`` hold the power at standstills, ``rejected`` the number of rows in no stride of known force, by reason.
+    ``log`` is the number of the log, and ``log_start`` the time [s] at which it begins.
     """
 
     pieces: tuple[Rows, ...]
@@ -48,7 +47,7 @@ class Drive:
 
     @classmethod
     def of(cls, pieces: Sequence[Rows], config: Config) -> "Drive":
-        """The drive of ``pieces`` of rows, each without a gap, in order of time; none of them make an empty drive."""
+        """Make a drive of ``pieces`` of rows, each without a gap, in order of time; without pieces, an empty drive."""
         rejected: Counter[str] = Counter()
         start = float(pieces[0].t[0]) if pieces else 0.0
         return cls(
@@ -62,20 +61,20 @@ class Drive:
         )
 
     def __repr__(self) -> str:
-        rows, known = sum(map(len, self.pieces)), int(self.strides.known.sum())
+        rows, known_strides = sum(map(len, self.pieces)), int(self.strides.known.sum())
         distance = float((self.strides.s1 - self.strides.s0).sum()) / 1e3
         reasons = [f"{reason} {100 * count / max(rows, 1):.0f} %" for reason, count in self.rejected.most_common(MOST)]
         unused = ", ".join(reasons) or "nothing"
-        return f"{rows * STEP / 60:.0f} min, {distance:.1f} km, {known:,} strides; not used: {unused}"
+        return f"{rows * STEP / 60:.0f} min, {distance:.1f} km, {known_strides:,} strides; not used: {unused}"
 
     @property
     def minutes_known(self) -> float:
-        """Driving whose force is known [min]."""
+        """Duration of the driving whose force is known [min]."""
         return float(self.strides.known.sum()) * DURATION / 60.0
 
     @property
     def known(self) -> frozenset[Quantity]:
-        """Quantities that are known for most of the drive."""
+        """Quantities that are known for at least MIN_KNOWN_SHARE of the drive."""
         columns = {
             Quantity.AIR_DENSITY: self.strides.density,
             Quantity.CLIMB_BY_GRADE: self.strides.grade,
@@ -87,7 +86,7 @@ class Drive:
 
 
 def _strides(pieces: Sequence[Rows], config: Config, start: float, rejected: Counter[str]) -> Strides:
-    """Strides of all pieces, with the whole context that was heard; gaps in it are bridged."""
+    """Strides of all pieces, with the quantities of `_heard` as context; gaps in the context are bridged."""
     if not pieces:
         return Strides.none()
     strider = Strider(config.admission, _heard(pieces, start), start)
@@ -105,7 +104,7 @@ def _strides(pieces: Sequence[Rows], config: Config, start: float, rejected: Cou
 
 
 def _heard(pieces: Sequence[Rows], start: float) -> frozenset[Quantity]:
-    """Quantities that are known for most of the drive."""
+    """Quantities of rows that are known for more than MIN_KNOWN_SHARE of the drive."""
     rows_known: Counter[Quantity] = Counter()
     for piece in pieces:
         rows_known.update({q: int(np.isfinite(values).sum()) for q, values in measured(piece, start).items()})
@@ -114,18 +113,18 @@ def _heard(pieces: Sequence[Rows], start: float) -> frozenset[Quantity]:
 
 
 def _bridged(quantity: Quantity, values: Floats) -> Floats:
-    """Values (n,) with what is not known on straight lines between what is; of a state, the last known one."""
-    known = np.flatnonzero(np.isfinite(values))
-    if len(known) in (0, len(values)):
+    """Values (n,) with gaps interpolated linearly; a state holds its last known value."""
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) in (0, len(values)):
         return values
     if quantity in STATES:
-        return last_known(values, float(values[known[0]]))
-    measured_values = np.unwrap(values[known]) if quantity is Quantity.HEADING else values[known]
-    return np.interp(np.arange(len(values)), known, measured_values)
+        return last_known(values, float(values[finite[0]]))
+    measured_values = np.unwrap(values[finite]) if quantity is Quantity.HEADING else values[finite]
+    return np.interp(np.arange(len(values)), finite, measured_values)
 
 
 def _halts(speed: Floats) -> Floats:
-    """How many standstills of at least MIN_STOP have ended before or at each row (n,)."""
+    """Number (n,) of standstills of at least MIN_STOP that ended before or at each row."""
     standing = np.concatenate([[False], speed < MAX_STANDING_SPEED, [False]])
     changes = np.diff(standing.astype(int))
     starts, ends = np.flatnonzero(changes == 1), np.flatnonzero(changes == -1)

@@ -1,6 +1,6 @@
-"""The speed of the past minutes, which warms tyres and oil: low-passed over the times of PAST_SPEEDS.
+"""Speed of the past minutes, which warms tyres and oil: the speed low-passed over the times of PAST_SPEEDS.
 
-While the bus is silent the vehicle stands, and both cool; before the first message it has stood for long.
+The speed counts as 0 while the bus is silent, and for all times before the first message.
 """
 
 from typing import Any
@@ -15,20 +15,20 @@ from estimator.samples import STEP
 from estimator.signals import Floats, Quantity
 
 
-def last_known(values: Floats, before: float) -> Floats:
-    """Values (n,) with the last known one held where none is known; ``before`` is the one before the first."""
-    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, len(values) + 1), 0))
-    return np.concatenate([[before], values])[place]
+def last_known(values: Floats, initial: float) -> Floats:
+    """Hold the last known of the values (n,) where one is unknown; ``initial`` is the value before the first."""
+    index = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(1, len(values) + 1), 0))
+    return np.concatenate([[initial], values])[index]
 
 
 class PastSpeed:
-    """Follows the speed on the time grid; the result does not depend on how the rows are cut."""
+    """Low-passes the speed on the time grid; the result does not depend on how the rows are cut into batches."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """The vehicle may be another one, or have stood for long."""
+        """Set past speeds to 0: the vehicle may be another one, or have stood for long."""
         self._values = np.zeros(len(PAST_SPEEDS))  # [m/s] at the row before the next one
         self._speed = 0.0  # [m/s] last known
         self._next: int | None = None  # row of the grid
@@ -42,20 +42,20 @@ class PastSpeed:
             self._values = self._values * np.exp(-gap * STEP / np.array([*PAST_SPEEDS.values()]))
             self._speed = 0.0
         held = last_known(speed, self._speed)
-        found = {
-            quantity: low_passed(held, before, STEP, time)
-            for (quantity, time), before in zip(PAST_SPEEDS.items(), self._values.tolist(), strict=True)
+        past = {
+            quantity: low_passed(held, previous, STEP, time)
+            for (quantity, time), previous in zip(PAST_SPEEDS.items(), self._values.tolist(), strict=True)
         }
-        self._values = np.array([values[-1] for values in found.values()])
+        self._values = np.array([values[-1] for values in past.values()])
         self._speed, self._next = float(held[-1]), int(index[-1]) + 1
-        return found
+        return past
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """State for `restore`."""
         return {"values": self._values, "speed": self._speed, "next": self._next}
 
     def restore(self, state: State) -> None:
-        """Take the state of another one.
+        """Take the state of another instance.
 
         Raises
         ------

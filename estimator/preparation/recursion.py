@@ -20,10 +20,10 @@ def recursive(signal: Values, recursion: Values) -> Values:
     return solution
 
 
-def low_passed(signal: Floats, before: float, step: float, time: float) -> Floats:
-    """A ``signal`` (n,) in steps [s] through a low-pass of first order with a time constant [s].
+def low_passed(signal: Floats, initial: float, step: float, time: float) -> Floats:
+    """Filter a ``signal`` (n,) by a first-order low-pass with the time constant ``time`` [s].
 
-    ``before`` is the value a step before the first one.
+    ``step`` [s] is the sampling interval, and ``initial`` the output one step before the first.
     """
     keep = exp(-step / time)
-    return recursive(np.concatenate([[before], (1.0 - keep) * signal]), np.array([1.0, -keep]))[1:]
+    return recursive(np.concatenate([[initial], (1.0 - keep) * signal]), np.array([1.0, -keep]))[1:]

@@ -1,4 +1,4 @@
-"""From rows to strides as they come in, cut at fixed rows and at departures, independent of the batches."""
+"""Incremental conversion of rows to strides, cut at fixed rows and at departures, whatever the batches are."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ MIN_KNOWN_SHARE = 0.05  # of the first minutes, in which a quantity must be know
 
 @dataclass(frozen=True)
 class Piece:
-    """``rows`` of the grid and the ``strides`` made of them; ``departs`` where they begin a load segment."""
+    """``rows`` of the grid and the ``strides`` made of them; ``departs`` is True if they begin a load segment."""
 
     rows: Rows
     strides: Strides
@@ -34,7 +34,7 @@ class Piece:
 
 
 def moving_effects(config: Config) -> tuple[Effect, ...]:
-    """The effects beside the road: those that are asked for, and what the torque leaves out as it is bound."""
+    """Effects other than gravity: those of the configuration, and those of the unbound parts of the torque."""
     asked = tuple(effect for effect in named(config.effects) if not effect.is_gravity)
     return asked + tuple(unbound(config.binding.keys()).values())
 
@@ -48,7 +48,7 @@ def _needed(effects: tuple[Effect, ...], rows: Rows) -> frozenset[Quantity]:
 
 
 class StrideStage:
-    """Rows to strides; with effects it waits until the signals that the bus carries for them are known.
+    """Turns rows into strides; with effects, it waits until it is known which of their signals the bus carries.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class StrideStage:
         return self._newest
 
     def feed(self, rows: Rows) -> Iterator[Piece]:
-        """Take the next rows, which follow those before without a gap."""
+        """Take the next rows, which follow the previous ones without a gap."""
         self._pending = rows if self._pending is None else Rows.concatenate(self._pending, rows)
         self._newest = float(rows.t[-1])
         moving = int((rows.speed > self._config.admission.minimum_speed_m_s).sum())
@@ -92,7 +92,7 @@ class StrideStage:
             yield from self._stride(part)
 
     def finish(self) -> Iterator[Piece]:
-        """Use the rows that still wait, at the end of a log or before a gap."""
+        """Process the waiting rows, at the end of a log or before a gap."""
         if self._newest is None:
             return
         self._begin()
@@ -104,7 +104,7 @@ class StrideStage:
         self._strider.pause()
 
     def pause(self, rows: int) -> None:
-        """Count ``rows`` of the grid that are missing: a silence of the bus."""
+        """Count ``rows`` missing rows of the grid, in a silence of the bus, as standing."""
         self._standstill.pause(rows)
 
     def forget(self) -> None:
@@ -118,7 +118,7 @@ class StrideStage:
             self._strider = Strider(self._config.admission, self.wanted, float(self._pending.t[0]))
 
     def _stride(self, rows: Rows) -> Iterator[Piece]:
-        """Pieces of strides, separated at a departure, after which the load may differ."""
+        """Yield pieces of strides, cut at a departure, after which the load may differ."""
         assert self._strider is not None
         departure = self._standstill.departure(rows.speed)
         if departure is not None:
@@ -129,14 +129,14 @@ class StrideStage:
         yield Piece(rows, self._strider.feed(rows, self.rejected), departure is not None)
 
     def _last(self) -> Iterator[Piece]:
-        """The strides that the strider still holds; their rows were counted before."""
+        """Yield the strides that the strider still holds; their rows belong to earlier pieces."""
         assert self._strider is not None
         held = self._strider.held
         if held is not None:
             yield Piece(held[:0], self._strider.finish(self.rejected), False)
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """State for `restore`."""
         return {
             "rejected": dict(self.rejected),
             "pending": None if self._pending is None or not len(self._pending) else self._pending.state(),
@@ -157,8 +157,8 @@ class StrideStage:
         """
         self.rejected = Counter(read(state, "rejected", dict[str, Count]))
         self._pending = optional(state, "pending", Rows.restore)
-        found = read(state, "strider", dict[str, Any] | None)
-        self._strider = None if found is None else Strider.restore(self._config.admission, found)
+        strider_state = read(state, "strider", dict[str, Any] | None)
+        self._strider = None if strider_state is None else Strider.restore(self._config.admission, strider_state)
         self.wanted = None if self._strider is None else self._strider.wanted
         self._newest, self.moving = read(state, "newest", float | None), read(state, "moving", Count)
         self._heard = read(state, "heard", Count)

@@ -1,7 +1,7 @@
-"""The power that a vehicle takes while it stands: what tells losses that do not go with its motion.
+"""Power at standstills, which shows the losses that do not depend on motion.
 
-Of an engine it is one figure for the drive: torque is coarse at idle, by the same share at every stop. A battery's
-power is exact, and what it feeds may decay, so there is one figure for every minute of the drive with a stop in it.
+With an engine there is one figure for the drive: torque at idle is coarse, with the same relative error at every stop.
+The power of a battery is exact, and its consumers may vary, so there is one figure for each minute with a stop.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,15 @@ REST_SD, REST_SHARE = 200.0, 0.1
 
 
 def rests(pieces: Sequence[Rows], start: float) -> tuple[AtRest, ...]:
-    """The power at rest in the ``pieces`` of a drive that began at ``start`` [s]; none where it stood too shortly."""
+    """Power at rest in the ``pieces`` of a drive that began at ``start`` [s]; empty if standstills are too short."""
     standing = [_standing(piece, start) for piece in pieces]
     power, engine, elapsed = (np.concatenate(parts) for parts in zip(*standing, strict=True))
     if any(Role.BATTERY_CURRENT in piece.context for piece in pieces):
         minute = np.floor(elapsed / INTERVAL)
-        each = [minute == k for k in np.unique(minute)]
+        intervals = [minute == k for k in np.unique(minute)]
         least, sd, share = MIN_REST, REST_SD, REST_SHARE
     else:
-        each = [np.ones(len(power), dtype=np.bool_)]
+        intervals = [np.ones(len(power), dtype=np.bool_)]
         least, sd, share = MIN_IDLE, IDLE_SD, IDLE_SHARE
     return tuple(
         AtRest(
@@ -38,7 +38,7 @@ def rests(pieces: Sequence[Rows], start: float) -> tuple[AtRest, ...]:
             engine_speed=float(np.median(engine[part])),
             elapsed=float(elapsed[part].mean()),
         )
-        for part in each
+        for part in intervals
         if np.count_nonzero(part) >= least / STEP
     )
 

@@ -19,9 +19,9 @@ class Standstill:
         self._standing = 0  # rows in a row
 
     def departure(self, speed: Floats) -> int | None:
-        """Place of the last departure after a stop of the configured length in these rows (n,) [m/s], the next ones.
+        """Index of the last departure in the next rows, with speeds (n,) [m/s], after a stop of at least `Load.stop_s`.
 
-        A row without a speed ends no stop: ignition is off in most of them. None where there is no such departure.
+        None if there is no such departure. A row without a speed ends no stop: in most of them the ignition is off.
         """
         moving = np.flatnonzero(speed >= self._speed)
         if not len(moving):
@@ -37,11 +37,11 @@ class Standstill:
         self._standing += rows
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """State for `restore`."""
         return {"standing": self._standing}
 
     def restore(self, state: State) -> None:
-        """Take the state of another one.
+        """Take the state of another instance.
 
         Raises
         ------

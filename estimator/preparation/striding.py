@@ -1,7 +1,7 @@
 """Strides from rows of the time grid, batch by batch.
 
-A stride starts where the one before ended, or where driving whose force is known begins again; what lies between is
-covered by strides whose force is not known, which carry the distance and the signals of the road on.
+A stride starts where the one before ended, or where driving whose force is known begins again. Strides whose force is
+not known cover the rest; they have the distance and the signals of the road.
 """
 
 from collections import Counter
@@ -34,11 +34,11 @@ class Strider:
     Parameters
     ----------
     admission
-        Which moments are known, and how far from brake use and gear changes.
+        Settings that decide which rows have a known force, and their margin to brake use and gear changes.
     wanted
-        Context that the strides carry.
+        Quantities that the strides carry as context.
     start
-        When the drive began [s].
+        Time at which the drive began [s].
     """
 
     def __init__(self, admission: Admission, wanted: frozenset[Quantity], start: float) -> None:
@@ -55,16 +55,16 @@ class Strider:
 
     @property
     def held(self) -> Rows | None:
-        """Rows that are in no stride yet, and those before them; None between two stretches of rows."""
+        """Rows in no stride yet, and the margin of rows before them; None between two stretches of rows."""
         return self._rows
 
     def feed(self, rows: Rows, rejected: Counter[str]) -> Strides:
-        """Strides that rows up to these complete; rows of no known stride are counted by reason."""
+        """Take rows; return the strides that they complete. Rows in no stride of known force are counted by reason."""
         self._rows = rows if self._rows is None else Rows.concatenate(self._rows, rows)
         return self._cut(self._rows, SPAN_ROWS + ROWS + self._margin, rejected)
 
     def finish(self, rejected: Counter[str]) -> Strides:
-        """The strides still waiting, when no row follows without a gap."""
+        """Return the strides still waiting, before a gap or at the end of the rows."""
         if self._rows is None:
             return Strides.none()
         strides = self._cut(self._rows, 0, rejected)
@@ -74,7 +74,7 @@ class Strider:
         return strides
 
     def _codes(self, rows: Rows) -> tuple[NDArray[np.int8], Mask]:
-        """Code of the reason against each row, and where the driveline is open."""
+        """Code (n,) of the reason against each row, and mask (n,) of the rows with an open driveline."""
         margin = round(self._admission.stride_margin_s / STEP)
         codes = row_reasons(rows, self._admission)
         if not rows.context.keys() & {Role.BRAKE_SWITCH, Role.BRAKE_PEDAL}:
@@ -83,34 +83,34 @@ class Strider:
         return np.where(coasting, np.int8(ADMITTED), codes), coasting
 
     def _cut(self, rows: Rows, ahead: int, rejected: Counter[str]) -> Strides:
-        """Strides of all rows but the last ``ahead``, which wait for what follows them."""
+        """Strides of all rows but the last ``ahead``, which wait for the rows after them."""
         codes, coasting = self._codes(rows)
         bad = np.concatenate([[0], np.cumsum(codes != ADMITTED)])
         clear = np.zeros(len(rows) + 1, dtype=bool)
         clear[: max(len(rows) - SPAN_ROWS + 1, 0)] = bad[SPAN_ROWS:] == bad[:-SPAN_ROWS]
-        starts, lengths, place = list[int](), list[int](), self._next
-        while place + max(ahead, ROWS) <= len(rows):
-            onward = np.flatnonzero(clear[place : place + ROWS])
+        starts, lengths, begin = list[int](), list[int](), self._next
+        while begin + max(ahead, ROWS) <= len(rows):
+            onward = np.flatnonzero(clear[begin : begin + ROWS])
             span = ROWS if not len(onward) or onward[0] == 0 else int(onward[0])
-            starts.append(place)
+            starts.append(begin)
             lengths.append(span)
-            place += span
+            begin += span
         if not starts:
             return Strides.none()
         first, length = np.array(starts), np.array(lengths)
-        known = clear[first]
-        for at, span in zip(first[~known].tolist(), length[~known].tolist(), strict=True):
+        is_known = clear[first]
+        for at, span in zip(first[~is_known].tolist(), length[~is_known].tolist(), strict=True):
             count_reasons(codes[at : at + span], rejected)
-        strides = self._strides(rows, coasting, first, length, known)
-        strides = strides[known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
+        strides = self._strides(rows, coasting, first, length, is_known)
+        strides = strides[is_known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
         travelled, held = self._travelled(rows)
-        self._distance, self._speed = float(travelled[place]), float(held[place - 1])
-        kept = max(place - self._margin, 0)
-        self._rows, self._next = rows[kept:], place - kept
+        self._distance, self._speed = float(travelled[begin]), float(held[begin - 1])
+        kept = max(begin - self._margin, 0)
+        self._rows, self._next = rows[kept:], begin - kept
         return strides
 
     def _strides(
-        self, rows: Rows, coasting: Mask, first: NDArray[np.intp], length: NDArray[np.intp], known: Mask
+        self, rows: Rows, coasting: Mask, first: NDArray[np.intp], length: NDArray[np.intp], is_known: Mask
     ) -> Strides:
         travelled, _ = self._travelled(rows)
         at = np.minimum(first[:, None] + np.arange(SPAN_ROWS), len(rows) - 1)
@@ -139,7 +139,7 @@ class Strider:
         return Strides(
             t=rows.t[first] + (SPAN_ROWS - 1) / 2 * STEP,
             rows=length.astype(np.int64),
-            known=known,
+            known=is_known,
             v0=v0,
             v1=v1,
             s0=s0,
@@ -152,29 +152,29 @@ class Strider:
             altitude=mean(signal(Role.ALTITUDE)),
             grade=mean(rise / np.hypot(1.0, rise)),
             grade_offset_sd=mean(rows.derived.get(Quantity.GRADE_OFFSET_SD, blank)),
-            gravity=np.where(known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
+            gravity=np.where(is_known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
             context={q: there.get(q, blank)[middle] for q in sorted(self.wanted | self._always(rows))},
         )
 
     def _always(self, rows: Rows) -> frozenset[Quantity]:
-        """What strides carry for the fit itself, where the rows have it."""
+        """Quantities of the rows that strides carry in any case, because the fit uses them."""
         return frozenset({Quantity.SPEED_STEP} & rows.derived.keys())
 
     def _travelled(self, rows: Rows) -> tuple[Floats, Floats]:
-        """Distance [m] (n + 1,) at the beginning of each row from the next stride on, and at the end of the last.
+        """Distance [m] (n + 1,) at the bounds of rows, and speed [m/s] (n,), which holds its last known value.
 
-        And the speed [m/s] (n,) that it is the integral of: the last known one is held where none is known.
+        Both are 0 before the next stride; from there on, distance is the integral of the speed.
         """
         held = np.concatenate([np.zeros(self._next), last_known(rows.plausible_speed[self._next :], self._speed)])
         steps = np.concatenate([[self._distance], held[self._next :] * STEP])
         return np.concatenate([np.zeros(self._next), np.cumsum(steps)]), held
 
     def pause(self) -> None:
-        """The next rows follow after a gap of unknown length: no road connects them with those before."""
+        """Add GAP_DISTANCE: the next rows follow a gap, and their slopes are independent of the previous ones."""
         self._distance += GAP_DISTANCE
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """State for `restore`."""
         return {
             "rows": None if self._rows is None else self._rows.state(),
             "next": self._next,
@@ -186,12 +186,12 @@ class Strider:
 
     @classmethod
     def restore(cls, admission: Admission, state: State) -> "Strider":
-        """A strider from its state.
+        """Return a strider with a saved state.
 
         Raises
         ------
         StateError
-            It is not that of a strider.
+            The state is not that of a strider.
         """
         strider = cls(admission, frozenset(read(state, "wanted", list[Quantity])), read(state, "start", float))
         strider._rows = optional(state, "rows", Rows.restore)
@@ -204,7 +204,7 @@ class Strider:
 
 
 def _later(values: Floats, lag: float) -> Floats:
-    """Values (n,) of the rows ``lag`` [s] later, the outermost ones held; a row's own where none is known then."""
-    place = np.arange(len(values)) + round(lag / STEP)
-    later = values[np.clip(place, 0, len(values) - 1)]
+    """Values (n,) shifted by ``lag`` [s], with the outermost held; an unknown later value is not taken."""
+    index = np.arange(len(values)) + round(lag / STEP)
+    later = values[np.clip(index, 0, len(values) - 1)]
     return np.where(np.isfinite(later), later, values)

@@ -1,1 +1,1 @@
-"""Diagnosis of the residual of any model: which columns explain it, where it is, and how far they reduce it."""
+"""Diagnosis of the residual of any model: the columns that explain it, their size, and its location."""

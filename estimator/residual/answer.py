@@ -40,7 +40,7 @@ class Suspect:
 
 @dataclass(frozen=True, kw_only=True)
 class Disagreement:
-    """A part of an axis where the mean residual is not zero; ``bias``: this mean, in the unit of the residual."""
+    """Part of an axis where the mean residual is not zero; ``bias``: this mean, in the unit of the residual."""
 
     axis: str
     start: float
@@ -68,7 +68,7 @@ class Description:
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualDiagnosis:
-    """Which causes explain a residual, how far they reduce it, and where it is.
+    """Verdict on a residual, its causes with their shares, and the parts of each axis where it is not zero.
 
     ``named``: candidates that act with at least the probability LEVEL. ``between``: if the verdict is "cannot tell", a
     few causes (nameless processes among them) of which at least one acts with that probability. ``budget``: parts whose

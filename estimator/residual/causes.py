@@ -41,9 +41,9 @@ def forms_of(record: Record) -> tuple[list[Form], list[Cause]]:
     forms: list[Form] = []
     causes: list[Cause] = []
 
-    def add(name: str, is_named: bool, odds: float, own: Sequence[Form]) -> None:
-        numbers = tuple(range(len(forms), len(forms) + len(own)))
-        forms.extend(own)
+    def add(name: str, is_named: bool, odds: float, cause_forms: Sequence[Form]) -> None:
+        numbers = tuple(range(len(forms), len(forms) + len(cause_forms)))
+        forms.extend(cause_forms)
         causes.append(
             Cause(
                 name=name,
@@ -59,8 +59,8 @@ def forms_of(record: Record) -> tuple[list[Form], list[Cause]]:
         add(name, True, ODDS_OF_CANDIDATES / len(record.candidates), [form])
     varying = {name: axis for name, axis in record.axes.items() if np.ptp(axis.values) > 0}
     for name, axis in varying.items():
-        own = list(_process(PROCESS + name, axis.values, record))
-        add(PROCESS + name, False, ODDS_OF_PROCESSES / len(varying), own)
+        cause_forms = list(_process(PROCESS + name, axis.values, record))
+        add(PROCESS + name, False, ODDS_OF_PROCESSES / len(varying), cause_forms)
     return forms, causes
 
 

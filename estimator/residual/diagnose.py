@@ -132,25 +132,25 @@ def _verdict(is_named: bool, unknown: float, none: float) -> Verdict:
 
 def _between(table: ModelTable, causes: list[Cause]) -> tuple[str, ...]:
     """Names of few causes of which at least one acts with the probability LEVEL, chosen greedily; empty if none do."""
-    found, forms, left = list[str](), list[int](), list(causes)
+    names, forms, left = list[str](), list[int](), list(causes)
     while left and table.holding(forms) < LEVEL:
         best = max(left, key=lambda cause: table.holding([*forms, *cause.forms]))
         left.remove(best)
-        found.append(best.name)
+        names.append(best.name)
         forms += best.forms
-    return tuple(found) if table.holding(forms) >= LEVEL else ()
+    return tuple(names) if table.holding(forms) >= LEVEL else ()
 
 
 def _suspects(
     record: Record, likelihood: ResidualLikelihood, table: ModelTable, candidates: list[Cause]
 ) -> tuple[Suspect, ...]:
-    found = []
+    suspects = []
     for cause in candidates:
         (form,) = cause.forms
         alone = likelihood.gains([], [form])
         value, sd = _magnitude(likelihood, table, cause)
         size = float(np.sqrt(np.mean(likelihood.forms[form].columns ** 2)))
-        found.append(
+        suspects.append(
             Suspect(
                 name=cause.name,
                 probability=table.holding(cause.forms),
@@ -161,23 +161,26 @@ def _suspects(
                 hidden=size * (abs(value) + ONE_SIDED_95 * sd),
             )
         )
-    return tuple(sorted(found, key=lambda suspect: -suspect.probability))
+    return tuple(sorted(suspects, key=lambda suspect: -suspect.probability))
 
 
 def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, cause: Cause) -> tuple[float, float]:
     """Value and sd of a candidate's magnitude if it acts, averaged over the other causes in the set."""
     (form,) = cause.forms
     log: dict[Chosen, float] = {}  # log probability of the other causes, up to a constant
-    each = {}
+    gains = {}
     likely = max(int(np.searchsorted(-table.probability, -MIN_PROBABILITY)), 1)  # sets, the most probable first
-    for p, own in zip(table.probability[:likely].tolist(), table.sets, strict=False):
-        beside = tuple(other for other in own if other != form)
+    for p, chosen in zip(table.probability[:likely].tolist(), table.sets, strict=False):
+        beside = tuple(other for other in chosen if other != form)
         if beside not in log:
-            each[beside] = likelihood.gains(beside, [form])
-            log[beside] = float(np.log(p)) + (-cause.log_prior if form in own else float(each[beside].gain[0]))
+            gains[beside] = likelihood.gains(beside, [form])
+            log[beside] = float(np.log(p)) + (-cause.log_prior if form in chosen else float(gains[beside].gain[0]))
     weight = np.exp(np.array(list(log.values())) - max(log.values()))
     weight /= weight.sum()
-    values, sds = np.array([one.value[0] for one in each.values()]), np.array([one.sd[0] for one in each.values()])
+    values, sds = (
+        np.array([judged_form.value[0] for judged_form in gains.values()]),
+        np.array([judged_form.sd[0] for judged_form in gains.values()]),
+    )
     if likelihood.priors[form].positive:
         values, sds = above_zero(values, sds)
     mean = float(weight @ values)
@@ -189,14 +192,19 @@ def _described(
 ) -> Description | None:
     """The formula with most evidence beside the chosen forms; None if its log Bayes factor is not above 0."""
     variables = {name: Variable(axis.values, axis.unit) for name, axis in record.axes.items()}
-    found = best_formula(variables, unit, record.rms, lambda columns: judged(*likelihood.projected(chosen, columns)))
-    if found is None or found.gain <= 0:
+    formula = best_formula(variables, unit, record.rms, lambda columns: judged(*likelihood.projected(chosen, columns)))
+    if formula is None or formula.gain <= 0:
         return None
-    size = record.rms / float(np.sqrt(np.mean(found.column**2)))
-    form = Form(cause=found.text, columns=record.off(found.column[:, None]), sd=size)
+    size = record.rms / float(np.sqrt(np.mean(formula.column**2)))
+    form = Form(cause=formula.text, columns=record.off(formula.column[:, None]), sd=size)
     reached = held_out(record, [*(likelihood.forms[i] for i in chosen), form], scales)
     return Description(
-        text=found.text, value=found.value, sd=found.sd, unit=found.unit, log_bayes_factor=found.gain, reached=reached
+        text=formula.text,
+        value=formula.value,
+        sd=formula.sd,
+        unit=formula.unit,
+        log_bayes_factor=formula.gain,
+        reached=reached,
     )
 
 

@@ -20,7 +20,7 @@ TIME, NOISE, PROCESS = "time", "sensor noise", "unknown over "  # names of cause
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause that may act: its residual (n,) at magnitude 1, and the prior N(0, ``sd``^2) of its magnitude.
+    """Cause that may act: its residual (n,) at magnitude 1, and the prior N(0, ``sd``^2) of its magnitude.
 
     ``sd``: usual magnitude; ``positive``: the magnitude cannot be negative; ``unit``: unit of the magnitude.
     """
@@ -33,7 +33,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Axis:
-    """A quantity (n,) that the residual may depend on, and its unit, such as "m/s^2"."""
+    """Quantity (n,) that the residual may depend on, and its unit, such as "m/s^2"."""
 
     values: Floats
     unit: str = ""
@@ -41,7 +41,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """A residual at times ``t`` [s] (n,), with the base (n, b): columns of the parameters that are refitted.
+    """Residual at times ``t`` [s] (n,), with the base (n, b): columns of the parameters that are refitted.
 
     Base columns are orthogonal, with rms 1. Residual and candidates are projected off the base: no result depends on
     the part in its span, and large common parts would cancel with rounding errors. The first of ``axes`` is time.
@@ -59,7 +59,7 @@ class Record:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     def off(self, columns: Floats) -> Floats:
-        """``columns`` (n,) or (n, c) projected off the base: residuals of their least-squares fit by it."""
+        """Project ``columns`` (n,) or (n, c) off the base: residuals of their least-squares fit by it."""
         return _off(self.base, columns)
 
 
@@ -68,8 +68,8 @@ def _off(base: Floats, columns: Floats) -> Floats:
     for _ in range(2):  # the second projection removes the rounding of the first
         rest = rest - base @ (base.T @ rest) / len(base)
     size, left = (np.sqrt(np.mean(part**2, axis=0)) for part in (columns, rest))
-    known: Floats = np.where(left > MIN_LEFT * size, rest, 0.0)
-    return known
+    significant: Floats = np.where(left > MIN_LEFT * size, rest, 0.0)
+    return significant
 
 
 def checked(
@@ -84,11 +84,10 @@ def checked(
     Raises
     ------
     InputError
-        The message names the array: too few samples, a length that differs, a value that is no finite number or of a
-        size that cannot be squared, times that do not ascend, a column of zeros, a prior that is not positive, a
-        name that the
-        answer uses itself, a unit that is no product of powers, a base whose columns are not independent, or one that
-        explains the whole residual.
+        The message names the array and the reason: too few samples, another length, times that do not ascend, a value
+        that is not finite or cannot be squared, a column of zeros. Further reasons: a prior that is not positive, a
+        name reserved for the answer, a unit that is no product of powers, a base whose columns are not independent or
+        that explains the whole residual.
     """
     t, y = _array("time", time), _array("residual", residual)
     if len(y) < MIN_SAMPLES:
@@ -102,10 +101,10 @@ def checked(
     if not np.any(rest):
         raise InputError("residual: the base explains all of it; nothing is to be explained")
     axes = {TIME: Axis(t - t[0], "s")} | {name: _axis(name, axis, y) for name, axis in (along or {}).items()}
-    found = {name: _candidate(name, candidate, columns) for name, candidate in candidates.items()}
-    for name in sorted(found.keys() & {NOISE, *(PROCESS + axis for axis in axes)}):
+    checked_candidates = {name: _candidate(name, candidate, columns) for name, candidate in candidates.items()}
+    for name in sorted(checked_candidates.keys() & {NOISE, *(PROCESS + axis for axis in axes)}):
         raise InputError(f"column {name!r}: the answer uses this name; choose another one")
-    return Record(t=t, residual=rest, base=columns, candidates=found, axes=axes)
+    return Record(t=t, residual=rest, base=columns, candidates=checked_candidates, axes=axes)
 
 
 def checked_unit(what: str, unit: str) -> None:
@@ -185,8 +184,8 @@ def _array(name: str, values: Floats, dimensions: int = 1) -> Floats:
     if array.ndim != dimensions:
         raise InputError(f"{name}: has {array.ndim} dimensions; {dimensions} expected")
     if not np.isfinite(array).all():
-        place = f" at index {int(np.argwhere(~np.isfinite(array))[0][0])}; leave such samples out" if dimensions else ""
-        raise InputError(f"{name}: not finite{place}")
+        where = f" at index {int(np.argwhere(~np.isfinite(array))[0][0])}; leave such samples out" if dimensions else ""
+        raise InputError(f"{name}: not finite{where}")
     largest = float(np.max(np.abs(array), initial=0.0))
     if largest and not SIZES[0] < largest < SIZES[1]:
         raise InputError(f"{name}: the largest value is {largest:g}; choose another unit")

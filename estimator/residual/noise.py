@@ -91,8 +91,8 @@ def fit_noise(t: Floats, rms: float, log_evidence: Callable[[Noise], float]) -> 
     for start in STARTS:
         memory = bounds[2][0] + start * (bounds[2][1] - bounds[2][0])
         first = np.array([np.log(0.5 * rms), np.log(0.3 * rms), memory])
-        found = minimize(loss, first, method="L-BFGS-B", bounds=bounds)
-        if best is None or found.fun < best[0]:
-            best = float(found.fun), found.x
+        optimum = minimize(loss, first, method="L-BFGS-B", bounds=bounds)
+        if best is None or optimum.fun < best[0]:
+            best = float(optimum.fun), optimum.x
     assert best is not None
     return scales(best[1])

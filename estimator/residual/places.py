@@ -32,19 +32,19 @@ def disagreements(record: Record, likelihood: ResidualLikelihood) -> tuple[Disag
     strength = np.maximum(np.diag(products), 1e-300)
     bias = score / strength
     q_values = false_discovery_rates(2 * ndtr(-np.abs(score) / np.sqrt(strength)))
-    found = [
+    listed = [
         Disagreement(axis=name, start=start, end=end, unit=unit, bias=float(b), q_value=float(q))
         for (name, start, end, unit), b, q in zip(parts, bias, q_values, strict=True)
         if q < MAX_FALSE_DISCOVERY_RATE
     ]
-    return tuple(sorted(found, key=lambda place: place.q_value))
+    return tuple(sorted(listed, key=lambda part: part.q_value))
 
 
 def _parts(values: Floats) -> Iterator[tuple[float, float, NDArray[np.bool_]]]:
     """Start, end and mask (n,) of each part; an axis with at most PARTS values (a switch) has one for each value."""
-    own = np.unique(values)
-    if len(own) <= PARTS:
-        yield from ((value, value, values == value) for value in own.tolist())
+    distinct = np.unique(values)
+    if len(distinct) <= PARTS:
+        yield from ((value, value, values == value) for value in distinct.tolist())
         return
     edges = np.unique(np.quantile(values, np.linspace(0, 1, PARTS + 1)))
     for start, end in pairwise(edges.tolist()):

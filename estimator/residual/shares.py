@@ -1,7 +1,7 @@
 """Split of the residual's mean square into its causes, and the residual on stretches left out of the fit.
 
-Let M be the projection off the base's columns: M r = sum of M X b + M noise. For a draw of a set from the table and of
-its amplitudes b, the share of a cause is (M r)'(M X b) / (M r)'(M r); the noise has the rest.
+Let M be the projection off the base's columns: M r = sum of M X b + M noise. Sets are drawn from the table, and
+amplitudes b from the posterior of each. The share of a cause is (M r)'(M X b) / (M r)'(M r); the noise has the rest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,9 +37,9 @@ def budget(
     names = [cause.name for cause in causes]
     shares, squares = np.zeros((DRAWS, len(names))), np.zeros((DRAWS, len(names)))
     of = {form: number for number, cause in enumerate(causes) for form in cause.forms}
-    for draw, (own, amplitudes) in enumerate(_draws(likelihood, table, rng)):
+    for draw, (forms, amplitudes) in enumerate(_draws(likelihood, table, rng)):
         at = likelihood.base_size
-        for form in own:
+        for form in forms:
             places = likelihood.places[form] - likelihood.base_size
             b = amplitudes[at : at + len(places)]
             at += len(places)
@@ -55,8 +55,8 @@ def budget(
         left = float(np.mean(square * (1 - 2 * shares[:, k]) + squares[:, k]))
         parts.append(_part(name, shares[:, k], reached, float(np.sqrt(max(left, 0.0)))))
     noise = 1 - shares.sum(axis=1)
-    known = float(np.sqrt(max(square * (1 - float(np.mean(noise))), 0.0)))
-    parts.append(_part(NOISE, noise, None, known))
+    explained_rms = float(np.sqrt(max(square * (1 - float(np.mean(noise))), 0.0)))
+    parts.append(_part(NOISE, noise, None, explained_rms))
     return tuple(sorted(parts, key=lambda part: -part.share))
 
 
@@ -71,18 +71,18 @@ def _draws(
     """Draw sets by their probability, each with amplitudes of base and set from its posterior."""
     posteriors: dict[int, Posterior] = {}
     for model in rng.choice(len(table.sets), size=DRAWS, p=table.probability).tolist():
-        own = table.sets[model]
+        forms = table.sets[model]
         if model not in posteriors:
-            posteriors[model] = likelihood.posterior(own)
-        yield own, _amplitudes(likelihood, own, posteriors[model], rng)
+            posteriors[model] = likelihood.posterior(forms)
+        yield forms, _amplitudes(likelihood, forms, posteriors[model], rng)
 
 
 def _amplitudes(
-    likelihood: ResidualLikelihood, own: Sequence[int], posterior: Posterior, rng: np.random.Generator
+    likelihood: ResidualLikelihood, forms: Sequence[int], posterior: Posterior, rng: np.random.Generator
 ) -> Floats:
     """Draw amplitudes (p,) from a posterior; amplitudes with a positive prior are not negative."""
-    before = likelihood.base_size + np.cumsum([0, *(len(likelihood.places[form]) for form in own)])
-    positive = [at for at, form in zip(before[:-1], own, strict=True) if likelihood.priors[form].positive]
+    starts = likelihood.base_size + np.cumsum([0, *(len(likelihood.places[form]) for form in forms)])
+    positive = [at for at, form in zip(starts[:-1], forms, strict=True) if likelihood.priors[form].positive]
     size = np.sqrt(np.diag(posterior.covariance))
     values, axes = np.linalg.eigh(posterior.covariance / np.outer(size, size))
     root = axes * np.sqrt(np.maximum(values, 0.0))  # finite also if two columns are collinear up to rounding

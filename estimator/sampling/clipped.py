@@ -2,14 +2,14 @@
 
     log p = -chi2(theta) / (2 sigma^2),   chi2 = sum (P - max(x . theta, 0))^2,   x = [v, v^3, v a]
 
-Without the clip, chi2 would be a quadratic form of a few sums over the samples. With theta = theta0 + L z, where
-theta0 is the clipped least-squares point and L L' = sigma^2 (J' J)^-1, a sample can only change sign inside the
-ellipsoid |z| <= r if |x . theta0| <= r |L' x|: a few dozen out of any number. So each of a nest of ellipsoids keeps
-the sums of the samples that are surely active in it, drops those that are surely clipped, and evaluates the
-undecided ones one by one; in the outermost, which has no end, all samples are undecided.
+Without the clip, chi2 would be a quadratic form of a few sums over the samples. Let theta = theta0 + L z, with
+theta0 the clipped least-squares point and L L' = sigma^2 (J' J)^-1. Inside the ellipsoid |z| <= r a sample can change
+sign only if |x . theta0| <= r |L' x|: a few dozen out of any number. Each of several nested ellipsoids keeps the sums
+of the samples that are active throughout it, and drops those that are clipped throughout it. It evaluates the other,
+undecided samples one by one. The outermost one is unbounded, and all its samples are undecided.
 
-Everything is relative to theta0 and in units of sigma, so hardly anything cancels: with u = x . theta0, w = L' x and
-the residual e = P - max(u, 0), a sample whose power changes by h = max(w . z + min(u, 0), -max(u, 0)) adds
+All quantities are relative to theta0 and in units of sigma, which avoids cancellation. Let u = x . theta0, w = L' x and
+e = P - max(u, 0), the residual. The power of a sample changes by h = max(w . z + min(u, 0), -max(u, 0)), which adds
 (h - e)^2 - e^2 to chi2.
 
 Source: Miller, Konan, Duran, "Bayesian Parameter Estimation for Heavy-Duty Vehicles", NREL.
@@ -41,12 +41,12 @@ class Sums:
 
     @classmethod
     def of(cls, X: Floats, y: Floats) -> "Sums":
-        """Of samples ``X`` (n, p), ``y`` (n,)."""
+        """Compute the sums of samples ``X`` (n, p), ``y`` (n,)."""
         return cls(X.T @ X, X.T @ y, float(y @ y), len(y))
 
     @classmethod
     def empty(cls, p: int) -> "Sums":
-        """Of no samples."""
+        """Return the sums of no samples, for p columns."""
         return cls(np.zeros((p, p)), np.zeros(p), 0.0, 0)
 
     def __add__(self, other: "Sums") -> "Sums":
@@ -56,7 +56,7 @@ class Sums:
         return Sums(self.G - other.G, self.b - other.b, self.s - other.s, self.n - other.n)
 
     def through(self, M: Floats, unit: float = 1.0) -> "Sums":
-        """With X M in place of X, for ``M`` (p, q), and y in another unit."""
+        """Transform the sums to X M in place of X, with ``M`` (p, q), and y / ``unit`` in place of y."""
         return Sums(M.T @ self.G @ M, M.T @ self.b / unit, self.s / unit**2, self.n)
 
     @cached_property
@@ -64,16 +64,16 @@ class Sums:
         return np.block([[self.G, -self.b[:, None]], [-self.b, np.zeros(1)]])
 
     def excess(self, theta: Floats) -> Floats:
-        """What the columns [theta, 1] (p + 1, k) add to the sum of squares that zero has (k,)."""
+        """Sum of squares (k,) less that of theta = 0, for columns [theta, 1] (p + 1, k)."""
         total: Floats = np.einsum("ij,ij->j", self._form @ theta, theta)
         return total
 
 
 def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Sums]:
-    """Least squares (p,) of P on ``max(X theta, 0)`` inside the box, and the sums of P on X where it is active.
+    """Least-squares theta (p,) of P on ``max(X theta, 0)`` inside the box, and the sums of its active samples.
 
-    Gauss-Newton; it settles in a few steps because the model is linear where it is not cut. From step to step only
-    the samples that changed sign are touched.
+    Gauss-Newton iteration. It converges in a few steps because the model is linear where it is not clipped. Each step
+    updates the sums by the samples that changed sign.
     """
     active = np.ones(len(P), dtype=bool)
     sums = Sums.of(X, P)
@@ -83,8 +83,8 @@ def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) ->
         precision = sums.G + np.diag(MIN_RESIDUAL_SHARE**2 * (np.diag(sums.G) + sums.G.trace() * weak / weak.sum()))
         root = np.linalg.inv(factor(precision))
         theta = highest_in_box(precision, root.T @ (root @ sums.b), lower, upper)
-        before, active = active, X @ theta > 0
-        entered, left = np.flatnonzero(active & ~before), np.flatnonzero(before & ~active)
+        previous, active = active, X @ theta > 0
+        entered, left = np.flatnonzero(active & ~previous), np.flatnonzero(previous & ~active)
         if len(entered) == len(left) == 0 or sums.n + len(entered) - len(left) <= len(theta):
             break
         sums = sums + Sums.of(X[entered], P[entered]) - Sums.of(X[left], P[left])
@@ -93,7 +93,11 @@ def clipped_least_squares(X: Floats, P: Floats, lower: Floats, upper: Floats) ->
 
 @dataclass(frozen=True)
 class _Ellipsoid:
-    """``sure``: sums of the samples that are active in all of it; ``w`` (m, p), ``u``, ``e`` (m,) of the undecided."""
+    """Ellipsoid of `ClippedGaussianTarget`, or the unbounded one.
+
+    ``sure`` are the sums of the samples that are active throughout it; ``w`` (m, p), ``u`` (m,) and ``e`` (m,) are
+    those of the m undecided samples.
+    """
 
     sure: Sums
     w: Floats
@@ -102,12 +106,12 @@ class _Ellipsoid:
 
     @cached_property
     def _residual(self) -> tuple[Floats, Floats, float]:
-        """H - e = max(rows [z, 1], floor), and the sum of e^2."""
+        """Rows (m, p + 1), floor (m, 1) and sum of e^2, with h - e = max(rows [z, 1], floor)."""
         rows = np.column_stack([self.w, np.minimum(self.u, 0.0) - self.e])
         return rows, -(np.maximum(self.u, 0.0) + self.e)[:, None], float(self.e @ self.e)
 
     def excess(self, z: Floats) -> Floats:
-        """Chi2 over that of the centre (k,) for columns [z, 1] (p + 1, k) inside."""
+        """Chi2 less that of the centre (k,), for columns [z, 1] (p + 1, k) inside the ellipsoid."""
         total = self.sure.excess(z)
         if len(self.e):
             rows, floor, least = self._residual
@@ -119,17 +123,17 @@ class _Ellipsoid:
         return total
 
     def information(self, z: Floats) -> Floats:
-        """Sum of w w' over the samples active at [z, 1] (p + 1,)."""
+        """Sum (p, p) of w w' over the samples active at [z, 1] (p + 1,)."""
         active = self.w[self.w @ z[:-1] + self.u > 0]
         return self.sure.G + active.T @ active
 
 
 class ClippedGaussianTarget:
-    """The paper's likelihood of samples, and a flat prior in a finite box.
+    """The paper's likelihood of samples, with a flat prior in a finite box.
 
-    ``X`` (n, p), as from `road_load.design`; ``P`` (n,) [W]; ``lower`` and ``upper`` (p,) the box. The paper
-    re-estimates sigma^2 = chi2 / (n - p) along the chain; fixed at the least-squares point, to which that settles,
-    the chain has one invariant distribution from its first iteration on.
+    ``X`` (n, p) are the columns of `road_load.design`, ``P`` (n,) [W] the power, ``lower`` and ``upper`` (p,) the box.
+    The paper re-estimates sigma^2 = chi2 / (n - p) along the chain. Here it is fixed at the least-squares point, to
+    which the paper's value converges. The chain so has one invariant distribution from its first iteration on.
     """
 
     def __init__(self, X: Floats, P: Floats, lower: Floats, upper: Floats) -> None:
@@ -155,36 +159,36 @@ class ClippedGaussianTarget:
         return self._nest[i] if i < len(self._nest) else self._endless
 
     def _locate(self, theta: Floats) -> tuple[Floats, NDArray[np.int8]]:
-        """Columns [z, 1] (p + 1, k) of ``theta`` (k, p), and the innermost ellipsoid that holds each (k,)."""
+        """Columns [z, 1] (p + 1, k) of ``theta`` (k, p), and the number (k,) of the innermost ellipsoid around each."""
         z = np.ones((theta.shape[1] + 1, len(theta)))
         np.matmul(self._whiten.T, theta.T - self.centre[:, None], out=z[:-1])
         squared = np.einsum("ij,ij->j", z[:-1], z[:-1])
-        place = np.zeros(len(theta), dtype=np.int8)
+        number = np.zeros(len(theta), dtype=np.int8)
         for limit in self._squared_radii:  # several times faster than a search for each
-            place += squared > limit
-        return z, place
+            number += squared > limit
+        return z, number
 
     def log_density(self, theta: Floats) -> Floats:
-        """See `Target.log_density`; zero at the centre."""
-        z, place = self._locate(theta)
-        place[~in_box(theta, self.lower, self.upper)] = -1
+        """Unnormalised log density (k,), see `Target.log_density`; zero at the centre."""
+        z, number = self._locate(theta)
+        number[~in_box(theta, self.lower, self.upper)] = -1
         density = np.full(len(theta), -np.inf)
         for i in range(len(self._nest) + 1):
-            members = np.flatnonzero(place == i)
+            members = np.flatnonzero(number == i)
             if len(members):
                 density[members] = -0.5 * self._ellipsoid(i).excess(z.take(members, axis=1))
         return density
 
     def curvature(self, theta: Floats) -> Floats:
-        """See `Target.curvature`: sigma^2 (J' J)^-1 with J the Jacobian of the clipped power, no wider than the box."""
-        z, place = self._locate(theta)
-        information = np.stack([self._ellipsoid(i).information(column) for i, column in zip(place, z.T, strict=True)])
+        """Covariances (k, p, p) sigma^2 (J' J)^-1, with J the Jacobian of the clipped power, limited to the box."""
+        z, number = self._locate(theta)
+        information = np.stack([self._ellipsoid(i).information(column) for i, column in zip(number, z.T, strict=True)])
         covariance: Floats = self._colour @ np.linalg.inv(information + self._beyond_data) @ self._colour.T
         return covariance
 
 
 def _nest(endless: _Ellipsoid) -> list[_Ellipsoid]:
-    """Ellipsoids of RADII, from the outermost, in which all samples are undecided."""
+    """Ellipsoids of RADII, the smallest first, from the unbounded one, in which all samples are undecided."""
     nest, sure, w, u, e = list[_Ellipsoid](), endless.sure, endless.w, endless.u, endless.e
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = np.abs(u) / np.sqrt(np.einsum("ij,ij->i", w, w))  # |z| where the sample can change sign first

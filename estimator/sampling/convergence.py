@@ -15,7 +15,7 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """Of the draws of one parameter; NaN where it cannot be computed, which never counts as converged."""
+    """Convergence diagnostics of one parameter; NaN if they cannot be computed, which never counts as converged."""
 
     r_hat: float  # the larger of the rank-normalised and the folded one
     ess_bulk: float  # effective number of independent draws, for the centre
@@ -23,7 +23,7 @@ class Diagnosis:
 
 
 def diagnose(draws: Floats) -> Diagnosis:
-    """Judge ``draws`` (chains, draws) of one parameter."""
+    """Compute the diagnostics of the ``draws`` (chains, draws) of one parameter."""
     if draws.shape[0] < 2 or draws.shape[1] < 4 or not np.isfinite(draws).all() or np.ptp(draws) == 0:
         return Diagnosis(np.nan, np.nan, np.nan)
     halves = _split(draws)
@@ -40,7 +40,7 @@ def _split(draws: Floats) -> Floats:
 
 
 def _rank_normal(draws: Floats) -> Floats:
-    """Normal scores of the ranks over all chains, equal draws sharing theirs (Blom's offset)."""
+    """Normal scores of the ranks over all chains, with Blom's offset; equal draws have their mean rank."""
     order = np.argsort(draws, axis=None)
     ordered = draws.ravel()[order]
     first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
@@ -59,7 +59,7 @@ def _potential_scale_reduction(draws: Floats) -> float:
 
 
 def _effective(chains: Floats) -> float:
-    """Geyer's initial monotone sequence over the combined chains; ``chains`` are split already."""
+    """Effective sample size of split ``chains`` (m, n), by Geyer's initial monotone sequence over all of them."""
     m, n = chains.shape
     centred = chains - chains.mean(axis=1, keepdims=True)
     size = next_fast_len(2 * n, real=True)

@@ -1,8 +1,8 @@
-"""Which combinations of parameters the samples determine: the paper's eigen-metrics.
+"""Combinations of parameters that the samples determine: the paper's eigen-metrics.
 
-The information of the samples is J' J, with J = dP / d theta the Jacobian of the model power. It is singular where
-v, v^3 and v a are not independent. Its eigenvalues are the information along each eigenvector, and the angles
-between eigenvectors and parameter axes whether that is knowledge of a single parameter or of a mixture.
+The information of the samples is J' J, with J = dP / d theta the Jacobian of the model power. It is singular if
+v, v^3 and v a are not independent. Its eigenvalues are the information along each eigenvector. The angles between
+eigenvectors and parameter axes show whether that information is about one parameter or about a combination.
 
 Both depend on the units of the parameters: J' J of [N, N s^2/m^2, kg] and of the paper's [lbf, lbf/mph^2, slug] have
 different eigenvalues and eigenvectors. Scaled by the posterior standard deviations they do not.
@@ -19,11 +19,11 @@ from estimator.signals import Floats
 
 @dataclass(frozen=True)
 class EigenMetrics:
-    """Eigenvalues from large to small, and where their eigenvectors point.
+    """Eigenvalues in descending order, and directions of their eigenvectors.
 
-    ``log10_eigenvalues`` (p,), of W^2 over the squared units of the parameters, or of 1 if scaled; minus infinity
-    where the information is singular. ``angles`` (p, p) [deg], 0..90: row i, column j between eigenvector i and the
-    axis of parameter j.
+    ``log10_eigenvalues`` (p,) are in W^2 over the squared units of the parameters, or in 1 if scaled; minus infinity
+    for an eigenvalue of zero. ``angles`` (p, p) [deg], 0..90, are those between eigenvector i (row) and the axis of
+    parameter j (column).
     """
 
     log10_eigenvalues: Floats
@@ -31,16 +31,16 @@ class EigenMetrics:
 
 
 def eigen_metrics(information: Floats, scale: Floats | None = None) -> EigenMetrics:
-    """Eigen-decomposition of J' J.
+    """Compute the eigen-metrics of J' J.
 
     Parameters
     ----------
     information
         J' J (p, p) [W^2 over the units of the parameters], over the samples with power above 0.
     scale
-        Units (p,) in which to measure the parameters instead, for example their posterior standard deviations; the
-        matrix becomes S J' J S with S = diag(scale). With J' J / sigma^2 and those, uncorrelated parameters give
-        log10 eigenvalues of 0, and a combination known ten times better than its parts gives 2.
+        Units (p,) of the parameters, for example their posterior standard deviations; the matrix becomes S J' J S
+        with S = diag(scale). With J' J / sigma^2 and these standard deviations, uncorrelated parameters give log10
+        eigenvalues of 0. A combination known ten times better than its parts gives 2.
     """
     scaled = information if scale is None else information * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(scaled)

@@ -1,4 +1,4 @@
-"""Log densities of the parameters inside a box prior, evaluated for a batch of them at once."""
+"""Log densities of parameters inside a box prior, evaluated for a batch of parameter vectors at once."""
 
 from typing import Protocol
 
@@ -11,7 +11,7 @@ MIN_VARIANCE_SHARE = 1e-12  # of the variances, added to them where a direction 
 
 
 class Target(Protocol):
-    """A log density over parameter vectors, with the local Gaussian that a proposal can be built from."""
+    """Interface of a log density over parameter vectors, with local Gaussians for proposals."""
 
     @property
     def lower(self) -> Floats:
@@ -25,7 +25,7 @@ class Target(Protocol):
 
     @property
     def centre(self) -> Floats:
-        """Where in the box the density is highest (p,)."""
+        """Point (p,) of highest density in the box."""
         ...
 
     def log_density(self, theta: Floats) -> Floats:
@@ -33,12 +33,12 @@ class Target(Protocol):
         ...
 
     def curvature(self, theta: Floats) -> Floats:
-        """Covariances (k, p, p) of Gaussians that resemble the density around ``theta`` (k, p), in the box."""
+        """Covariances (k, p, p) of Gaussians that approximate the density near ``theta`` (k, p), in the box."""
         ...
 
 
 def in_box(theta: Floats, lower: Floats, upper: Floats) -> Mask:
-    """Which rows of ``theta`` (k, p) lie inside the box prior."""
+    """Mask (k,) of the rows of ``theta`` (k, p) that lie inside the box prior."""
     inside = np.ones(len(theta), dtype=bool)
     for column, low, high in zip(theta.T, lower, upper, strict=True):  # several times faster than all(axis=1)
         inside &= (column >= low) & (column <= high)
@@ -55,7 +55,7 @@ def factor(covariance: Floats) -> Floats:
 
 
 def highest_in_box(precision: Floats, mean: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Where in the box a Gaussian of ``mean`` (p,) and ``precision`` (p, p) is highest: bounded least squares."""
+    """Mode (p,) in the box of a Gaussian of ``mean`` (p,) and ``precision`` (p, p), by bounded least squares."""
     if in_box(mean[None], lower, upper)[0]:
         return mean
     scale = np.sqrt(np.diag(precision))
@@ -65,10 +65,10 @@ def highest_in_box(precision: Floats, mean: Floats, lower: Floats, upper: Floats
 
 
 def bound_precision(centre: Floats, slope: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Precision (p, p) that bounds at the highest point add to a Gaussian that resembles the density.
+    """Precision (p, p) that bounds at the mode add to a Gaussian that approximates the density.
 
-    There the density falls off along ``slope`` (p,), the gradient of its logarithm, as an exponential of sd 1 / slope;
-    a proposal of twice that sd covers its tail.
+    Away from a bound, the density falls exponentially with sd 1 / slope, where ``slope`` (p,) is the gradient of its
+    logarithm. A proposal with twice that sd covers the tail.
     """
     at_bound = (centre <= lower) | (centre >= upper)
     return np.diag(np.where(at_bound, (slope / 2) ** 2, 0.0))

@@ -21,7 +21,7 @@ WIDE_DOF = 6.0  # of that t: tails heavier than those of any target here
 
 @dataclass(frozen=True, slots=True)
 class Chains:
-    """``draws`` (chains, draws, p) without the burn-in, and the figures of the kernel."""
+    """Result of a kernel: ``draws`` (chains, draws, p) without the burn-in, and the statistics of its proposals."""
 
     draws: Floats
     acceptance: float  # share of the proposals
@@ -32,11 +32,11 @@ Kernel = Callable[[Target, Floats, int, int, np.random.Generator], Chains]
 
 
 def random_walk(target: Target, starts: Floats, burn_in: int, draws: int, rng: np.random.Generator) -> Chains:
-    """Random walk whose steps have the covariance sigma^2 (J' J)^-1 of where each chain is now.
+    """Draw by a random walk whose steps have the covariance sigma^2 (J' J)^-1 at the position of each chain.
 
-    ``starts`` (k, p), one row a chain. The covariance is renewed every REFRESH iterations during burn-in, and scaled
-    where too few or too many steps are accepted: a box may cut the density far narrower than its curvature says.
-    From then on both are kept, so that the kept draws of a chain come from one fixed kernel.
+    ``starts`` (k, p) has one row a chain. The covariance is updated every REFRESH iterations during burn-in, and scaled
+    towards the acceptance rate ACCEPTANCE: a box may cut the density far narrower than its curvature says. After
+    burn-in both are fixed, so that the draws of a chain come from one kernel.
     """
     k, p = starts.shape
     position, density = starts.copy(), target.log_density(starts)
@@ -61,12 +61,12 @@ def random_walk(target: Target, starts: Floats, burn_in: int, draws: int, rng: n
 
 
 def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: np.random.Generator) -> Chains:
-    """Proposals from one heavy-tailed distribution around the target's centre; ``starts`` (k, p), one row a chain.
+    """Draw by proposals from one heavy-tailed distribution around the target's centre.
 
-    Proposals do not depend on the chain's state, so all of them are drawn and evaluated in one batch; what is left
-    of the iterations is to follow the few that are refused. The chains forget their past by the factor 1 - 1 / M an
-    iteration, with M the largest importance weight over their mean (Mengersen & Tweedie 1996): a single proposal that
-    hits a mode far away makes it large.
+    ``starts`` (k, p) has one row a chain. Proposals do not depend on the state of a chain, so all are drawn and
+    evaluated in one batch; the iterations only process the few that are rejected. The chains converge by the factor
+    1 - 1 / M an iteration, with M the largest importance weight over the mean weight (Mengersen & Tweedie 1996). A
+    single proposal in a distant mode makes M large.
     """
     k, p = starts.shape
     n = burn_in + draws + 1  # states of a chain, which stand in a row, its start first
@@ -96,13 +96,13 @@ def independence(target: Target, starts: Floats, burn_in: int, draws: int, rng: 
     # It compares each proposal with the one before, then those behind a rejected one with the state that was kept. The
     # kept state has the larger weight, so a rejection stays one.
     refused = np.zeros(k * n, dtype=bool)
-    place = np.flatnonzero(hurdle[1:-1] <= weight[:-1]) + 1
-    stay = place - 1
-    while len(place):
-        refused[place] = True
-        states[place] = states[stay]
-        again = hurdle[place + 1] <= weight[stay]
-        place, stay = place[again] + 1, stay[again]
+    rejected = np.flatnonzero(hurdle[1:-1] <= weight[:-1]) + 1
+    stay = rejected - 1
+    while len(rejected):
+        refused[rejected] = True
+        states[rejected] = states[stay]
+        again = hurdle[rejected + 1] <= weight[stay]
+        rejected, stay = rejected[again] + 1, stay[again]
     kept = slice(burn_in + 1, None)
     acceptance = 1.0 - float(refused.reshape(k, n)[:, kept].mean())
     return Chains(states.reshape(k, n, p)[:, kept], acceptance, heaviest)

@@ -1,4 +1,4 @@
-"""One run of a kernel: starting points, draws, diagnosis; the random walk where independence proposals fail."""
+"""One run of a kernel: starting points, draws, diagnosis; a random walk if independence proposals fail."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ WALK_DRAWS = 5000  # of the random walk: the paper's number
 
 @dataclass(frozen=True)
 class Run:
-    """Draws (chains, draws, p), their kernel, and the diagnosis of each parameter."""
+    """Draws (chains, draws, p), the name of their kernel, and the diagnosis of each parameter."""
 
     draws: Floats
     kernel: str
@@ -30,13 +30,13 @@ class Run:
 
     @property
     def correlation(self) -> Floats:
-        """Correlation (p, p) of the draws of all chains."""
+        """Correlation matrix (p, p) of the draws of all chains."""
         flat = self.draws.reshape(-1, self.draws.shape[2])
         return np.atleast_2d(np.corrcoef(flat.T))
 
 
 def overdispersed(target: Target, chains: int, rng: np.random.Generator) -> Floats:
-    """Random starting points (chains, p) inside the box, spread wider than the density is."""
+    """Random starting points (chains, p) inside the box, with SPREAD times the sd of the density."""
     centre = target.centre
     away = SPREAD * rng.standard_normal((chains, len(centre))) @ factor(target.curvature(centre[None])[0]).T
     return np.clip(centre + away, target.lower, target.upper)
@@ -45,10 +45,10 @@ def overdispersed(target: Target, chains: int, rng: np.random.Generator) -> Floa
 def run(target: Target, kernel: str, chains: int, burn_in: int, draws: int, rng: np.random.Generator) -> Run:
     """Draw from ``target`` with one of `metropolis.KERNELS`, ``chains`` x ``draws`` after ``burn_in`` iterations.
 
-    Independence proposals need a density that resembles their Gaussian. Where a box cuts it, chains mix slowly and are
-    made LONGER. Where it has several modes or another shape, few are accepted, the effective draws are few, or a few
-    draws have all the weight; then the random walk, which does not need the resemblance, is run with more iterations.
-    The diagnoses show whether it converged: chains that stay in different modes give a large R-hat.
+    Independence proposals need a density close to their Gaussian. If a box cuts it, chains mix slowly and are made
+    LONGER. If it has several modes or another shape, few proposals are accepted, the effective draws are few, or a few
+    draws have all the weight. The random walk, which needs no such similarity, is then run with more iterations. The
+    diagnoses show whether it converged: chains that stay in different modes give a large R-hat.
     """
     starts = overdispersed(target, chains, rng)
     if kernel == "independence":
@@ -69,7 +69,7 @@ def _judged(kernel: str, chains: Chains) -> Run:
 
 
 def _is_like_target(run: Run) -> bool:
-    """Whether the proposals of an independence run were like its target."""
+    """True if the proposals of an independence run were close to its target, by acceptance and effective draws."""
     draws = run.draws.shape[0] * run.draws.shape[1]
     worst = float(np.min([diagnosis.ess_bulk for diagnosis in run.diagnoses]))
     return run.acceptance >= MIN_ACCEPTANCE and worst >= MIN_ESS_PER_DRAW * draws

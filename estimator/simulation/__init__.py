@@ -1,6 +1,6 @@
-"""A simulated truck on a simulated road, and the signals that its control units send.
+"""Simulation of a truck on a road, and of the signals that its control units send.
 
-A drive obeys ``P = A v + C v^3 + m v a`` exactly, except for the effects that are asked for::
+A drive obeys ``P = A v + C v^3 + m v a`` exactly, except for the requested effects::
 
     from estimator.simulation.recording import simulate
     from estimator.simulation.sensors import Sensors

@@ -1,4 +1,4 @@
-"""The truth of a drive from its course: places, readings of the control units, and the power of each effect."""
+"""True quantities of a drive from its course: places, readings of the control units, and power of each effect."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ Ledgers = Mapping[tuple[str, str], Floats]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """The truck's course as integrated, every ``STEP``; arrays (n,) as in `Truth`; ``phase`` of the gearbox."""
+    """Integrated course of the truck, every ``STEP``; arrays (n,) as in `Truth`, and ``phase`` of the gearbox."""
 
     t: Floats
     s: Floats
@@ -50,14 +50,14 @@ def settle(
     actions: Mapping[str, Action],
     ledgers: Ledgers,
 ) -> Truth:
-    """Put together the truth of a drive.
+    """Compute the true quantities of a drive.
 
     Parameters
     ----------
     truck, route, course
-        What was driven, where, and how.
+        Truck, its road, and its course on the road.
     effects, actions
-        Effects asked for, and effects at work by name.
+        Requested effects, and acting effects by name.
     ledgers
         Force [N], power [W] or inertia [kg] of each effect at every step, by (name, kind).
     """
@@ -115,12 +115,12 @@ def settle(
 
 
 def _gap(truck: Truck, read: Reading) -> Floats:
-    """Power read beyond the road load of the plain truck [W]."""
+    """Power by the readings less the road load of the plain truck [W] (n,)."""
     return read.power - (truck.A + truck.C * read.v**2 + truck.mass * read.a) * read.v
 
 
 def _wheel_powers(truck: Truck, route: Route, course: Course, ledgers: Ledgers) -> dict[str, Floats]:
-    """Power at the crank that each physical effect requires [W], by name."""
+    """Power at the crank [W] (n,) that each physical effect requires, by name."""
     v = course.v
     per_unit = {"force": v, "power": np.ones(len(v)), "inertia": course.a * v}
     powers: dict[str, Floats] = {}
@@ -140,7 +140,7 @@ def _wheel_powers(truck: Truck, route: Route, course: Course, ledgers: Ledgers) 
 
 
 def _coolant(truck: Truck, course: Course, actions: Mapping[str, Action]) -> Floats:
-    """Temperature of the coolant [K]: as it switched a fan, else that of a clean radiator on a cool day."""
+    """Temperature of the coolant [K] (n,): that which switched a fan, else that of a clean radiator on a cool day."""
     for action in actions.values():
         if action.coolant:
             return np.array(action.coolant)

@@ -1,4 +1,4 @@
-"""The air: standard atmosphere over altitude, and its density.
+"""Standard atmosphere over altitude, and density of the air.
 
 p = 101325 Pa (1 - 2.25577e-5 h)^5.25588,      rho = p / (R T)           ISO 2533
 """
@@ -18,5 +18,5 @@ def pressure_at(altitude: Floats) -> Floats:
 
 
 def relative_density(pressure: Floats, temperature: Floats) -> Floats:
-    """Density (n,) over that at sea level and 15 degrees Celsius, for which a truck's C holds [1]."""
+    """Density (n,) [1] relative to that at sea level and 15 degrees Celsius, for which a truck's C is defined."""
     return pressure / SEA_LEVEL_PRESSURE * STANDARD_TEMPERATURE / temperature

@@ -1,4 +1,4 @@
-"""Curvature along a road: slow bends turn sharply, everything else winds as gently as its speed demands."""
+"""Curvature along a road: sharp in slow bends, elsewhere as small as the speed demands."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ MAX_LATERAL_ACCELERATION = 1.7  # m/s^2, lateral acceleration that no bend excee
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """From ``start`` to ``end`` [m], to be driven at ``speed`` [m/s], turning by an ``angle`` in a range [rad]."""
+    """Bend from ``start`` to ``end`` [m], driven at ``speed`` [m/s], with an ``angle`` within a range [rad]."""
 
     start: float
     end: float
@@ -31,19 +31,19 @@ def curvature_of(start: Floats, speed: Floats, bends: list[Bend], length: float,
     start, speed
         Beginnings [m] and speeds [m/s] of the road's sections (k,).
     bends
-        The slow bends.
+        Slow bends.
     length
         Length of the road [m].
     rng
         Source of randomness.
     """
-    place = CURVE_SPACING * np.arange(int(length / CURVE_SPACING) + 2)
-    quick = np.maximum(speed[np.searchsorted(start, place, side="right") - 1], 8.0)
-    winding = smooth(len(place), WINDING, WINDING_LENGTH / CURVE_SPACING / 2, rng)
+    distance = CURVE_SPACING * np.arange(int(length / CURVE_SPACING) + 2)
+    quick = np.maximum(speed[np.searchsorted(start, distance, side="right") - 1], 8.0)
+    winding = smooth(len(distance), WINDING, WINDING_LENGTH / CURVE_SPACING / 2, rng)
     curvature: Floats = winding / quick**2
     for bend in bends:
         angle = rng.choice([-1.0, 1.0]) * rng.uniform(*bend.angle)
         sharpness = angle / (bend.end - bend.start)
         limit = MAX_LATERAL_ACCELERATION / bend.speed**2
-        curvature[(place >= bend.start) & (place < bend.end)] = np.clip(sharpness, -limit, limit)
+        curvature[(distance >= bend.start) & (distance < bend.end)] = np.clip(sharpness, -limit, limit)
     return curvature

@@ -1,7 +1,7 @@
-"""A driving cycle as a road: a table of speed, by time or by distance, with grade if it has it.
+"""Road from a driving cycle: a table of speed, by time or by distance, optionally with grade.
 
-Speeds of the table are limits at the places where the table has them; the truck stops where the table stands still,
-for the same time. So a slow truck takes longer, but drives the same road.
+Speeds of the table are limits at their places. The truck stops where the table has speed zero, for an equal time. A
+slow truck so takes longer, but drives the same road.
 """
 
 import csv
@@ -25,7 +25,7 @@ DWELL = 10.0  # s, at a standstill of a table by distance
 
 
 def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
-    """Read a table (``t_s`` or ``s_m``, ``v_mps`` and perhaps ``grade``) and repeat it over ``length`` [m].
+    """Read a table (``t_s`` or ``s_m``, ``v_mps``, optionally ``grade``) and repeat it over ``length`` [m].
 
     Raises
     ------
@@ -54,8 +54,8 @@ def cycle_route(path: Path, length: float, rng: np.random.Generator) -> Route:
     stops, once = np.unique(np.round(stops), return_inverse=True)  # standing at the end and at the start is one stop
     dwells = np.bincount(once, dwells).astype(np.float64)
     inside = (stops > 0.0) & (stops < road - GRADE_SPACING)
-    place = GRADE_SPACING * np.arange(int(road / GRADE_SPACING) + 2)
-    grade = np.interp(place % around, s, table["grade"]) if "grade" in table else np.zeros(len(place))
+    distance = GRADE_SPACING * np.arange(int(road / GRADE_SPACING) + 2)
+    grade = np.interp(distance % around, s, table["grade"]) if "grade" in table else np.zeros(len(distance))
     return Route(
         section_start=starts,
         section_speed=speeds,

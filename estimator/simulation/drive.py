@@ -1,11 +1,11 @@
-"""A drive in time: forces move the truck, step by step.
+"""Integration of a drive in time.
 
 State: position s [m], speed v [m/s], torque of the engine at the clutch T [N.m], brake force [N]. Newton's second law
 
     (m + inertia) dv/dt = T G - brake - A - C v^2 - m g sin(theta) - forces,      G = engine turns per way [rad/m]
 
-is integrated with Heun's method (second order), torque and brake pressure by first-order lags; inertia and forces are
-those of the effects at work. While the clutch is open, slips or between two gears the engine turns freely, and its
+is integrated by Heun's method (second order). Torque and brake force follow by first-order lags. Inertia and forces are
+those of the acting effects. While the clutch is open or slips, and between two gears, the engine turns freely, and its
 power is not that at the wheels.
 """
 
@@ -42,12 +42,12 @@ def drive(
     rng: np.random.Generator,
     effects: Iterable[Effect] = (),
 ) -> Truth:
-    """Drive ``truck`` along ``route`` for ``duration`` [s] with ``effects``; at the road's end it stands.
+    """Drive ``truck`` along ``route`` for ``duration`` [s] with ``effects``; it stops at the end of the road.
 
     Raises
     ------
     InputError
-        There is no such effect, or none of that magnitude.
+        An effect is unknown, or its magnitude is impossible.
     """
     driver_rng, gearbox_rng, effects_rng = rng.spawn(3)
     asked = tuple(effects)
@@ -64,12 +64,12 @@ def drive(
 
 
 class _Works:
-    """The effects at work, and a ledger of the force, power or inertia of each.
+    """Acting effects, with a ledger of the force, power or inertia of each.
 
     Parameters
     ----------
     actions
-        The effects by name.
+        Acting effects by name.
     steps
         Length of the drive in steps.
     """
@@ -86,25 +86,25 @@ class _Works:
         )
 
     def __bool__(self) -> bool:
-        """Whether an effect acts on the motion."""
+        """True if an effect acts on the motion."""
         return bool(self._ledgers)
 
     def act(self, k: int, now: Moment, mass: float) -> tuple[float, float, float]:
-        """Power from the crank [W], force against the truck [N] and moving mass [kg] of step ``k``.
+        """Power from the crank [W], force against the truck [N] and moving mass [kg] at step ``k``.
 
-        ``mass`` is that of the truck without effects [kg].
+        ``mass`` [kg] is that of the truck without effects.
         """
         watts = _entered(self._powers, k, now, 0.0)
         force = _entered(self._forces, k, now, 0.0)
         return watts, force, _entered(self._inertias, k, now, mass)
 
     def ledgers(self) -> dict[tuple[str, str], Floats]:
-        """Values of every step (n,) by name of the effect and kind: force [N], power [W] or inertia [kg]."""
+        """Values (n,) at all steps, by name of the effect and kind: force [N], power [W] or inertia [kg]."""
         return {key: np.array(ledger) for key, ledger in self._ledgers.items()}
 
 
 def _entered(works: list[Work], k: int, now: Moment, total: float) -> float:
-    """``total`` plus the values of the works at step ``k``, each entered in its ledger."""
+    """Add the values of ``works`` at step ``k`` to ``total``, and enter each in its ledger."""
     for work, ledger in works:
         ledger[k] = x = work(now)
         total += x
@@ -112,7 +112,7 @@ def _entered(works: list[Work], k: int, now: Moment, total: float) -> float:
 
 
 class _Motion:
-    """The truck in motion: `accelerate` finds the forces of a step, `move` takes it to the next.
+    """State of motion of the truck: `accelerate` computes the forces of a step, `move` integrates to the next.
 
     ``s`` [m], ``v`` [m/s], ``a`` [m/s^2], engine ``torque`` at the clutch, without ``auxiliary`` torque [N.m],
     ``brake`` force [N].
@@ -120,11 +120,11 @@ class _Motion:
     Parameters
     ----------
     truck, route
-        What is driven, and where.
+        Truck, and its road.
     driver, gearbox
-        Both at the start of the drive.
+        Both in their state at the start of the drive.
     works
-        Effects at work.
+        Acting effects.
     """
 
     def __init__(self, truck: Truck, route: Route, driver: Driver, gearbox: Gearbox, works: _Works) -> None:
@@ -147,11 +147,11 @@ class _Motion:
 
     @property
     def brake_light(self) -> bool:
-        """Whether the service brake, or an effect, lights it."""
+        """True if the service brake, or an effect, lights the brake light."""
         return self._braking or self._now.brake_light
 
     def accelerate(self, k: int) -> None:
-        """Gear, forces and acceleration at the beginning of step ``k``."""
+        """Compute gear, forces and acceleration at the beginning of step ``k``."""
         gearbox, v = self.gearbox, self.v
         gearbox.step(k * STEP, STEP, v, self.demand.force, self._load)
         phase = gearbox.phase
@@ -168,7 +168,7 @@ class _Motion:
         self.a = 0.0 if v == 0.0 and a < 0.0 else a
 
     def move(self, k: int) -> None:
-        """Move on to step ``k + 1``: the driver's decision, pedals, and Heun's step of speed and position."""
+        """Integrate to step ``k + 1``: the driver's decision, pedals, and Heun's step of speed and position."""
         if k % DECISION_STEPS == 0:
             holding = self.gearbox.phase is Phase.UNLOAD or self.gearbox.phase is Phase.NEUTRAL
             self.demand = self._driver.act(k * STEP, self.s, self.v, self.a, holding=holding)
@@ -182,7 +182,7 @@ class _Motion:
         self.v, self.torque, self.brake = next_v, torque, brake
 
     def _let_effects_act(self, k: int) -> None:
-        """Find power, force and inertia of the effects at step ``k``."""
+        """Compute power, force and inertia of the effects at step ``k``."""
         now, gearbox = self._now, self.gearbox
         now.t, now.s, now.v, now.a = k * STEP, self.s, self.v, self.a
         now.force, now.engine_speed = self.torque * gearbox.gearing, gearbox.engine_speed
@@ -211,7 +211,7 @@ class _Motion:
         return torque, self.brake + BRAKE_GAIN * (brake_target - self.brake)
 
     def _engine_target(self, force: float) -> tuple[float, float]:
-        """Torque for a force at the wheels, within the engine's limits [N.m], and the force of its drag [N]."""
+        """Torque [N.m] for a force at the wheels, within the engine's limits, and force of the engine's drag [N]."""
         truck, gearing, engine_speed = self._truck, self.gearbox.gearing, self.gearbox.engine_speed
         full = truck.max_torque(engine_speed) - self.auxiliary
         drag = -truck.friction_torque(engine_speed) if self.gearbox.phase is Phase.DRIVE else 0.0
@@ -226,7 +226,7 @@ class _Motion:
 
 
 class _Notes:
-    """The course, noted at the beginning of each of ``steps`` steps."""
+    """Record of the course at the beginning of each of ``steps`` steps."""
 
     def __init__(self, steps: int) -> None:
         self._v, self._s, self._a, self._torque, self._engine_speed, self._brake = ([0.0] * steps for _ in range(6))
@@ -234,7 +234,7 @@ class _Notes:
         self._braking, self._parked = [False] * steps, [False] * steps
 
     def add(self, k: int, motion: _Motion) -> None:
-        """Note step ``k``."""
+        """Record step ``k``."""
         gearbox = motion.gearbox
         self._v[k], self._s[k], self._a[k], self._brake[k] = motion.v, motion.s, motion.a, motion.brake
         self._torque[k], self._engine_speed[k] = motion.torque + motion.auxiliary, gearbox.engine_speed
@@ -242,7 +242,7 @@ class _Notes:
         self._braking[k], self._parked[k] = motion.brake_light, motion.demand.parked
 
     def course(self) -> Course:
-        """All that was noted, as arrays."""
+        """Recorded course, as arrays (n,)."""
         return Course(
             t=STEP * np.arange(len(self._v), dtype=np.float64),
             s=np.array(self._s),

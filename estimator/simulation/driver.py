@@ -1,7 +1,7 @@
-"""The driver: keeps to the speed of the road, looks ahead to slower sections and stops, and works the pedals.
+"""Driver model: follows the speed of the road, brakes for slower sections and stops ahead, and operates the pedals.
 
-The driver reacts to speed and acceleration only. The force at the wheels is changed until the acceleration ``a`` is the
-wanted one, ``dF/dt = m (a_wanted - a) / reaction time``; so the driver needs no model of the road load.
+The driver reacts to speed and acceleration only. The force at the wheels changes until the acceleration ``a`` is the
+wanted one, ``dF/dt = m (a_wanted - a) / reaction time``. The driver therefore needs no model of the road load.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ PARKING_DWELL = 25.0  # s, a standstill this long is spent on the parking brake
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What the driver asks for: force at the wheels [N], on the brake or not, parked or not."""
+    """Demand of the driver: force at the wheels [N], whether the truck is held at a standstill, and whether parked."""
 
     force: float
     standing: bool
@@ -34,16 +34,16 @@ class Demand:
 
 
 class Driver:
-    """One person at the wheel of one truck on one road.
+    """Driver of one truck on one road.
 
     Parameters
     ----------
     truck, route
-        What is driven, and where.
+        Truck, and its road.
     duration
         Length of the drive [s].
     rng
-        Source of the driver's temperament and of the traffic.
+        Source of randomness for the driver's parameters and the traffic.
     """
 
     def __init__(self, truck: Truck, route: Route, duration: float, rng: np.random.Generator) -> None:
@@ -67,7 +67,7 @@ class Driver:
     def act(self, t: float, s: float, v: float, a: float, holding: bool) -> Demand:
         """Decide at time ``t`` [s], position ``s`` [m], speed ``v`` [m/s], acceleration ``a`` [m/s^2].
 
-        ``holding``: a gear change takes the traction away, the foot stays where it is.
+        ``holding``: a gear change interrupts the traction, and the demand does not change.
         """
         self._decision += 1
         stop, dwell = self._stops[self._next_stop]
@@ -91,7 +91,7 @@ class Driver:
         return Demand(self._force, False, False)
 
     def limit_force(self, force: float) -> None:
-        """Limit the demand to a ``force`` [N]: the engine is at full load."""
+        """Limit the demand to the ``force`` [N] of the engine at full load."""
         self._force = min(self._force, force)
 
     def _wanted_acceleration(self, s: float, v: float, stop: float) -> float:
@@ -111,29 +111,29 @@ def speeds_ahead(route: Route, easing: float, stopping: float) -> Floats:
     Parameters
     ----------
     route
-        The road.
+        Road ahead.
     easing, stopping
         Decelerations towards slower sections and towards stops [m/s^2].
     """
-    place = np.arange(0.0, route.length + 2 * GRID, GRID)
-    section = np.searchsorted(route.section_start, place, side="right") - 1
+    distance = np.arange(0.0, route.length + 2 * GRID, GRID)
+    section = np.searchsorted(route.section_start, distance, side="right") - 1
     sections = route.section_speed[section] ** 2
-    stops = np.full(len(place), np.inf)
+    stops = np.full(len(distance), np.inf)
     stops[(route.stop_position / GRID).astype(int)] = 0.0
-    squares = np.minimum(_reachable(sections, place, easing), _reachable(stops, place, stopping))
+    squares = np.minimum(_reachable(sections, distance, easing), _reachable(stops, distance, stopping))
     speeds: Floats = np.sqrt(squares)
     return speeds
 
 
-def _reachable(squares: Floats, place: Floats, deceleration: float) -> Floats:
-    """Squared speeds from which every later one is reached at a deceleration [m/s^2]."""
-    potential = 2.0 * deceleration * place
+def _reachable(squares: Floats, distance: Floats, deceleration: float) -> Floats:
+    """Squared speeds from which every later limit is met at a deceleration [m/s^2]."""
+    potential = 2.0 * deceleration * distance
     lowest: Floats = np.minimum.accumulate((squares + potential)[::-1])[::-1] - potential
     return np.maximum(lowest, 0.0)
 
 
 def _traffic(decisions: int, rng: np.random.Generator) -> Floats:
-    """Share of the road's speed that traffic allows [1], for every decision."""
+    """Share [1] of the road's speed that traffic allows, for every decision."""
     slow = 0.96 + smooth(decisions, 0.025, 12.0 / PERIOD, rng)
     jam = smooth(decisions, 1.0, 8.0 / PERIOD, rng)
     allowed: Floats = np.clip(slow - 0.25 * np.clip(jam - 1.3, 0.0, 1.0), 0.6, 1.0)

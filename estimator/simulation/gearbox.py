@@ -1,4 +1,4 @@
-"""Automated 12-speed gearbox with a dry clutch: when it shifts, and how the engine is coupled meanwhile."""
+"""Automated 12-speed gearbox with a dry clutch: shift decisions, and coupling of the engine during shifts."""
 
 from enum import Enum
 
@@ -16,7 +16,7 @@ NEUTRAL_TIME = 0.35, 0.75  # s without a gear
 
 
 class Phase(Enum):
-    """How the engine is coupled to the wheels."""
+    """Coupling of the engine to the wheels."""
 
     DRIVE = "drive"  # clutch closed
     UNLOAD = "unload"  # clutch closed, torque goes to zero before a shift
@@ -28,7 +28,8 @@ class Phase(Enum):
 class Gearbox:
     """Gear, clutch and engine speed of a truck.
 
-    ``gear`` is engaged or about to be; ``gearing`` [rad/m] belongs to it; ``engine_speed`` [rad/s].
+    ``gear`` is the engaged gear, or the next one during a shift. ``gearing`` [rad/m] changes when the old gear is left.
+    ``engine_speed`` is in [rad/s].
     """
 
     def __init__(self, truck: Truck, rng: np.random.Generator) -> None:
@@ -44,7 +45,7 @@ class Gearbox:
         self.engine_speed = truck.idle_speed
 
     def step(self, t: float, dt: float, v: float, force: float, load: float) -> None:
-        """Move on to time ``t`` [s].
+        """Advance to time ``t`` [s].
 
         Parameters
         ----------
@@ -115,7 +116,7 @@ class Gearbox:
         self._until = t + self._interruption(UNLOAD_TIME)
 
     def _interruption(self, times: tuple[float, float]) -> float:
-        """How long [s] a part of a gear change takes the traction away."""
+        """Duration [s] for which a part of a gear change interrupts the traction."""
         return 0.0 if self._truck.shifts_under_power else self._rng.uniform(*times)
 
     def _select(self, gear: int) -> None:

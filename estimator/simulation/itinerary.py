@@ -1,4 +1,4 @@
-"""Ways to drive a road: straight on, there and back, in laps; how long it takes; where to stop for loading."""
+"""Shapes of a drive on a road: one way, out and back, laps; position by time, and stops for loading."""
 
 from dataclasses import replace
 from typing import Literal
@@ -21,12 +21,12 @@ MAX_STOP_DISTANCE = 1500.0  # m, between a wanted stop and one of the road that 
 
 
 def plan_route(kind: RoadKind, duration: float, rng: np.random.Generator, shape: Shape = "one-way") -> Route:
-    """A road of a kind that lasts for ``duration`` [s], driven in a shape."""
+    """Generate a road of a kind that is long enough for ``duration`` [s], driven in a shape."""
     return shaped(generate_route(kind, duration * METRES_PER_SECOND, rng), duration, shape)
 
 
 def shaped(road: Route, duration: float, shape: Shape) -> Route:
-    """The road driven straight on; or there and back, home at about ``duration`` [s]; or its first part in laps."""
+    """Shape a road: one way; out and back, home after about ``duration`` [s]; or its first part in laps."""
     if shape == "out-and-back":
         return out_and_back(road, place_at(road, HALF_WAY * duration))
     if shape == "loop":
@@ -35,17 +35,17 @@ def shaped(road: Route, duration: float, shape: Shape) -> Route:
 
 
 def place_at(route: Route, time: float) -> float:
-    """Where a driver is about ``time`` [s] after the start [m]."""
-    place = np.arange(0.0, route.length, GRID)
-    seen = np.maximum(0.95 * speeds_ahead(route, 0.17, 0.55)[: len(place)], 1.5)
+    """Approximate position [m] of a driver ``time`` [s] after the start."""
+    distance = np.arange(0.0, route.length, GRID)
+    seen = np.maximum(0.95 * speeds_ahead(route, 0.17, 0.55)[: len(distance)], 1.5)
     seconds = np.cumsum(GRID / seen)
     for stop, dwell in zip(route.stop_position[:-1], route.stop_dwell[:-1], strict=True):
-        seconds[place >= stop] += dwell + MOVING_OFF
-    return float(np.interp(time, seconds, place))
+        seconds[distance >= stop] += dwell + MOVING_OFF
+    return float(np.interp(time, seconds, distance))
 
 
 def out_and_back(route: Route, turn: float) -> Route:
-    """Drive to ``turn`` [m], turn round, and come back the same way: grades and bends the other way round."""
+    """Drive to ``turn`` [m], turn round, and return on the same road, with grades and bends reversed."""
     turn = GRADE_SPACING * round(turn / GRADE_SPACING)
     home = 2 * turn + TURN_LENGTH
     there = route.section_start < turn
@@ -55,7 +55,7 @@ def out_and_back(route: Route, turn: float) -> Route:
     stop, dwell = route.stop_position[stops], route.stop_dwell[stops]
     grade = route.grade[: round(turn / GRADE_SPACING) + 1]
     curvature = route.curvature[: round(turn / CURVE_SPACING) + 1]
-    place = GRADE_SPACING * np.arange(len(grade))
+    position = GRADE_SPACING * np.arange(len(grade))
     yard, curved_yard = round(TURN_LENGTH / GRADE_SPACING) - 1, round(TURN_LENGTH / CURVE_SPACING) - 1
     u_turn = np.full(curved_yard, np.pi / (curved_yard * CURVE_SPACING))
     return Route(
@@ -66,14 +66,14 @@ def out_and_back(route: Route, turn: float) -> Route:
         grade=np.concatenate([grade, np.zeros(yard), -grade[::-1], [0.0]]),
         curvature=np.concatenate([curvature, u_turn, -curvature[::-1], [0.0]]),
         start_heading=route.start_heading,
-        place=np.concatenate([place, np.full(yard, turn), place[::-1], [0.0]]),
+        place=np.concatenate([position, np.full(yard, turn), position[::-1], [0.0]]),
     )
 
 
 def laps(route: Route, lap: float, length: float) -> Route:
-    """Drive the first ``lap`` [m] of a road as a closed loop, again and again for ``length`` [m].
+    """Repeat the first ``lap`` [m] of a road as a closed loop for ``length`` [m].
 
-    The loop closes: over a lap the heading turns by a whole circle and the road comes back to its altitude.
+    Over a lap, the heading turns by a whole circle and the altitude returns to its initial value.
     """
     lap = GRADE_SPACING * round(lap / GRADE_SPACING)
     rounds = int(np.ceil(length / lap))
@@ -98,7 +98,7 @@ def laps(route: Route, lap: float, length: float) -> Route:
 
 
 def with_stop(route: Route, time: float, dwell: float) -> tuple[Route, float]:
-    """The road with a stop of ``dwell`` [s] about ``time`` [s] after the start, and where that stop is [m]."""
+    """Add a stop of ``dwell`` [s] about ``time`` [s] after the start; returns the road and the stop's position [m]."""
     wanted = GRID * round(place_at(route, time) / GRID)
     stops, dwells = route.stop_position, route.stop_dwell.copy()
     nearest = int(np.argmin(np.abs(stops[:-1] - wanted))) if len(stops) > 1 else -1
@@ -111,7 +111,7 @@ def with_stop(route: Route, time: float, dwell: float) -> tuple[Route, float]:
 
 
 def on_the_ground(route: Route, profile: Floats) -> tuple[Floats, Floats]:
-    """A ``profile`` (n,) every ``GRADE_SPACING`` of the ground, in the order of driving; and its sense (+-1)."""
+    """Map a ``profile`` of the ground, every ``GRADE_SPACING``, to the road (n,); and sense of driving +-1 (n,)."""
     if route.place is None:
         return profile[: len(route.grade)], np.ones(len(route.grade))
     met = profile[np.round(route.place / GRADE_SPACING).astype(int)]

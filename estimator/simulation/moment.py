@@ -1,4 +1,4 @@
-"""Types exchanged between the drive and the effects: the moment, the scene, the readings, and an effect at work."""
+"""Types exchanged between the drive and the effects: moment, scene, readings, and action of an effect."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,11 +15,11 @@ FAN_SLIP = 0.2  # share of its speed at which a fan turns while it is released
 
 @dataclass(slots=True, kw_only=True)
 class Moment:
-    """One step of the drive: the quantities that an effect may depend on.
+    """Quantities of one step of the drive that an effect may depend on.
 
     Time ``t`` [s], position ``s`` [m], speed ``v`` [m/s], acceleration ``a`` of the step before [m/s^2], ``force`` of
-    the engine at the wheels [N], ``engine_speed`` [rad/s], ``gearing`` [rad/m], ``gear``; ``closed``: the clutch
-    joins engine and wheels. An effect may set ``brake_light``.
+    the engine at the wheels [N], ``engine_speed`` [rad/s], ``gearing`` [rad/m], ``gear``; ``closed``: the closed clutch
+    couples engine and wheels. An effect may set ``brake_light``.
     """
 
     t: float = 0.0
@@ -36,7 +36,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Truck, road and duration [s] of a drive, and the effect's own source of randomness."""
+    """Truck, road and duration [s] of a drive, and the random generator of one effect."""
 
     truck: Truck
     route: Route
@@ -46,10 +46,10 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """What the control units would send without noise; arrays (n,).
+    """Readings of the control units without noise; arrays (n,).
 
     ``t`` [s], ``v`` [m/s], ``a`` [m/s^2] of the wheels, net engine ``torque`` [N.m] and ``engine_speed`` [rad/s];
-    ``torque_step`` [N.m] is the coarsest resolution on the torque's way, 0 if only the bus rounds.
+    ``torque_step`` [N.m] is the coarsest resolution of the torque before the bus, 0 if only the bus rounds.
     """
 
     t: Floats
@@ -61,7 +61,7 @@ class Reading:
 
     @property
     def power(self) -> Floats:
-        """Power as read [W]."""
+        """Power by the readings [W] (n,)."""
         torque = self.torque
         if self.torque_step > 0.0:
             torque = np.round(torque / self.torque_step) * self.torque_step
@@ -70,28 +70,28 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Action:
-    """One effect at work in one drive. Functions are called once a step, in order of time; None is not called.
+    """Action of one effect in one drive. Functions are called once a step, in order of time; None is not called.
 
     Parameters
     ----------
     force
-        Holds the truck back [N].
+        Returns the force against the truck [N].
     power
-        Taken from the crank before the clutch [W].
+        Returns the power taken from the crank before the clutch [W].
     inertia
-        Adds to the moving mass [kg].
+        Returns the addition to the moving mass [kg].
     reading
         Changes the readings of the control units.
     temperature
-        Ambient temperature [K] of times [s].
+        Returns the ambient temperature [K] at times [s].
     route
-        The road as the effect changes it.
+        Road as changed by the effect.
     retarder
-        Greatest force of a retarder that works before the service brake [N].
+        Largest force of a retarder that acts before the service brake [N].
     fan, coolant
         Filled by the effect, step by step: whether a fan runs, and the temperature that switches it [K].
     active
-        Where the effect is bounded in time: its stretches [s], filled in at the latest when they begin.
+        Stretches of time [s] of a bounded effect, filled in at the latest when they begin.
     """
 
     force: Callable[[Moment], float] | None = None
@@ -107,7 +107,7 @@ class Action:
 
 
 def along(values: Floats, spacing: float) -> Callable[[float], float]:
-    """Linear interpolation in ``values`` (n,), equally spaced from 0, as a quick function; constant beyond the last."""
+    """Return a fast linear interpolation of ``values`` (n,), equally spaced from 0; constant beyond the last."""
     table: list[float] = [*values.tolist(), float(values[-1])]
     last = len(values) - 1
 

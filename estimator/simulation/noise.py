@@ -1,4 +1,4 @@
-"""Random processes in equal steps, from a passed generator."""
+"""Random processes at equal steps, from a passed generator."""
 
 from itertools import accumulate
 from math import exp, sqrt
@@ -16,7 +16,7 @@ def correlated(steps: int, sd: float, correlation_steps: float, rng: np.random.G
     steps
         Number of values.
     sd
-        Standard deviation, in the unit wanted of the result.
+        Standard deviation, in the unit of the result.
     correlation_steps
         Steps after which the autocorrelation has fallen to 1/e.
     rng
@@ -29,7 +29,7 @@ def correlated(steps: int, sd: float, correlation_steps: float, rng: np.random.G
 
 
 def smooth(steps: int, sd: float, correlation_steps: float, rng: np.random.Generator) -> Floats:
-    """Smooth noise (steps,) of standard deviation ``sd``: first-order noise through a first-order low-pass."""
+    """Smooth noise (steps,) of standard deviation ``sd``: first-order noise after a first-order low-pass."""
     rough = correlated(steps, sd * sqrt(2.0), correlation_steps, rng)
     gain = 1.0 - exp(-1.0 / correlation_steps)
     return np.array(list(accumulate(rough.tolist(), lambda value, target: value + gain * (target - value))))

@@ -1,4 +1,4 @@
-"""A logger on the OBD-II socket of a car: it asks for one signal after another, and the engine answers."""
+"""Logger on the OBD-II socket of a car, which requests signals in turn from the engine."""
 
 import numpy as np
 
@@ -9,17 +9,17 @@ ANSWER_TIME = 0.02  # s from request to answer
 
 
 def polled(signals: Signals, period: float, rng: np.random.Generator) -> Signals:
-    """Answers of a control unit that measured ``signals``, each asked for once in a ``period`` [s].
+    """Answers of a control unit that measured ``signals``, each requested once in a ``period`` [s].
 
-    An answer holds what was measured last; the answers of a round are spread evenly over it. The torque is that at the
-    crank, with the friction taken off, as most cars of today answer.
+    An answer has the last measured value; the answers of a round are evenly spaced. The torque is that at the crank,
+    after friction, as in most cars of today.
     """
     start = max(float(signals[role].t[0]) for role in ASKED)
     end = min(float(signals[role].t[-1]) for role in ASKED)
     rounds = np.arange(start + rng.uniform(0.0, period), end, period)
     answers: dict[Role, Series] = {}
-    for place, role in enumerate(ASKED):
-        t = rounds + place * period / len(ASKED)
+    for number, role in enumerate(ASKED):
+        t = rounds + number * period / len(ASKED)
         t += ANSWER_TIME * rng.uniform(0.5, 1.5, len(t)) * min(period, 1.0)
         measured = signals[role]
         value = measured.value
@@ -30,7 +30,7 @@ def polled(signals: Signals, period: float, rng: np.random.Generator) -> Signals
 
 
 def _net(signals: Signals) -> Floats:
-    """Torque (n,) at the crank, of the reference torque."""
+    """Torque (n,) at the crank, as a fraction of the reference torque."""
     indicated, friction = signals[Role.TORQUE_FRACTION], signals[Role.FRICTION_FRACTION]
     value = indicated.value - np.interp(indicated.t, friction.t, friction.value)
     fine = signals.get(Role.TORQUE_FRACTION_FINE)

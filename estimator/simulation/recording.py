@@ -1,4 +1,4 @@
-"""A recorded drive: the signals on the bus, and the true quantities."""
+"""Recording of a drive: signals on the bus, and true quantities."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from estimator.simulation.truth import Truth
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """``signals`` by role, as measured, times from the start of the drive [s]; and the ``truth``."""
+    """Measured ``signals`` by role, with times from the start of the drive [s], and the ``truth``."""
 
     signals: Signals
     truth: Truth
@@ -33,25 +33,25 @@ def record(
     sensors: Sensors | None = None,
     effects: Iterable[Effect] = (),
 ) -> Recording:
-    """Drive and measure; the drive does not depend on the sensors.
+    """Drive, and measure the drive, which does not depend on the sensors.
 
     Parameters
     ----------
     truck, route
-        What is driven, and where.
+        Truck, and its road.
     duration
         Length of the drive [s].
     rng
         Source of randomness.
     sensors
-        Errors of the truck's sensors; those of an ordinary truck by default.
+        Errors of the truck's sensors; by default those of an ordinary truck.
     effects
-        Physics and errors beyond the plain truck; none by default.
+        Effects beyond the plain road load; by default none.
 
     Raises
     ------
     InputError
-        There is no such effect, or none of that magnitude.
+        An effect is unknown, or its magnitude is impossible.
     """
     drive_rng, sensor_rng = rng.spawn(2)
     truth = drive(truck, route, duration, drive_rng, effects)
@@ -68,7 +68,7 @@ def simulate(
     effects: Mapping[str, float | None] | Iterable[Effect] = (),
     sensors: Sensors | None = None,
 ) -> Recording:
-    """Plan a road of a kind and shape, then `record`; ``effects`` by name and magnitude, or as `Effect`."""
+    """Plan a road of a kind and shape, and `record` a drive; ``effects`` by name and magnitude, or as `Effect`."""
     route = plan_route(kind, duration, rng, shape)
     asked = effects_from(effects) if isinstance(effects, Mapping) else effects
     return record(truck, route, duration, rng, sensors=sensors, effects=asked)

@@ -21,13 +21,13 @@ RoadKind = Literal["urban", "mixed", "highway"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Route:
-    """A road to follow.
+    """Road of a drive.
 
-    ``section_start`` (k,) [m] begins at 0 and rises; ``section_speed`` (k,) [m/s]; ``stop_position`` (j,) [m] rises
-    and ends at the road's end; ``stop_dwell`` (j,) [s]; ``grade`` (n,) rise over run every ``GRADE_SPACING`` [1];
-    ``curvature`` (c,) every ``CURVE_SPACING``, positive to the left [1/m], straight where empty; ``start_heading``
-    clockwise from north [rad]. A road driven more than once, or there and back, has ``place`` (n,): the position
-    along the ground [m] at the points of ``grade``; and the length of a ``lap`` [m].
+    ``section_start`` (k,) [m] ascends from 0, with ``section_speed`` (k,) [m/s]. ``stop_position`` (j,) [m] ascends to
+    the end of the road, with ``stop_dwell`` (j,) [s]. ``grade`` (n,) is the rise over run [1] every ``GRADE_SPACING``.
+    ``curvature`` (c,) [1/m] is positive to the left, every ``CURVE_SPACING``. ``start_heading`` [rad] is clockwise from
+    north. A road driven out and back, or in laps, has ``place`` (n,) [m], the position along the ground at the points
+    of ``grade``, and the length of a ``lap`` [m].
     """
 
     section_start: Floats
@@ -127,7 +127,7 @@ def generate_route(
     grade_sd
         Standard deviation of the grade, rise over run [1]; flat by default.
     waves
-        Lengths [m] over which the grade changes, and their shares of its variance [1]; those of real roads are
+        Lengths [m] over which the grade changes, and their shares of its variance [1]. Those of real roads are
         `MEASURED_WAVES`.
     """
     starts: list[float] = []
@@ -163,7 +163,7 @@ def generate_route(
 
 
 def _grade(points: int, sd: float, waves: Sequence[tuple[float, float]], rng: np.random.Generator) -> Floats:
-    """Grade [1] (points,) of a standard deviation, the sum of processes over different lengths."""
+    """Grade [1] (points,) with a standard deviation, as a sum of processes over different lengths."""
     grade = np.zeros(points)
     for length, share in waves:
         grade += smooth(points, sd * sqrt(share), length / GRADE_SPACING / 2, rng)
@@ -171,7 +171,7 @@ def _grade(points: int, sd: float, waves: Sequence[tuple[float, float]], rng: np
 
 
 def _roads(kind: RoadKind) -> Iterator[_Road]:
-    """Kind of road of one section after the other."""
+    """Yield the kind of road of consecutive sections."""
     for road, block in cycle(_BLOCKS[kind]):
         for _ in range(max(1, round(block / (sum(road.section) / 2)))):
             yield road

@@ -1,7 +1,8 @@
 """Measurements of a drive by the truck's control units: each signal at its own rate, delayed, noisy and quantised.
 
 The engine sends indicated torque, ``T_indicated = T_net + T_friction``, in percent of the reference torque, as
-SPN 513 and 4154 do; the nominal friction comes apart and slower, as SPN 514 does. Resolutions are those of J1939.
+SPN 513 and 4154 do. Nominal friction is sent separately and at a lower rate, as by SPN 514. Resolutions are those of
+J1939.
 """
 
 from collections.abc import Iterator
@@ -66,7 +67,7 @@ class Sensors:
     torque_resolution
         Share of the reference torque per bit: 0.00125 with SPN 4154, 0.01 without [1].
     torque_lag
-        How much later torque and engine speed are measured than vehicle speed [s].
+        Delay of torque and engine speed relative to vehicle speed [s].
     jitter
         Standard deviation of sending times [s].
     grade_noise, grade_offset
@@ -74,8 +75,8 @@ class Sensors:
     grade_white_noise
         Standard deviation of white noise on the grade [1].
     body_pitch
-        By how much the body pitches where the truck accelerates [rad/(m/s^2)]: the sensors of grade and acceleration
-        sit in it. 0.003 is usual for a truck.
+        Pitch of the body, which holds the sensors of grade and acceleration, per acceleration of the truck
+        [rad/(m/s^2)]; 0.003 is usual for a truck.
     accelerometer_offset
         Offset of the longitudinal acceleration [m/s^2].
     altitude_noise
@@ -88,9 +89,9 @@ class Sensors:
     altitude_smoothing
         Time constant by which a GPS receiver smooths the altitude [s].
     dropouts
-        Share of the time in which a message is lost for seconds [1].
+        Share of the time [1] in which a message is lost, for seconds at a time.
     without
-        Signals that are not on this bus, of ``OPTIONAL``.
+        Signals of ``OPTIONAL`` that are not on the bus.
     """
 
     speed_noise: float = 0.01
@@ -115,7 +116,7 @@ class Sensors:
 
 
 def measure(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Signals:
-    """Signals of a drive as the control units send them; roles of one message share their times."""
+    """Signals of a drive, as sent by the control units; roles of one message share their times."""
     control_units = (
         _engine,
         _vehicle_speed,
@@ -215,7 +216,7 @@ def _surroundings(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> I
 
 
 def _altitude(truth: Truth, t: Floats, sensors: Sensors, rng: np.random.Generator) -> Floats:
-    """Altitude [m] (n,) with its errors, at times (n,) [s] that are one second apart."""
+    """Altitude [m] (n,) with its errors, at times (n,) [s] with a spacing of one second."""
     altitude: Floats = np.interp(t, truth.t, truth.altitude)
     if sensors.altitude_smoothing > 0.0:
         altitude = low_passed(altitude, altitude[0], 1.0, sensors.altitude_smoothing)
@@ -245,16 +246,16 @@ def _accessories(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> It
 
 
 def _position(truth: Truth, sensors: Sensors, rng: np.random.Generator) -> Iterator[tuple[Role, Series]]:
-    own = rng.spawn(1)[0]  # a generator of its own: dropouts of other messages do not depend on the position
-    t = _times(truth, 1.0, sensors, own)
+    generator = rng.spawn(1)[0]  # a generator of its own: dropouts of other messages do not depend on the position
+    t = _times(truth, 1.0, sensors, generator)
     scales = 1 / EARTH_RADIUS, 1 / (EARTH_RADIUS * cos(ORIGIN[0]))  # rad/m
     for role, true, scale in zip((Role.LATITUDE, Role.LONGITUDE), truth.position, scales, strict=True):
-        measured = np.interp(t, truth.t, true) + own.normal(0.0, POSITION_NOISE * scale, len(t))
+        measured = np.interp(t, truth.t, true) + generator.normal(0.0, POSITION_NOISE * scale, len(t))
         yield role, Series(t, _quantise(measured, POSITION_RESOLUTION))
 
 
 def _with_dropouts(signals: Signals, share: float, rng: np.random.Generator) -> Signals:
-    """Lose messages for a few seconds at a time; signals of one message share their times, and are lost together."""
+    """Drop messages for a few seconds at a time; signals of one message share their times, and are lost together."""
     kept: dict[int, Mask] = {}
     for series in signals.values():
         if id(series.t) not in kept:
@@ -274,7 +275,7 @@ def _received(t: Floats, share: float, rng: np.random.Generator) -> Mask:
 
 
 def _times(truth: Truth, period: float, sensors: Sensors, rng: np.random.Generator) -> Floats:
-    """Draw the sending times [s] of one message: its period, a phase of its own, and jitter."""
+    """Draw the sending times [s] of one message: its period, a random phase, and jitter."""
     end = truth.t[-1]
     nominal = np.arange(rng.uniform(0.0, period), end, period)
     late = np.clip(rng.normal(0.0, 1.0, len(nominal)) * sensors.jitter, -0.4 * period, 0.4 * period)
@@ -288,7 +289,7 @@ def _wheel_speed(truth: Truth, t: Floats, sensors: Sensors, rng: np.random.Gener
 
 
 def _state(truth: Truth, t: Floats, states: NDArray[np.generic]) -> Series:
-    """Switch or gear as it was at the last step before each time."""
+    """Switch or gear at the last step before each time."""
     return Series(t, states[(t / STEP).astype(int)].astype(np.float64))
 
 

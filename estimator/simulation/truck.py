@@ -1,4 +1,4 @@
-"""A class-8 truck: its mass and resistances, engine, 12-speed automated gearbox and wheels."""
+"""Class-8 truck: mass, resistances, engine, 12-speed automated gearbox and wheels."""
 
 from dataclasses import dataclass
 from math import pi
@@ -18,7 +18,7 @@ Speed = TypeVar("Speed", float, Floats)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truck:
-    """A vehicle to be driven.
+    """Vehicle of a simulated drive.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Truck:
     C
         Aerodynamic coefficient [N/(m/s)^2].
     reference_torque
-        Torque that is 100 % on the bus, SPN 544 [N.m].
+        Torque of 100 % on the bus, SPN 544 [N.m].
     peak_torque
         Net torque of the engine between 1000 rpm and rated power [N.m].
     rated_power
@@ -47,7 +47,7 @@ class Truck:
     efficiency
         Share of the engine's power that reaches the wheels [1].
     shifts_under_power
-        Whether gears change without an interruption: a car with two clutches or a converter.
+        True if gears change without an interruption, as in a car with two clutches or a converter.
     """
 
     mass: float
@@ -86,7 +86,7 @@ class Truck:
 
     @property
     def start_gear(self) -> int:
-        """Gear for moving off: the lighter the truck, the higher."""
+        """Gear in which the truck starts; a lighter truck starts in a higher gear."""
         return 1 + (self.mass < 30e3) + (self.mass < 18e3)
 
 
@@ -105,7 +105,7 @@ def draw_car(rng: np.random.Generator) -> Truck:
 
 
 def draw_truck(rng: np.random.Generator) -> Truck:
-    """Draw a class-8 truck: 12-38 t, A 0.8-2.8 kN by the tyres' rolling coefficient, C 3-4.3 N/(m/s)^2."""
+    """Draw a class-8 truck: 12-38 t, A 0.8-2.8 kN from the rolling coefficient of its tyres, C 3-4.3 N/(m/s)^2."""
     mass = rng.uniform(12e3, 38e3)
     rolling = rng.uniform(0.0052, 0.0078)  # rolling coefficient of truck tyres
     reference = float(rng.choice([2100, 2300, 2500, 2700]))

@@ -1,4 +1,4 @@
-"""The true quantities of a drive, and the power that each effect adds to the measured one."""
+"""True quantities of a drive, and the power that each effect adds to the measured one."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ ORIGIN = 48.0 * pi / 180, 11.0 * pi / 180  # rad, latitude and longitude where e
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """The drive as it was, every ``STEP``; all arrays (n,).
+    """True quantities of a drive, every ``STEP``; all arrays (n,).
 
     ``t`` [s], ``s`` [m], ``v`` [m/s], ``a`` [m/s^2], net engine ``torque`` [N.m] and ``engine_speed`` [rad/s] at the
     crank, ``brake`` and ``retarder`` force [N], ``gear``; ``engaged``: clutch closed in a gear; ``shifting``: a gear
@@ -27,14 +27,14 @@ class Truth:
     ``lateral_acceleration`` [m/s^2] to the left, ``ambient_temperature`` and ``coolant_temperature`` [K],
     ``pressure`` [Pa], ``fan_speed`` [rad/s].
 
-    ``reading`` is what the control units would send without noise. ``effects`` were asked for; ``active`` are the
-    stretches [s] of those that come and go; ``effect_power`` [W] is what each adds to the power read, such that where
-    the clutch is closed and the service brake released
+    ``reading`` are the readings of the control units without noise. ``effects`` are the requested effects, and
+    ``active`` the stretches [s] of those bounded in time. ``effect_power`` [W] is the addition of each effect to the
+    measured power. With the clutch closed and the service brake released,
 
         reading.power = A v + C v^3 + m v a + sum of effect_power,      v, a = reading.v, reading.a
 
-    with A, C, m of the ``truck``. Beside those asked for it holds ``air_density`` on a road that is not level,
-    ``grade`` where the road itself has it, and ``driveline_efficiency`` of a truck that has losses there.
+    with A, C, m of the ``truck``. Besides the requested effects it has ``air_density`` on a road that is not level,
+    ``grade`` on a road with slopes, and ``driveline_efficiency`` of a truck with losses there.
     """
 
     truck: Truck
@@ -72,9 +72,9 @@ class Truth:
 
     @property
     def position(self) -> tuple[Floats, Floats]:
-        """Latitude and longitude [rad] (n,): the heading integrated over the distance from ORIGIN.
+        """Latitude and longitude [rad] (n,), from the heading integrated over the distance from ORIGIN.
 
-        On the plane that touches the ground there: degrees of longitude are as long everywhere.
+        The ground is the tangential plane there, so a degree of longitude has one length.
         """
         steps = np.diff(self.s, prepend=0.0)
         north, east = np.cumsum(steps * np.cos(self.heading)), np.cumsum(steps * np.sin(self.heading))
@@ -83,10 +83,10 @@ class Truth:
 
     @property
     def driven(self) -> Mask:
-        """Whether the engine alone moves or holds back the rolling truck (n,): clutch closed, no brake."""
+        """Mask (n,) of the times with a rolling truck, a closed clutch, no gear change and a released service brake."""
         free: Mask = self.engaged & ~self.shifting & (self.brake < 1.0) & (self.v > 0.0)
         return free
 
     def rms_power(self, name: str) -> float:
-        """Root mean square [W] of what an effect adds to the power read, while driving."""
+        """Root mean square [W] of the addition of an effect to the measured power, while `driven`."""
         return float(np.sqrt(np.mean(self.effect_power[name][self.driven] ** 2))) if self.driven.any() else 0.0

@@ -1,8 +1,8 @@
-"""Readings at the times of their senders, resampled to rows of one time grid.
+"""Resampling of readings, from the times of their senders to rows of one time grid.
 
-A row is the interval of STEP around its time. Speed and power are means over that interval of the straight lines
-between readings, so both sides of the model have the same low-pass, at all rates and phases of the senders. Other roles
-are held from their last reading.
+A row is the interval of STEP around its time. Readings of speed and power are interpolated linearly and averaged over
+that interval. Both sides of the model so have the same low-pass, at all rates and phases of the senders. Other roles
+hold their last reading.
 """
 
 from collections import Counter
@@ -54,9 +54,16 @@ Readings = Mapping[Role, list[Series]]
 class Aligner:
     """Turns batches of readings into rows, about SETTLE behind the newest reading.
 
-    ``bound`` are the roles that the configuration expects: a term of the power that is expected but has not come
-    makes the power unknown, not larger. ``despike`` repairs lone gross errors of power, and drops those of speed.
-    ``speed_step`` is the resolution of the speed on the bus [m/s].
+    Parameters
+    ----------
+    vehicle
+        Settings of engine and driveline.
+    bound
+        Roles that the configuration expects: while one of the torques is missing, the power is unknown, not larger.
+    despike
+        True if isolated gross errors of power are repaired, and those of speed dropped.
+    speed_step
+        Resolution of the speed on the bus [m/s].
 
     Attributes
     ----------
@@ -106,7 +113,7 @@ class Aligner:
     def feed_blocks(self, readings: Readings, ends: Floats) -> Iterator[Rows | None]:
         """Add blocks that end at ``ends`` (k,) [s]; yields for each the rows that have become complete, if any.
 
-        Blocks are added one by one where what is known after one of them alone changes the rows.
+        Blocks that would change how later ones are read, such as the first of a sender, are added one by one.
         """
         if len(ends) > 1 and not self._is_settled(readings, ends):
             half = len(ends) // 2
@@ -124,7 +131,7 @@ class Aligner:
         yield from self._advance(ends)
 
     def _advance(self, ends: Floats) -> Iterator[Rows | None]:
-        """The rows of blocks that end at ``ends`` (k,) [s], each up to SETTLE before its end; several are settled."""
+        """Rows of blocks that end at ``ends`` (k,) [s], each up to SETTLE before its end; see `_is_settled`."""
         horizons = _horizons(ends)
         if self._next is None:
             starts = [track.t[0] for track in self._tracks.values() if len(track.t)]
@@ -146,7 +153,7 @@ class Aligner:
             yield self._frozen.finish() if part is None else self._frozen.feed(part)
 
     def _parts(self, bounds: NDArray[np.int64], horizons: NDArray[np.int64], ends: Floats) -> Iterator[Rows | None]:
-        """Rows of each of the blocks between ``bounds`` (k + 1,); None for a silent one."""
+        """Rows of each block between the row indices ``bounds`` (k + 1,); None for a silent block."""
         silent = self._are_silent(bounds)
         for is_silent, run in groupby(range(len(ends)), silent.__getitem__):
             blocks = [*run]
@@ -160,7 +167,7 @@ class Aligner:
                 yield rows[int(bounds[i]) - low : int(bounds[i + 1]) - low]
 
     def _are_silent(self, bounds: NDArray[np.int64]) -> list[bool]:
-        """Whether each block between ``bounds`` (k + 1,) begins MAX_SILENCE after the last line before its end."""
+        """Flags (k,) of blocks between ``bounds`` (k + 1,) that begin MAX_SILENCE after the last line so far."""
         tracks = [self._engine.track, *(self._tracks[key] for key in self._speed_keys if key in self._tracks)]
         ends = [track.t[1:][np.diff(track.t) <= MAX_LINE] for track in tracks]
         heard = np.sort(np.concatenate([[self._heard_to], *ends]))
@@ -171,7 +178,7 @@ class Aligner:
         return silent
 
     def _is_settled(self, readings: Readings, ends: Floats) -> bool:
-        """Whether several blocks can be added at once: no sender is new, and nothing known changes between them."""
+        """True if several blocks can be added at once: no new sender, and no period of a sender learnt among them."""
         horizons = _horizons(ends)
         if self._next is None or horizons[0] <= self._next:
             return False
@@ -187,7 +194,7 @@ class Aligner:
         return True
 
     def finish(self, now: float) -> Iterator[Rows]:
-        """The rows still waiting at time ``now`` [s], at the end of the traffic; keeps the constants of the engine."""
+        """Yield the rows still waiting at time ``now`` [s], at the end of the traffic; keeps the engine's constants."""
         yield from self.feed({}, now + SETTLE)
         yield from filter(None, [self._frozen.finish()])
         self._engine.finish()
@@ -196,7 +203,7 @@ class Aligner:
         self._next = None
 
     def state(self) -> dict[str, Any]:
-        """The constants of the engine and the past speeds, without the readings of the last seconds."""
+        """State for `restore`: constants of the engine and past speeds, without the readings of the last seconds."""
         return {"engine": self._engine.state(), "past": self._past.state()}
 
     def restore(self, state: State) -> None:
@@ -211,7 +218,7 @@ class Aligner:
         self._past.restore(substate(state, "past"))
 
     def _drop_lone_errors(self) -> None:
-        """A straight line from the reading before to the one after takes the place of a wrong speed."""
+        """Drop wrong speeds; the straight line between the readings around each then bridges it."""
         for (role, _), track in self._tracks.items():
             if role in SPEEDS and (wrong := lone_errors(track.t, track.value)).any():
                 self._dropped[f"{role.value}: {LONE_ERROR}"] += int(wrong.sum())
@@ -246,38 +253,38 @@ class Aligner:
         )
 
     def _coarse(self, count: int) -> dict[Quantity, Floats]:
-        """The step of a speed that comes in coarse ones, for ``count`` rows."""
+        """Resolution [m/s] of a coarse speed, repeated for ``count`` rows; empty where the speed is fine."""
         return {Quantity.SPEED_STEP: np.full(count, self._speed_step)} if self._speed_step >= COARSE_STEP else {}
 
     def _speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
-        """The speed signal."""
+        """Means of the speed signal [m/s] (n,), and where it has readings (n,)."""
         track = self._tracks.get((Role.SPEED, 0), Track())
         return track.means(edges, known_to)
 
     def _wheel_speed(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask, Mask]:
-        """The speed by the wheels, where any of them has a reading, and where they contradict each other (n,) each."""
+        """Speed from the wheels [m/s] (n,), where a wheel has a reading (n,), and where no majority agrees (n,)."""
         keys = [key for key in self._tracks if key[0] == Role.WHEEL_SPEEDS]
         if not keys:
             return np.full(len(edges) - 1, np.nan), np.zeros(len(edges) - 1, bool), np.zeros(len(edges) - 1, bool)
         means, there = zip(*(self._tracks[key].means(edges, known_to) for key in keys), strict=True)
-        speed, contradicted = self._wheels.mean(np.array(means), [place for _, place in keys])
+        speed, contradicted = self._wheels.mean(np.array(means), [wheel for _, wheel in keys])
         return speed, np.any(there, axis=0), contradicted
 
     @property
     def _speed_keys(self) -> list[tuple[Role, int]]:
-        """The tracks that speed is taken from."""
+        """Keys of the tracks that speed is taken from."""
         role = Role.SPEED if Role.SPEED in self._bound else Role.WHEEL_SPEEDS
         return [key for key in self._tracks if key[0] == role]
 
 
 def _horizons(ends: Floats) -> NDArray[np.int64]:
-    """Rows (k,) before which all are complete at times ``ends`` (k,) [s]."""
+    """Index (k,) of the first row that is not complete at each of the times ``ends`` (k,) [s]."""
     horizons: NDArray[np.int64] = np.floor((ends - SETTLE) / STEP).astype(np.int64)
     return horizons
 
 
 def between(readings: Readings, start: float, end: float) -> dict[Role, list[Series]]:
-    """The readings from ``start`` to before ``end`` [s], of the roles that have any then."""
+    """Readings in the half-open interval ``start`` to ``end`` [s], of the roles that have any in it."""
     cut = {role: [_part(series, start, end) for series in parts] for role, parts in readings.items()}
     return {role: parts for role, parts in cut.items() if any(len(part.t) for part in parts)}
 

@@ -1,4 +1,4 @@
-"""Direction of travel from positions, row by row, and the slope of a map there."""
+"""Direction of travel from positions, row by row, and the slope that a map gives for it."""
 
 from dataclasses import replace
 
@@ -36,34 +36,34 @@ class Course:
         steps = np.where(rows.speed > MIN_SPEED, rows.speed, 0.0) * STEP
         along = np.cumsum(np.concatenate([[self._distance], steps]))[1:]
         self._distance = float(along[-1])
-        known = np.isfinite(latitude) & np.isfinite(longitude)
+        is_known = np.isfinite(latitude) & np.isfinite(longitude)
         here = np.column_stack([along, latitude, longitude])
-        passed = np.concatenate([self._passed, here[known & (steps > 0)]])
+        passed = np.concatenate([self._passed, here[is_known & (steps > 0)]])
         course = np.full(len(rows), np.nan)
         if len(passed):
-            course[known] = _courses(here[known], passed)
+            course[is_known] = _courses(here[is_known], passed)
             first = np.searchsorted(passed[:, 0], self._distance - BASE, side="right") - 1
             self._passed = passed[max(first, 0) :]
         return course
 
 
 def _courses(here: Floats, passed: Floats) -> Floats:
-    """Direction [rad] (n,) to ``here`` (n, 3) from BASE before, of what was ``passed`` (k, 3); NaN where unknown."""
-    before = np.searchsorted(passed[:, 0], here[:, 0] - BASE, side="right") - 1
-    way = here - passed[np.maximum(before, 0)]
+    """Direction [rad] (n,) to points ``here`` (n, 3) from the points ``passed`` (k, 3) BASE before; NaN if unknown."""
+    origin = np.searchsorted(passed[:, 0], here[:, 0] - BASE, side="right") - 1
+    way = here - passed[np.maximum(origin, 0)]
     north, east = EARTH_RADIUS * way[:, 1], EARTH_RADIUS * np.cos(here[:, 1]) * way[:, 2]
-    sure = (before >= 0) & (way[:, 0] <= MAX_BASE) & (np.hypot(north, east) >= MIN_STRAIGHT)
+    sure = (origin >= 0) & (way[:, 0] <= MAX_BASE) & (np.hypot(north, east) >= MIN_STRAIGHT)
     return np.where(sure, np.arctan2(east, north), np.nan)
 
 
 class MapGrade:
-    """Adds the slope of a map to rows, as the grade signal that the bus lacks; nothing where the map has no place."""
+    """Adds the slope of a map to rows as their grade signal; adds nothing where the map has no value."""
 
     def __init__(self, road_map: RoadMap) -> None:
         self._map, self._course = road_map, Course()
 
     def feed(self, rows: Rows) -> Rows:
-        """The next rows with their grade."""
+        """Return the next rows with their grade."""
         course = self._course.feed(rows)
         blank = np.full(len(rows), np.nan)
         latitude, longitude = (rows.context.get(role, blank) for role in (Role.LATITUDE, Role.LONGITUDE))

@@ -1,4 +1,4 @@
-"""Recorded traffic to a diagnosis: each log is a drive of the same vehicle, or several."""
+"""Diagnosis of logs of one vehicle; a log holds one drive or several."""
 
 import os
 from collections import Counter
@@ -33,7 +33,7 @@ def diagnose_logs(
     further: Sequence[Effect] = (),
     surrogates: int = 0,
 ) -> Diagnosis:
-    """Diagnose one log, or several of one vehicle together.
+    """Diagnose one log, or several logs of one vehicle together.
 
     ``further`` effects are candidates beside those of the catalogue. ``surrogates`` are records of noise alone, in
     which effects are looked for as well, for a p-value.
@@ -69,18 +69,18 @@ def diagnose_logs(
 
 
 def _require_different(paths: Sequence[Path]) -> None:
-    """Refuse a log that is given twice: each counts as evidence of its own."""
-    places = [os.path.realpath(path) for path in paths]
-    for i, place in enumerate(places):
-        if place in places[:i]:
+    """Refuse a log that is given twice: its evidence would count twice."""
+    real_paths = [os.path.realpath(path) for path in paths]
+    for i, real_path in enumerate(real_paths):
+        if real_path in real_paths[:i]:
             raise LogError(f"{paths[i]}: is given twice, and would count as evidence of its own; take one out")
 
 
 def _other_engines(torques: Sequence[float | None]) -> Iterator[str]:
-    """Reasons why logs with these reference torques [N m] may not be of one vehicle."""
-    known = [(i, torque) for i, torque in enumerate(torques, start=1) if torque is not None]
-    for i, torque in known[1:]:
-        first, other = known[0]
+    """Yield reasons why logs with these reference torques [N m] may be of different vehicles."""
+    by_log = [(i, torque) for i, torque in enumerate(torques, start=1) if torque is not None]
+    for i, torque in by_log[1:]:
+        first, other = by_log[0]
         if abs(torque - other) > MAX_TORQUE_DIFFERENCE * other:
             yield (
                 f"the engine's reference torque is {other:,.0f} N m in log {first} and {torque:,.0f} N m in log {i}: "
@@ -90,7 +90,7 @@ def _other_engines(torques: Sequence[float | None]) -> Iterator[str]:
 
 @one_blas_thread()
 def diagnose_drive(paths: Sequence[Path], config: Config) -> Diagnosis:
-    """Diagnose one drive that was recorded in several files, each of which goes on where the one before ends.
+    """Diagnose one drive that was recorded in consecutive files.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _part(progress: Progress, done: int, of: int, share: float) -> None:
 
 
 def drives_of(path: Path, config: Config, progress: Progress = no_progress) -> list[Drive]:
-    """The drives in a log, in order of time.
+    """Read the drives in a log, in order of time.
 
     Raises
     ------
@@ -122,13 +122,13 @@ def drives_of(path: Path, config: Config, progress: Progress = no_progress) -> l
     return [Drive.of(rows, config) for rows in pieces]
 
 
-def rows_of(frames: Iterable[Frames], stream: RowStream, place: str) -> list[list[Rows]]:
-    """Rows of the drives in traffic, each drive as its pieces between interruptions.
+def rows_of(frames: Iterable[Frames], stream: RowStream, source: str) -> list[list[Rows]]:
+    """Rows of each drive in traffic, cut into pieces at interruptions.
 
     Raises
     ------
     MissingInputsError
-        The traffic, which comes from ``place``, lacks inputs of the model.
+        The traffic, which comes from ``source``, lacks inputs of the model.
     """
     drives: list[list[list[Rows]]] = [[[]]]
     for item in stream.feed_all(frames):
@@ -138,6 +138,6 @@ def rows_of(frames: Iterable[Frames], stream: RowStream, place: str) -> list[lis
             drives.append([[]])
         else:
             drives[-1].append([])
-    stream.require_inputs(place)
+    stream.require_inputs(source)
     pieces = [[Rows.concatenate(*parts) for parts in drive if parts] for drive in drives]
     return [drive for drive in pieces if drive]

@@ -1,7 +1,7 @@
 """Power at the wheels, at the times of the torque readings (J1939-71: percent torques refer to SPN 544).
 
-The bus gives the power itself; or torque and engine speed; or voltage and current of the battery that drives; or torque
-as a fraction of the reference torque, less the friction torque.
+The first of these sources that is bound is used: power; torque and engine speed; voltage and current of the traction
+battery; indicated torque less friction torque, both as fractions of the reference torque.
 """
 
 from collections.abc import Mapping, Set
@@ -31,12 +31,12 @@ BATTERY = frozenset({Role.BATTERY_VOLTAGE, Role.BATTERY_CURRENT})
 
 
 def is_electric(bound: Set[Role]) -> bool:
-    """Whether the power is that of the battery: its roles are ``bound``, and none that is nearer to the wheels."""
+    """True if power is that of the battery: its roles are ``bound``, and no engine power or torque is."""
     return bound >= BATTERY and not bound & {Role.ENGINE_POWER, Role.ENGINE_TORQUE}
 
 
 def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:
-    """Roles without which there is no power, given those that are ``bound``."""
+    """Roles that power is computed from, given those that are ``bound``; without one of them it is unknown."""
     if Role.ENGINE_POWER in bound:
         return [Role.ENGINE_POWER]
     if Role.ENGINE_TORQUE in bound:
@@ -59,9 +59,9 @@ class EnginePower:
     Parameters
     ----------
     vehicle, bound, despike
-        As of an `Aligner`.
+        See `Aligner`.
     tracks
-        Recent readings by role and place; call `extend` after adding to them.
+        Recent readings by role and its number in the configuration; call `extend` after adding to them.
     """
 
     def __init__(
@@ -86,11 +86,11 @@ class EnginePower:
         self._restart()
 
     def state(self) -> dict[str, Any]:
-        """The constants of the engine, without the readings of the last seconds."""
+        """State for `restore`: constants of the engine, without the readings of the last seconds."""
         return {"friction": self._friction.state(), "reference": self.reference_torque}
 
     def restore(self, state: State) -> None:
-        """Take the constants of the engine from another one's state.
+        """Take the constants of the engine from the `state` of another instance.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class EnginePower:
         self._reference = read(state, "reference", Positive | None)
 
     def extend(self, ends: Floats) -> None:
-        """Add the power at the times of all torque readings that are new, in blocks that end at ``ends`` (k,) [s]."""
+        """Add the power at the times of new torque readings, in blocks that end at ``ends`` (k,) [s]."""
         if Role.ENGINE_POWER in self._bound:
             given = self._of(Role.ENGINE_POWER)
             new = given.t > self._powered_to
@@ -124,20 +124,20 @@ class EnginePower:
         self._append(t, value * other.held(t), bounds, is_slow=lead.is_slow)
 
     def means(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
-        """`Track.means` of the power [W]; of slow readings the product of both factors, each at its own times."""
+        """Mean power [W] (n,), see `Track.means`; where a factor is slow, product of the means of both factors."""
         if Role.ENGINE_POWER in self._bound or not (other := self._of(self._factors[1])).is_slow:
             return self.track.means(edges, known_to)
         lead, lead_there = self._lead_track.means(edges, known_to)
         factor, factor_there = other.means(edges, known_to)
         return lead * factor, lead_there & factor_there
 
-    def forget_readings(self, before: float) -> None:
-        """Drop what is older than ``before`` [s]."""
-        self.track.forget(before)
-        self._lead_track.forget(before)
+    def forget_readings(self, horizon: float) -> None:
+        """Drop readings older than ``horizon`` [s]."""
+        self.track.forget(horizon)
+        self._lead_track.forget(horizon)
 
     def is_settled(self, readings: Mapping[Role, list[Series]], ends: Floats, forgotten: Floats) -> bool:
-        """Whether the readings of some blocks change no power before them; see `Track.is_settled`."""
+        """True if these blocks of readings change no earlier power; see `Track.is_settled`."""
         needed = (Role.ENGINE_POWER,) if Role.ENGINE_POWER in self._bound else self._factors
         if not all(len(self._of(role).t) for role in needed):
             return False
@@ -149,7 +149,7 @@ class EnginePower:
 
     @property
     def _factors(self) -> tuple[Role, Role]:
-        """The two roles whose product is the power, which is computed at the times of the first."""
+        """Two roles whose product is the power; it is computed at the times of the first."""
         if is_electric(self._bound):
             return Role.BATTERY_CURRENT, Role.BATTERY_VOLTAGE
         torque = Role.ENGINE_TORQUE if Role.ENGINE_TORQUE in self._bound else Role.TORQUE_FRACTION
@@ -165,7 +165,7 @@ class EnginePower:
         return self._tracks.get((role, 0), Track())
 
     def _net_fraction(self, t: Floats, indicated: Floats, bounds: NDArray[np.intp]) -> Floats:
-        """Indicated less friction torque, as fractions of the reference torque."""
+        """Indicated torque less friction torque (n,), as a fraction of the reference torque."""
         fine = self._of(Role.TORQUE_FRACTION_FINE).held(t)
         fraction = indicated + np.where(np.isfinite(fine), fine, 0.0)
         if Role.FRICTION_FRACTION in self._bound:
@@ -188,21 +188,21 @@ class EnginePower:
 
     @property
     def reference_torque(self) -> float | None:
-        """The newest one that the bus sent [N m]."""
+        """Newest reference torque [N m] that the bus sent."""
         heard = self._of(Role.REFERENCE_TORQUE).value
-        known = heard[np.isfinite(heard)]
-        return float(known[-1]) if len(known) else self._reference
+        finite = heard[np.isfinite(heard)]
+        return float(finite[-1]) if len(finite) else self._reference
 
 
 def despike(value: Floats, bounds: NDArray[np.intp]) -> Floats:
     """Readings (n,) with gross errors replaced by the median of their neighbours (Hampel 1974).
 
-    A reading is grossly wrong when it is off that median by MIN_SPIKE_SDS robust standard deviations of such
-    differences in its block between ``bounds`` (k + 1,). The running median follows ramps and steps, so only lone
-    readings can be.
+    A reading is a gross error if it differs from that median by more than MIN_SPIKE_SDS robust standard deviations.
+    These are of such differences in its block between ``bounds`` (k + 1,). The running median follows ramps and steps,
+    so only isolated readings are replaced.
     """
-    known = np.flatnonzero(np.isfinite(value))
-    x, within = value[known], np.searchsorted(known, bounds)
+    finite = np.flatnonzero(np.isfinite(value))
+    x, within = value[finite], np.searchsorted(finite, bounds)
     local = _running_median(x, within)
     off = np.abs(x - local)
     limit = np.full(len(x), NO_LIMIT)
@@ -211,16 +211,16 @@ def despike(value: Floats, bounds: NDArray[np.intp]) -> Floats:
             spread = float(np.median(off[low:high])), MIN_SPREAD_SHARE * float(np.median(np.abs(x[low:high])))
             limit[low:high] = MIN_SPIKE_SDS * MAD_TO_SD * max(spread)
     cleaned = value.copy()
-    cleaned[known[off > limit]] = local[off > limit]
+    cleaned[finite[off > limit]] = local[off > limit]
     return cleaned
 
 
 def _running_median(x: Floats, bounds: NDArray[np.intp]) -> Floats:
-    """Median (n,) of SPIKE_WINDOW readings around each; the first and last of a block stand for those beyond it."""
+    """Running median (n,) of SPIKE_WINDOW readings; each block is padded with its first and last reading."""
     count = np.diff(bounds)
     first, last = np.repeat(bounds[:-1], count), np.repeat(bounds[1:] - 1, count)
-    place = np.arange(len(x))
-    a, b, c, d, e = (x[np.clip(place + k, first, last)] for k in range(-(SPIKE_WINDOW // 2), SPIKE_WINDOW // 2 + 1))
+    index = np.arange(len(x))
+    a, b, c, d, e = (x[np.clip(index + k, first, last)] for k in range(-(SPIKE_WINDOW // 2), SPIKE_WINDOW // 2 + 1))
     # Neither the smaller of two smaller ones nor the larger of two larger ones is the median of all five.
     low = np.maximum(np.minimum(a, b), np.minimum(d, e))
     high = np.minimum(np.maximum(a, b), np.maximum(d, e))

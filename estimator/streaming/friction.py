@@ -1,16 +1,16 @@
-"""Engine friction torque between the steps in which it is sent.
+"""Engine friction torque at a finer resolution than that of its signal.
 
 SPN 514 comes in steps of 1 % of the reference torque, often 25 N.m. An error of half a step, constant at a constant
 engine speed, is several per cent of the rolling resistance. Friction is a smooth function of engine speed, and lies
-within half a step of each reading. A curve through all readings so far, clipped to the interval of each reading, has at
-most the error of the interval, and mostly a much smaller one than its middle.
+within half a step of each reading. A curve is fitted to all readings so far and clipped to the interval of each. Its
+error is at most that of the interval, and mostly much smaller than that of the reading.
 
 All engine speeds have the same weight, for any duration: an hour of cruising repeats one rounded reading, which would
-bias the curve at that speed. A reading belongs to the engine speed at which it was sent; until the next one, a quarter
-of a second later, the distance of the curve from the interval is held.
+bias the curve at that speed. A reading belongs to the engine speed at which it was sent. The correction of the curve
+by clipping is held until the next reading, a quarter of a second later.
 
-Bins, weights, ridge and memory were chosen by hand: half and twice of each move the mass by at most 0.17 sd, A and C by
-at most 0.13 sd, on three simulated drives of 40 min (hills, highway, city).
+Bins, weights, ridge and memory were chosen by hand. Half and twice of each move the mass by at most 0.17 sd, A and C
+by at most 0.13 sd, on three simulated drives of 40 min (hills, highway, city).
 """
 
 from itertools import pairwise
@@ -41,33 +41,33 @@ class FrictionCurve:
         self._levels = np.empty(0)
 
     def refine(self, engine_speed: Floats, reading: Floats, speed_then: Floats, bounds: NDArray[np.intp]) -> Floats:
-        """Friction (n,) as a share of reference torque at ``engine_speed`` [rad/s].
+        """Friction (n,) as a share of reference torque at ``engine_speed`` (n,) [rad/s].
 
-        ``reading`` (n,) is the last one at each moment, sent when the engine turned at ``speed_then`` [rad/s]. NaN
-        where any is; the readings themselves until they have shown what their step is. The curve is fitted anew for
-        each block between ``bounds`` (k + 1,), to all readings up to its end.
+        ``reading`` (n,) is the last one at each moment, sent at the engine speed ``speed_then`` (n,) [rad/s]. The
+        result is NaN where one of the three is, and the reading itself while the step of the readings is unknown. The
+        curve is refitted for each block between ``bounds`` (k + 1,), to all readings up to its end.
         """
-        known = np.isfinite(engine_speed) & np.isfinite(reading) & np.isfinite(speed_then)
-        speed, value = speed_then[known], reading[known]
-        block = np.searchsorted(bounds[1:], np.flatnonzero(known), side="right")
+        is_complete = np.isfinite(engine_speed) & np.isfinite(reading) & np.isfinite(speed_then)
+        speed, value = speed_then[is_complete], reading[is_complete]
+        block = np.searchsorted(bounds[1:], np.flatnonzero(is_complete), side="right")
         half_step, curve = self._learn(speed, value, np.searchsorted(block, np.arange(len(bounds))))
         then = _at(curve[block], speed)
         within = np.clip(then, value - half_step[block], value + half_step[block])
         refined = np.full(len(reading), np.nan)
         shown = np.isfinite(half_step)[block]
-        refined[known] = np.where(shown, _at(curve[block], engine_speed[known]) + (within - then), value)
+        refined[is_complete] = np.where(shown, _at(curve[block], engine_speed[is_complete]) + (within - then), value)
         return refined
 
     def _learn(self, speed: Floats, value: Floats, bounds: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Half a step (k,) and the curve's coefficients (k, DEGREE + 1) after each block of known readings.
+        """Half a step (k,) and coefficients of the curve (k, DEGREE + 1) after each block of known readings.
 
-        NaN where the readings have not shown what their step is.
+        Both are NaN while the step of the readings is unknown.
         """
         blocks = len(bounds) - 1
         cell = np.clip(speed / BIN_WIDTH, 0, BINS - 1).astype(np.int64)
         cell += BINS * np.repeat(np.arange(blocks), np.diff(bounds))
         weights = (np.ones(len(cell)), speed, value)
-        new = np.stack([np.bincount(cell, each, BINS * blocks).reshape(blocks, BINS) for each in weights], axis=1)
+        new = np.stack([np.bincount(cell, weight, BINS * blocks).reshape(blocks, BINS) for weight in weights], axis=1)
         rounded = np.round(value, 6)
         is_new = bool(np.setdiff1d(rounded, self._levels).size)
         half_step, curve = np.full(blocks, np.nan), np.full((blocks, DEGREE + 1), np.nan)
@@ -83,7 +83,7 @@ class FrictionCurve:
         return half_step, curve
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads."""
+        """State for `restore`."""
         return {"sums": self._sums, "levels": self._levels}
 
     def restore(self, state: State) -> None:
@@ -100,7 +100,7 @@ class FrictionCurve:
         self._sums, self._levels = sums, levels
 
     def _curve(self) -> Floats:
-        """Coefficients (DEGREE + 1,) of the curve, the constant first."""
+        """Coefficients (DEGREE + 1,) of the curve in ascending powers of engine speed / SPEED_SCALE."""
         count, speeds, values = self._sums[:, self._sums[0] > 0]
         powers = np.vander(speeds / count / SPEED_SCALE, DEGREE + 1, increasing=True)
         weighted = powers.T * np.minimum(count, MAX_BIN_WEIGHT)
@@ -110,7 +110,7 @@ class FrictionCurve:
 
 
 def _at(curve: Floats, engine_speed: Floats) -> Floats:
-    """Values (n,) of curves with coefficients (n, DEGREE + 1) by Horner's rule: each depends on its own row alone."""
+    """Values (n,) of curves (n, DEGREE + 1) by Horner's rule; each value is computed from one row of coefficients."""
     x = engine_speed / SPEED_SCALE
     value = curve[:, DEGREE]
     for power in range(DEGREE - 1, -1, -1):

@@ -1,13 +1,13 @@
-"""Rows whose speed, power or engine speed no longer changes on the move: a sender that repeats its last values.
+"""Rows whose speed, power or engine speed does not change while the vehicle moves: a sender repeats its last values.
 
-A recorder or gateway whose source is gone may send the last values on at the usual rate, so that nothing is stale. The
-values are then those of any moment, an acceleration perhaps, and have no noise: ten seconds of them have more weight in
-a fit than the drive before. On a bus, speed or power change within tenths of a second: on 28 trips of a car both were
-the same for 0.2 s at most, for 0.3 s on simulated trucks without noise. On one trip of that car they are for 441 s.
+A recorder or gateway that has lost its source may repeat the last values at the usual rate, so that none is stale. Such
+values may be of an acceleration, and have no noise: ten seconds of them have more weight in a fit than the drive
+before. On a bus, speed or power changes within tenths of a second. Both were constant for at most 0.2 s on 28 trips of
+a car, and for at most 0.3 s on simulated trucks without noise. On one trip of that car they are constant for 441 s.
 
-One of them alone may be coarse, in steps of 1 km/h, or come once a second. How often it repeats itself is learnt:
-with a share p of rows like the row before, n of them in turn have the probability p^n if each is by itself. They are
-not, so the limit is set by recordings: -n log p is at most 94 on these, of an engine that sends once a second.
+One signal alone may be coarse, in steps of 1 km/h, or come once a second. Its share p of rows equal to the row before
+is learnt. A run of n such rows has the probability p^n if rows are independent. They are not, so the limit comes from
+recordings: -n log p is at most 94 on these, of an engine that sends once a second.
 """
 
 from collections.abc import Callable
@@ -33,9 +33,9 @@ PRIOR_ROWS = 20.0  # that are assumed to have been seen, one of them a repetitio
 
 
 class FrozenRows:
-    """Tells rows in which speed and power, or one of them or the engine speed alone, are frozen.
+    """Marks rows in which speed and power together, or speed, power or engine speed alone, are frozen.
 
-    Those of a stretch without a change wait for its end. It does not matter how rows are cut.
+    Rows of a stretch without a change wait until it ends. The result does not depend on how rows are cut into batches.
     """
 
     def __init__(self) -> None:
@@ -47,27 +47,27 @@ class FrozenRows:
         )
 
     def feed(self, rows: Rows) -> Rows | None:
-        """The next rows of the grid, at least one: those of which it is now known whether they are frozen."""
-        known: Rows | None = rows
+        """Take the next rows, at least one; return those that are now decided, marked."""
+        decided: Rows | None = rows
         for part in self._parts:
-            known = None if known is None else part.feed(known)
-        return known
+            decided = None if decided is None else part.feed(decided)
+        return decided
 
     def finish(self) -> Rows | None:
-        """The rows still waiting, when no row follows without a gap."""
+        """Return the rows still waiting, before a gap or the end of the traffic."""
         held: Rows | None = None
         for part in self._parts:
-            known = None if held is None else part.feed(held)
-            rest = [each for each in (known, part.finish()) if each is not None]
+            decided = None if held is None else part.feed(held)
+            rest = [waiting for waiting in (decided, part.finish()) if waiting is not None]
             held = Rows.concatenate(*rest) if rest else None
         return held
 
 
 class _Repetition:
-    """Tells rows whose ``values`` (k, n) are those of the row before for too long.
+    """Marks rows whose ``values`` (k, n) have been constant for too long.
 
-    Too long is LONGEST where they ``is_coarse``; else what is improbable for this signal, if that is shorter. Those
-    that are told already stay told.
+    The limit is LONGEST where ``is_coarse``. Else a run is too long if it is improbable for this signal and not longer
+    than LONGEST. Rows that are marked already stay marked.
     """
 
     def __init__(self, values: Callable[[Rows], Floats], is_coarse: bool) -> None:
@@ -84,7 +84,7 @@ class _Repetition:
         )  # rows equal to the row before, and all rows from which p is learnt
 
     def feed(self, rows: Rows) -> Rows | None:
-        """The next rows of the grid, at least one: those of which it is now known whether they are frozen."""
+        """Take the next rows, at least one; return those that are now decided, marked."""
         new_still, new_long, may_be = self._stillness(rows)
         still, long = np.concatenate([self._held_still, new_still]), np.concatenate([self._held_long, new_long])
         rows = rows if self._held is None else Rows.concatenate(self._held, rows)
@@ -92,41 +92,41 @@ class _Repetition:
         last = np.searchsorted(begun, begun, side="right") - 1
         waiting: Mask = (begun == begun[-1]) & (still > USUAL) & may_be & ~long[-1]
         frozen = (still > USUAL) & long[last]
-        known = len(rows) - int(waiting.sum())
-        self._held = rows[known:] if known < len(rows) else None
-        self._held_still, self._held_long = still[known:], long[known:]
-        return _marked(rows, frozen, known)
+        decided = len(rows) - int(waiting.sum())
+        self._held = rows[decided:] if decided < len(rows) else None
+        self._held_still, self._held_long = still[decided:], long[decided:]
+        return _marked(rows, frozen, decided)
 
     def finish(self) -> Rows | None:
-        """The rows still waiting, when no row follows without a gap."""
+        """Return the rows still waiting, before a gap or the end of the traffic."""
         held, self._held, self._held_still, self._held_long = self._held, None, np.empty(0), np.zeros(0, dtype=bool)
         self._last, self._count, self._is_long = None, 0, False
         return None if held is None else _marked(held, np.zeros(len(held), dtype=bool), len(held))
 
     def _stillness(self, rows: Rows) -> tuple[Floats, Mask, bool]:
-        """Time [s] (n,) since a change, 0 at a standstill; whether that is too long (n,); whether it still may be.
+        """Time since a change [s] (n,), whether it is too long (n,), and whether the newest run can become too long.
 
-        A value that is not known is a change.
+        A standstill and an unknown value count as a change.
         """
         values = self._values(rows)
-        before = np.full(len(values), np.nan) if self._last is None else self._last
-        values = np.column_stack([before, values])
+        previous = np.full(len(values), np.nan) if self._last is None else self._last
+        values = np.column_stack([previous, values])
         is_same = np.all(np.abs(np.diff(values)) <= ROUNDING * np.abs(values[:, 1:]), axis=0)
         is_moving = rows.speed > MIN_SPEED
         is_same &= is_moving
         if not self._is_coarse:
             is_same &= (values[:, 1:] != 0).all(axis=0)  # no power while coasting
-        place = np.arange(len(rows))
-        changed: NDArray[np.int64] = np.maximum.accumulate(np.where(is_same, -1 - self._count, place))
-        run = place - changed
+        index = np.arange(len(rows))
+        changed: NDArray[np.int64] = np.maximum.accumulate(np.where(is_same, -1 - self._count, index))
+        run = index - changed
         reached = run * STEP > LONGEST if self._is_coarse else self._improbable(run, is_same, is_moving)
-        newest = np.maximum.accumulate(np.where(reached, place, -1))
+        newest = np.maximum.accumulate(np.where(reached, index, -1))
         long: Mask = (newest > changed) & (newest >= 0) | (changed < 0) & self._is_long
         self._last, self._count, self._is_long = values[:, -1], int(run[-1]), bool(long[-1])
         return run * STEP, long, bool(run[-1] * STEP <= LONGEST) and self._can_be_improbable()
 
     def _improbable(self, run: NDArray[np.int64], is_same: Mask, is_moving: Mask) -> Mask:
-        """Where the rows (n,) so far without a change are too many for this signal; learns how often it repeats."""
+        """Mask (n,) of runs that are improbable for this signal; updates the counts that p is learnt from."""
         repeated = self._repeated + np.cumsum(is_same & (run <= LEARNT))
         rows = self._rows + np.cumsum(is_moving & (run <= LEARNT))
         self._repeated, self._rows = float(repeated[-1]), float(rows[-1])
@@ -134,7 +134,7 @@ class _Repetition:
         return improbable
 
     def _can_be_improbable(self) -> bool:
-        """True if a stretch of at most LONGEST can be too long."""
+        """True if a run of at most LONGEST can be too long."""
         return self._is_coarse or -LONGEST / STEP * np.log(self._repeated / self._rows) > MAX_IMPROBABLE
 
 
@@ -144,7 +144,7 @@ def _engine_speed(rows: Rows) -> Floats:
 
 
 def _marked(rows: Rows, frozen: Mask, number: int) -> Rows | None:
-    """The first ``number`` of rows, with whether they are ``frozen`` (n,) or were so; None where there are none."""
+    """First ``number`` rows, marked where ``frozen`` (n,) or marked before; None if there are none."""
     frozen = frozen | rows.frozen
     derived = {**rows.derived, Quantity.FROZEN: frozen.astype(float)}
     return replace(rows, derived=derived)[:number] if number else None

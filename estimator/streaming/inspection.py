@@ -29,26 +29,26 @@ MIN_GAP = 1.0  # s: shorter gaps are not listed
 
 @dataclass
 class Input:
-    """One bound signal as found in a log."""
+    """Readings of one bound signal in a log."""
 
     name: str
     times: list[Floats] = field(default_factory=list)
     values: list[Floats] = field(default_factory=list)
 
     def describe(self, end: float, start: float) -> InputAnswer:
-        """Describe the readings, of which there are some, between two times [s]."""
+        """Describe the readings, at least one, of a log from ``start`` to ``end`` [s]."""
         t, value = np.concatenate(self.times), np.concatenate(self.values)
         period = float(np.median(np.diff(t))) if len(t) > 1 else float("inf")
-        known = value[np.isfinite(value)]
+        finite = value[np.isfinite(value)]
         edges = np.append(t, end)
         long = np.diff(edges) > max(MIN_GAP_PERIODS * period, MIN_GAP)
         return InputAnswer(
             signal=self.name,
             readings=len(t),
             rate_Hz=round(1 / period, 3) if np.isfinite(period) and period > 0 else None,
-            not_available=round(1 - len(known) / len(t), 6),
-            minimum=float(known.min()) if len(known) else None,
-            maximum=float(known.max()) if len(known) else None,
+            not_available=round(1 - len(finite) / len(t), 6),
+            minimum=float(finite.min()) if len(finite) else None,
+            maximum=float(finite.max()) if len(finite) else None,
             gaps_s=tuple(
                 (round(float(edges[i] - start), 3), round(float(edges[i + 1] - start), 3)) for i in np.flatnonzero(long)
             ),
@@ -61,8 +61,8 @@ class Inspection:
     def __init__(self, config: Config) -> None:
         messages = bound_messages(config)
         bound = sorted((s.role, s.place, f"{m.name}.{s.signal.name}") for m in messages for s in m.signals)
-        self._several = {role for role, place, _ in bound if place > 0}
-        self._inputs = {(role, place): Input(name) for role, place, name in bound}
+        self._several = {role for role, number, _ in bound if number > 0}
+        self._inputs = {(role, number): Input(name) for role, number, name in bound}
         self._groups = {m.key: m.name for m in messages if m.by_pgn}
         self._pipeline = Pipeline(config)
         self._idents: Counter[int] = Counter()
@@ -85,7 +85,7 @@ class Inspection:
             self._begun = item.end
 
     def _count(self, block: Block) -> None:
-        """Count the frames, and keep the readings, of a block."""
+        """Count the frames of a block and keep its readings."""
         if len(block.frames):
             if not self._idents:
                 self._start = self._begun = float(block.frames.t[0])
@@ -93,15 +93,15 @@ class Inspection:
         ids, counts = np.unique(block.frames.ident, return_counts=True)
         self._idents.update(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
         for role, parts in block.readings.items():
-            for place, part in enumerate(parts):
+            for number, part in enumerate(parts):
                 if len(part.t):
-                    self._inputs[role, place].times.append(part.t)
-                    self._inputs[role, place].values.append(part.value)
+                    self._inputs[role, number].times.append(part.t)
+                    self._inputs[role, number].values.append(part.value)
 
-    def report(self, place: str, skipped: Counter[str], mixed: Mapping[str, int] | None = None) -> InspectionAnswer:
-        """All that was found at ``place``; nothing can be added after.
+    def report(self, source: str, skipped: Counter[str], mixed: Mapping[str, int] | None = None) -> InspectionAnswer:
+        """Finish, and describe the traffic of ``source``, a log or bus; no frames can be added afterwards.
 
-        Frames were ``skipped`` for a reason; those of ``mixed`` channels were read as one bus.
+        ``skipped`` counts frames that were not read, by reason; ``mixed`` frames by channel, if read as one bus.
         """
         traffic = self._pipeline.traffic
         for item in traffic.finish():
@@ -109,13 +109,13 @@ class Inspection:
         for update in self._pipeline.finish():
             self._final = update
         try:
-            traffic.require_inputs(place)
+            traffic.require_inputs(source)
             missing = ""
         except MissingInputsError as error:
             missing = str(error)
         final = None if missing else self._final
         return InspectionAnswer(
-            log=place,
+            log=source,
             duration_s=round(self._before + self._end - self._begun, 3),
             frames=FrameCounts(
                 read=sum(self._idents.values()),
@@ -144,21 +144,21 @@ class Inspection:
             warnings=tuple(traffic.remarks),
         )
 
-    def _label(self, role: Role, place: int) -> str:
-        return f"{role.value} {place + 1}" if role in self._several else role.value
+    def _label(self, role: Role, number: int) -> str:
+        return f"{role.value} {number + 1}" if role in self._several else role.value
 
     def _senders(self) -> dict[str, tuple[int, ...]]:
-        """Source addresses that send a bound message in single frames, by its name."""
+        """Source addresses that send each bound message in single frames, by message name."""
         idents = np.array([ident for ident in self._idents if ident & EXTENDED], dtype=np.uint32)
-        found: dict[str, list[int]] = {}
+        addresses: dict[str, list[int]] = {}
         for ident, pgn in sorted(zip((idents & 0xFF).tolist(), pgn_of(idents).tolist(), strict=True)):
-            if pgn in self._groups and ident not in found.setdefault(self._groups[pgn], []):
-                found[self._groups[pgn]].append(ident)
-        return {name: tuple(idents) for name, idents in found.items()}
+            if pgn in self._groups and ident not in addresses.setdefault(self._groups[pgn], []):
+                addresses[self._groups[pgn]].append(ident)
+        return {name: tuple(idents) for name, idents in addresses.items()}
 
 
 def inspect(path: Path, config: Config, progress: Progress = no_progress) -> InspectionAnswer:
-    """Describe one log; inputs that the log lacks are no error, unreadable content is.
+    """Describe one log. Missing inputs are no error; unreadable content is.
 
     Raises
     ------

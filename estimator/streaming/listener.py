@@ -1,4 +1,4 @@
-"""The loop on a bus: messages in, broadcasts out, in message time; used by daemon, replay and `can.Notifier`."""
+"""Processing loop on a bus, in message time: messages in, broadcasts out; for daemon, replay and `can.Notifier`."""
 
 from collections import Counter, deque
 from collections.abc import Callable
@@ -28,7 +28,7 @@ Broadcast = Callable[[float, Estimate | None, Slope | None], object]
 
 
 class Worker(Protocol):
-    """Estimates from frames: at once (`InlineWorker`), or in a thread of the daemon."""
+    """Interface of an estimator of frames: in the caller's thread (`InlineWorker`), or in a thread of the daemon."""
 
     @property
     def latest(self) -> Estimate | None:
@@ -36,7 +36,7 @@ class Worker(Protocol):
 
     @property
     def heard(self) -> float | None:
-        """Message time [s] of the newest frame that `latest` knows."""
+        """Message time [s] of the newest frame that `latest` takes into account."""
 
     @property
     def road_now(self) -> RoadAhead | None:
@@ -63,7 +63,7 @@ class InlineWorker:
 
     @property
     def heard(self) -> float | None:
-        """Message time [s] of the newest frame that `latest` knows."""
+        """Message time [s] of the newest frame that `latest` takes into account."""
         return self.pipeline.traffic.until
 
     @property
@@ -81,7 +81,7 @@ class InlineWorker:
 
 
 def broadcast_by(publish: Publish, send: Send) -> Broadcast:
-    """Broadcast that calls ``send`` with the messages that are due; an address is not claimed."""
+    """Return a broadcast that calls ``send`` with each message that is due; it claims no address."""
     publisher = Publisher(publish)
 
     def broadcast(t: float, estimate: Estimate | None, slope: Slope | None) -> None:
@@ -92,9 +92,9 @@ def broadcast_by(publish: Publish, send: Send) -> Broadcast:
 
 
 class Listener(can.Listener, AbstractContextManager["Listener"]):
-    """A python-can listener that hands frames to a worker, and its estimates to a broadcast.
+    """python-can listener that hands frames to a worker, and the worker's estimates to a broadcast.
 
-    As a context manager it stops at the end, and raises the error of the bus there.
+    Leaving its context stops it, and raises the first error of the bus.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
 
     @classmethod
     def of(cls, config: Config, send: Send) -> "Listener":
-        """A listener that estimates in the thread it is called in, and puts its broadcasts on a bus by ``send``."""
+        """Return a listener that estimates in the caller's thread and puts broadcasts on a bus by ``send``."""
         return cls(InlineWorker(config), broadcast_by(config.publish, send))
 
     @property
@@ -145,8 +145,8 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
     def fresh(self, t: float) -> Estimate | None:
         """The newest estimate at message time ``t`` [s]; None where the load may have changed since it.
 
-        That is in a long silence, or where time has stepped back: another recording, perhaps of another vehicle. The
-        worker hears of either later than this loop.
+        The load may change in a silence above MIN_NEW_DRIVE_SILENCE. A step back in time means another recording,
+        perhaps of another vehicle. The worker notices both later than this loop.
         """
         estimate = self.latest
         is_silent = self._newest is not None and t - self._newest > MIN_NEW_DRIVE_SILENCE
@@ -155,7 +155,7 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
         return estimate
 
     def slope(self, t: float) -> Slope | None:
-        """The road under the vehicle at message time ``t`` [s]; None where it is not known."""
+        """Slope of the road under the vehicle at message time ``t`` [s]; None if unknown."""
         road = self._worker.road_now
         return None if road is None or road.t < self._woken else road.at(t)
 
@@ -164,7 +164,7 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
         self._broadcast(t, self.fresh(t), self.slope(t))
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Take one message; every TICK of message time, process those that waited and broadcast."""
+        """Take one message; after each TICK of message time, process the waiting messages and broadcast."""
         if msg.is_error_frame or msg.is_remote_frame:
             self.skipped["error frame" if msg.is_error_frame else "remote frame"] += 1
             return
@@ -188,7 +188,7 @@ class Listener(can.Listener, AbstractContextManager["Listener"]):
             self.failure = exc
 
     def stop(self) -> None:
-        """Use the messages still waiting at the end of the traffic, and broadcast the conclusion; once.
+        """Process the messages still waiting at the end of the traffic, and broadcast the conclusion once.
 
         A broadcast that fails is noted as an error of the bus.
         """

@@ -1,4 +1,4 @@
-"""Frames of one log after the other."""
+"""Frames of consecutive logs."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -16,23 +16,23 @@ Progress = Callable[[float], None]  # called with the share of the work that is 
 
 
 def no_progress(share: float) -> None:
-    """Ignore the progress."""
+    """Ignore the progress ``share``."""
 
 
 def as_paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
-    """A path, or several, in whatever form a caller has them."""
+    """Convert a path, or a sequence of paths, to a list of `Path`."""
     return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 
 class LogFrames:
-    """Batches of the frames of logs, one log after the other, on the channels that the configuration names.
+    """Iterable over batches of frames of consecutive logs, on the channels that the configuration names.
 
     Attributes
     ----------
     skipped : collections.Counter[str]
-        What was in the logs but is no data frame, counted by reason.
+        Entries of the logs that are no data frames, by reason.
     mixed : collections.Counter[str]
-        Frames by channel of the logs whose channels are read as one bus; empty where there is one, or some are chosen.
+        Frames by channel of logs whose channels are read as one bus; empty with one channel, or if some are chosen.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Lone readings of a speed that no vehicle can have had: they lie between two that agree with each other."""
+"""Isolated readings of speed that no vehicle can reach, between two readings that agree with each other."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ MIN_ERROR_SHARE = 2.0  # times the difference between the neighbours, which else
 
 
 def lone_errors(t: Floats, speed: Floats) -> Mask:
-    """Which readings (n,) cannot be true, given those before and after them.
+    """Mask (n,) of readings that cannot be true, given their neighbours.
 
     Parameters
     ----------
@@ -19,8 +19,8 @@ def lone_errors(t: Floats, speed: Floats) -> Mask:
     speed
         Readings [m/s] (n,); NaN where not valid.
 
-    At times ``before`` and ``after`` a reading, a speed whose slope is at most MAX_ACCELERATION lies within
-    2 MAX_ACCELERATION before after / (before + after) of the straight line between its neighbours.
+    Let b and a be the intervals [s] to the neighbours before and after. With acceleration at most MAX_ACCELERATION,
+    speed lies within 2 MAX_ACCELERATION b a / (b + a) of the straight line between them.
     """
     wrong = np.zeros(len(t), dtype=bool)
     if len(t) < 3:

@@ -1,4 +1,4 @@
-"""Advice where a bus lacks inputs that the model needs."""
+"""Advice for a bus that lacks inputs of the model."""
 
 import json
 from collections.abc import Collection, Mapping, Sequence, Set
@@ -19,24 +19,24 @@ SLOWEST = 1.0  # s, between readings of speed or power on a bus
 
 
 def needed(vehicle: Vehicle, bound: Set[Role]) -> list[Role]:
-    """Roles without which there is no speed or no power, given those that are ``bound``."""
+    """Roles that speed and power are computed from, given those that are ``bound``."""
     speed = Role.SPEED if Role.SPEED in bound else Role.WHEEL_SPEEDS
     return [speed, *engine_power.needed(vehicle, bound)]
 
 
 def unbound(config: Config, bound: Set[Role]) -> str:
-    """What is needed and not ``bound``, with what would do; empty where nothing lacks."""
+    """Sentence that names the needed roles that are not ``bound``, and the remedy; empty if none is missing."""
     missing = [role for role in needed(config.vehicle, bound) if role not in bound]
     return f"no signal for {', '.join(missing)}; {remedy(missing, bound, config.binding)}" if missing else ""
 
 
 def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[str, SignalPaths]) -> str:
-    """The lines of the configuration that would do without the ``missing`` roles, or bind them to other signals.
+    """Advice which lines of the configuration replace the ``missing`` roles, or bind them to other signals.
 
     Parameters
     ----------
     missing, seen
-        Roles that are needed and never came, and those that came.
+        Needed roles without a reading, and roles with readings.
     binding
         Signals by role, as configured.
     """
@@ -54,18 +54,18 @@ def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[s
 
 
 def pids_of(missing: Collection[Role], messages: Sequence[BoundMessage]) -> list[str]:
-    """The PIDs of missing roles that an ECU sends when it is asked for them."""
+    """PIDs of missing roles that an ECU sends on request."""
     asked = [bound for message in messages if message.of_any_ecu for bound in message.signals if bound.role in missing]
     return [f"0x{pid:02X}" for bound in asked for pid in bound.signal.multiplexer_ids or ()]
 
 
 def _is_needed(role: Role, chosen: list[Role]) -> bool:
-    """Whether a setting instead of ``role`` is needed where the ``chosen`` roles are bound."""
+    """True if a setting must replace ``role`` where the ``chosen`` roles are bound."""
     return role in chosen or Role.TORQUE_FRACTION in chosen
 
 
 def _shortest(seen: Collection[Role]) -> list[Role]:
-    """The fewest roles that speed and power can be had from, those that came first of all."""
+    """Smallest set of roles that speed and power follow from; roles ``seen`` are preferred."""
     speed = Role.WHEEL_SPEEDS if Role.WHEEL_SPEEDS in seen and Role.SPEED not in seen else Role.SPEED
     if Role.TORQUE_FRACTION in seen and Role.ENGINE_SPEED in seen:
         reference = [Role.REFERENCE_TORQUE] if Role.REFERENCE_TORQUE in seen else []
@@ -81,7 +81,7 @@ def _bound(role: Role, seen: Collection[Role], binding: Mapping[str, SignalPaths
 
 
 def too_seldom(name: str, interval: float, most: float) -> str:
-    """A sentence on a signal that comes less often than every ``most`` [s], with the unit that would fit, or none."""
+    """Sentence on a signal whose ``interval`` exceeds ``most`` [s], with a unit of time that would fit; else empty."""
     if interval <= most:
         return ""
     unit = next((unit for unit, factor in FINER_UNITS.items() if interval / factor <= SLOWEST), "")

@@ -1,4 +1,4 @@
-"""Both halves of the pipeline in a row: frames to rows (`RowStream`), rows to estimates (`Estimator`)."""
+"""Pipeline of two stages: frames to rows (`RowStream`), rows to estimates (`Estimator`)."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -15,21 +15,21 @@ from estimator.streaming.row_stream import Block, Interruption, RowStream
 
 
 class Pipeline:
-    """Frames in, estimates out, live, replayed or read from a log.
+    """Turns frames into estimates, live, replayed or from a log.
 
     Parameters
     ----------
     config
         All settings.
     is_live
-        Whether the road under the vehicle is followed, for `road_now`.
+        True if the road under the vehicle is followed, for `road_now`.
 
     Attributes
     ----------
     traffic : RowStream
-        The first half, with the counts of frames, readings and rows.
+        First stage, with the counts of frames, readings and rows.
     estimator : Estimator
-        The second half.
+        Second stage.
     """
 
     def __init__(self, config: Config, is_live: bool = False) -> None:
@@ -48,13 +48,13 @@ class Pipeline:
 
     @property
     def latest(self) -> Estimate | None:
-        """The newest estimate; without its values while an input is contested."""
+        """Newest estimate; without values while an input is contested."""
         latest = self.estimator.latest
         return None if latest is None else self._withheld(latest)
 
     @property
     def road_now(self) -> RoadAhead | None:
-        """The road under the vehicle; None without a fit, or while an input is contested."""
+        """Road under the vehicle; None without a fit, or while an input is contested."""
         return None if self.traffic.contested else self.estimator.road_now
 
     def feed(self, frames: Frames) -> Iterator[Estimate]:
@@ -70,7 +70,7 @@ class Pipeline:
             yield from map(self._withheld, self.estimator.finish())
 
     def take(self, item: Block | Interruption) -> Iterator[Estimate]:
-        """Take the next item of the first half; yields estimates as they fall due."""
+        """Take the next item of the first stage; yields estimates as they fall due."""
         yield from map(self._withheld, self._take(item))
 
     def _take(self, item: Block | Interruption) -> Iterator[Estimate]:
@@ -110,7 +110,7 @@ class Pipeline:
             self.estimator.forget(vehicle=item.is_step_back or item.is_sender_replaced)
 
     def _withheld(self, estimate: Estimate) -> Estimate:
-        """The estimate without its values while an input is contested."""
+        """Return the estimate, without its values while an input is contested."""
         if not self.traffic.contested:
             return estimate
         path, reason = next(iter(self.traffic.contested.items()))

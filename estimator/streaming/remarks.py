@@ -1,7 +1,7 @@
-"""What is odd in the traffic and may be an error of the database: said beside the verdict.
+"""Remarks on probable errors of the database: ranges that drop values, and switches that exclude most of the driving.
 
-Neither makes an estimate impossible, and both may make it wrong: the values that a range drops are the largest
-ones, and a switch that reads on while it is off takes the driving away.
+Neither prevents an estimate, and both may bias it: a wrong range drops the largest values, and a switch that is read
+inverted excludes the driving. Remarks are shown beside the verdict.
 """
 
 from collections import Counter
@@ -28,7 +28,7 @@ EXCLUDING = {  # value of a switch that takes rows out of the estimate
 
 
 class SwitchUse:
-    """Counts how long each switch takes rows out while the vehicle is at speed."""
+    """Counts the rows above MIN_SPEED that each switch excludes."""
 
     def __init__(self) -> None:
         self._known: Counter[Role] = Counter()
@@ -45,11 +45,11 @@ class SwitchUse:
                     self._excluding[role] += int(np.count_nonzero(fast & (switch == value)))
 
     def remarks(self, names: Mapping[Role, str]) -> list[str]:
-        """One line for each switch, by its MESSAGE.signal, that is mostly so."""
+        """One line for each switch that excludes most of the driving; ``names`` are MESSAGE.signal by role."""
         out = []
-        for role, known in self._known.items():
-            share = self._excluding[role] / max(known, 1)
-            if known * STEP >= MIN_TIME and share > MOSTLY:
+        for role, rows_known in self._known.items():
+            share = self._excluding[role] / max(rows_known, 1)
+            if rows_known * STEP >= MIN_TIME and share > MOSTLY:
                 state = "on" if EXCLUDING[role] else "off"
                 what = (
                     f"{names[role]} ({role}) is {state} for {100 * share:.0f} % of the driving above {MIN_SPEED:g} m/s"
@@ -60,12 +60,12 @@ class SwitchUse:
 
 
 def dropped_values(messages: Iterable[BoundMessage], refused: Mapping[str, int], seen: Mapping[Role, int]) -> list[str]:
-    """One line for each signal of which the range in the DBC drops more than a few values.
+    """One line for each signal whose range in the DBC drops at least the share MIN_DROPPED of values.
 
     Parameters
     ----------
     messages
-        With the bound signals.
+        Messages with their bound signals.
     refused
         Counts of values by MESSAGE.signal and reason.
     seen

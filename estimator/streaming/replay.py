@@ -1,4 +1,4 @@
-"""Recorded traffic through the pipeline: put on a virtual bus as on a vehicle, or straight from the file."""
+"""Estimates from recorded traffic, read from files or played on a virtual bus."""
 
 import time
 from bisect import bisect_left
@@ -46,10 +46,10 @@ BATCH = 1000  # frames put on the virtual bus before the listener's side is drai
 
 @dataclass(kw_only=True)
 class Run:
-    """The result of one log, or of several in order.
+    """Result of one log, or of consecutive logs.
 
-    ``mixed_channels`` counts the frames by channel where several were read as one bus. ``slopes`` of the road under the
-    vehicle, one a second, as a replay broadcast them.
+    ``mixed_channels`` counts the frames by channel where several were read as one bus. ``slopes`` are those of the road
+    under the vehicle that a replay broadcast, one a second.
     """
 
     pipeline: Pipeline
@@ -65,9 +65,9 @@ class Run:
         return self.pipeline.traffic.start or 0.0
 
     def slope_at(self, t: float) -> Slope | None:
-        """The first slope that was broadcast at a time [s] or in the second behind it."""
-        place = bisect_left(self.slopes, t, key=attrgetter("t"))
-        return self.slopes[place] if place < len(self.slopes) and self.slopes[place].t <= t + SLOPE_PERIOD else None
+        """First slope that was broadcast from ``t`` [s] to SLOPE_PERIOD later; None if there is none."""
+        index = bisect_left(self.slopes, t, key=attrgetter("t"))
+        return self.slopes[index] if index < len(self.slopes) and self.slopes[index].t <= t + SLOPE_PERIOD else None
 
     @property
     def final(self) -> Estimate:
@@ -76,9 +76,9 @@ class Run:
 
     @property
     def table(self) -> dict[str, Any]:
-        """A row for each update, as arrays (n,) by column; ``pandas.DataFrame`` and ``polars.DataFrame`` take it.
+        """Table with a row for each update, as arrays (n,) by column, for ``pandas.DataFrame`` or ``polars.DataFrame``.
 
-        Numbers that are missing are NaN. Effects of the configuration have columns of their own, e.g. `headwind_mean`.
+        Missing numbers are NaN. Each effect of the configuration adds columns, e.g. `headwind_mean`.
         """
         effects = [column for name in self.pipeline.effects for column in posterior(name, "", name)]
         return columns((*UPDATES, *effects), [self._row(update) for update in self.updates])
@@ -102,7 +102,7 @@ class Run:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C before the end of the logs; ``run`` is what was known then, without the frames that still waited."""
+    """Raised by Ctrl-C before the end of the logs; ``run`` is the result so far, without the frames still waiting."""
 
     def __init__(self, run: Run) -> None:
         super().__init__()
@@ -111,7 +111,7 @@ class Interrupted(KeyboardInterrupt):
 
 @one_blas_thread()
 def estimate_logs(paths: str | Path | Sequence[str | Path], config: Config, progress: Progress = no_progress) -> Run:
-    """Estimate from a log, or several in order, without a bus: same code, same numbers, only faster.
+    """Estimate from a log, or consecutive logs, without a bus; the numbers are those of `replay`.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def estimate_logs(paths: str | Path | Sequence[str | Path], config: Config, prog
     MissingInputsError
         The logs lack inputs of the model.
     Interrupted
-        By Ctrl-C.
+        Ctrl-C was pressed.
     """
     given = as_paths(paths)
     pipeline, logs, updates = Pipeline(config), LogFrames(given, config, progress), list[Estimate]()
@@ -142,9 +142,9 @@ def replay(
     speed: float | None = None,
     output: Path | None = None,
 ) -> Run:
-    """Play logs on a virtual bus to a listener that listens there and broadcasts on it.
+    """Play logs on a virtual bus to a listener that broadcasts on the same bus.
 
-    ``speed`` is a multiple of real time, None for as fast as it goes. ``output`` takes what was broadcast.
+    ``speed`` is a multiple of real time, None for the fastest possible. ``output`` is the log of the broadcasts.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def replay(
     RoadloadError
         The virtual bus lost frames.
     Interrupted
-        By Ctrl-C; ``output`` is not written.
+        Ctrl-C was pressed; ``output`` is not written.
     """
     logs, heard, slopes = LogFrames(paths, config, progress), list[can.Message](), list[Slope]()
     channel = f"replay {id(heard)}"  # unique in this process
@@ -206,7 +206,7 @@ def run_so_far(
     mixed: Counter[str],
     broadcast: Sequence[can.Message] = (),
 ) -> Run:
-    """The result before the end of the traffic; where nothing was concluded yet, an estimate that says so."""
+    """Result before the end of the traffic; without an estimate so far, an unestimated one with that reason."""
     if not updates:
         nothing = Estimate(
             t=pipeline.traffic.until or 0.0,
@@ -220,7 +220,7 @@ def run_so_far(
 
 
 def paced(messages: Iterable[can.Message], speed: float | None) -> Iterator[can.Message]:
-    """Hold messages back so that they pass at ``speed`` times the rate at which they were recorded."""
+    """Yield messages at ``speed`` times the rate at which they were recorded; None: without a delay."""
     if speed is None:
         yield from messages
         return
@@ -234,16 +234,16 @@ def paced(messages: Iterable[can.Message], speed: float | None) -> Iterator[can.
 
 
 def paced_frames(batches: Iterable[Frames], speed: float | None) -> Iterator[Frames]:
-    """Frames in slices of SLICE of real time that pass at ``speed`` times the rate at which they were recorded.
+    """Yield frames in slices of SLICE of real time, at ``speed`` times the rate at which they were recorded.
 
-    A gap, or a step in time, is held for MAX_HELD at most. None: the batches as they are.
+    A gap or a step in time is cut to MAX_HELD. Without a speed, the batches pass unchanged.
     """
     if speed is None:
         yield from batches
         return
-    began, due, before = time.monotonic(), 0.0, np.nan
+    began, due, previous = time.monotonic(), 0.0, np.nan
     for frames in batches:
-        steps = np.diff(frames.t, prepend=before) / speed
+        steps = np.diff(frames.t, prepend=previous) / speed
         at = due + np.cumsum(np.clip(np.nan_to_num(steps), 0.0, MAX_HELD))
         cuts = np.flatnonzero(np.diff(np.floor(at / SLICE))) + 1
         for first, end in pairwise([0, *cuts.tolist(), len(frames)]):
@@ -251,7 +251,7 @@ def paced_frames(batches: Iterable[Frames], speed: float | None) -> Iterator[Fra
                 time.sleep(max(at[first] - (time.monotonic() - began), 0.0))
                 yield frames[first:end]
         if len(frames):
-            due, before = float(at[-1]), float(frames.t[-1])
+            due, previous = float(at[-1]), float(frames.t[-1])
 
 
 def _virtual_bus(channel: str) -> can.BusABC:

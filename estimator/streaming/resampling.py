@@ -1,7 +1,7 @@
-"""Readings that come at their senders' own times, resampled: held, or as means of the straight lines between them.
+"""Resampling of readings that come at irregular times: last value held, or means of linear interpolation.
 
-Nothing is held or bridged for longer than FRESH_PERIODS times the usual interval between readings: what is missing is
-NaN.
+No value is held, and no gap interpolated, for longer than FRESH_PERIODS times the usual interval between readings; the
+result is NaN there.
 """
 
 import numpy as np
@@ -17,9 +17,9 @@ SLOW_PERIOD = 0.2  # s: readings that are further apart are polled, and no neigh
 
 
 class Track:
-    """Recent readings of one signal, and the time for which one of them is valid.
+    """Recent readings of one signal, and the duration for which a reading is valid.
 
-    They are kept for ``memory`` [s] longer than is asked for in `forget`.
+    Readings are kept for ``memory`` [s] longer than `forget` asks for.
     """
 
     def __init__(self, memory: float = 0.0) -> None:
@@ -29,31 +29,31 @@ class Track:
         self.fresh = np.nan
 
     def add(self, series: Series) -> int:
-        """Add the readings later than all before them; returns how many were not: a repeated time or a step back."""
-        before = len(self.t)
+        """Add readings in ascending time; returns the number dropped: those at a repeated time or a step back."""
+        size = len(self.t)
         self.t, self.value = self.joined(series)
-        dropped = len(series.t) - (len(self.t) - before)
+        dropped = len(series.t) - (len(self.t) - size)
         if np.isnan(self.fresh) and len(self.t) >= MIN_READINGS_FOR_PERIOD:
             period = float(np.median(np.diff(self.t)))
             self.fresh = min(max(FRESH_PERIODS * period, MIN_FRESH), MAX_FRESH)
         return dropped
 
     def joined(self, series: Series) -> tuple[Floats, Floats]:
-        """Times [s] and values after `add`."""
+        """Times [s] and values that `add` of ``series`` would leave."""
         later = series.t > (self.t[-1] if len(self.t) else -np.inf)
         t, value = series.t[later], series.value[later]
         ascending = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]]) if len(t) else later[:0]
         return np.concatenate([self.t, t[ascending]]), np.concatenate([self.value, value[ascending]])
 
     def is_settled(self, series: Series, ends: Floats, forgotten: Floats) -> bool:
-        """Whether the period of the sender is known, or will not be known within some blocks.
+        """True if the period of the sender is known, or remains unknown within these blocks.
 
-        They end at ``ends`` (k,) [s]; what is older than ``forgotten`` (k,) [s] is dropped after each.
+        They end at ``ends`` (k,) [s]; readings older than ``forgotten`` (k,) [s] are dropped after each.
         """
         return bool(np.isfinite(self.fresh)) or self.is_few(series, ends, forgotten)
 
     def is_few(self, series: Series, ends: Floats, forgotten: Floats) -> bool:
-        """Whether after each of some blocks there are too few readings for a period; see `is_settled`."""
+        """True if too few readings for a period are left after each block; see `is_settled`."""
         t, _ = self.joined(series)
         dropped = self._outdated(t, forgotten[:-1])
         count = np.searchsorted(t, ends) - np.concatenate([[0], dropped])
@@ -73,15 +73,15 @@ class Track:
         """Remove readings (n,)."""
         self.t, self.value = self.t[~wrong], self.value[~wrong]
 
-    def forget(self, before: float) -> None:
-        """Drop what is older than ``before`` [s]."""
-        first = int(self._outdated(self.t, np.array([before]))[0])
+    def forget(self, horizon: float) -> None:
+        """Drop readings older than ``horizon`` [s], but for the last of them."""
+        first = int(self._outdated(self.t, np.array([horizon]))[0])
         self.t, self.value = self.t[first:], self.value[first:]
 
-    def _outdated(self, t: Floats, before: Floats) -> NDArray[np.intp]:
-        """How many of the times ``t`` (n,) are not needed once all ``before`` some times (m,) [s] is dropped."""
+    def _outdated(self, t: Floats, horizons: Floats) -> NDArray[np.intp]:
+        """Number (m,) of times ``t`` (n,) that can be dropped at each of the limits ``horizons`` (m,) [s]."""
         # One reading before the horizon stays: it is the one that is held.
-        return np.maximum(np.searchsorted(t, before - self._memory) - 1, 0)
+        return np.maximum(np.searchsorted(t, horizons - self._memory) - 1, 0)
 
     def time_of_held(self, at: Floats) -> Floats:
         """Time [s] (n,) of the last reading at or before each of the times ``at`` (n,) [s], NaN where there is none."""
@@ -98,9 +98,9 @@ class Track:
         return np.where((last >= 0) & (age <= limit), self.value[np.maximum(last, 0)], np.nan)
 
     def means(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
-        """`cell_means` (n,) of these readings between ``edges`` (n + 1,) [s].
+        """Means (n,) over cells between ``edges`` (n + 1,) [s], see `cell_means`, and where there are readings (n,).
 
-        Each from the readings before its time ``known_to`` (n,) [s], which is later than its edges.
+        Each cell uses the readings before its time ``known_to`` (n,) [s], which is later than its edges.
         """
         mean, there = cell_means(self.t, self.value, edges, self.limit)
         if len(self.t) and known_to[0] <= self.t[-1]:
@@ -111,15 +111,15 @@ class Track:
 
 
 def block_bounds(t: Floats, ends: Floats) -> NDArray[np.intp]:
-    """Places (k + 1,) in times ``t`` (n,) [s], ascending, between which blocks lie that end at ``ends`` (k,) [s]."""
+    """Indices (k + 1,) into ascending times ``t`` (n,) [s] at the bounds of blocks that end at ``ends`` (k,) [s]."""
     return np.concatenate([[0], np.searchsorted(t, ends[:-1]), [len(t)]])
 
 
 def cell_means(t: Floats, value: Floats, edges: Floats, limit: float) -> tuple[Floats, Mask]:
-    """Mean over each cell between ``edges`` (n + 1,) of the straight lines through readings.
+    """Mean (n,) of the linear interpolation of readings over each cell between ``edges`` (n + 1,) [s].
 
-    NaN in a cell that a line longer than ``limit`` [s], or one from a NaN reading, passes through; the second array
-    says in which cells no such long line passes, that is, where there are readings.
+    It is NaN in a cell with a line longer than ``limit`` [s], or with a line from a NaN reading. The second array (n,)
+    is True in cells without such a long line, which have readings.
 
     The mean of a cell is computed from the lines in it alone: readings before and after it do not change its rounding.
     """
@@ -128,16 +128,16 @@ def cell_means(t: Floats, value: Floats, edges: Floats, limit: float) -> tuple[F
         return np.full(len(low), np.nan), np.zeros(len(low), dtype=bool)
     width = np.diff(t)
     bad = ~np.isfinite(value)
-    known = np.where(bad, 0.0, value)
-    slope = np.diff(known) / width
+    filled = np.where(bad, 0.0, value)
+    slope = np.diff(filled) / width
     first = np.clip(np.searchsorted(t, low, side="right") - 1, 0, len(t) - 2)  # line at the lower edge
     last = np.clip(np.searchsorted(t, high, side="left") - 1, 0, len(t) - 2)  # line at the upper edge
     from_low, to_high = t[first + 1] - low, high - t[last]
-    ends = from_low * (known[first + 1] - slope[first] * from_low / 2)
-    ends += to_high * (known[last] + slope[last] * to_high / 2)
-    between = (known[1:] + known[:-1]) / 2 * width
+    ends = from_low * (filled[first + 1] - slope[first] * from_low / 2)
+    ends += to_high * (filled[last] + slope[last] * to_high / 2)
+    between = (filled[1:] + filled[:-1]) / 2 * width
     whole = np.add.reduceat(between, np.column_stack([first + 1, last]).ravel().clip(max=len(width) - 1))[::2]
-    middle = known[first] + slope[first] * ((low + high) / 2 - t[first])
+    middle = filled[first] + slope[first] * ((low + high) / 2 - t[first])
     area = ends + np.where(last > first + 1, whole, 0.0)
     mean = np.where(last > first, area / (high - low), middle)
 

@@ -1,6 +1,6 @@
-"""First half of the pipeline: frames in, rows of one time grid out, live or from a log.
+"""First stage of the pipeline: frames in, rows of one time grid out, live or from a log.
 
-Frames are put in order of time and cut into blocks at fixed message times, so the rows do not depend on how the frames
+Frames are put in order of time and cut into blocks at fixed message times. The rows so do not depend on how the frames
 arrived, one by one or a million at once.
 """
 
@@ -51,9 +51,9 @@ MIN_SET_CLOCK = (
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A stretch of traffic, up to the next rows: its frames in order of time, and the rows that it completed.
+    """Stretch of traffic with its frames in order of time, and the rows that it completed.
 
-    ``decoded`` are the readings of the blocks that were decoded with it, and ``span`` its own times among them [s].
+    ``decoded`` are the readings of all blocks that were decoded together, and ``span`` the times [s] of this one.
     """
 
     frames: Frames
@@ -63,13 +63,13 @@ class Block:
 
     @property
     def readings(self) -> Readings:
-        """Its readings."""
+        """Readings of this block."""
         return between(self.decoded, *self.span)
 
 
 @dataclass(frozen=True, slots=True)
 class Interruption:
-    """A time without readings, or a step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
+    """Silence, or step in time, from ``start`` to ``end`` [s]; rows are not joined across it.
 
     After a ``is_new_drive`` interruption the load may be another one. With ``is_step_back`` the vehicle may be another
     one as well, and after ``is_sender_replaced`` the estimates of the vehicle may be wrong.
@@ -87,7 +87,7 @@ class Interruption:
 
 
 class RowStream:
-    """Decoder and aligner in a row.
+    """Turns frames into rows by a decoder and an aligner.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class RowStream:
 
     @property
     def until(self) -> float | None:
-        """Time of the newest frame [s], of a state that was restored, too."""
+        """Time of the newest frame [s], including those before a restored state."""
         return self._until
 
     @property
@@ -165,12 +165,12 @@ class RowStream:
 
     @property
     def remarks(self) -> list[str]:
-        """What is odd in the signals and may be an error of the database, one line each."""
+        """Remarks on probable errors of the database, one line each."""
         return [*dropped_values(self._messages, self.errors, self.seen), *self._switches.remarks(self._names)]
 
     @property
     def sources(self) -> dict[str, int]:
-        """Source address that each J1939 signal is taken from, by MESSAGE.signal."""
+        """Chosen source address of each J1939 signal, by MESSAGE.signal."""
         return dict(self._decoder.sources)
 
     @property
@@ -180,18 +180,18 @@ class RowStream:
 
     @property
     def contested(self) -> dict[str, str]:
-        """Reason by MESSAGE.signal of the inputs that contradict themselves now."""
+        """Inputs that are contested now: reason by MESSAGE.signal."""
         return dict(self._decoder.contested)
 
     @property
     def missing(self) -> list[str]:
-        """Inputs that the model needs and that never came, by MESSAGE.signal."""
+        """Inputs of the model without a reading so far, by MESSAGE.signal."""
         return [self._names.get(role, role.value) for role in self._missing_roles()]
 
     def feed(self, frames: Frames) -> Iterator[Block | Interruption]:
         """Take the next frames in order of arrival; yields blocks, and interruptions between them.
 
-        A frame waits until no other can precede it, for MAX_DELAY of traffic.
+        A frame waits for MAX_DELAY of traffic, until no other can precede it.
         """
         self.frames += len(frames)
         if not self.used:
@@ -210,7 +210,7 @@ class RowStream:
             yield from self.feed(frames)
         yield from self.finish()
 
-    def require_inputs(self, place: str) -> None:
+    def require_inputs(self, source: str) -> None:
         """Check that the traffic so far has all inputs of the model.
 
         Raises
@@ -219,29 +219,29 @@ class RowStream:
             A needed signal never came, never with a valid value, or too seldom to be used.
         """
         if not self.valid_rows and (reason := self._too_seldom()):
-            raise MissingInputsError(f"{place}: {reason}")
+            raise MissingInputsError(f"{source}: {reason}")
         if missing := self._missing_roles():
             if names := self._decoder.sent_by_others:
                 raise MissingInputsError(
-                    f"{place}: missing inputs: {', '.join(self.missing)}; the group of {', '.join(names)} is sent with "
-                    "another priority or address than in the DBC, which does not say that it is of J1939 "
+                    f"{source}: missing inputs: {', '.join(self.missing)}; the group of {', '.join(names)} is sent "
+                    "with another priority or address than in the DBC, which does not say that it is of J1939 "
                     '(VFrameFormat): write [bus] match = "pgn" into the configuration'
                 )
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
             raise MissingInputsError(
-                f"{place}: missing inputs: {', '.join(self.missing)}; {self._remedy(missing)}; found: {there}"
+                f"{source}: missing inputs: {', '.join(self.missing)}; {self._remedy(missing)}; found: {there}"
             )
         if not self.valid_rows:
             counts = (self.errors + self.unusable).most_common(4)
             reasons = ", ".join(f"{reason} {count}" for reason, count in counts) or "time stands still"
-            raise MissingInputsError(f"{place}: not one moment with both speed and power valid: {reasons}")
+            raise MissingInputsError(f"{source}: not one moment with both speed and power valid: {reasons}")
 
     def state(self) -> dict[str, Any]:
         """State for `restore`; to be taken between two calls of `feed`, and instead of `finish`.
 
-        It lacks frames and readings that have not become rows yet, up to the last BLOCK + 4 s of traffic and 10 s in
-        which speed and power stood still, and what traffic shows again in seconds: how often each sender sends. Arrays
-        are not copied, but never changed.
+        It lacks frames and readings that have not become rows yet: up to the last BLOCK + 4 s of traffic, and 10 s of
+        constant speed and power. It also lacks the periods of senders, which traffic shows again in seconds. Arrays are
+        not copied, but never changed.
         """
         return {
             "decoder": self._decoder.state(),
@@ -257,9 +257,9 @@ class RowStream:
     def restore(self, state: State, same_clock: bool = True) -> None:
         """Take the state of another stream with the same configuration, before the first frame.
 
-        The first item that `feed` then yields is an interruption. It is a new drive after a downtime of more than
-        MIN_NEW_DRIVE_SILENCE, or of unknown length: the clock was set back, was never set, or is not the ``same_clock``
-        that has run since the state was saved. The senders of signals are then chosen again.
+        The first item that `feed` then yields is an interruption. It begins a new drive after a downtime of more than
+        MIN_NEW_DRIVE_SILENCE, or of unknown length; the senders of signals are then chosen again. The length is unknown
+        if the clock was set back, was never set, or has not run since the state was saved (``same_clock`` is False).
 
         Raises
         ------
@@ -278,13 +278,13 @@ class RowStream:
         self._is_restored, self._same_clock = True, same_clock
 
     def _too_seldom(self) -> str:
-        """Reason why needed inputs come too seldom to be used; empty if they do not."""
+        """Reason why a needed input comes too seldom to be used; empty if none does."""
         intervals = {role: float(np.median(np.diff(t))) for role, t in self._first.items() if len(t) > MIN_INTERVALS}
         longest = max(intervals, key=intervals.__getitem__, default=None)
         return "" if longest is None else too_seldom(self._names[longest], intervals[longest], MAX_LINE)
 
     def _remedy(self, missing: list[Role]) -> str:
-        """Advice to the user where roles are missing."""
+        """Advice to the user on the missing roles."""
         if pids := pids_of(missing, self._messages):
             return f"the logger has to ask for PID {', '.join(pids)}"
         if self._answers:
@@ -295,7 +295,7 @@ class RowStream:
         return [role for role in needed(self._config.vehicle, self._names.keys()) if not self.seen[role]]
 
     def _take(self, frames: Frames) -> Iterator[Block | Interruption]:
-        """Go on with frames in order of time, or with another recording."""
+        """Process frames in order of time, with an interruption at each silence or step in time."""
         if not len(frames):
             return
         if self.start is None:
@@ -323,13 +323,13 @@ class RowStream:
                 yield from self._blocks(ends)
 
     def _ends_before(self, t: float) -> Floats:
-        """Ends [s] of the next blocks, at most MAX_BLOCKS, that traffic up to time ``t`` [s] completes."""
+        """Ends (k,) [s] of the next blocks, at most MAX_BLOCKS, that traffic up to time ``t`` [s] completes."""
         count = min(int(max(t - self._block_end, 0.0) / BLOCK) + 2, MAX_BLOCKS)
         ends = np.cumsum([self._block_end, *[BLOCK] * (count - 1)])
         return ends[ends <= t]
 
     def _end(self) -> Iterator[Block | Interruption]:
-        """The last block before an interruption or the end of the traffic, with all rows still waiting."""
+        """Yield the last block before an interruption or the end of the traffic, with all rows still waiting."""
         if self._last is None:
             return
         now, self._last = self._last, None
@@ -348,7 +348,7 @@ class RowStream:
                 yield item
 
     def _blocks(self, ends: Floats) -> Iterator[Block | Interruption]:
-        """Blocks of the waiting frames that end at ``ends`` (k,) [s], and interruptions before them."""
+        """Yield the blocks of waiting frames that end at ``ends`` (k,) [s], and interruptions before them."""
         frames, self._waiting = Frames.concatenate(self._waiting), []
         bounds = block_bounds(frames.t, ends).tolist()
         for decoded in self._decoder.decode_blocks(frames, ends):
@@ -373,13 +373,13 @@ class RowStream:
             del bounds[: len(rows)]
 
     def _with_grade(self, rows: Rows) -> Rows:
-        """The next rows, with the slope of the map where there is one."""
+        """Return the rows, with the slope of the map if there is a map."""
         return rows if self._map is None else self._map.feed(rows)
 
     def _replace(self, end: float) -> Interruption:
-        """Drop the rows still waiting and the engine's constants: they may come from a wrong sender.
+        """Drop the waiting rows and the engine's constants, which may come from a wrong sender.
 
-        The interruption is the block up to ``end`` [s], in which there may be no frame: a contest ends in silence, too.
+        The interruption is the block up to ``end`` [s]. It may have no frame: a contest also ends in silence.
         """
         self.replacements += 1
         for _ in self._aligner.finish(end):
@@ -399,19 +399,19 @@ class RowStream:
                     self.newest[role] = float(part.t[valid][-1])
 
     def _silences(self, parts: Sequence[Rows | None]) -> dict[int, Interruption]:
-        """Interruptions by the place of the rows before which speed and power were not read."""
-        found, last = dict[int, Interruption](), self._counted_to
+        """Interruptions in which speed and power were not read, by index of the part of rows that follows."""
+        interruptions, last = dict[int, Interruption](), self._counted_to
         for i, rows in enumerate(parts):
             if rows is None:
                 continue
             start = float(rows.index[0]) * STEP
             if last is not None and start - last > STEP / 2:
-                found[i] = Interruption(last, start, is_new_drive=start - last > MIN_NEW_DRIVE_SILENCE)
+                interruptions[i] = Interruption(last, start, is_new_drive=start - last > MIN_NEW_DRIVE_SILENCE)
             last = float(rows.index[-1] + 1) * STEP
-        return found
+        return interruptions
 
     def _count(self, parts: Sequence[Rows]) -> None:
-        """Count rows that can be used, and note the times of those that cannot."""
+        """Count the usable rows, and note the times of the others."""
         if self._aligner.silent:
             self.unusable[SILENT] = self._aligner.silent
         begun = [i for i, rows in enumerate(parts) if i == 0 or rows.index[0] > parts[i - 1].index[-1] + 1]
@@ -441,7 +441,7 @@ class RowStream:
         self.gaps.append((start, end))
 
     def _interrupt(self, t: float) -> Iterator[Block | Interruption]:
-        """Start anew after a silence or a step in time: signals before and after it are not joined."""
+        """Finish the rows before a silence or a step in time to ``t`` [s]; signals are not joined across it."""
         last = self._last
         assert last is not None
         yield from self._end()
@@ -453,7 +453,7 @@ class RowStream:
         yield interruption
 
     def _resume(self, t: float) -> Interruption:
-        """Start anew after a downtime of any length: rows before and after it are not joined."""
+        """Return the interruption of a downtime that ends at ``t`` [s]; rows are not joined across it."""
         self._is_restored = False
         last = self._until
         if last is None:

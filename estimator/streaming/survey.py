@@ -1,4 +1,4 @@
-"""Which candidates of a database are in a log: how often their messages come, and whether their values change."""
+"""Search of a log for candidate signals of a database: rate of their messages, and whether their values change."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ MIN_CHANGES = 10  # of a value that is alive: fewer are start and end
 
 @dataclass(slots=True, kw_only=True)
 class Presence:
-    """Readings of one candidate in a log; values in SI."""
+    """Statistics of the readings of one candidate in a log; values in SI."""
 
     readings: int = 0
     known: int = 0  # of them with a value
@@ -34,7 +34,7 @@ class Presence:
 
     @property
     def rate(self) -> float:
-        """Readings a second [Hz] from the first to the last; 0 if there are not two."""
+        """Rate of readings [Hz] from the first to the last; 0 if there are fewer than two."""
         return (self.readings - 1) / (self.last - self.first) if self.last > self.first else 0.0
 
     @property
@@ -45,14 +45,14 @@ class Presence:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """Presences by MESSAGE.signal, and whether messages come by their parameter group alone."""
+    """Presences by MESSAGE.signal; ``is_by_group`` if most messages match by their parameter group alone."""
 
     presences: dict[str, Presence]
     is_by_group: bool
 
 
 def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_progress) -> Survey:
-    """Read a log once.
+    """Read a log and count the readings of each candidate.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
     """
     config = from_dict({"signals": {"speed": "X.x"}})  # no message: frames of all are wanted
     chosen = {candidate.path: candidate for candidate in candidates}
-    found = {path: Presence() for path in chosen}
+    presences = {path: Presence() for path in chosen}
     messages = [_bound(candidate, config) for candidate in chosen.values()]
     last: dict[str, float] = {}  # latest value
     by_id, by_group = set[str](), set[str]()
@@ -72,16 +72,18 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
             mask = is_message(message, frames.ident, group)
             if mask.any():
                 by_id.add(message.name)
-                _add(found[path_of_it], message, message.signals[0], frames[mask], last)
+                _add(presences[path_of_it], message, message.signals[0], frames[mask], last)
             elif not message.by_pgn and message.key & EXTENDED:
                 pgn = int(pgn_of(np.array([message.key], dtype=np.uint32))[0])
                 if is_group(pgn, group).any():
                     by_group.add(message.name)
-    return Survey({path: there for path, there in found.items() if there.readings}, len(by_group - by_id) > len(by_id))
+    return Survey(
+        {path: there for path, there in presences.items() if there.readings}, len(by_group - by_id) > len(by_id)
+    )
 
 
 def _bound(candidate: Candidate, config: Config) -> BoundMessage:
-    """The message with that signal alone."""
+    """Message of a candidate with its signal alone bound."""
     by_name = {signal.name: signal for signal in candidate.message.signals}
     chain = []
     signal = candidate.signal
@@ -97,7 +99,7 @@ def _bound(candidate: Candidate, config: Config) -> BoundMessage:
     return bound_message(candidate.message, (bound,), config)
 
 
-def _add(found: Presence, message: BoundMessage, bound: BoundSignal, frames: Frames, last: dict[str, float]) -> None:
+def _add(presence: Presence, message: BoundMessage, bound: BoundSignal, frames: Frames, last: dict[str, float]) -> None:
     """Count the readings of a signal in frames of its message."""
     need = max(last_byte(signal) for signal in (bound.signal, *bound.multiplexers))
     if need > frames.data.shape[1]:
@@ -107,12 +109,15 @@ def _add(found: Presence, message: BoundMessage, bound: BoundSignal, frames: Fra
     if not len(frames):
         return
     value, _ = values(message, bound, frames)
-    known = value[np.isfinite(value)]
-    found.readings += len(value)
-    found.first, found.last = min(found.first, float(frames.t[0])), max(found.last, float(frames.t[-1]))
-    if len(known):
+    finite = value[np.isfinite(value)]
+    presence.readings += len(value)
+    presence.first, presence.last = min(presence.first, float(frames.t[0])), max(presence.last, float(frames.t[-1]))
+    if len(finite):
         path = f"{message.name}.{bound.signal.name}"
-        found.known += len(known)
-        found.changes += int(np.count_nonzero(np.diff(known, prepend=last.get(path, known[0]))))
-        last[path] = float(known[-1])
-        found.minimum, found.maximum = min(found.minimum, float(known.min())), max(found.maximum, float(known.max()))
+        presence.known += len(finite)
+        presence.changes += int(np.count_nonzero(np.diff(finite, prepend=last.get(path, finite[0]))))
+        last[path] = float(finite[-1])
+        presence.minimum, presence.maximum = (
+            min(presence.minimum, float(finite.min())),
+            max(presence.maximum, float(finite.max())),
+        )

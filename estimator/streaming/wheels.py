@@ -1,12 +1,12 @@
-"""The speed of a vehicle by the wheels that agree.
+"""Vehicle speed as the mean of the wheel speeds that agree.
 
-In a curve and by slip, wheels differ by some per cent, and a locked or spinning one for a moment by more. A wheel is
+Wheels differ by some per cent in a curve and by slip, and a locked or spinning one for a moment by more. A wheel is
 left out of the mean
 
-* while its value stands still and the others change: a dead sensor, at zero or at its last value, or a locked wheel;
-* where it differs from the larger part of the wheels at a speed at which no curve explains that: another scale.
+* while its value is constant and the others change: a dead sensor, at zero or at its last value, or a locked wheel;
+* where it differs from the majority of the wheels by more than a curve explains at that speed: a wrong scale.
 
-Where neither part is larger it cannot be told which is right, and there is no speed.
+Without a majority the right wheels are unknown, and so is the speed.
 """
 
 from collections import Counter
@@ -29,7 +29,7 @@ UNDECIDED = "half of them contradict the others"
 
 
 class Wheels:
-    """The mean of wheel speeds, row by row; it does not matter how rows are cut.
+    """Computes the mean of wheel speeds row by row; the result does not depend on how rows are cut into batches.
 
     Attributes
     ----------
@@ -43,43 +43,43 @@ class Wheels:
         self._code, self._run, self._counts = 0, 0, 0  # of the newest comparison, rows with it, and that which counts
 
     def mean(self, speeds: Floats, places: Sequence[int]) -> tuple[Floats, Mask]:
-        """Speed [m/s] (n,) from those of k wheels (k, n), NaN where none is known; and where they contradict (n,).
+        """Mean [m/s] (n,) of the speeds of k wheels (k, n), NaN where none is known, and rows without a majority (n,).
 
-        ``places`` (k,) are their numbers in the configuration, from 0.
+        ``places`` (k,) are the numbers of the wheels in the configuration, from 0.
         """
-        known = np.isfinite(speeds)
+        is_used = np.isfinite(speeds)
         undecided = np.zeros(speeds.shape[1], dtype=bool)
         if 2 <= len(speeds) <= MAX_WHEELS:
             if self._still is None or self._still.wheels != len(speeds):
                 self._still = _Still(len(speeds))
             still = self._still.feed(speeds)
             out = self._compared(np.where(still, np.nan, speeds))
-            undecided[:] = known.any(axis=0) & ~(known & ~still & ~out).any(axis=0) & out.any(axis=0)
-            self._count(still & known, out & known & ~undecided, undecided, places)
-            known &= ~still & ~out
-        total = np.where(known, speeds, 0.0).sum(axis=0)
-        count = known.sum(axis=0)
+            undecided[:] = is_used.any(axis=0) & ~(is_used & ~still & ~out).any(axis=0) & out.any(axis=0)
+            self._count(still & is_used, out & is_used & ~undecided, undecided, places)
+            is_used &= ~still & ~out
+        total = np.where(is_used, speeds, 0.0).sum(axis=0)
+        count = is_used.sum(axis=0)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan), undecided
 
     def pause(self) -> None:
-        """The next rows do not follow without a gap."""
+        """Start anew after a gap; the wheels left out so far stay so until the next comparison that holds."""
         self._still, self._run = None, 0
 
     def forget(self) -> None:
-        """The vehicle may be another one."""
+        """Discard the comparisons: the vehicle may be another one."""
         self.pause()
         self._code, self._counts = 0, 0
 
     def _compared(self, speeds: Floats) -> Mask:
-        """Which wheels (k, n) are left out, by the last comparison that held for MIN_ROWS rows."""
+        """Mask (k, n) of the wheels left out by the last comparison that held for MIN_ROWS rows."""
         bits = 1 << np.arange(len(speeds))
         code = bits @ _apart(speeds)
         with np.errstate(invalid="ignore"):
             decisive = np.flatnonzero((speeds > MIN_SPEED).any(axis=0))
         codes = np.concatenate([[self._code], code[decisive]])
-        place = np.arange(len(codes))
-        changed = np.maximum.accumulate(np.where(np.diff(codes, prepend=codes[0]) != 0, place, 1 - self._run))
-        run = place - changed + 1
+        index = np.arange(len(codes))
+        changed = np.maximum.accumulate(np.where(np.diff(codes, prepend=codes[0]) != 0, index, 1 - self._run))
+        run = index - changed + 1
         run[0] = self._run
         counts = np.full(speeds.shape[1], -1)
         counts[decisive] = np.where(run[1:] >= MIN_ROWS, codes[1:], -1)
@@ -99,7 +99,7 @@ class Wheels:
 
 
 def _apart(speeds: Floats) -> NDArray[np.int64]:
-    """1 for each wheel (k, n) that is not of the larger part of those known; for all of them where none is larger."""
+    """1 for each known wheel (k, n) outside the majority, and for all known wheels where there is no majority."""
     with np.errstate(invalid="ignore"):
         faster = np.maximum(speeds[:, None], speeds[None])
         agree = np.abs(speeds[:, None] - speeds[None]) <= MAX_DIFFERENCE * np.abs(faster)  # False where not known
@@ -111,7 +111,7 @@ def _apart(speeds: Floats) -> NDArray[np.int64]:
 
 
 class _Still:
-    """Tells wheels whose value has not changed since the others were at another speed."""
+    """Detects wheels whose value is constant while the mean of the others changes by MAX_STILL_CHANGE."""
 
     def __init__(self, wheels: int) -> None:
         self.wheels = wheels
@@ -120,22 +120,24 @@ class _Still:
         self._is_still = np.zeros(wheels, dtype=bool)
 
     def feed(self, speeds: Floats) -> Mask:
-        """Which wheels (k, n) stand still."""
-        known = np.isfinite(speeds)
-        count = known.sum(axis=0)
-        total = np.where(known, speeds, 0.0).sum(axis=0)
+        """Mask (k, n) of the wheels that stand still."""
+        is_known = np.isfinite(speeds)
+        count = is_known.sum(axis=0)
+        total = np.where(is_known, speeds, 0.0).sum(axis=0)
         still = np.zeros(speeds.shape, dtype=bool)
-        place = np.arange(speeds.shape[1])
-        for i, own in enumerate(speeds):
+        index = np.arange(speeds.shape[1])
+        for i, speed in enumerate(speeds):
             others = np.where(
-                count > known[i], (total - np.where(known[i], own, 0.0)) / np.maximum(count - known[i], 1), np.nan
+                count > is_known[i],
+                (total - np.where(is_known[i], speed, 0.0)) / np.maximum(count - is_known[i], 1),
+                np.nan,
             )
             with np.errstate(invalid="ignore"):
-                is_same = np.abs(np.diff(own, prepend=self._last[i])) <= STILL
-                begun = np.maximum.accumulate(np.where(is_same, -1, place))
+                is_same = np.abs(np.diff(speed, prepend=self._last[i])) <= STILL
+                begun = np.maximum.accumulate(np.where(is_same, -1, index))
                 then = np.where(begun >= 0, others[begun], self._others[i])
                 far = np.abs(others - then) > MAX_STILL_CHANGE
-            last_far = np.maximum.accumulate(np.where(far, place, -1))
+            last_far = np.maximum.accumulate(np.where(far, index, -1))
             still[i] = np.where(begun >= 0, last_far > begun, (last_far >= 0) | self._is_still[i])
-            self._last[i], self._others[i], self._is_still[i] = own[-1], then[-1], still[i, -1]
+            self._last[i], self._others[i], self._is_still[i] = speed[-1], then[-1], still[i, -1]
         return still

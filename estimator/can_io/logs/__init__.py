@@ -1,4 +1,4 @@
-"""Reading recorded CAN traffic: ``open_log(path)`` yields batches of frames from any of the known formats."""
+"""Reading of recorded CAN traffic: ``open_log(path)`` yields batches of frames from any known format."""
 
 from estimator.can_io.logs.log import Log
 from estimator.can_io.logs.opening import FORMATS, open_log

@@ -1,7 +1,7 @@
 """ASCII logs of Vector's CANalyzer and CANoe.
 
-Two traps of python-can's reader are avoided here: it reads the header ``timestamps relative`` but does not add the
-times up, and it takes the line after a header without ``internal events logged`` for part of the header.
+Two errors of python-can's reader are avoided here. It reads the header ``timestamps relative`` but does not add up the
+times. It treats the line after a header without ``internal events logged`` as part of the header.
 """
 
 import re
@@ -24,7 +24,7 @@ FRAME = re.compile(r"\s[TR]x\s+[dr]\b")
 
 
 class AscLog(LineLog):
-    """An ``.asc`` log; times count from the start of the measurement."""
+    """Log in ``.asc`` format; times count from the start of the measurement."""
 
     def _begin(self) -> None:
         self.byte_base, self.byte_digits = 16, 2
@@ -86,7 +86,7 @@ class AscLog(LineLog):
             self._clock = float(lines.t[-1])
 
     def _reader_head(self) -> bytes:
-        """Give a header that says the base alone."""
+        """Header for python-can's reader that has only the base of the numbers."""
         base = b"hex" if self.byte_base == 16 else b"dec"
         return b"base " + base + b"  timestamps absolute\nno internal events logged\n"
 

@@ -1,4 +1,4 @@
-"""One line of an .asc log: where the values stand in it, as CANalyzer, CANoe and python-can write them.
+"""Layout of a line of an .asc log, as CANalyzer, CANoe and python-can write it.
 
 ``   0.015991 1  CF00400x        Rx   d 8 F0 7D 82 BD 12 00 F4 82  Length = 0 ...`` and for CAN FD
 ``  30.005021 CANFD   1 Rx   300  SymbolicName   1 0 8  8 11 c2 03 04 05 06 07 08   102203 ...``
@@ -24,14 +24,14 @@ _FD = re.compile(
 
 
 def layout(line: bytes) -> Layout | None:
-    """Parse a line with hexadecimal numbers; None where it is no plain data frame."""
+    """Parse a line with hexadecimal numbers; None if it is not a plain data frame."""
     if not line.strip():
         return NOTHING
     match = _CLASSIC.match(line) or _FD.match(line)
     if match is None:
         return None
     length, first = int(match["length"]), match.start("data")
-    columns = [first + found.start() for found in re.finditer(rb"\S\S", match["data"])][:length]
+    columns = [first + pair.start() for pair in re.finditer(rb"\S\S", match["data"])][:length]
     steps = {b - a for a, b in pairwise(columns)} or {3}
     extended = bool(match["x"])
     largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID

@@ -1,6 +1,6 @@
-"""Vector BLF logs: a file header, then containers of zlib-packed objects, which may straddle containers.
+"""Vector BLF logs: a file header, then containers of zlib-packed objects, which may cross container boundaries.
 
-Some writers put the objects between the containers, or use none.
+Some writers put objects between the containers, or use no containers.
 """
 
 import struct
@@ -29,7 +29,7 @@ FRAME_TYPES = {kind.type for kind in KINDS}
 
 
 class Header(NamedTuple):
-    """What the file header says: the file's size [bytes] and objects, both 0 until closed, and the start [s]."""
+    """File header: size of the file [bytes] and number of objects, both 0 until it is closed, and start [s]."""
 
     file_size: int
     objects: int
@@ -37,7 +37,7 @@ class Header(NamedTuple):
 
 
 class Container(NamedTuple):
-    """The contents of a container as far as they are there, its offset in the file, and what is wrong with it."""
+    """Available contents of a container, its offset in the file, and the fault in it, if any."""
 
     data: bytes | bytearray
     offset: int
@@ -45,7 +45,7 @@ class Container(NamedTuple):
 
 
 class BlfLog(Log):
-    """A ``.blf`` log; times are those of python-can's ``BLFReader`` (its start time taken as UTC)."""
+    """Log in ``.blf`` format; times are those of python-can's ``BLFReader``, with its start time in UTC."""
 
     def _read(self) -> Iterator[Frames]:
         with Source(self.path) as source:
@@ -74,7 +74,7 @@ class BlfLog(Log):
                 raise self._damage(source.position, "the file ends too early", count, header)
 
     def _decode(self, held: list[Container], start: float) -> tuple[Decoded, Container]:
-        """Decode the objects in some containers; what is left of them counts as one, the offset being the last's."""
+        """Decode the objects in some containers; the rest is returned as one container, with the offset of the last."""
         data = b"".join(container.data for container in held)
         decoded = decode_objects(data, start)
         self.skipped.update(decoded.skipped)
@@ -86,7 +86,7 @@ class BlfLog(Log):
         return decoded, Container(data[decoded.used :], offset, "")
 
     def _containers(self, source: Source) -> Iterator[Container]:
-        """Yield the containers up to the end of the file, or to the first that is damaged."""
+        """Yield the containers up to the end of the file, or to the first damaged one."""
         while True:
             offset = source.position
             data, fault = self._next_container(source)
@@ -109,7 +109,7 @@ class BlfLog(Log):
         return Header(file_size, objects, start_time(dates[:8]))
 
     def _next_container(self, source: Source) -> tuple[bytes | bytearray, str]:
-        """Read one top-level object: a frame, or the contents of a container as far as they are; and what is wrong."""
+        """Read one top-level object: a frame, or the available contents of a container, with its fault."""
         raw = source.read(OBJECT_HEADER.size)
         if not raw:
             return b"", ""
@@ -149,7 +149,7 @@ class BlfLog(Log):
 
 
 def start_time(date: list[int]) -> float:
-    """Seconds since 1970 of a SYSTEMTIME (year, month, weekday, day, h, min, s, ms), 0 if it is none, as UTC."""
+    """Seconds since 1970 of a SYSTEMTIME (year, month, weekday, day, h, min, s, ms) in UTC; 0 if it is invalid."""
     year, month, _, day, hour, minute, second, millisecond = date
     try:
         return datetime(year, month, day, hour, minute, second, millisecond * 1000, tzinfo=UTC).timestamp()

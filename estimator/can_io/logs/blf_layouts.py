@@ -1,8 +1,8 @@
-"""The CAN frames in objects of a Vector BLF log, a whole array of objects of one kind at a time.
+"""Layouts of CAN frames in objects of a Vector BLF log, read for whole arrays of objects of one kind.
 
-An object starts with the header ``LOBJ``, header size u16, header version u16, object size u32, type u32; versions 1
-and 2 both go on with flags u32 at byte 16 and the time u64 at byte 24, and hold the payload from byte 32 or 40.
-Layouts as python-can's ``can.io.blf`` reads them.
+An object begins with the header ``LOBJ``, header size u16, header version u16, object size u32, type u32. Versions 1
+and 2 both have flags u32 at byte 16 and the time u64 at byte 24. Their payload begins at byte 32 or 40. Source:
+python-can's ``can.io.blf``.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ FD64: Fields = {
 
 
 class Columns(NamedTuple):
-    """The fields of frames as arrays (n,): ``t`` [s], ``data`` (n, 8) or (n, 64), zero beyond ``length`` [bytes].
+    """Fields of frames as arrays (n,): ``t`` [s], ``data`` (n, 8) or (n, 64), zero beyond ``length`` [bytes].
 
     ``remote`` frames carry no data; the payload of a ``wrong`` one would lie beyond the end of the object.
     ``channel`` counts from 1.
@@ -53,9 +53,10 @@ class Columns(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """Objects of one type and header version: where the fields are, and the way to `Columns`.
+    """Objects of one type and header version, with the layout of their fields.
 
-    ``columns`` takes the records, the offset of the payload in them [bytes] and the start of the measurement [s].
+    ``columns`` makes `Columns` from records, the offset of the payload in them [bytes] and the start of the
+    measurement [s].
     """
 
     type: int
@@ -64,7 +65,7 @@ class Kind(NamedTuple):
     columns: Callable[[Records, int, float], Columns]
 
     def read(self, objects: Records, start: float) -> Columns:
-        """The frames in records (n,) of this kind."""
+        """Read the frames in records (n,) of this kind."""
         return self.columns(objects, PAYLOAD_AT[self.version], start)
 
 

@@ -1,7 +1,7 @@
-"""The objects inside the containers of a Vector BLF log: where they are, and which of them are CAN frames.
+"""Objects inside the containers of a Vector BLF log: their positions, and the CAN frames among them.
 
-Objects follow each other with up to 3 bytes of padding. Long runs of objects of one kind and size, the rule in logs,
-are read where they lie; where kinds are mixed, objects are located first and gathered by kind.
+Objects follow each other with up to 3 bytes of padding. Long runs of objects of one kind and size, as is usual in logs,
+are read in place. If kinds are mixed, objects are first located and then gathered by kind.
 """
 
 from collections import Counter
@@ -31,10 +31,10 @@ KIND_OF = {(kind.type, kind.version): kind for kind in KINDS}
 
 
 class Decoded(NamedTuple):
-    """The data frames (n,) of a stretch of objects and their channels (n,), counts of the others, and the bytes used.
+    """Data frames (n,) of a stretch of objects, their channels (n,), counts of other objects, and the bytes used.
 
-    ``wanted`` is how many bytes after the used ones the next object takes, as far as they show it; ``fault`` what is
-    wrong after them.
+    ``wanted`` is the known size [bytes] of the next, incomplete object after the used bytes; ``fault`` is the error
+    found after them.
     """
 
     frames: Frames
@@ -46,7 +46,7 @@ class Decoded(NamedTuple):
 
 
 class Located(NamedTuple):
-    """Where objects start, the bytes used, and what is wrong after them."""
+    """Positions of objects, the number of bytes used, and the error found after them."""
 
     positions: NDArray[np.int64]
     used: int
@@ -67,10 +67,10 @@ def decode_objects(buffer: bytes, start: float) -> Decoded:
     skipped: Counter[str] = Counter()
     at, fault = 0, ""
     while not fault and not (wanted := _missing(buffer, at)):
-        found = _run(buffer, at, start) or _mixed(buffer, at, start)
-        parts.append(found)
-        skipped.update(found.skipped)
-        at, fault = at + found.used, found.fault
+        decoded = _run(buffer, at, start) or _mixed(buffer, at, start)
+        parts.append(decoded)
+        skipped.update(decoded.skipped)
+        at, fault = at + decoded.used, decoded.fault
     parts = [part for part in parts if len(part.frames)] or parts[:1]
     channel = parts[0].channel if len(parts) == 1 else np.concatenate([NO_CHANNEL, *(part.channel for part in parts)])
     frames = Frames.concatenate([part.frames for part in parts])
@@ -78,7 +78,7 @@ def decode_objects(buffer: bytes, start: float) -> Decoded:
 
 
 def _missing(buffer: bytes, at: int) -> int:
-    """How many bytes from ``at`` on it takes to go on, 0 where they are there or are no object."""
+    """Number of bytes from ``at`` on that the next object needs; 0 if they are present, or are not an object."""
     first = buffer.find(SIGNATURE, at, at + MAX_PADDING + len(SIGNATURE))
     if first < 0:
         end = MAX_PADDING + len(SIGNATURE)
@@ -89,8 +89,8 @@ def _missing(buffer: bytes, at: int) -> int:
 
 
 def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
-    """Decode objects of one kind and size that follow each other from ``at`` on, if there are many."""
-    at, before = buffer.find(SIGNATURE, at, at + MAX_PADDING + len(SIGNATURE)), at
+    """Decode a run of objects of one kind and size from ``at`` on; None if the run is short."""
+    at, offset = buffer.find(SIGNATURE, at, at + MAX_PADDING + len(SIGNATURE)), at
     if at < 0 or at + BASE > len(buffer):
         return None
     head = np.frombuffer(buffer, HEAD, 1, at)[0]
@@ -109,12 +109,12 @@ def _run(buffer: bytes, at: int, start: float) -> Decoded | None:
         return None
     remote = int(np.count_nonzero(columns.remote))
     return _decoded(
-        columns, ~columns.remote if remote else None, Counter({REMOTE_FRAME: remote}), at + count * size - before
+        columns, ~columns.remote if remote else None, Counter({REMOTE_FRAME: remote}), at + count * size - offset
     )
 
 
 def _decoded(columns: Columns, keep: Mask | None, skipped: Counter[str], used: int, fault: str = "") -> Decoded:
-    """The objects that are to be kept, all if ``keep`` is None."""
+    """Select the objects in the mask ``keep`` (n,), all if it is None."""
     frames, channel = Frames(columns.t, columns.ident, columns.length, columns.data), columns.channel
     if keep is not None:
         frames, channel = frames[keep], channel[keep]
@@ -165,17 +165,17 @@ def _blank(count: int, has_fd: bool) -> Columns:
 
 
 def _put(columns: Columns, rows: NDArray[np.intp], kind: Kind, objects: NDArray[np.void], start: float) -> None:
-    found = kind.read(objects, start)
-    columns.data[rows, : found.data.shape[1]] = found.data
+    read = kind.read(objects, start)
+    columns.data[rows, : read.data.shape[1]] = read.data
     for name in ("t", "ident", "length", "channel", "remote", "wrong"):
-        getattr(columns, name)[rows] = getattr(found, name)
+        getattr(columns, name)[rows] = getattr(read, name)
 
 
 def locate(buffer: bytes) -> Located:
     """Find where the complete objects in ``buffer`` start.
 
-    Where every signature in the bytes is the successor of the one before, they are the objects; from the first
-    place where it is not (payload may spell the signature), sizes are followed one by one.
+    The signatures are the objects as long as each follows from the size of the previous object. From the first that
+    does not (a payload may contain the signature), sizes are followed one by one.
     """
     window = np.frombuffer(buffer, np.uint8)
     at = np.flatnonzero(window[: max(len(window) - BASE + 1, 0)] == SIGNATURE[0])
@@ -198,7 +198,7 @@ def locate(buffer: bytes) -> Located:
 
 def _walk(buffer: bytes, position: int) -> Located:
     """Follow the sizes of objects, one by one."""
-    found: list[int] = []
+    positions: list[int] = []
     fault = ""
     reach = MAX_PADDING + len(SIGNATURE)
     while (at := buffer.find(SIGNATURE, position, position + reach)) >= 0 and at + BASE <= len(buffer):
@@ -207,23 +207,23 @@ def _walk(buffer: bytes, position: int) -> Located:
             fault = f"an object of {size} bytes{TOO_SMALL * (size < BASE)}"
         if fault or at + size > len(buffer):
             break
-        found.append(at)
+        positions.append(at)
         position = at + size
     if at < 0 and position + reach <= len(buffer):
         fault = "no object where one should start"
-    return Located(np.array(found, np.int64), position, fault)
+    return Located(np.array(positions, np.int64), position, fault)
 
 
 def _gathered(window: NDArray[np.uint8], at: NDArray[np.int64], record: np.dtype[np.void]) -> NDArray[np.void]:
-    """Records (n,) that start at the places ``at`` (n,) of a window."""
+    """Records (n,) that start at the positions ``at`` (n,) of a window."""
     rows = sliding_window_view(window, record.itemsize)[at]
     return np.ascontiguousarray(rows).view(record)[:, 0]
 
 
 def _count_others(heads: NDArray[np.void], is_frame: Mask) -> Counter[str]:
-    known = np.isin(heads["version"], list(PAYLOAD_AT))
+    is_known = np.isin(heads["version"], list(PAYLOAD_AT))
     counts: Counter[str] = Counter()
-    counts["BLF object of unknown version"] = int(np.count_nonzero(~known))
-    for kind, count in zip(*np.unique(heads["type"][known & ~is_frame], return_counts=True), strict=True):
+    counts["BLF object of unknown version"] = int(np.count_nonzero(~is_known))
+    for kind, count in zip(*np.unique(heads["type"][is_known & ~is_frame], return_counts=True), strict=True):
         counts[ERROR_FRAME if kind in ERROR_TYPES else f"BLF object of type {kind}"] += int(count)
     return counts

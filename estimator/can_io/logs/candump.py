@@ -6,7 +6,7 @@ from estimator.can_io.logs.line_log import LineLog
 
 
 class CandumpLog(LineLog):
-    """A ``.log`` file of candump."""
+    """Log in candump's ``.log`` format."""
 
     def _layout(self, line: bytes) -> Layout | None:
         return layout(line)

@@ -1,4 +1,4 @@
-"""One line of candump output: the grammar, where the values stand in it, and what is wrong with a line that fails.
+"""Grammar of a line of candump output: the layout of its values, or the error of a line that does not match.
 
 ``candump -l``: ``(1436509052.249713) can0 18FEF100#0011223344556677``, ``123##1AABB`` for CAN FD, ``123#R`` remote.
 On screen with ``-ta`` or ``-tz``: `` (000.005001)  can0  18FEF100   [8]  00 11 22 33 44 55 66 77``; with ``-tA`` date
@@ -47,7 +47,7 @@ def layout(line: bytes) -> Layout:
     Raises
     ------
     BadLineError
-        If it is neither blank nor in one of the two forms.
+        The line is neither blank nor in one of the two forms.
     """
     if not line.strip() or _EXPLANATION.fullmatch(line):
         return NOTHING

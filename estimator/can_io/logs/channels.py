@@ -1,4 +1,4 @@
-"""The channels of a log: which of them are read, and whether several can be read as one bus."""
+"""Channels of a log: choice of those that are read, and check that several can be read as one bus."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -23,15 +23,15 @@ MAX_IDENTS = 1 << 16  # that are remembered; a bus has far fewer
 class Channels:
     """Counts the frames of a log by channel, and keeps those of some channels.
 
-    Without a choice all channels are read as one bus, as long as no identifier comes on two of them: the same
-    identifier on two buses is another sender, or the same one twice.
+    Without a choice all channels are read as one bus, unless an identifier comes on two of them. It would belong to
+    different senders, or to one sender that is recorded twice.
 
     Attributes
     ----------
     counts : collections.Counter[str]
         Frames by channel, as the log names it, read or not.
     shared : tuple[int, str, str] or None
-        The first identifier found on two channels, and these; None where they are told apart or chosen.
+        First identifier that comes on two channels, and these channels; None if there is none, or some are chosen.
     """
 
     def __init__(self, wanted: Iterable[str] = ()) -> None:
@@ -39,18 +39,18 @@ class Channels:
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Reset the counts for a new pass over the log."""
         self.counts: Counter[str] = Counter()
         self.shared: tuple[int, str, str] | None = None
         self._channel_of: dict[int, str] = {}  # by identifier
         self._last: tuple[NDArray[np.uint32], str] | None = None  # identifiers of the only channel so far, and its name
 
     def keep(self, frames: Frames, channel: Numbers, name: Callable[[int], str] = str) -> Frames:
-        """The frames that are read, of some with their channels (n,), whose names ``name`` gives."""
+        """Select the frames of read channels; ``name`` gives the name of each of the channels (n,)."""
         return frames[self.rows(frames.ident, channel, name)]
 
     def rows(self, ident: NDArray[np.uint32], channel: Numbers, name: Callable[[int], str] = str) -> slice | Mask:
-        """Which frames are read, by their identifiers (n,) and channels (n,)."""
+        """Mask (n,) or slice of the frames that are read, by identifiers (n,) and channels (n,)."""
         if not len(ident):
             return slice(0)
         first = channel[0]
@@ -64,7 +64,7 @@ class Channels:
         return slice(None) if wanted.all() else wanted
 
     def _take(self, ident: NDArray[np.uint32], name: str) -> bool:
-        """Count frames of a channel; whether they are read."""
+        """Count frames of a channel; returns True if they are read."""
         self.counts[name] += len(ident)
         if self._wanted:
             return name in self._wanted
@@ -78,18 +78,18 @@ class Channels:
         return True
 
     def _note(self, ident: NDArray[np.uint32], name: str) -> None:
-        """Note which identifiers come on a channel, up to the first that comes on two."""
+        """Note the identifiers of a channel, up to the first that comes on two channels."""
         if self.shared is not None:
             return
-        for one in np.unique(ident).tolist():
-            if (other := self._channel_of.get(one, name)) != name:
-                self.shared = one, other, name
+        for identifier in np.unique(ident).tolist():
+            if (other := self._channel_of.get(identifier, name)) != name:
+                self.shared = identifier, other, name
                 break
             if len(self._channel_of) < MAX_IDENTS:
-                self._channel_of[one] = name
+                self._channel_of[identifier] = name
 
     def check_number(self, path: Path) -> None:
-        """Check that so many channels can be meant.
+        """Check that the number of channels is plausible.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class Channels:
 
 
 def described(counts: Mapping[str, int]) -> str:
-    """Channels and their frames in words."""
+    """Describe channels and their numbers of frames in words."""
     parts = [f"{name or 'without a name'} ({count:,} frames)" for name, count in sorted(counts.items())]
     more = f" and {len(parts) - MAX_NAMED} more" if len(parts) > MAX_NAMED else ""
     return f"channel{'s' * (len(parts) > 1)} {', '.join(parts[:MAX_NAMED])}{more}" if parts else "no data frame"

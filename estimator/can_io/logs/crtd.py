@@ -1,4 +1,4 @@
-"""Logs of the Open Vehicle Monitoring System (OVMS): one record a line, named by what it holds.
+"""Logs of the Open Vehicle Monitoring System (OVMS), with one typed record a line.
 
 ``1542473901.040305 1R29 18FEF100 f3 00 28 00 00 00 00 ff``: time [s], bus (older logs have none) and type, id, data.
 R and T are frames received and sent, with 11 or 29 bits in their ids; types that begin with C are comments and events.
@@ -16,7 +16,7 @@ _OTHER = re.compile(_TIME + rb"C[A-Z]{2}(?:\s.*)?", re.DOTALL)
 
 
 class CrtdLog(LineLog):
-    """A ``.crtd`` log."""
+    """Log in ``.crtd`` format."""
 
     def _layout(self, line: bytes) -> Layout:
         return layout(line)
@@ -28,7 +28,7 @@ def layout(line: bytes) -> Layout:
     Raises
     ------
     BadLineError
-        If it is neither blank nor a record.
+        The line is neither blank nor a record.
     """
     if not line.strip() or _OTHER.fullmatch(line):
         return NOTHING

@@ -1,8 +1,8 @@
-"""The usual lines of a python-can .csv log, all at once, whatever the widths of their fields are.
+"""Vectorised reading of the usual lines of a python-can .csv log, for any widths of their fields.
 
-``1700000000.0313795,0xcf00400,1,0,0,8,P/+BwBL///8=``: python-can writes a time with as many digits as it takes, so few
-lines have one layout. Here each field is a 64-bit word of eight characters, read where the field before it ends. Every
-character of a line is checked; a line that is unusual in any of them is left to the grammar.
+``1700000000.0313795,0xcf00400,1,0,0,8,P/+BwBL///8=``: python-can writes times with a varying number of digits, so few
+lines have one layout. Here each field is a 64-bit word of eight characters, read from the end of the previous field.
+Every character of a line is checked; an unusual line is left to the grammar.
 """
 
 import numpy as np
@@ -44,9 +44,9 @@ PAIR, NO_PAIRS = np.uint64(0xFFF), _word(NO_PAIR.to_bytes(2, "little") * 4)
 
 
 def _payload_masks() -> tuple[Words, Words, Words, Words]:
-    """Of the two words of a payload by its length (2, 9): its digits, what stands for others, signs "=", their places.
+    """Masks and texts (2, 9) for both words of a base64 payload, by its length.
 
-    The digits and the places are masks.
+    They are the mask of its digits, the digits "A" for the other places, the signs "=", and the mask of their places.
     """
     masks = np.zeros((4, len(CHARACTERS), 2 * WORD), np.uint8)
     kept, filling, signs, places = masks
@@ -61,7 +61,7 @@ def _payload_masks() -> tuple[Words, Words, Words, Words]:
 
 
 def _pairs() -> NDArray[np.uint16]:
-    """Values of two base64 digits, by the two characters as a little-endian number."""
+    """Table of the values of two base64 digits, by the two characters as a little-endian number."""
     digit = np.full(256, NO_PAIR, np.uint16)
     digit[list(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")] = range(64)
     second, first = digit[:, None], digit[None, :]
@@ -73,14 +73,14 @@ PAIRS = _pairs()
 
 
 def read_usual(buffer: Bytes, starts: Places, ends: Places) -> tuple[Places, Frames]:
-    """The rows of usual lines, data frames of a classic bus, and their frames.
+    """Row numbers of usual lines, which are data frames of a classic bus, and their frames.
 
     Parameters
     ----------
     buffer : ndarray
-        Lines between at least two words before and four behind.
+        Lines, with at least two words before and four words after them.
     starts, ends : ndarray
-        Where lines begin and end (n,).
+        Positions (n,) at which lines begin and end.
     """
     words: Words = np.ndarray((len(buffer) - WORD + 1,), "<u8", buffer.data, 0, (1,))  # those from each byte on
     ends = ends - (buffer[ends - 1] == ord("\r"))
@@ -98,19 +98,19 @@ def read_usual(buffer: Bytes, starts: Places, ends: Places) -> tuple[Places, Fra
 
 
 def _points(buffer: Bytes, starts: Places) -> Places:
-    """Places (n,) of the first point from each start on, of the length of the buffer where there is none."""
-    found = np.flatnonzero(buffer == ord("."))
-    if len(found) == len(starts):  # one a line, or lines are unusual
-        return found
-    return np.append(found, len(buffer))[np.searchsorted(found, starts)]
+    """Positions (n,) of the first point from each start on; the length of the buffer if there is none."""
+    points = np.flatnonzero(buffer == ord("."))
+    if len(points) == len(starts):  # one a line, or lines are unusual
+        return points
+    return np.append(points, len(buffer))[np.searchsorted(points, starts)]
 
 
 def _times(buffer: Bytes, words: Words, start: Places, point: Places) -> tuple[Floats, Places, Mask]:
-    """Times [s] as `float` reads them, the places behind them, and where they are usual."""
-    before = point - start
-    digits = last_digits(words[point - WORD], np.minimum(before, WORD))
-    if before.max(initial=0) > WORD:
-        digits = np.hstack([last_digits(words[point - 2 * WORD], np.maximum(before - WORD, 0)), digits])
+    """Times (n,) [s] as `float` reads them, positions after them (n,), and mask of the usual ones (n,)."""
+    whole_digits = point - start
+    digits = last_digits(words[point - WORD], np.minimum(whole_digits, WORD))
+    if whole_digits.max(initial=0) > WORD:
+        digits = np.hstack([last_digits(words[point - 2 * WORD], np.maximum(whole_digits - WORD, 0)), digits])
     seconds, good = decimal_words(digits)
     fraction = words[point + 1]
     after = decimal_digits(fraction)
@@ -124,7 +124,7 @@ def _times(buffer: Bytes, words: Words, start: Places, point: Places) -> tuple[F
 
 
 def _idents(buffer: Bytes, words: Words, comma: Places) -> tuple[NDArray[np.uint32], Places, Mask]:
-    """Ids with their flag, the places behind them, and where they and the flags are usual."""
+    """Ids (n,) with their flag, positions after them (n,), and mask of usual ids and flags (n,)."""
     text = words[comma + 3]
     count = hexadecimal_digits(text)
     ident, _ = hexadecimal_words(with_zeros(text, count))
@@ -137,7 +137,7 @@ def _idents(buffer: Bytes, words: Words, comma: Places) -> tuple[NDArray[np.uint
 
 
 def _payloads(buffer: Bytes, words: Words, behind: Places, ends: Places) -> tuple[Places, Words, Mask]:
-    """Lengths [bytes], payloads as words with zeros behind, and where they are usual."""
+    """Lengths (n,) [bytes], payloads as zero-padded words (n,), and mask of the usual ones (n,)."""
     comma = behind + WORD
     length = buffer[comma - 1].astype(np.intp) - ZERO
     good = (length >= 0) & (length < len(PADDED)) & (buffer[comma] == ord(","))

@@ -1,4 +1,4 @@
-"""Comma-separated logs: as python-can, SavvyCAN and mdf2csv write them, told apart by their header."""
+"""Comma-separated logs of python-can, SavvyCAN and mdf2csv, distinguished by their header."""
 
 import re
 from functools import partial
@@ -24,7 +24,7 @@ FRAME = re.compile(
 
 
 class CsvLog(LineLog):
-    """A ``.csv`` log of frames; any other table is refused."""
+    """Log of frames in ``.csv`` format; any other table is refused."""
 
     def _begin(self) -> None:
         self._grammar: Grammar | None = None
@@ -41,7 +41,7 @@ class CsvLog(LineLog):
         return text[start:]
 
     def _grammar_below(self, header: bytes) -> Grammar:
-        """The grammar of the lines below a header."""
+        """Grammar of the lines below a header."""
         if header == HEADER:
             self.usual = read_usual
             return layout
@@ -51,8 +51,8 @@ class CsvLog(LineLog):
             return partial(mdf2csv_line.layout, frame=frame)
         if TABLE.fullmatch(header):
             raise LogError(decoded_table(self.path, header))
-        found = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(header)}"
-        raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+        error = f"expected the header {HEADER.decode()!r} of a python-can log, found {shown(header)}"
+        raise LogError(f"{self.path}:{self._number}: {error}; give another log")
 
     def _layout(self, line: bytes) -> Layout | None:
         assert self._grammar is not None
@@ -70,7 +70,7 @@ class CsvLog(LineLog):
 
 
 def decoded_table(path: Path, header: bytes) -> str:
-    """A message on a table of decoded values that was given as a log, with the command that reads it."""
+    """Error message for a table of decoded values given as a log, with the command that reads it."""
     return (
         f"{path}: a table of decoded values, not a log of frames (its columns: {shown(header)}); "
         f'give its columns: roadload estimate {quote(str(path))} --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
@@ -78,7 +78,7 @@ def decoded_table(path: Path, header: bytes) -> str:
 
 
 def layout(line: bytes) -> Layout | None:
-    """Parse a line of python-can; None where it is no plain data frame."""
+    """Parse a line of python-can; None if it is not a plain data frame."""
     if not line.strip():
         return NOTHING
     match = FRAME.fullmatch(line)

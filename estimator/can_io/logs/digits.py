@@ -1,7 +1,7 @@
-"""Digits to numbers, eight characters at a time: each character is a byte of a 64-bit word.
+"""Conversion of digits to numbers, eight characters at a time: each character is a byte of a 64-bit word.
 
-A byte ``b`` below 0x80 is at least ``k`` where the top bit of ``b + 0x80 - k`` is set; such sums carry into no other
-byte. Words are little-endian: the first character is the lowest byte.
+A byte ``b`` below 0x80 is at least ``k`` if the top bit of ``b + 0x80 - k`` is set; such sums have no carry into other
+bytes. Words are little-endian: the first character is the lowest byte.
 """
 
 from typing import Any
@@ -36,7 +36,7 @@ def _at_least(words: Words, character: str) -> Words:
 
 
 def padded(chars: Chars) -> Words:
-    """Characters (n, k) as words (n, m), with zeros in front."""
+    """Convert characters (n, k) to words (n, m), padded with the digit 0 in front."""
     n, k = chars.shape
     wide = np.full((n, max(-(-k // WORD), 1) * WORD), ZERO, np.uint8)
     if k:
@@ -45,7 +45,7 @@ def padded(chars: Chars) -> Words:
 
 
 def _all_set(flags: Words) -> Mask:
-    """Where the top bit of every byte is set, in all words of a row (n, m)."""
+    """Mask (n,) of rows of words (n, m) in which the top bit of every byte is set."""
     common = flags[:, 0]
     for column in flags.T[1:]:
         common = common & column
@@ -54,24 +54,24 @@ def _all_set(flags: Words) -> Mask:
 
 
 def _are_decimal(words: Words) -> Words:
-    """Top bits of the bytes that are decimal digits; the other bits are of no meaning."""
+    """Words whose top bits flag the bytes that are decimal digits; the other bits have no meaning."""
     return _at_least(words, "0") & ~_at_least(words, ":") & ~words
 
 
 def _are_hexadecimal(words: Words) -> Words:
-    """The same of hexadecimal digits."""
+    """Words whose top bits flag the bytes that are hexadecimal digits; the other bits have no meaning."""
     lower = words | CASE
     is_digit = _at_least(words, "0") & ~_at_least(words, ":")
     return (is_digit | _at_least(lower, "a") & ~_at_least(lower, "g")) & ~words
 
 
 def decimal_digits(words: Words) -> Counts:
-    """How many characters of words (n,) are decimal digits, up to the first that is none."""
+    """Number (n,) of leading characters of words (n,) that are decimal digits."""
     return _count(_are_decimal(words))
 
 
 def hexadecimal_digits(words: Words) -> Counts:
-    """The same of hexadecimal digits."""
+    """Number (n,) of leading characters of words (n,) that are hexadecimal digits."""
     return _count(_are_hexadecimal(words))
 
 
@@ -82,24 +82,24 @@ def _count(flags: Words) -> Counts:
 
 
 def with_zeros(words: Words, count: "NDArray[np.integer[Any]]") -> Words:
-    """Words (n, 1) of the first ``count`` characters of words (n,), one to eight, with zeros in front."""
+    """Words (n, 1) of the first ``count`` characters of words (n,), one to eight, padded with 0 in front."""
     digits: Words = words << SHIFTS[count] | ZEROS[count]
     return digits[:, None]
 
 
 def last_digits(words: Words, count: "NDArray[np.integer[Any]]") -> Words:
-    """Words (n, 1) of the last ``count`` characters of words (n,), with zeros in front."""
+    """Words (n, 1) of the last ``count`` characters of words (n,), padded with 0 in front."""
     digits: Words = words & LAST[count] | ZEROS[count]
     return digits[:, None]
 
 
 def decimal(chars: Chars) -> tuple[NDArray[np.int64], Mask]:
-    """Numbers (n,) of up to 18 decimal digits (n, k), and whether all are digits."""
+    """Numbers (n,) of up to 18 decimal digits (n, k), and True (n,) where all characters are digits."""
     return decimal_words(padded(chars))
 
 
 def decimal_words(words: Words) -> tuple[NDArray[np.int64], Mask]:
-    """The same of digits in words (n, m), with zeros in front."""
+    """Numbers (n,) as by `decimal`, of digits in words (n, m) padded with 0 in front."""
     valid = _all_set(_are_decimal(words))
     pairs = (words & LOW_NIBBLE) * np.uint64(10 * 256 + 1) >> np.uint64(8) & EVEN_BYTES
     fours = pairs * np.uint64(100 * 65536 + 1) >> np.uint64(16) & EVEN_PAIRS
@@ -111,23 +111,23 @@ def decimal_words(words: Words) -> tuple[NDArray[np.int64], Mask]:
 
 
 def nibbles(chars: Chars) -> tuple[Words, Mask]:
-    """Values of hexadecimal digits (n, k), a byte each, as words (n, m) with zeros in front; and whether all are."""
+    """Values of hexadecimal digits (n, k), one byte each, as words (n, m), and True (n,) where all are digits."""
     return nibbles_of_words(padded(chars))
 
 
 def nibbles_of_words(words: Words) -> tuple[Words, Mask]:
-    """The same of digits in words (n, m), with zeros in front."""
+    """Values of digits as by `nibbles`, of digits in words (n, m) padded with 0 in front."""
     letter = words >> np.uint64(6) & ONES
     return (words & LOW_NIBBLE) + letter * np.uint64(9), _all_set(_are_hexadecimal(words))
 
 
 def hexadecimal(chars: Chars) -> tuple[NDArray[np.int64], Mask]:
-    """Numbers (n,) of up to 8 hexadecimal digits (n, k), and whether all are digits."""
+    """Numbers (n,) of up to 8 hexadecimal digits (n, k), and True (n,) where all characters are digits."""
     return hexadecimal_words(padded(chars))
 
 
 def hexadecimal_words(words: Words) -> tuple[NDArray[np.int64], Mask]:
-    """The same of digits in words (n, 1), with zeros in front."""
+    """Numbers (n,) as by `hexadecimal`, of digits in words (n, 1) padded with 0 in front."""
     digits, valid = nibbles_of_words(words)
     swapped = digits[:, 0].byteswap()  # the last digit lowest
     pairs = (swapped | swapped >> np.uint64(4)) & EVEN_BYTES
@@ -138,7 +138,7 @@ def hexadecimal_words(words: Words) -> tuple[NDArray[np.int64], Mask]:
 def with_fraction(
     whole: NDArray[np.int64], parts: NDArray[np.int64], scale: "NDArray[np.int64] | int"
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Numbers ``whole + parts / scale`` (n,), and where they may differ from those of `float` in the last bit."""
+    """Numbers ``whole + parts / scale`` (n,), and indices of those that may differ from `float` in the last bit."""
     fraction = parts / scale
     value = whole + fraction
     # A second rounding, which is wrong only where the first one decided it.

@@ -1,4 +1,4 @@
-"""One line of a GVRET table, as SavvyCAN and GVRET firmware write it: where the values stand in it.
+"""Layout of a line of a GVRET table, as SavvyCAN and GVRET firmware write it.
 
 ``166064000,18FEF100,true,Rx,0,8,F3,00,28,00,00,00,00,FF,``: time in microseconds, which may be below zero, id, whether
 it has 29 bits, direction (older tables have none), bus, length, data.
@@ -25,7 +25,7 @@ def layout(line: bytes) -> Layout:
     Raises
     ------
     BadLineError
-        If it is neither blank nor a frame.
+        The line is neither blank nor a frame.
     """
     if not line.strip(b", \r"):
         return NOTHING

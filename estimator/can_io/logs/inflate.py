@@ -1,4 +1,4 @@
-"""Unpacking of zlib data of known size: by libdeflate where it is installed, two to three times as fast as zlib."""
+"""Unpacking of zlib data of known size, by libdeflate if installed: two to three times as fast as zlib."""
 
 import zlib
 from importlib.util import find_spec
@@ -16,12 +16,12 @@ else:  # machines for which there is no wheel
 
 
 def inflate(packed: bytes, size: int, most: int) -> tuple[bytes | bytearray, str]:
-    """Unpack data that hold ``size`` bytes as their writer said, at most ``most``.
+    """Unpack data whose writer states ``size`` bytes of contents; at most ``most`` bytes are unpacked.
 
     Returns
     -------
     tuple[bytes | bytearray, str]
-        The contents as far as they are there, and what is wrong with the packed data, if anything.
+        Available contents, and the error of the packed data; empty without one.
     """
     if 0 < size <= most:
         try:

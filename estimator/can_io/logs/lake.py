@@ -1,10 +1,10 @@
-"""One day of one vehicle in a lake of decoded signals, as a log.
+"""Log of one day of one vehicle in a lake of decoded signals.
 
-A lake is a tree of Parquet files, ``DEVICE/CAN1_EEC1_S00/2024/01/15/00000003_00000001.parquet``: device, bus and
-message with the address of its sender (source: the MF4 decoders of CSS Electronics, which also write the message's
-multiplexers, ``_MODE_M01``, and its destination, ``_DFF``, into the name), year, month and day, and any file name. A
-file has a column of times and one for each signal, in the units of the DBC that decoded it. All files of one day are
-one log, named ``DEVICE/*/2024/01/15/*.parquet``. They are read side by side, some thousand rows at a time.
+A lake is a tree of Parquet files, ``DEVICE/CAN1_EEC1_S00/2024/01/15/00000003_00000001.parquet``: device; bus and
+message with the address of its sender; year, month and day; and any file name. Source: the MF4 decoders of CSS
+Electronics, which also write the multiplexers of the message, ``_MODE_M01``, and its destination, ``_DFF``, into the
+name. A file has a column of times and one for each signal, in the units of the DBC that decoded it. All files of one
+day are one log, named ``DEVICE/*/2024/01/15/*.parquet``. They are read in parallel, some thousand rows at a time.
 """
 
 import re
@@ -37,18 +37,18 @@ Rows = tuple[Floats, Floats]  # times (n,) [s] and values (n, k) of signals, NaN
 
 
 def day_of(path: str) -> str | None:
-    """The name of the day, as a log, that a file of a lake belongs to; None where it is of no lake."""
+    """Name, as a log, of the day to which a file of a lake belongs; None if it is not in a lake."""
     match = DAY.fullmatch(path)
     return None if match is None else f"{match['device']}{ANY}/{match['day']}/{ANY}{SUFFIX}"
 
 
 def is_day(path: PurePath) -> bool:
-    """Whether a path names a day of a lake."""
+    """True if a path names a day of a lake."""
     return path.name == ANY + SUFFIX and len(path.parts) >= 5 and path.parts[-5] == ANY
 
 
 def files_of(day: Path) -> list[Path]:
-    """The files of a day, in order of their names."""
+    """Files of a day, in order of their names."""
     return sorted(day.parents[4].glob("/".join(day.parts[-5:])))
 
 
@@ -67,7 +67,7 @@ class _Stream:
 
 
 class LakeLog(Log):
-    """A day of a lake; ``messages`` are those of `bound_messages`."""
+    """Log of a day of a lake; ``messages`` are those of `bound_messages`."""
 
     batch = 1 << 14  # frames, of 64 bytes
 
@@ -89,36 +89,36 @@ class LakeLog(Log):
             yield self.channels.keep(frames, channel, buses.__getitem__)
 
     def _streams(self) -> list[_Stream]:
-        found: dict[tuple[str, str], _Stream] = {}
+        streams: dict[tuple[str, str], _Stream] = {}
         for file in self._files:
             folder = file.parents[3].name
             for message in self._messages:
                 if (match := _match(folder, message.name)) is None:
                     continue
                 source = int(match["source"] or "0", 16)
-                stream = found.setdefault((folder, message.name), _Stream([], message, match["bus"], source))
+                stream = streams.setdefault((folder, message.name), _Stream([], message, match["bus"], source))
                 stream.files.append(file)
-        if not found:
+        if not streams:
             there = ", ".join(sorted({file.parents[3].name for file in self._files})[:8])
             wanted = ", ".join(message.name for message in self._messages)
             raise LogError(f"{self.path}: no message that a role is bound to ({wanted}); the first there are {there}")
-        return list(found.values())
+        return list(streams.values())
 
 
 def _match(folder: str, message: str) -> re.Match[str] | None:
-    """Bus and sender in the name of a folder, where it is one of the message."""
+    """Bus and sender in the name of a folder of the message; None for another folder."""
     bus, parts = r"(?P<bus>[A-Z]+\d+)_", r"(?:_.+_M[0-9A-F]+)?(?:_S(?P<source>[0-9A-F]{2}))?(?:_D[0-9A-F]{2})?"
     return re.fullmatch(bus + re.escape(message) + parts, folder)
 
 
 def _names(message: BoundMessage) -> list[str]:
-    """Signals of a message in the order of their places."""
+    """Names of the signals of a message, in the order of their places."""
     places = {bound.signal.start: bound.signal.name for bound in message.signals}
     return [places[start] for start in sorted(places)]
 
 
 def _frames(stream: _Stream, width: int) -> Iterator[Frames]:
-    """Rows of a stream as frames, in order of time within each of them."""
+    """Yield the rows of a stream as batches of frames, each in order of time."""
     names = _names(stream.message)
     for file in stream.files:
         for t, values in _pieces(file, names):
@@ -134,10 +134,10 @@ def _frames(stream: _Stream, width: int) -> Iterator[Frames]:
 
 
 def _pieces(file: Path, names: list[str]) -> Iterator[Rows]:
-    """Rows of a file, ROWS at a time.
+    """Yield the rows of a file, ROWS at a time.
 
-    Of an open file Arrow holds the times of a whole group of rows, 8 MiB for 10^6, and the files of a day are open side
-    by side. So a file with large groups is unpacked to a temporary one first.
+    Arrow holds the times of a whole row group of each open file, 8 MiB for 10^6 rows, and all files of a day are open
+    together. A file with large groups is therefore first unpacked to a temporary file.
     """
     with _opened(file) as table:
         sizes = [table.metadata.row_group(i).total_byte_size for i in range(table.num_row_groups)]
@@ -146,7 +146,7 @@ def _pieces(file: Path, names: list[str]) -> Iterator[Rows]:
 
 
 def _unpacked(file: Path, rows: Iterator[Rows], width: int) -> Iterator[Rows]:
-    """The same rows by way of a temporary file, ``width`` numbers each."""
+    """Yield the rows of a file, of ``width`` numbers each, through a temporary file."""
     try:
         with TemporaryFile() as disk:
             for t, values in rows:
@@ -162,7 +162,7 @@ def _unpacked(file: Path, rows: Iterator[Rows], width: int) -> Iterator[Rows]:
 
 @contextmanager
 def _opened(file: Path) -> Iterator[Any]:
-    """A Parquet file; what is wrong with it, also within the block, is a LogError."""
+    """Open a Parquet file; its errors, including those within the block, become a LogError."""
     try:
         from pyarrow import ArrowException
         from pyarrow.parquet import ParquetFile
@@ -177,7 +177,7 @@ def _opened(file: Path) -> Iterator[Any]:
 
 
 def _rows(file: Path, names: list[str]) -> Iterator[Rows]:
-    """Rows of a file as Arrow gives them, ROWS at a time."""
+    """Yield the rows of a file from Arrow, ROWS at a time."""
     with _opened(file) as table:
         there = set(table.schema_arrow.names)
         time = next((name for name in TIMES if name in there), None)
@@ -201,7 +201,7 @@ def _numbers(file: Path, name: str, column: Any) -> Floats:
 
 
 def _times(file: Path, name: str, column: Any) -> Floats:
-    """Times [s]; dates without a time zone are UTC."""
+    """Times (n,) [s]; dates without a time zone are in UTC."""
     import pyarrow as pa
 
     if column.null_count:
@@ -212,7 +212,7 @@ def _times(file: Path, name: str, column: Any) -> Floats:
 
 
 def _side_by_side(parts: Sequence[Iterator[Frames]]) -> Iterator[tuple[Frames, "np.ndarray[Any, np.dtype[np.intp]]"]]:
-    """Frames of several streams in order of time, and the streams they are of; as many at once as is known to be whole.
+    """Yield frames of several streams in order of time, with their streams, as far as all streams are complete.
 
     Each stream is read up to the time that the slowest one has reached.
     """

@@ -1,4 +1,4 @@
-"""Where the values stand in a line of a text log, as a grammar finds them."""
+"""Layout of the values in a line of a text log, as a grammar finds it."""
 
 from enum import Enum
 from typing import NamedTuple
@@ -13,7 +13,7 @@ CORRECT = "correct or delete the line"
 
 
 class BadLineError(ValueError):
-    """A line is not of the format; the message says what was expected, ``remedy`` what to do."""
+    """Raised for a line that is not of the format; the message says what was expected, ``remedy`` what to do."""
 
     def __init__(self, reason: str, remedy: str = CORRECT) -> None:
         super().__init__(reason)
@@ -21,21 +21,20 @@ class BadLineError(ValueError):
 
 
 class Coding(Enum):
-    """How the payload is written."""
+    """Encoding of the payload."""
 
     HEX = 2  # columns a byte
     BASE64 = 4  # columns three bytes
 
 
 class Layout(NamedTuple):
-    """Where the values stand in a line, as columns.
+    """Columns of the values in a line.
 
-    ``seconds``, ``fraction`` and ``ident`` are (first, end) columns; ``data`` are the first columns of the payload's
-    bytes, or of its groups of four where it is base64; ``length`` is that of the payload [bytes]. ``largest`` bounds
-    the id. Lines that equal this one outside their values up to the column ``end`` have the same layout.
-    ``number`` are the columns of a number that is of no interest, and of spaces before it. ``channel`` is the name of
-    the channel, empty where the line has none. Times are ``offset`` [s] and the number over ``per_second``, which is
-    below zero where the line has a minus before the number.
+    ``seconds``, ``fraction`` and ``ident`` are (first, end) columns. ``data`` are the first columns of the bytes of the
+    payload, or of its groups of four in base64; ``length`` is its size [bytes]. ``largest`` is the largest valid id.
+    Lines that equal this one outside their values, up to the column ``end``, have the same layout. ``number`` are the
+    columns of an unused number and of the spaces before it. ``channel`` is the name of the channel, empty if there is
+    none. The time is ``offset`` [s] plus the number / ``per_second``, which is negative after a minus sign.
     """
 
     seconds: tuple[int, int]
@@ -58,5 +57,5 @@ NOTHING = Layout((0, 0), (0, 0), (0, 0), range(0), 0, 0, extended=False, largest
 
 
 def shown(line: bytes) -> str:
-    """The beginning of a line, for a message."""
+    """Beginning of a line, for an error message."""
     return repr(line.strip()[:SHOWN].decode("ascii", "replace"))

@@ -1,8 +1,8 @@
-"""Text logs with a frame a line: what candump, .asc and .csv have in common.
+"""Text logs with one frame a line: base of the readers of candump, .asc, .csv and others.
 
-A grammar finds where the values stand in a line, and many lines of one layout are converted at once. Lines that the
-grammar leaves open go one by one through the reader of python-can. A line that cannot be read costs that line, as long
-as there are few: a logger that lost power cuts a line or leaves a block of zeros.
+A grammar finds the layout of a line, and many lines of one layout are converted together. Lines that the grammar leaves
+open are parsed one by one by the reader of python-can. A few unreadable lines are skipped and counted: a logger that
+lost power cuts a line or leaves a block of zeros.
 """
 
 import codecs
@@ -36,7 +36,7 @@ Reader = Callable[[Tap], Iterable[can.Message]]
 
 
 class LineLog(Log):
-    """A text log; a subclass gives the grammar of its lines, and treats those that it leaves open."""
+    """Text log; a subclass has the grammar of its lines, and processes the lines that it leaves open."""
 
     byte_digits, byte_base = 2, 16  # how a payload byte is written
     usual: Usual | None = None  # reads usual lines faster than by the grammar
@@ -63,17 +63,17 @@ class LineLog(Log):
                     yield from self._parse(part)
                 rest = text[end:]
                 if len(rest) > MAX_LINE:
-                    found = f"expected a frame, found a line of over {MAX_LINE} bytes"
-                    raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+                    error = f"expected a frame, found a line of over {MAX_LINE} bytes"
+                    raise LogError(f"{self.path}:{self._number}: {error}; give another log")
             yield from self._parse(rest)
         if self._damaged:
             self.skipped[f"damaged line (the first is line {self._damaged[0]})"] += len(self._damaged)
 
     def _begin(self) -> None:
-        """Prepare for the first line."""
+        """Prepare a pass over the log."""
 
     def _after_header(self, text: bytes) -> bytes:
-        """Take what stands before the lines of traffic from the beginning of the file."""
+        """Read the header from the beginning of the file; returns the lines of traffic after it."""
         return text
 
     @abstractmethod
@@ -81,22 +81,22 @@ class LineLog(Log):
         """Parse a line; None leaves it to `_settle`."""
 
     def _settle(self, lines: Lines, ended: bool) -> None:
-        """Treat the lines that the grammar leaves open; ``ended`` is whether the last one has its line break."""
+        """Process the lines that the grammar leaves open; ``ended`` is True if the last one has its line break."""
 
     def _cleaned(self, text: bytes) -> bytes:
-        """Lines without what a terminal added to them."""
+        """Remove characters that a terminal added to lines."""
         return COLOUR.sub(b"", text) if b"\x1b" in text else text
 
     def _reader_head(self) -> bytes:
-        """Give the lines that the reader of python-can wants before any other."""
+        """Header lines that the reader of python-can needs."""
         return b""
 
     def _channel_of(self, message: can.Message) -> str:
-        """The channel of a message of python-can, as the log names it."""
+        """Channel of a message of python-can, as the log names it."""
         return UNNAMED
 
     def _unread(self, line: str) -> None:
-        """Count a line of which python-can makes no message, or raise ValueError if it should."""
+        """Count a line from which python-can makes no message, or raise ValueError if it should make one."""
         raise ValueError(f"expected a frame, found {shown(line.encode())}")
 
     def _parse(self, text: bytes) -> Iterator[Frames]:
@@ -124,7 +124,7 @@ class LineLog(Log):
             self._check_idle()
 
     def _is_damage(self, bad: int, lines: int, frames: int) -> bool:
-        """Whether so many bad lines among some with frames are damage to a log, and not lines of another format."""
+        """True if bad lines are so few among those with frames that the log is damaged, not of another format."""
         bad += len(self._damaged)
         most = MIN_DAMAGED + DAMAGED_SHARE * (self._number + lines)
         return bad <= min(most, self._frames + frames) and bad - len(self._damaged) <= MAX_BAD
@@ -142,8 +142,8 @@ class LineLog(Log):
 
     def _check_idle(self) -> None:
         if self._number - self._last_frame > MAX_IDLE:
-            found = f"expected a frame, found {MAX_IDLE:,} lines without"
-            raise LogError(f"{self.path}:{self._number}: {found}; give another log")
+            error = f"expected a frame, found {MAX_IDLE:,} lines without"
+            raise LogError(f"{self.path}:{self._number}: {error}; give another log")
 
     def _checked_layout(self, line: bytes) -> Layout | None:
         if len(line) > MAX_LINE:
@@ -151,19 +151,19 @@ class LineLog(Log):
         return self._layout(line)
 
     def _hand_over(self, lines: Lines, rows: list[int], ended: bool, reader: Reader) -> None:
-        """Have the ``reader`` of python-can parse some lines."""
+        """Parse lines by the ``reader`` of python-can."""
         most = len(lines.bad) + MAX_BAD
         while rows and len(lines.bad) <= most:
             rows = self._hand_over_up_to_bad(lines, rows, ended, reader)
 
     def _hand_over_up_to_bad(self, lines: Lines, rows: list[int], ended: bool, reader: Reader) -> list[int]:
-        """Have lines parsed up to the first that cannot be; the rows after it are left."""
+        """Parse lines up to the first bad one; the rows after it are left."""
         head = self._reader_head()
         # A carriage return inside a line would be the end of a line to python-can.
         text = head + b"".join(lines.line(row).rstrip(b"\r").replace(b"\r", b" ") + b"\n" for row in rows)
         if not ended and rows[-1:] == [len(lines) - 1]:
             text = text[:-1]
-        before = head.count(b"\n")
+        head_lines = head.count(b"\n")
         with Tap(BufferedReader(BytesIO(text)), lambda line: [line], self._unread) as tap:
             try:
                 for message in reader(tap):
@@ -173,24 +173,25 @@ class LineLog(Log):
                     kind = kind_of(message)
                     if not kind:
                         check_message(message)
-                    row = rows[tap.number - before - 1]
+                    row = rows[tap.number - head_lines - 1]
                     lines.put(row, Frames.from_messages([message]), kind, self._channel_of(message))
             except READER_ERRORS as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                place = min(max(tap.number - before, 1), len(rows)) - 1  # the text may hold more line ends than rows
-                lines.refuse(rows[place], f"this line cannot be read ({reason})")
-                return rows[place + 1 :]
+                # The text may hold more line ends than rows.
+                bad = min(max(tap.number - head_lines, 1), len(rows)) - 1
+                lines.refuse(rows[bad], f"this line cannot be read ({reason})")
+                return rows[bad + 1 :]
         return []
 
 
 def line_from(text: bytes, start: int) -> tuple[bytes, int]:
-    """The line that begins at ``start``, without its line break, and where the next one begins."""
+    """Line that begins at ``start``, without its line break, and the start of the next line."""
     end = text.find(b"\n", start)
     return (text[start:], len(text)) if end < 0 else (text[start:end], end + 1)
 
 
 def _pieces(source: Source) -> Iterator[bytes]:
-    """The text of a log piece by piece, as UTF-8 without a byte order mark."""
+    """Yield the text of a log in pieces, as UTF-8 without a byte order mark."""
     start = source.read(len(codecs.BOM_UTF8))
     if not start.startswith(BYTE_ORDER_MARKS):
         yield start.removeprefix(codecs.BOM_UTF8)
@@ -205,7 +206,7 @@ def _pieces(source: Source) -> Iterator[bytes]:
 
 
 def _parts(text: bytes) -> Iterator[bytes]:
-    """Whole lines, at most MAX_LINES at a time."""
+    """Yield whole lines, at most MAX_LINES at a time."""
     if text.count(b"\n") <= MAX_LINES:
         yield text
         return

@@ -1,7 +1,7 @@
-"""Many lines of a text log at once.
+"""Vectorised reading of many lines of a text log.
 
-Lines of one layout differ in digits only. The grammar parses one line; all lines of the same length that equal
-it outside its values, and have digits where it has them, are then converted together by columns.
+Lines of one layout differ in digits only. The grammar parses one line. All lines of equal length that equal it outside
+its values, and have digits in the same columns, are then converted together.
 """
 
 import binascii
@@ -39,7 +39,7 @@ SKIP, DATA, ERROR, REMOTE = range(4)  # what a line is
 
 
 class _Columns(NamedTuple):
-    """What stands in lines of one layout: ``rows`` of the table, and their values (n,) and payload (n, k)."""
+    """Values (n,) and payloads (n, k) of the lines of one layout, which are the ``rows`` (n,) of the table."""
 
     rows: Rows
     t: Floats
@@ -48,16 +48,16 @@ class _Columns(NamedTuple):
 
 
 class Lines:
-    """The values of lines, filled in by layout.
+    """Values of lines, filled in layout by layout.
 
     Attributes
     ----------
     t : ndarray
-        Times (n,) [s], 0 where a line gave none.
+        Times (n,) [s]; 0 for a line without one.
     odd : list[int]
-        Lines about which the grammar does not decide.
+        Lines that the grammar leaves open.
     bad : dict[int, BadLineError]
-        Lines that are not of the format, in no order, and why: the first MAX_BAD of each length.
+        Lines that are not of the format, unordered, with the reason: the first MAX_BAD of each length.
     channels : list[str]
         Names of the channels.
     """
@@ -85,11 +85,11 @@ class Lines:
         return len(self._ends)
 
     def line(self, row: int) -> bytes:
-        """A line without its line break."""
+        """Return a line without its line break."""
         return self._window[self._starts[row] : self._ends[row]].tobytes()
 
     def put(self, row: int, frames: Frames, kind: str = "", channel: str = "") -> None:
-        """Add the frame that was found in an odd line; ``kind`` is that of one without data."""
+        """Add the frame of an odd line; ``kind`` is the kind of a frame without data."""
         self.t[row], self._ident[row], self._length[row] = frames.t[0], frames.ident[0], frames.length[0]
         self._put_data(np.array([row]), frames.data)
         self._kind[row] = {ERROR_FRAME: ERROR, REMOTE_FRAME: REMOTE}.get(kind, DATA)
@@ -100,7 +100,7 @@ class Lines:
         self.bad[row] = BadLineError(reason)
 
     def frames(self, end: int | None = None) -> tuple[Frames, Numbers, Counter[str]]:
-        """The data frames (n,) before the line ``end``, indices (n,) of their channels, and counts of others."""
+        """Return the data frames (n,) before the line ``end``, indices (n,) of their channels, and counts of others."""
         kind = self._kind[:end]
         counts = np.bincount(kind, minlength=REMOTE + 1).tolist()
         skipped = Counter({ERROR_FRAME: counts[ERROR], REMOTE_FRAME: counts[REMOTE]})
@@ -118,7 +118,7 @@ class Lines:
         return self.channels.index(channel)
 
     def _put_usual(self, rows: Rows, frames: Frames) -> Rows:
-        """Add data frames that were found without the grammar, and give the rows that are left."""
+        """Add data frames that were read without the grammar; returns the remaining rows."""
         if not len(rows):
             return np.arange(len(self))
         index: Rows | slice = slice(None) if len(rows) == len(self) else rows
@@ -185,7 +185,7 @@ class Lines:
                 self.bad[row] = error
 
     def _put_line(self, row: int, line: bytes, layout: Layout) -> bool:
-        """Add the frame of a line; False where one of its values is none."""
+        """Add the frame of a line; returns False if one of its values is invalid."""
         channel = self._index_of(layout.channel.decode("ascii", "replace"))
         seconds, fraction, ident, number = (
             line[slice(*part)] for part in (layout.seconds, layout.fraction, layout.ident, layout.number)
@@ -221,7 +221,7 @@ class Lines:
 
 
 def _read_columns(table: Bytes, layout: Layout) -> _Columns:
-    """Read the lines of a table (n, whole words) that have the layout of its first one."""
+    """Read the lines of a table (n, whole words) that have the layout of its first line."""
     rows = np.flatnonzero(_equal_outside_values(table, layout))
     same = table if len(rows) == len(table) else table[rows]
     seconds, good = decimal(same[:, slice(*layout.seconds)])
@@ -238,7 +238,7 @@ def _read_columns(table: Bytes, layout: Layout) -> _Columns:
 
 
 def _seconds(number: Floats, layout: Layout) -> Floats:
-    """Times (n,) [s] of the numbers in lines."""
+    """Times (n,) [s] from the numbers in lines."""
     if (layout.per_second, layout.offset) == (1.0, 0.0):
         return number
     t: Floats = number / layout.per_second + layout.offset
@@ -246,7 +246,7 @@ def _seconds(number: Floats, layout: Layout) -> Floats:
 
 
 def _payload(line: bytes, layout: Layout) -> bytes:
-    """The payload of a line; ValueError where it is none."""
+    """Payload of a line; raises ValueError if it is invalid."""
     text = b"".join(line[column : column + layout.coding.value] for column in layout.data)
     if layout.coding is Coding.BASE64:
         return binascii.a2b_base64(text, strict_mode=True)[: layout.length]
@@ -271,7 +271,7 @@ def _equal_outside_values(table: Bytes, layout: Layout) -> Mask:
 
 
 def _is_number(chars: Bytes) -> Mask:
-    """Where characters (n, k) are spaces and then digits, up to the last."""
+    """Mask (n,) of rows of characters (n, k) that are spaces followed by digits up to the last."""
     good, is_digit = np.ones(len(chars), np.bool_), np.zeros(len(chars), np.bool_)
     for column in chars.T:
         was_digit, is_digit = is_digit, column - ord("0") < DIGITS  # unsigned: a character below "0" gives a large one
@@ -284,7 +284,7 @@ def _shifted(columns: range, by: int) -> slice:
 
 
 def _times(table: Bytes, layout: Layout, seconds: NDArray[np.int64], parts: NDArray[np.int64]) -> Floats:
-    """Numbers (n,), the same floating-point ones as of `float`, from the digits before and after the point."""
+    """Numbers (n,) from the digits before and after the point, bit-identical to those of `float`."""
     digits = layout.fraction[1] - layout.fraction[0]
     if digits > EXACT_DIGITS:
         return _parsed(table, layout)
@@ -313,11 +313,11 @@ def _hex_payload(table: Bytes, layout: Layout) -> tuple[Bytes, Mask]:
 
 
 def _base64_payload(table: Bytes, layout: Layout) -> tuple[Bytes, Mask]:
-    digits: list[Bytes] = [BASE64[table[:, _shifted(layout.data, place)]] for place in range(4)]
+    digits: list[Bytes] = [BASE64[table[:, _shifted(layout.data, i)]] for i in range(4)]
     data = np.zeros((len(table), 3 * len(layout.data)), np.uint8)
-    for place in range(3):
-        data[:, place::3] = digits[place] << 2 * (place + 1) | digits[place + 1] >> 4 - 2 * place
-    pads = [table[:, _shifted(layout.data, place)] == PAD for place in range(4)]
+    for i in range(3):
+        data[:, i::3] = digits[i] << 2 * (i + 1) | digits[i + 1] >> 4 - 2 * i
+    pads = [table[:, _shifted(layout.data, i)] == PAD for i in range(4)]
     valid = [((digit < NO_DIGIT) | pad).all(axis=1) for digit, pad in zip(digits, pads, strict=True)]
     every: Mask = np.all(valid, axis=0)
     return data[:, : layout.length], every

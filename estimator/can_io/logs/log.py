@@ -1,4 +1,4 @@
-"""A recorded log as an iterable of batches of frames: what all formats have in common."""
+"""Base of all log formats: a recorded log as an iterable of batches of frames."""
 
 import gzip
 import math
@@ -22,20 +22,20 @@ REMOTE_FRAME = "remote frame"
 
 
 class Log(ABC):
-    """A log file; iterating it reads the file from its beginning.
+    """Log file; iterating it reads the file from its beginning.
 
     Attributes
     ----------
     path : pathlib.Path
-        The file.
+        Path of the file.
     skipped : collections.Counter[str]
-        What was in the file but is no data frame, counted by reason.
+        Entries of the file that are no data frames, by reason.
     channels : Channels
-        The data frames of the file by channel, and which of them are yielded.
+        Counts of data frames by channel, and choice of the channels that are yielded.
     progress : float
         Share of the file read so far, 0 to 1.
     batch : int
-        Frames, the most that are yielded at once.
+        Largest number of frames in a batch.
     """
 
     batch = BATCH
@@ -52,8 +52,8 @@ class Log(ABC):
         Raises
         ------
         LogError
-            Where the file is damaged, after the frames before the damage; if it holds no data frame, or not those of
-            one bus.
+            The file is damaged, which is raised after the frames before the damage; it holds no data frame, or frames
+            of several buses.
         """
         self.skipped.clear()
         self.channels.clear()
@@ -80,7 +80,7 @@ class Log(ABC):
         """Yield frames in batches of any size, count ``skipped`` and set ``progress`` on the way."""
 
     def _from_zero(self, batches: Iterable[Frames]) -> Iterator[Frames]:
-        """The frames, all of them later by whole seconds where the log begins before time 0."""
+        """Yield the frames, shifted by whole seconds if the log begins before time 0."""
         later = 0.0
         for i, frames in enumerate(batches):
             if i == 0 and -MAX_TIME < frames.t[0] < 0:
@@ -105,7 +105,7 @@ def regroup(parts: Iterable[Frames], size: int) -> Iterator[Frames]:
     Raises
     ------
     LogError
-        Of ``parts``, after the frames before it were yielded.
+        Raised by ``parts``; the frames before it are yielded first.
     """
     held: list[Frames] = []
     count = 0

@@ -1,4 +1,4 @@
-"""One line of a table of frames that CSS Electronics' mdf2csv makes of a CANedge's logs: where the values stand in it.
+"""Layout of a line of a table of frames, as CSS Electronics' mdf2csv makes it from the logs of a CANedge.
 
 ``1700000000.100000;1;18FEF100;1;8;8;0;0;0;F3032800000000FF``, with the columns that the header names: time [s], bus
 channel, id, whether it has 29 bits, length code, length, direction, flags, data.
@@ -24,7 +24,7 @@ MAX_COLUMNS = 30
 
 
 def pattern(header: bytes) -> re.Pattern[bytes] | None:
-    """What the lines behind a header look like; None where it is another one."""
+    """Pattern of the lines after a header; None if the header is not of this format."""
     separator = b";" if b";" in header else b","
     names = header.strip().split(separator)
     if not set(names) >= NEEDED or len(set(names)) < len(names) or len(names) > MAX_COLUMNS:
@@ -38,7 +38,7 @@ def layout(line: bytes, frame: re.Pattern[bytes]) -> Layout:
     Raises
     ------
     BadLineError
-        If it is neither blank nor a frame.
+        The line is neither blank nor a frame.
     """
     if not line.strip():
         return NOTHING

@@ -1,4 +1,4 @@
-"""Which messages of python-can are data frames that a bus can carry."""
+"""Selection of python-can messages that are data frames which a bus can carry."""
 
 import can
 from can.util import dlc2len
@@ -11,7 +11,7 @@ MAX_EXTENDED_ID = 0x1FFFFFFF
 
 
 def kind_of(message: can.Message) -> str:
-    """What kind of frame without data a message is, empty for a data frame."""
+    """Kind of a message that is a frame without data; empty for a data frame."""
     if message.is_error_frame:
         return ERROR_FRAME
     is_empty = message.is_fd and message.dlc == 0  # which the reader of .asc calls remote
@@ -19,13 +19,13 @@ def kind_of(message: can.Message) -> str:
 
 
 def check_message(message: can.Message) -> None:
-    """Raise ValueError if a data message is none that a bus can carry, e.g. because its line was cut short."""
+    """Raise ValueError if no bus can carry a data message, e.g. because its line was cut."""
     if not 0 <= message.arbitration_id <= (MAX_EXTENDED_ID if message.is_extended_id else MAX_STANDARD_ID):
         raise ValueError(f"expected a CAN id, found {message.arbitration_id:X}")
-    found, expected = len(message.data), message.dlc
-    if message.is_fd and found != expected:
+    length, expected = len(message.data), message.dlc
+    if message.is_fd and length != expected:
         expected = dlc2len(expected)  # .trc gives the code, others the length
-    elif found == CLASSIC_BYTES:
+    elif length == CLASSIC_BYTES:
         expected = min(expected, CLASSIC_BYTES)  # codes 9 to 15 mean 8 bytes too
-    if found != expected or found > FD_BYTES:
-        raise ValueError(f"expected {min(expected, FD_BYTES)} data bytes, found {found}")
+    if length != expected or length > FD_BYTES:
+        raise ValueError(f"expected {min(expected, FD_BYTES)} data bytes, found {length}")

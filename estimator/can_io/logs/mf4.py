@@ -1,4 +1,4 @@
-"""ASAM MDF 4 bus logs: sorted or as a logger writes them, packed or not, finished or left open at a loss of power."""
+"""ASAM MDF 4 bus logs: sorted or unsorted, packed or not, finalised or left open at a loss of power."""
 
 import shutil
 from collections import Counter
@@ -37,7 +37,7 @@ MAX_STREAMS = 64  # of frames, each of which holds a block: 4 MiB unpacked at th
 
 
 class Mf4Log(Log):
-    """An ``.mf4`` log; times are those of python-can's ``MF4Reader``."""
+    """Log in ``.mf4`` format; times are those of python-can's ``MF4Reader``."""
 
     def _read(self) -> Iterator[Frames]:
         with self._unpacked() as opened:
@@ -61,7 +61,7 @@ class Mf4Log(Log):
 
     @contextmanager
     def _unpacked(self) -> Iterator[BinaryIO]:
-        """The open file; a gzipped one, whose blocks refer to each other, is unpacked to a temporary file."""
+        """Open the file; a gzipped one is unpacked to a temporary file, because its blocks refer to each other."""
         with ExitStack() as stack:
             if self.path.suffix.lower() != ".gz":
                 yield stack.enter_context(self.path.open("rb"))
@@ -72,7 +72,7 @@ class Mf4Log(Log):
             yield file
 
     def _read_identification(self, file: MdfFile) -> int:
-        """Flags of what the writer left open."""
+        """Read the flags of parts that the writer left open."""
         raw = file.bytes_at(0, IDENTIFICATION)
         if not raw.startswith((FINISHED, UNFINISHED)):
             raise LogError(f"{self.path}: not an MF4 log (it does not begin with MDF); check what the file is")
@@ -90,9 +90,9 @@ class Mf4Log(Log):
 
 
 class Content:
-    """What is in a file: ``streams`` of the frames on some channels; ``has_frames`` is whether it can hold any.
+    """Contents of a file: ``streams`` of the frames on read channels; ``has_frames`` if it can hold any.
 
-    Frames without data are counted by kind in ``skipped`` on the way.
+    Frames without data are counted by kind in ``skipped``.
 
     Raises
     ------
@@ -109,23 +109,23 @@ class Content:
         self._skipped = skipped
         self._start = start_time(file)
         self._data_groups = data_groups(file)
-        every = [each for each in self._data_groups if any(group.frames for group in each.groups)]
+        every = [data_group for data_group in self._data_groups if any(group.frames for group in data_group.groups)]
         self.has_frames = bool(every)
-        wanted = [each for each in every if self._holds_frames(each)]
+        wanted = [data_group for data_group in every if self._holds_frames(data_group)]
         if len(wanted) > MAX_STREAMS:
             reason = f"{len(wanted)} streams of CAN frames, of which {MAX_STREAMS} can be read at once"
             raise UnreadMdfError(wanted[-1].address, reason)
         self._most = ROWS // max(len(wanted), 1)
         self._largest = max(MAX_UNPACKED // max(len(wanted), 1), MIN_UNPACKED)
-        self.streams = [self._frames(each) for each in wanted]
-        for each in self._data_groups:
-            for group in each.groups if each.id_bytes == 0 else ():
+        self.streams = [self._frames(data_group) for data_group in wanted]
+        for data_group in self._data_groups:
+            for group in data_group.groups if data_group.id_bytes == 0 else ():
                 if group.skipped and group.record_bytes:
-                    there = record_count(self._chunks(each.data), group.record_bytes)
+                    there = record_count(self._chunks(data_group.data), group.record_bytes)
                     skipped[group.skipped] += min(there, group.count) if self._has_counts else there
 
     def _holds_frames(self, data_group: DataGroup) -> bool:
-        """Whether there may be a frame among its records: finalized files list groups for what never came."""
+        """True if its records may contain a frame: finalised files list groups that are empty."""
         if not self._has_counts:
             return data_group.data != 0
         return any(group.frames is not None and group.count for group in data_group.groups)
@@ -150,7 +150,7 @@ class Content:
         return sorted_frames(group.frames, streams, self._channels, count, self._start, self._most, self._skipped)
 
     def _masters(self, frames: FrameGroup) -> RecordStream:
-        """The records that hold the times of a group."""
+        """Records with the times of a group."""
         for data_group in self._data_groups:
             for group in data_group.groups:
                 if group.address == frames.times_at and data_group.id_bytes == 0:

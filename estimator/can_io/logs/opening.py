@@ -1,4 +1,4 @@
-"""Which reader a log file needs: by its suffix, or by its first line where candump or OVMS wrote it under another."""
+"""Choice of the reader of a log file, by its suffix, or by its first line for logs of candump and OVMS."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -42,9 +42,9 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
     Parameters
     ----------
     path : str or os.PathLike[str]
-        A file whose suffix, in any case, is one of ``FORMATS``, or that holds lines of candump or OVMS.
+        File whose suffix, in upper or lower case, is one of ``FORMATS``, or that has lines of candump or OVMS.
     channels : Iterable[str]
-        Names of the channels that are read, as the log gives them; all if there are none.
+        Names of the channels that are read, as in the log; all channels if empty.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
     Raises
     ------
     LogError
-        If there is no such file, it cannot be read, is empty, or its format is unknown.
+        The file does not exist, cannot be read, is empty, or has an unknown format.
     """
     path = Path(path)
     try:
@@ -84,7 +84,7 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
 
 
 def _begins_with(parse: Callable[[bytes], Layout], start: bytes) -> bool:
-    """Whether the first line that is not blank is one with a frame."""
+    """True if the first line that is not blank has a frame."""
     lines = start.lstrip().splitlines()
     try:
         return bool(lines) and parse(lines[0]) is not NOTHING

@@ -1,4 +1,4 @@
-"""The bytes of a log file, unpacked where the file is gzipped, and how much of it has been read."""
+"""Bytes of a log file, unpacked if it is gzipped, and the share of it that has been read."""
 
 import errno
 import gzip
@@ -14,9 +14,9 @@ UNSUSPECTED = 16 << 20  # bytes
 
 
 class Unpacked(io.RawIOBase):
-    """The contents of a gzip file; what unpacks to over MAX_RATIO times its size is no log, but fills memory or time.
+    """Contents of a gzip file; reading raises OSError if they exceed MAX_RATIO times its size.
 
-    Raises OSError on reading where that is so.
+    Such a file is no log, and would exhaust memory or time.
     """
 
     def __init__(self, packed: io.BufferedReader) -> None:
@@ -25,11 +25,11 @@ class Unpacked(io.RawIOBase):
         self._count = 0  # bytes unpacked
 
     def readable(self) -> bool:
-        """It is."""
+        """Return True: the stream is readable."""
         return True
 
     def readinto(self, buffer: "bytearray | memoryview") -> int:  # type: ignore[override]  # as typeshed's subclasses
-        """Unpack into ``buffer`` and give the number of bytes, 0 at the end."""
+        """Unpack into ``buffer``; returns the number of bytes, 0 at the end."""
         data = self._gzip.read(len(buffer))
         buffer[: len(data)] = data
         self._count += len(data)
@@ -39,7 +39,7 @@ class Unpacked(io.RawIOBase):
 
 
 class Source:
-    """An open log file; a context manager."""
+    """Open log file; a context manager."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
@@ -63,7 +63,7 @@ class Source:
         return 1.0 if self._file.closed else min(self._file.tell() / self._size, 1.0)
 
     def read(self, count: int) -> bytes:
-        """Read ``count`` bytes, or fewer only where the log ends."""
+        """Read ``count`` bytes, or fewer only at the end of the log."""
         pieces: list[bytes] = []
         while count > 0 and (piece := self.stream.read(min(count, PIECE))):
             pieces.append(piece)

@@ -1,8 +1,7 @@
-"""A table of measurements as a log: CSV or Parquet, a row at a time, a column of times and one for each role.
+"""Table of measurements as a log: CSV or Parquet, with a column of times and one for each role.
 
-Times are seconds (or another unit in brackets), an epoch, or dates as ISO 8601 writes them; without a zone they are
-UTC. Cells that are empty, ``nan`` or ``null`` hold no value. Rows must go forward in time, and be fast enough for
-accelerations.
+Times are seconds (or another unit in brackets), an epoch, or dates in ISO 8601, in UTC without a zone. Empty cells,
+``nan`` and ``null`` have no value. Times must ascend, and be frequent enough for accelerations.
 """
 
 import csv
@@ -41,7 +40,7 @@ DELIMITERS = ",;\t|"
 
 
 class TableLog(Log):
-    """A table file; ``table`` of the configuration says what its columns are."""
+    """Log in a table file; ``table`` of the configuration defines its columns."""
 
     def __init__(self, path: Path, table: Table) -> None:
         super().__init__(path)
@@ -94,7 +93,7 @@ class TableLog(Log):
 
 
 def _check_heading(path: Path, heading: list[str]) -> None:
-    """Refuse a first line that names no columns."""
+    """Refuse a first line without names of columns."""
     if len(heading) < 2 or all(_is_number(name) for name in heading):
         raise LogError(f"{path}: line 1 names no columns ({', '.join(heading)[:60]!r}); put a line of names first")
 
@@ -108,89 +107,89 @@ def _is_number(text: str) -> bool:
 
 
 def _named(table: Table, there: Iterable[str]) -> set[str]:
-    """Columns that a table of the configuration names, and those that may hold times."""
+    """Columns that the configuration of a table names, and those that may hold times."""
     times = {name for name in there if name.lower() in TIMES} if table.time is None else {split_unit(table.time)[0]}
     return {column.name for column in columns_of(table)} | times
 
 
-def table_frames(place: str, table: Table, pieces: Iterable[Mapping[str, Any]]) -> Iterator[Frames]:
-    """Frames of a table, a piece of rows after the other, each a mapping of names to cells (n,).
+def table_frames(source: str, table: Table, pieces: Iterable[Mapping[str, Any]]) -> Iterator[Frames]:
+    """Yield frames of a table from pieces of rows, each a mapping of column names to cells (n,).
 
     Raises
     ------
     LogError
-        A column is missing, a cell is no number, or times do not go forward or are too far apart; it names the row.
+        A column is missing, a cell is not a number, or times do not ascend or are too far apart; it names the row.
     """
     columns = columns_of(table)
-    before, row, steps = -np.inf, 1, list[Floats]()
+    previous, row, steps = -np.inf, 1, list[Floats]()
     for piece in pieces:
-        t = _times(place, table, piece, row)
-        _check_forward(place, t, before, row)
-        steps.append(np.diff(t, prepend=t[:1] if not np.isfinite(before) else before))
+        t = _times(source, table, piece, row)
+        _check_forward(source, t, previous, row)
+        steps.append(np.diff(t, prepend=t[:1] if not np.isfinite(previous) else previous))
         if len(t):
-            before = float(t[-1])
-        yield _frames(t, _values(place, columns, piece, row))
+            previous = float(t[-1])
+        yield _frames(t, _values(source, columns, piece, row))
         row += len(t)
     step = float(np.median(np.concatenate([np.empty(0), *steps]))) if row > 2 else 0.0
     if step > MAX_STEP:
         raise LogError(
-            f"{place}: has a row every {step:.3g} s; the mass follows from changes of speed within a second or two, so "
-            f"give rows of {MAX_STEP:.0f} s or less, or another unit of the times"
+            f"{source}: has a row every {step:.3g} s; the mass follows from changes of speed within a second or two, "
+            f"so give rows of {MAX_STEP:.0f} s or less, or another unit of the times"
         )
 
 
-def _times(place: str, table: Table, piece: Mapping[str, Any], row: int) -> Floats:
+def _times(source: str, table: Table, piece: Mapping[str, Any], row: int) -> Floats:
     """Times [s] (n,) of the rows."""
     name, unit = (None, None) if table.time is None else split_unit(table.time)
     if name is None:
         name = next((column for column in piece if column.lower() in TIMES), None)
     if name is None or name not in piece:
         wanted = f"column {name!r}" if name else f"column of times ({', '.join(TIMES[:4])} ...)"
-        raise LogError(f'{place}: has no {wanted}; name it: --map time="COLUMN [s]"; there are {_listed(piece)}')
+        raise LogError(f'{source}: has no {wanted}; name it: --map time="COLUMN [s]"; there are {_listed(piece)}')
     factor = 1.0 if unit is None else TIME_UNITS.get(unit.lower(), np.nan)
     if not np.isfinite(factor):
-        raise LogError(f"{place}: the unit {unit!r} of the times is not known; write one of {' '.join(TIME_UNITS)}")
+        raise LogError(f"{source}: the unit {unit!r} of the times is not known; write one of {' '.join(TIME_UNITS)}")
     cells = np.asarray(piece[name])
     if cells.dtype.kind == "M":
         return cells.astype("datetime64[ns]").astype(np.int64) / 1e9
     if cells.dtype.kind in "OUS" and len(cells) and not _is_number(str(cells[0])):
-        return np.array([_date(place, str(cell), row + i) for i, cell in enumerate(cells.tolist())])
-    return factor * _numbers(place, name, cells, row)
+        return np.array([_date(source, str(cell), row + i) for i, cell in enumerate(cells.tolist())])
+    return factor * _numbers(source, name, cells, row)
 
 
-def _date(place: str, text: str, row: int) -> float:
+def _date(source: str, text: str, row: int) -> float:
     try:
-        found = datetime.fromisoformat(text.strip())
+        date = datetime.fromisoformat(text.strip())
     except ValueError:
-        raise LogError(f"{place}: row {row}: {text[:40]!r} is no time; write seconds, or dates as ISO 8601") from None
-    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+        raise LogError(f"{source}: row {row}: {text[:40]!r} is no time; write seconds, or dates as ISO 8601") from None
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
-def _check_forward(place: str, t: Floats, before: float, row: int) -> None:
-    """Refuse rows without a time, and those that are not later than the one before."""
-    steps = np.diff(t, prepend=before)
+def _check_forward(source: str, t: Floats, previous: float, row: int) -> None:
+    """Refuse rows without a time, and rows that are not later than the previous one."""
+    steps = np.diff(t, prepend=previous)
     if wrong := np.flatnonzero(~np.isfinite(t)).tolist():
-        raise LogError(f"{place}: row {row + wrong[0]}: has no time; fill it in, or delete the row")
+        raise LogError(f"{source}: row {row + wrong[0]}: has no time; fill it in, or delete the row")
     if back := np.flatnonzero(steps < 0).tolist():
         i = back[0]
-        last = t[i - 1] if i else before
+        last = t[i - 1] if i else previous
         raise LogError(
-            f"{place}: row {row + i}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or give each "
+            f"{source}: row {row + i}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or give each "
             "drive as a table of its own"
         )
     if same := np.flatnonzero(steps == 0).tolist():
         raise LogError(
-            f"{place}: rows {row + same[0] - 1} and {row + same[0]} have one time, {t[same[0]]:.10g} s; give a column "
+            f"{source}: rows {row + same[0] - 1} and {row + same[0]} have one time, {t[same[0]]:.10g} s; give a column "
             "with fractions of seconds"
         )
 
 
-def _values(place: str, columns: Sequence[Column], piece: Mapping[str, Any], row: int) -> Floats:
-    """Values (n, k) of the columns in the units of their messages, NaN where a cell holds none."""
+def _values(source: str, columns: Sequence[Column], piece: Mapping[str, Any], row: int) -> Floats:
+    """Values (n, k) of the columns in the units of their messages; NaN for a cell without a value."""
     for column in columns:
         if column.name not in piece:
-            raise LogError(f"{place}: has no column {column.name!r}; there are {_listed(piece)}")
-    values = {column.role: _numbers(place, column.name, piece[column.name], row) for column in columns}
+            raise LogError(f"{source}: has no column {column.name!r}; there are {_listed(piece)}")
+    values = {column.role: _numbers(source, column.name, piece[column.name], row) for column in columns}
     for column in columns:
         if column.is_force:
             speed = next(other for other in columns if other.role is Role.SPEED)
@@ -201,8 +200,8 @@ def _values(place: str, columns: Sequence[Column], piece: Mapping[str, Any], row
     return np.column_stack([values[column.role] for column in columns])
 
 
-def _numbers(place: str, name: str, cells: Any, row: int) -> Floats:
-    """Cells (n,) as numbers."""
+def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
+    """Convert cells (n,) to numbers."""
     given = np.asarray(cells)
     if given.dtype.kind in "fiub":
         return given.astype(np.float64)
@@ -211,16 +210,16 @@ def _numbers(place: str, name: str, cells: Any, row: int) -> Floats:
         return np.array([np.nan if text.lower() in NOTHING else float(text) for text in texts])
     except ValueError:
         i = next(i for i, text in enumerate(texts) if text.lower() not in NOTHING and not _is_number(text))
-        raise LogError(f"{place}: row {row + i}, column {name!r}: {texts[i][:40]!r} is no number") from None
+        raise LogError(f"{source}: row {row + i}, column {name!r}: {texts[i][:40]!r} is no number") from None
 
 
 def _frames(t: Floats, values: Floats) -> Frames:
-    """A frame for every value, row by row."""
+    """One frame for every value, row by row."""
     n, k = values.shape
-    known = np.isfinite(values).ravel()
-    ident = np.tile(np.array([ident_of(i) for i in range(k)], np.uint32), n)[known]
-    data = np.ascontiguousarray(values.ravel()[known].reshape(-1, 1)).view(np.uint8).reshape(-1, CLASSIC_BYTES)
-    return Frames(np.repeat(t, k)[known], ident, np.full(len(ident), NUMBER_BYTES, np.uint8), data)
+    is_known = np.isfinite(values).ravel()
+    ident = np.tile(np.array([ident_of(i) for i in range(k)], np.uint32), n)[is_known]
+    data = np.ascontiguousarray(values.ravel()[is_known].reshape(-1, 1)).view(np.uint8).reshape(-1, CLASSIC_BYTES)
+    return Frames(np.repeat(t, k)[is_known], ident, np.full(len(ident), NUMBER_BYTES, np.uint8), data)
 
 
 def _listed(piece: Mapping[str, Any]) -> str:

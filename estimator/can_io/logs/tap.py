@@ -1,7 +1,7 @@
-"""The lines of a text log on their way to a reader of python-can, watched.
+"""Monitoring of the lines of a text log that a reader of python-can parses.
 
-The readers of python-can pass over lines they do not know, and their errors name no line. A tap knows which line the
-reader has at hand, and hands back each line that gave no message.
+The readers of python-can ignore lines that they do not know, and their errors name no line. A tap knows the line that
+the reader is parsing, and reports each line without a message.
 """
 
 from collections import deque
@@ -14,10 +14,10 @@ MAX_IDLE = 1_000_000  # lines one after another without a frame; no logger write
 
 
 class Tap(TextIOWrapper):
-    """A text file that passes each line through ``prepare`` and reports the unanswered ones to ``unread``.
+    """Text file that passes each line through ``prepare``, and reports lines without a message to ``unread``.
 
-    ``prepare`` gives the lines that the reader sees instead; the last of them stands for the line in the file.
-    Blank lines are left out. ``number`` and ``line`` are those of the file's line that the reader has.
+    ``prepare`` returns the lines that the reader gets instead; the last of them represents the line of the file. Blank
+    lines are left out. ``number`` and ``line`` are those of the line that the reader is parsing.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class Tap(TextIOWrapper):
         self.line = ""
 
     def answered(self) -> None:
-        """Note that the reader has made a message of the line at hand."""
+        """Note that the reader has made a message from the present line."""
         self._answered = True
         self._last_frame = self.number
 

@@ -1,8 +1,8 @@
-"""Whether the times of a log can be used.
+"""Check that the times of a log can be used.
 
-A log is read in the order of the file. Frames up to MAX_DELAY late are put in order later; a larger step back starts
-another recording, as where logs were joined. Many of them mean that the times are not those of one clock. More frames
-in a time than ten buses carry mean that it stands still: the blocks in which frames are judged would fill the memory.
+A log is read in the order of the file. Frames up to MAX_DELAY late are sorted later; a larger step back begins another
+recording, as in joined logs. Many such steps mean that the times are not those of one clock. More frames per time than
+ten buses carry mean that the clock stands still: the blocks in which frames are judged would exhaust the memory.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ MIN_RISING = 0.05  # share of the frames that come no earlier than all before; d
 
 
 class TimeCheck:
-    """The check of one pass over a log."""
+    """Check of the times in one pass over a log."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -35,12 +35,12 @@ class TimeCheck:
         self._rising = 0  # frames that came no earlier than all before
 
     def check(self, frames: Frames) -> None:
-        """Take note of the next frames of the log.
+        """Check the next frames of the log.
 
         Raises
         ------
         LogError
-            Where a time is none, or steps back more than MAX_DELAY for the MAX_STEPS_BACK-th time, or stands still.
+            A time is invalid, steps back by more than MAX_DELAY for the MAX_STEPS_BACK-th time, or stands still.
         """
         t = frames.t
         self._count(float(t[-1]), len(t))
@@ -76,7 +76,7 @@ class TimeCheck:
         Raises
         ------
         LogError
-            They do not rise.
+            The times do not rise.
         """
         if self._seen >= MIN_FRAMES and self._rising < MIN_RISING * self._seen:
             raise LogError(
@@ -95,9 +95,9 @@ class TimeCheck:
                 "which no bus carries; give a log whose times are right"
             )
 
-    def _step_back(self, frame: int, before: float, t: float) -> None:
+    def _step_back(self, frame: int, previous: float, t: float) -> None:
         self._steps_back += 1
-        self._first_step = self._first_step or f"first at frame {frame}, from {before:.6f} s to {t:.6f} s"
+        self._first_step = self._first_step or f"first at frame {frame}, from {previous:.6f} s to {t:.6f} s"
         if self._steps_back == MAX_STEPS_BACK:
             raise LogError(
                 f"{self._path}: time steps back {MAX_STEPS_BACK} times by more than {MAX_DELAY:g} s, "

@@ -27,7 +27,7 @@ MILLISECONDS = 1000  # in a second
 
 
 class TrcLog(LineLog):
-    """A ``.trc`` log; times are python-can's, from the start time in the header on."""
+    """Log in ``.trc`` format; times are those of python-can, counted from the start time in the header."""
 
     def _begin(self) -> None:
         self._keys: dict[bytes, bytes] = {}  # the lines of the header that say something
@@ -40,8 +40,8 @@ class TrcLog(LineLog):
             if line.strip() and not line.lstrip().startswith(b";"):
                 self._in_header = False
                 if KEYS[0] not in self._keys and FIRST.match(line) is None:
-                    found = f"expected a trace of PEAK's PCAN-View with a line ;$FILEVERSION, found {shown(line)}"
-                    raise LogError(f"{self.path}:{self._number}: {found}; export it as .asc or .blf")
+                    error = f"expected a trace of PEAK's PCAN-View with a line ;$FILEVERSION, found {shown(line)}"
+                    raise LogError(f"{self.path}:{self._number}: {error}; export it as .asc or .blf")
                 self._head = read_head(*(self._keys.get(key, b"").partition(b"=")[2] for key in KEYS))
                 break
             self._keys |= {key: line.strip() for key in KEYS if line.strip().startswith(key)}

@@ -1,4 +1,4 @@
-"""One line of a trace file of PEAK's PCAN-View: where the values stand in it, by the version that the header names.
+"""Layout of a line of a trace file of PEAK's PCAN-View, by the version in the header.
 
 ``   12)      1841.5  Rx     18FEF100  8  00 01 02 03 04 05 06 07`` in version 1.1, and with the columns that the header
 lists ``    12   1841.500 DT 1 18FEF100 Rx -  8    00 01 02 03 04 05 06 07`` from version 2.0 on. Times are in
@@ -42,14 +42,14 @@ NEEDED = {b"N", b"O", b"T", b"I", b"d"}
 
 
 class Head(NamedTuple):
-    """What the header says: a pattern of the lines with data frames, and what is added to their times [s]."""
+    """Contents of the header: pattern of the lines with data frames, and offset of their times [s]."""
 
     frame: re.Pattern[bytes]
     start: float
 
 
 def read_head(version: bytes, start: bytes, columns: bytes) -> Head | None:
-    """The header of a trace, given the texts behind its keys; None where it is of no known form."""
+    """Read the header of a trace from the texts after its keys; None if its form is unknown."""
     first = version in (b"2.0", b"2.1") and _by_columns(columns.split(b","))
     parts = first or VERSIONS.get(version)
     if not parts:
@@ -64,7 +64,7 @@ def read_head(version: bytes, start: bytes, columns: bytes) -> Head | None:
 
 
 def _by_columns(names: list[bytes]) -> tuple[bytes, ...] | None:
-    """The columns before the data, None where one is missing or the data are not the last."""
+    """Pattern of the columns before the data; None if one is missing, or the data are not the last."""
     has_length = (b"l" in names) != (b"L" in names)
     if not has_length or not set(names) >= NEEDED or names[0] != b"N" or len(set(names)) < len(names):
         return None
@@ -72,14 +72,14 @@ def _by_columns(names: list[bytes]) -> tuple[bytes, ...] | None:
 
 
 def layout(line: bytes, head: Head) -> Layout | None:
-    """Parse a line; None where it is no plain data frame."""
+    """Parse a line; None if it is not a plain data frame."""
     if not line.strip() or line.lstrip().startswith(b";"):
         return NOTHING
     match = head.frame.fullmatch(line)
     if match is None:
         return None
     length, first = int(match["length"]), match.start("data")
-    columns = [first + found.start() for found in re.finditer(rb"\S\S", match["data"])]
+    columns = [first + pair.start() for pair in re.finditer(rb"\S\S", match["data"])]
     steps = {b - a for a, b in pairwise(columns)} or {3}
     extended = len(match["id"]) > MAX_STANDARD_DIGITS
     largest = MAX_EXTENDED_ID if extended else MAX_STANDARD_ID

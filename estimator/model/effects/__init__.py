@@ -1,4 +1,4 @@
-"""Effects that the plain road load leaves out, as objects."""
+"""Catalogue of effects that the plain road load leaves out."""
 
 from estimator.model.effects.catalogue import BY_NAME, CATALOGUE, named
 from estimator.model.effects.effect import SOURCES, Context, Effect, Shape, Timing, View, obstacle

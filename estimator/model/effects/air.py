@@ -20,7 +20,7 @@ LOWEST_WIND = 0.5  # m/s: the column is per 1 m/s, and that of no wind is none
 
 
 def _wind(view: View, wind: Shape) -> Floats:
-    """Per 1 m/s of wind, exact at the wind of the shape."""
+    """Power [W] (n,) per 1 m/s of wind, exact at the wind speed of the shape."""
     direction, yawed, usual = wind
     angle = view.context[Quantity.HEADING] - direction
     against, across = view.v + usual * np.cos(angle), usual * np.sin(angle)
@@ -31,7 +31,7 @@ def _wind(view: View, wind: Shape) -> Floats:
 
 
 def _winds_near(wind: Shape, speed: float) -> tuple[Shape, ...]:
-    """Winds of the ``speed`` [m/s] that was found: with another one the column would not be that of any wind."""
+    """Winds near a shape with the fitted ``speed`` [m/s], where their columns are exact."""
     direction, yawed, _ = wind
     speed = max(speed, LOWEST_WIND)
     return tuple((direction + turn, max(yawed + more, 0.0), speed) for turn in TURNS for more in MORE_YAWED)

@@ -1,6 +1,6 @@
-"""All effects that the diagnosis can name and the estimator can add. Adding one is adding one object.
+"""All effects that the diagnosis can name and the estimator can add; a new one is a new object in the list.
 
-They are tried, and printed where nothing ranks them, in the order of the list.
+Effects are tried, and printed without a ranking, in the order of the list.
 """
 
 from collections.abc import Sequence
@@ -40,12 +40,12 @@ BY_NAME = {effect.name: effect for effect in CATALOGUE}
 
 
 def named(names: Sequence[str]) -> tuple[Effect, ...]:
-    """The effects that a configuration asks for.
+    """Return the effects that a configuration names.
 
     Raises
     ------
     ConfigError
-        A name that is not known, or an effect that only a diagnosis can find the times of.
+        A name is unknown, or only a diagnosis can find the times of the effect.
     """
     for name in names:
         if name not in BY_NAME:

@@ -1,6 +1,6 @@
-"""An effect that the road load lacks: the power it adds, as a function of measured quantities.
+"""Effect that the road load lacks: its power as a function of measured quantities.
 
-One object serves the diagnosis (is it there?), the streaming estimator (add it to the model) and the documentation.
+One object serves the diagnosis (does it act?), the streaming estimator (add it to the model) and the documentation.
 """
 
 from collections.abc import Callable, Mapping, Sequence, Set
@@ -35,10 +35,10 @@ Context = Mapping[Quantity, Floats]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """The quantities that effects are computed from; all arrays (n,).
+    """Quantities that effects are computed from; all arrays (n,).
 
     ``t`` [s], ``v`` [m/s], ``a`` [m/s^2] as on level ground, ``P`` [W], ``density`` relative to its mean [1];
-    ``road_load`` = [A, C, m] as far as it is known, for effects that scale with it.
+    ``road_load`` = [A, C, m] is the current estimate, for effects that scale with it.
     """
 
     t: Floats
@@ -68,9 +68,9 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AtRest:
-    """Power [W] taken while the vehicle stood, and its sd [W].
+    """Mean power [W] during a standstill, and its sd [W].
 
-    ``engine_speed`` [rad/s] then, 0 of a motor that stands too; ``elapsed`` [s] since the drive began.
+    ``engine_speed`` [rad/s] is 0 for a motor that stands too; ``elapsed`` [s] is the time since the drive began.
     """
 
     power: float
@@ -80,7 +80,7 @@ class AtRest:
 
 
 class Timing(StrEnum):
-    """When an effect acts, where no signal shows it."""
+    """Kind of times at which an effect acts, if no signal shows them."""
 
     ALWAYS = "always"
     WINDOW = "window"  # once, from some time to another
@@ -89,64 +89,66 @@ class Timing(StrEnum):
 
 
 def by_mass(value: float) -> Usual:
-    """A magnitude that is proportional to the mass; ``value`` is that of a heavy truck, of TYPICAL_MASS."""
+    """Usual magnitude in proportion to the mass; ``value`` is that of a truck of TYPICAL_MASS."""
     return lambda road_load: value * float(road_load[2]) / TYPICAL_MASS
 
 
 def always(value: float) -> Usual:
-    """A magnitude that is relative already: the same for all vehicles."""
+    """Usual magnitude ``value`` for all vehicles, for a magnitude that is relative."""
     return lambda road_load: value
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """An effect that the plain road load leaves out.
+    """Effect that the plain road load leaves out.
 
     Parameters
     ----------
     name
-        Its name in the configuration.
+        Name in the configuration.
     equation, source
-        What it adds to P, and where that is from.
+        Power that it adds to P, and its physical cause or reference.
     symbol, unit
-        Of its magnitude.
+        Symbol and unit of its magnitude.
     power
         Power [W] (n,) per unit of magnitude, given a `View` and one of the ``shapes``.
     usual
-        Magnitude that is usual for a vehicle with ``road_load`` = [A, C, m]: scale of its prior.
+        Usual magnitude for a vehicle with ``road_load`` = [A, C, m]: scale of its prior.
     largest
-        Magnitude beyond which it must be something else, as its coefficient; None: four times the usual one.
+        Largest plausible size of its coefficient; None: USUAL_TO_LARGEST times the usual magnitude.
     highest
-        The same of positive ones, where it is less.
+        Largest plausible positive coefficient, where that is less than ``largest``.
     positive
-        Whether a negative magnitude makes no sense.
+        True if a negative magnitude is impossible.
     needs
-        Quantities without which it cannot be computed, or cannot be.
+        Quantities that it is computed from, or that every vehicle with this effect has.
     shapes
-        What it is non-linear in: values to try. A `Quantity` stands for itself, as one of several sources.
+        Values to try of the parameter that it is non-linear in. A `Quantity` is one of several sources of its input.
     finer
-        Shapes between one of ``shapes`` and its neighbours, given the magnitude that was found with it.
+        Shapes of a finer grid around one of ``shapes``, given the magnitude fitted with it.
+    alike
+        Key of a shape; shapes with equal keys count as one in the search.
     describe
-        A shape in words.
+        Description of a shape in words.
     timing
-        When it acts.
+        Kind of times at which it acts.
     at_rest
-        Power [W] per unit of magnitude that it takes while the vehicle stands, of one of the ``shapes``.
+        Power [W] per unit of magnitude during a standstill, for one of the ``shapes``.
     dwells
-        How long [s] it usually stays on, or off, where it switches.
+        Usual durations [s] for which a switching effect stays on, or off.
     is_noisy
-        Its power is computed from acceleration or power, so that their noise is in it.
+        True if its power is computed from acceleration or power, and so has their noise.
     is_gravity
-        Its magnitude is the mass: in the model it joins m instead of adding a parameter.
+        True if its magnitude is the mass: in the model it joins m instead of adding a parameter.
     applied_with
-        Quantities with which it is applied to the plain columns, so that a diagnosis does not look for it.
+        Quantities with which it is applied to the plain columns; a diagnosis then does not search for it.
     absorbed
-        A, C and m fit it completely, so no drive gives evidence of it, whatever its size.
+        True if A, C and m fit it completely, so that no drive gives evidence of it, whatever its size.
     equivalent
         Effects with the same power to first order on any drive.
     sized
-        Magnitude from its coefficient, where the column is computed with the acceleration that the force gives the
-        vehicle without the effect; None: they are the same.
+        Magnitude from its coefficient, where the column uses the acceleration that the force would cause without the
+        effect; None: they are equal.
     breaks
         Signal or manoeuvre that would show it.
     """
@@ -178,39 +180,39 @@ class Effect:
     breaks: str = ""
 
     def usable_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:
-        """The shapes that can be computed from what is ``known``; none if it cannot be tested."""
+        """Shapes that can be computed from the quantities ``known``; none if the effect cannot be tested."""
         if not known >= set(self.needs):
             return ()
         return tuple(shape for shape in self.shapes if not isinstance(shape, Quantity) or shape in known)
 
     def streaming_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:
-        """The shapes with which it can be in the streaming model: a signal must show when it acts."""
+        """Shapes usable in the streaming model: a signal must show when the effect acts."""
         usable = self.usable_shapes(known)
         return usable if self.timing is Timing.ALWAYS else tuple(s for s in usable if isinstance(s, Quantity))
 
     def is_applied(self, known: Set[Quantity]) -> bool:
-        """Whether the model has it already, computed from what is ``known``."""
+        """True if the quantities ``known`` let the model apply it to the plain columns."""
         return bool(self.applied_with) and known >= set(self.applied_with)
 
     def limit(self, road_load: Floats) -> float:
-        """Magnitude beyond which it must be something else."""
+        """Largest plausible magnitude for a vehicle with ``road_load`` = [A, C, m]."""
         return USUAL_TO_LARGEST * self.usual(road_load) if self.largest is None else self.largest
 
     @property
     def wanted(self) -> tuple[Role, ...]:
-        """Roles of which at least one is needed, for a message."""
+        """Roles that a message asks for; at least one of them is needed."""
         quantities = [*self.needs, *(shape for shape in self.shapes if isinstance(shape, Quantity))]
         return tuple(role for quantity in quantities for role in SOURCES.get(quantity, ()))
 
     @property
     def is_streaming(self) -> bool:
-        """Whether it can be in the streaming model: its times need no search, and A, C and m do not absorb it."""
+        """True if it can be in the streaming model: no search for its times, and not absorbed by A, C and m."""
         signalled = any(isinstance(shape, Quantity) for shape in self.shapes)
         return not self.absorbed and (self.timing is Timing.ALWAYS or signalled)
 
 
 def obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
-    """Why not all ``effects`` can be in the streaming model with what is ``known``; empty where they can."""
+    """Reason why an effect cannot be in the streaming model with the quantities ``known``; empty if all can."""
     for effect in effects:
         if not effect.streaming_shapes(known):
             wanted = " or ".join(role.value for role in effect.wanted)

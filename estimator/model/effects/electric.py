@@ -1,7 +1,7 @@
-"""Effects on the power of a battery that drives: conversion losses, and what else the battery feeds.
+"""Effects on the power of a traction battery: conversion losses and other consumers.
 
-A loss in proportion to the power in both directions is a gain error; what is left is that driving and regenerating
-lose different shares. That shows only where the bus says that the service brake is off.
+A loss in proportion to the power in both directions equals a gain error. What differs from it is the other share lost
+in regeneration, which shows only where the bus reports the service brake as off.
 """
 
 import numpy as np

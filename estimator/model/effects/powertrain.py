@@ -1,4 +1,4 @@
-"""Effects between the engine and the wheels: losses, inertia, and what else the engine drives."""
+"""Effects between the engine and the wheels: losses, inertia and auxiliary consumers."""
 
 import numpy as np
 
@@ -33,7 +33,7 @@ def _fan(view: View, source: Shape) -> Floats:
 
 
 def _cold_oil(view: View, oil: Shape) -> Floats:
-    """Per 1 N s/m at WARM_SPEED."""
+    """Power [W] (n,) per 1 N s/m of drag over speed, at WARM_SPEED with cold oil."""
     time, steepness, churned = oil
     drag: Floats = view.v * ((1 - churned) * WARM_SPEED + churned * view.v)
     return drag * excess(cold_by_speed(view, time), steepness)

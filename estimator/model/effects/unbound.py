@@ -1,9 +1,9 @@
-"""What the torque on the bus leaves out while a role is not bound: the model then holds it without being asked.
+"""Parts of the torque that are not bound to a signal; the model then gets an effect for each of them.
 
-Torque as a fraction is *indicated*: the engine's friction is sent apart (SPN 514). Without it, friction of unknown size
-acts as road load, in proportion to the turns of the engine per distance. Whole per cent of torque (SPN 513) are up to
-0.875 % below it, and the rest is sent apart too (SPN 4154). With these terms A and C are as uncertain as the drive
-leaves them beside such a torque.
+Torque as a fraction is *indicated*: the engine's friction is sent separately (SPN 514). Without it, friction of unknown
+size acts as road load, in proportion to the turns of the engine per distance. SPN 513 gives whole per cent of torque,
+up to 0.875 % too low; SPN 4154 gives the remainder. With these effects, the uncertainty of A and C includes that of the
+unbound parts.
 """
 
 from collections.abc import Set
@@ -27,8 +27,8 @@ def _friction(view: View, rise: Shape) -> Floats:
 
 
 def _rises_near(rise: Shape, size: float) -> tuple[Shape, ...]:
-    place = int(np.argmin(np.abs(np.array(RISES) - rise)))
-    return RISES[max(place - 1, 0) : place + 2]
+    index = int(np.argmin(np.abs(np.array(RISES) - rise)))
+    return RISES[max(index - 1, 0) : index + 2]
 
 
 UNBOUND_FRICTION = Effect(
@@ -64,7 +64,7 @@ BY_ROLE = {Role.FRICTION_FRACTION: UNBOUND_FRICTION, Role.TORQUE_FRACTION_FINE: 
 
 
 def unbound(roles: Set[str]) -> dict[Role, Effect]:
-    """Effects of what the torque leaves out with these bound ``roles``, by the role that would tell; most first."""
+    """Effects of the unbound parts of the torque, by the role that would replace them; the largest first."""
     if roles & NEARER or Role.TORQUE_FRACTION not in roles:
         return {}
     return {role: effect for role, effect in BY_ROLE.items() if role not in roles}

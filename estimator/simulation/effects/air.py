@@ -18,7 +18,7 @@ DRAFTING_SPEED = 15.0  # m/s, below which there is no drafting
 
 
 def headwind(scene: Scene, effect: Effect) -> Action:
-    """A steady wind over ground, [m/s]: it acts by its angle to the road; oblique air also raises the drag area."""
+    """Steady wind over ground [m/s], which acts by its angle to the road; oblique air also raises the drag area."""
     rng, C = scene.rng, scene.truck.C
     come_from = rng.uniform(0.0, 2 * pi) if effect.direction is None else effect.direction
     oblique = float(rng.uniform(0.0, 0.2))  # more drag area at 10 degrees
@@ -48,7 +48,7 @@ def wind_gusts(scene: Scene, effect: Effect) -> Action:
 
 
 def air_density(scene: Scene, effect: Effect) -> Action:
-    """Thinner air at altitude, and warmer by ``magnitude`` [K] at the end of the drive than at its start."""
+    """Air that is thinner at altitude, and warmer by ``magnitude`` [K] at the end of the drive than at its start."""
     C, duration = scene.truck.C, scene.duration
     wander = correlated(int(duration / 60.0) + 2, 0.05 * abs(effect.magnitude), 10.0, scene.rng)
 
@@ -68,7 +68,7 @@ def air_density(scene: Scene, effect: Effect) -> Action:
 
 
 def drafting(scene: Scene, effect: Effect) -> Action:
-    """Behind another truck for minutes at a time: a share of the drag less, varying with the gap."""
+    """Drive behind another truck for minutes at a time: a share less drag, varying with the gap."""
     C, rng = scene.truck.C, scene.rng
     spans = episodes(scene, effect, off=(180.0, 700.0), on=(180.0, 800.0))
     on = switched(spans, scene.duration, 0.1)

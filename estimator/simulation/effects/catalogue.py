@@ -1,6 +1,6 @@
 """All effects by name: unit, usual magnitude, plausible range for a class-8 truck, and description.
 
-They start in the order of the table: an effect acts on the road as changed by those before it.
+Effects start in the order of the table: an effect acts on the road as changed by the previous ones.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -23,11 +23,11 @@ Start = Callable[[Scene, Effect], Action]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind:
-    """A kind of effect.
+    """Kind of effect.
 
-    ``low`` to ``high``: plausible magnitudes in ``unit``; ``known_as``: the name that a right diagnosis gives it,
-    None for an effect in no catalogue, which should be called unknown; ``signed``: the magnitude may be negative;
-    ``begins`` and ``ends`` at times that may be given.
+    ``low`` to ``high`` are plausible magnitudes in ``unit``. ``known_as`` is its name in a correct diagnosis; None if
+    it is in no catalogue, and should be called unknown. ``signed``: the magnitude may be negative. ``begins`` and
+    ``ends``: its start or end may be given.
     """
 
     start: Start
@@ -47,11 +47,11 @@ class Kind:
 
     @property
     def summary(self) -> str:
-        """Description in one line."""
+        """Description in one line, from the docstring of its function."""
         return (self.start.__doc__ or "").strip().splitlines()[0]
 
     def allows(self, magnitude: float) -> bool:
-        """Whether a truck can drive with this magnitude."""
+        """True if a truck can drive with this magnitude."""
         if not isfinite(magnitude) or magnitude > MAX_SIZE_RATIO * self.high:
             return False
         return magnitude >= -self.high if self.signed else magnitude > 0.0
@@ -178,12 +178,12 @@ KINDS: dict[str, Kind] = {
 
 
 def kind_of(name: str) -> Kind:
-    """Look a kind up.
+    """Look up a kind by name.
 
     Raises
     ------
     InputError
-        There is no effect of that name; the message lists the known ones.
+        There is no effect with this name; the message lists the known ones.
     """
     try:
         return KINDS[name]
@@ -192,12 +192,12 @@ def kind_of(name: str) -> Kind:
 
 
 def effects_from(magnitudes: Mapping[str, float | None]) -> list[Effect]:
-    """Effects by name and magnitude, None for the usual one.
+    """Make effects from names and magnitudes, None for the usual magnitude.
 
     Raises
     ------
     InputError
-        Unknown name, or a magnitude that no truck can drive with.
+        A name is unknown, or no truck can drive with the magnitude.
     """
     return [
         Effect(name=name, magnitude=kind_of(name).usual if size is None else size) for name, size in magnitudes.items()
@@ -240,13 +240,13 @@ def start_all(
 ) -> tuple[dict[str, Action], Route]:
     """Start the effects; returns them by name, and the road as changed by them.
 
-    Each draws from a source of its own, so that one more effect does not change the others. On a road that is not
-    level the air gets thinner uphill whether that was asked for or not.
+    Each effect has its own random generator, so that a further effect does not change the others. On a road that is not
+    level, the density of the air falls with altitude in any case.
 
     Raises
     ------
     InputError
-        Unknown name, an effect twice, or a magnitude that no truck can drive with.
+        A name is unknown, an effect is given twice, or no truck can drive with a magnitude.
     """
     asked: dict[str, Effect] = {}
     for effect in effects:
@@ -258,9 +258,9 @@ def start_all(
             raise InputError(f"effect {effect.name}: cannot be {effect.magnitude:g}; plausible is {usual}")
         asked[effect.name] = effect
     actions: dict[str, Action] = {}
-    for (name, kind), own in zip(KINDS.items(), rng.spawn(len(KINDS)), strict=True):
+    for (name, kind), generator in zip(KINDS.items(), rng.spawn(len(KINDS)), strict=True):
         if name in asked:
-            actions[name] = kind.start(Scene(truck, route, duration, own), asked[name])
+            actions[name] = kind.start(Scene(truck, route, duration, generator), asked[name])
             route = actions[name].route or route
     if route.grade.any() and "air_density" not in actions:
         actions["air_density"] = air.air_density(

@@ -1,4 +1,4 @@
-"""An effect asked for: its name, magnitude and span; and draws of the fields that are None."""
+"""Requested effect: its name, magnitude and span; and draws of the fields that are None."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,10 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """One departure of the simulated drive from the plain road load.
+    """Requested deviation of the simulated drive from the plain road load.
 
-    ``magnitude`` in the unit of the effect's kind; ``start`` and ``end`` [s] of an effect that is bounded in time,
-    ``direction`` [rad] that a wind comes from, clockwise from north; fields that are None are drawn.
+    ``magnitude`` is in the unit of the effect's kind. ``start`` and ``end`` [s] bound it in time. ``direction`` [rad]
+    is that from which a wind comes, clockwise from north. Fields that are None are drawn.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Effect:
 
 
 def window(scene: Scene, effect: Effect, shortest: float = 0.12, longest: float = 0.3) -> Span:
-    """One stretch of time [s], its length a share of the drive where not given."""
+    """One stretch of time [s]; its length, if not given, is a share of the drive."""
     if effect.start is not None:
         return effect.start, scene.duration if effect.end is None else effect.end
     length = scene.rng.uniform(shortest, longest) * scene.duration
@@ -34,20 +34,20 @@ def window(scene: Scene, effect: Effect, shortest: float = 0.12, longest: float 
 
 
 def episodes(scene: Scene, effect: Effect, off: Span, on: Span) -> list[Span]:
-    """Stretches of time [s] that come and go at random, shortest and longest durations [s]; or the one given."""
+    """Random stretches of time [s], with durations from ``shortest`` to ``longest`` [s]; or the given one."""
     if effect.start is not None:
         return [window(scene, effect)]
-    rng, found = scene.rng, []
+    rng, stretches = scene.rng, []
     t = float(rng.uniform(0.0, off[1]))
     while t < scene.duration:
         end = min(t + float(rng.uniform(*on)), scene.duration)
-        found.append((t, end))
+        stretches.append((t, end))
         t = end + float(rng.uniform(*off))
-    return found
+    return stretches
 
 
 def switched(spans: list[Span], duration: float, spacing: float) -> list[bool]:
-    """Whether each moment, ``spacing`` [s] apart, lies in one of the stretches."""
+    """Flag each moment, ``spacing`` [s] apart, that lies in one of the stretches."""
     t = spacing * np.arange(round(duration / spacing) + 2)
     inside = np.zeros(len(t), bool)
     for start, end in spans:

@@ -20,12 +20,12 @@ def cruise_power(truck: Truck) -> float:
 
 
 def auxiliary_load(scene: Scene, effect: Effect) -> Action:
-    """Alternator, pumps, air conditioning: a constant power [W]."""
+    """Constant power [W] of alternator, pumps and air conditioning."""
     return Action(power=lambda now: effect.magnitude)
 
 
 def auxiliary_cycling(scene: Scene, effect: Effect) -> Action:
-    """A cooling fan with an on/off clutch, power [W]: switched by the coolant, or by the air conditioning at random."""
+    """Power [W] of a fan with an on/off clutch, switched by the coolant, or by the air conditioning at random."""
     if effect.start is None and scene.rng.random() < 0.6:
         return _fan_by_coolant(scene, effect.magnitude)
     spans = episodes(scene, effect, off=(120.0, 480.0), on=(60.0, 300.0))
@@ -67,12 +67,12 @@ def _fan_by_coolant(scene: Scene, watts: float) -> Action:
 
 
 def air_compressor(scene: Scene, effect: Effect) -> Action:
-    """The compressor of the air brakes loads for some seconds whenever the reservoirs are low, power [W]."""
+    """Power [W] of the compressor of the air brakes, for some seconds whenever the reservoirs are low."""
     spans = episodes(scene, effect, off=(45.0, 180.0), on=(10.0, 30.0))
     on = switched(spans, scene.duration, 0.1)
     return Action(power=lambda now: effect.magnitude if on[int(10.0 * now.t)] else 0.0, active=spans)
 
 
 def rotating_inertia(scene: Scene, effect: Effect) -> Action:
-    """Inertia on the crank [kg m^2], J gearing^2 as mass; that of the wheels is part of the moving mass."""
+    """Inertia on the crank J [kg m^2], equal to a mass J gearing^2; that of the wheels is part of the moving mass."""
     return Action(inertia=lambda now: effect.magnitude * now.gearing * now.gearing if now.closed else 0.0)

@@ -1,4 +1,4 @@
-"""Effects of the instruments: the reports of the control units are wrong, the truck itself drives as before."""
+"""Effects of the instruments: errors of the reports of the control units, without effect on the motion."""
 
 from dataclasses import replace
 from math import pi
@@ -17,18 +17,18 @@ def torque_gain(scene: Scene, effect: Effect) -> Action:
 
 
 def torque_bias(scene: Scene, effect: Effect) -> Action:
-    """Torque is reported too high by so much [N.m]."""
+    """Torque is reported too high by an offset [N.m]."""
     return Action(reading=lambda read: replace(read, torque=read.torque + effect.magnitude))
 
 
 def sensor_drift(scene: Scene, effect: Effect) -> Action:
-    """The gain of the reported torque grows steadily, to a share at the end of the drive."""
+    """Gain of the reported torque grows steadily, to a share at the end of the drive."""
     gain = effect.magnitude / scene.duration
     return Action(reading=lambda read: replace(read, torque=read.torque * (1.0 + gain * read.t)))
 
 
 def gain_walk(scene: Scene, effect: Effect) -> Action:
-    """The gain of the reported torque walks at random, by a standard deviation over the drive."""
+    """Gain of the reported torque is a random walk, with a standard deviation over the drive."""
     seconds = int(scene.duration) + 2
     walk = np.cumsum(scene.rng.normal(0.0, effect.magnitude / np.sqrt(seconds), seconds))
 
@@ -39,7 +39,7 @@ def gain_walk(scene: Scene, effect: Effect) -> Action:
 
 
 def torque_ripple(scene: Scene, effect: Effect) -> Action:
-    """An error of the torque that swings in time [N.m]."""
+    """Torque error that oscillates in time [N.m]."""
     period, phase = scene.rng.uniform(30.0, 180.0), scene.rng.uniform(0.0, 2 * pi)
 
     def reading(read: Reading) -> Reading:
@@ -74,7 +74,7 @@ def _late(t: Floats, value: Floats, lag: float) -> Floats:
 
 
 def speed_filter(scene: Scene, effect: Effect) -> Action:
-    """The wheel speed passes a low-pass of first order in the brakes' control unit, time constant [s]."""
+    """Wheel speed is filtered by a first-order low-pass in the brakes' control unit, time constant [s]."""
 
     def reading(read: Reading) -> Reading:
         v = low_passed(read.v, 0.0, STEP, effect.magnitude)
@@ -84,12 +84,12 @@ def speed_filter(scene: Scene, effect: Effect) -> Action:
 
 
 def speed_scale(scene: Scene, effect: Effect) -> Action:
-    """Worn tyres: the wheel speed is too high by a share."""
+    """Wheel speed is too high by a share, with worn tyres."""
     scale = 1.0 + effect.magnitude
     return Action(reading=lambda read: replace(read, v=scale * read.v, a=scale * read.a))
 
 
 def quantisation(scene: Scene, effect: Effect) -> Action:
-    """Torque in steps of a share of the reference torque."""
+    """Torque is reported in steps of a share of the reference torque."""
     step = effect.magnitude * scene.truck.reference_torque
     return Action(reading=lambda read: replace(read, torque_step=step))

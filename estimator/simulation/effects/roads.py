@@ -20,14 +20,14 @@ PATCHES = 1500.0  # m over which the surface changes
 
 
 def grade(scene: Scene, effect: Effect) -> Action:
-    """Hills of a standard deviation, rise over run; the same on the way back and on every lap."""
+    """Hills with a standard deviation of the slope, rise over run; equal on the way back and on every lap."""
     hills = _ground(scene.route, effect.magnitude, float(scene.rng.uniform(*HILLS)), scene.rng)
     met, sense = on_the_ground(scene.route, hills)
     return Action(route=replace(scene.route, grade=met * sense))
 
 
 def road_surface(scene: Scene, effect: Effect) -> Action:
-    """Asphalt rough here and smooth there: a share of A more or less, by place, whichever way it is driven."""
+    """Asphalt of varying roughness: a share of A more or less, by place, equal in both directions."""
     surface, _ = on_the_ground(scene.route, _ground(scene.route, effect.magnitude, PATCHES, scene.rng))
     share, A = along(surface, GRADE_SPACING), scene.truck.A
     return Action(force=lambda now: A * share(now.s))
@@ -57,7 +57,7 @@ def mass_step(scene: Scene, effect: Effect) -> Action:
 
 
 def _ground(route: Route, sd: float, length: float, rng: np.random.Generator) -> Floats:
-    """A smooth random profile of the ground the road covers, every ``GRADE_SPACING``; closed where it is a loop."""
+    """Smooth random profile (n,) of the ground along the road, every ``GRADE_SPACING``; closed for a loop."""
     covered = route.length if route.place is None else float(route.place.max())
     points = int(covered / GRADE_SPACING) + 3
     profile = smooth(points, sd, length / GRADE_SPACING / 2, rng)

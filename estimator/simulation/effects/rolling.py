@@ -1,4 +1,4 @@
-"""Effects that hold the truck back where it rolls: tyres, bends, brakes, loads. Forces [N] at the wheels."""
+"""Effects of rolling: tyres, bends, brakes, loads, as forces [N] at the wheels."""
 
 from math import exp
 
@@ -14,7 +14,7 @@ REFERENCE_FORCE = 20e3  # N
 
 
 def warm_up(scene: Scene, effect: Effect) -> Action:
-    """Cold tyres roll harder; rolling heats them, the wind cools them, faster when driving than when standing."""
+    """Cold tyres have more rolling resistance; rolling heats them, and the wind cools them faster while driving."""
     A = scene.truck.A
     time_constant = float(scene.rng.uniform(900.0, 2400.0))
     rise = 0.0
@@ -29,7 +29,7 @@ def warm_up(scene: Scene, effect: Effect) -> Action:
 
 
 def settled_excess(magnitude: float, speed: float) -> float:
-    """Share of A by which tyres roll harder than at CRUISE once they have the temperature of a ``speed`` [m/s]."""
+    """Excess of A over that at CRUISE, as a share [1], for tyres with the steady temperature of a ``speed`` [m/s]."""
     excess = magnitude
     for _ in range(SETTLING):
         excess = _excess(magnitude, _heating(excess, speed) / _cooling(speed))
@@ -37,36 +37,36 @@ def settled_excess(magnitude: float, speed: float) -> float:
 
 
 def _excess(magnitude: float, rise: float) -> float:
-    """Share of A more than at CRUISE, of tyres by ``rise`` [K] warmer than the air; ``magnitude`` when cold."""
+    """Excess of A over that at CRUISE [1], for tyres warmer than the air by ``rise`` [K]; ``magnitude`` when cold."""
     warm = exp(-CRUISE_RISE / SOFTENING)
     return magnitude * (exp(-rise / SOFTENING) - warm) / (1.0 - warm)
 
 
 def _heating(excess: float, speed: float) -> float:
-    """What rolling heats [K] in a time constant, at a ``speed`` [m/s]."""
+    """Heating [K] by rolling in a time constant, at a ``speed`` [m/s]."""
     return CRUISE_RISE * (1.0 + excess) * speed / CRUISE
 
 
 def _cooling(speed: float) -> float:
-    """What the air takes of the rise in a time constant."""
+    """Share [1] of the rise that the air removes in a time constant, at a ``speed`` [m/s]."""
     return 0.35 + 0.65 * speed / CRUISE
 
 
 def viscous_drag(scene: Scene, effect: Effect) -> Action:
-    """Lubricants resist in proportion to speed: a share of A at 20 m/s."""
+    """Drag of lubricants in proportion to speed: a share of A at 20 m/s."""
     slope = effect.magnitude * scene.truck.A / 20.0
     return Action(force=lambda now: slope * now.v)
 
 
 def resistance_segment(scene: Scene, effect: Effect) -> Action:
-    """A wet road or a soft tyre for a while: a share of A more."""
+    """Wet road or soft tyre for a limited time: a share of A more."""
     start, end = window(scene, effect)
     more = effect.magnitude * scene.truck.A
     return Action(force=lambda now: more if start <= now.t < end else 0.0, active=[(start, end)])
 
 
 def slow_puncture(scene: Scene, effect: Effect) -> Action:
-    """A tyre loses air from some moment on and rolls ever harder: a share of A more at the end of the drive."""
+    """Tyre that loses air from some moment on: a rising share of A, given at the end of the drive."""
     start, _ = window(scene, effect)
     left = scene.duration - start
     more = effect.magnitude * scene.truck.A
@@ -74,7 +74,7 @@ def slow_puncture(scene: Scene, effect: Effect) -> Action:
 
 
 def cornering(scene: Scene, effect: Effect) -> Action:
-    """Side-slipping tyres in a bend hold back with the square of the lateral acceleration."""
+    """Drag of side-slipping tyres in bends, with the square of the lateral acceleration."""
     curvature = along(scene.route.curvature, CURVE_SPACING)
 
     def force(now: Moment) -> float:
@@ -85,7 +85,7 @@ def cornering(scene: Scene, effect: Effect) -> Action:
 
 
 def load_loss(scene: Scene, effect: Effect) -> Action:
-    """Slip and gear teeth cost a share of the tractive force that grows with it, ``magnitude`` at 20 kN."""
+    """Slip and gear teeth lose a share of the tractive force that grows with it, ``magnitude`` at 20 kN."""
     share = effect.magnitude / REFERENCE_FORCE
     return Action(force=lambda now: share * now.force * now.force)
 
@@ -107,7 +107,7 @@ def brake_use(scene: Scene, effect: Effect, shown: bool = False) -> Action:
 
 
 def brake_use_shown(scene: Scene, effect: Effect) -> Action:
-    """The same by the driver: the brake switch shows it."""
+    """A service brake that the driver uses while the engine pulls: the brake switch shows it."""
     return brake_use(scene, effect, shown=True)
 
 
@@ -117,7 +117,7 @@ def retarder_use(scene: Scene, effect: Effect) -> Action:
 
 
 def snow_plough(scene: Scene, effect: Effect) -> Action:
-    """Pushes snow at low speed only."""
+    """Snow that is pushed at low speed only."""
 
     def force(now: Moment) -> float:
         return effect.magnitude * max(0.0, min(1.0, now.v - 1.0, (12.0 - now.v) / 2.0))
@@ -126,13 +126,13 @@ def snow_plough(scene: Scene, effect: Effect) -> Action:
 
 
 def gear_loss(scene: Scene, effect: Effect) -> Action:
-    """A bad bearing in one gear: torque lost at the crank."""
+    """Torque lost at the crank by a bad bearing in one gear."""
     gear = int(scene.rng.integers(9, 12))
     return Action(force=lambda now: effect.magnitude * now.gearing if now.closed and now.gear == gear else 0.0)
 
 
 def oil_drag(scene: Scene, effect: Effect) -> Action:
-    """Cold axle and gearbox oil: a share of A at the start, until the power that flows has warmed it."""
+    """Cold axle and gearbox oil: a share of A at the start, until the transmitted power has warmed it."""
     truck = scene.truck
     usual = (truck.A + truck.C * CRUISE**2) * CRUISE
     time_constant = float(scene.rng.uniform(1200.0, 2400.0))
@@ -147,7 +147,7 @@ def oil_drag(scene: Scene, effect: Effect) -> Action:
 
 
 def liquid_surge(scene: Scene, effect: Effect) -> Action:
-    """A share of the mass is liquid that sloshes back and forth, a damped pendulum of its own."""
+    """Liquid load that sloshes: a share of the mass, as a damped pendulum."""
     liquid = effect.magnitude * scene.truck.mass
     omega = float(scene.rng.uniform(1.5, 3.5))  # rad/s
     damping = 2.0 * float(scene.rng.uniform(0.04, 0.12)) * omega

@@ -1,1 +1,1 @@
-"""ASAM MDF 4 files: blocks, streams of records, CAN frames in them."""
+"""ASAM MDF 4 files: blocks, streams of records, and the CAN frames in them."""

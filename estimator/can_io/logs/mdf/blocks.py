@@ -1,4 +1,4 @@
-"""Blocks of an ASAM MDF 4 file: a head with kind and size, links to other blocks, then values.
+"""Blocks of an ASAM MDF 4 file; a block has a head with kind and size, links to other blocks, then values.
 
 Kinds and layouts as in the standard ASAM MDF 4.2; all numbers are little-endian.
 """
@@ -15,7 +15,7 @@ MAX_NAME = 1024  # bytes
 
 
 class BadMdfError(ValueError):
-    """The file is not as the standard says; ``offset`` is where [bytes]."""
+    """Raised if the file violates the standard, at ``offset`` [bytes]."""
 
     def __init__(self, offset: int, reason: str) -> None:
         super().__init__(reason)
@@ -23,7 +23,7 @@ class BadMdfError(ValueError):
 
 
 class UnreadMdfError(BadMdfError):
-    """The file may be sound, but says or stores something in a way that is not read; ``remedy`` is what helps."""
+    """Raised for a possibly valid file with a feature that is not supported; ``remedy`` says what to do."""
 
     def __init__(self, offset: int, reason: str, remedy: str = "export the log as .blf or .asc") -> None:
         super().__init__(offset, reason)
@@ -31,7 +31,7 @@ class UnreadMdfError(BadMdfError):
 
 
 class Head(NamedTuple):
-    """The head of a block; ``size`` is that of the whole block [bytes]."""
+    """Head of a block; ``size`` [bytes] is that of the whole block."""
 
     kind: bytes
     size: int
@@ -39,7 +39,7 @@ class Head(NamedTuple):
 
 
 class Block(NamedTuple):
-    """A block that was read whole; a link is the address of another block, 0 for none."""
+    """Block that was read whole; a link is the address of another block, 0 for none."""
 
     kind: bytes
     address: int
@@ -48,7 +48,7 @@ class Block(NamedTuple):
     body: bytes
 
     def values(self, form: str, at: int = 0) -> tuple[int, ...]:
-        """Numbers of the body, from the byte ``at`` on.
+        """Read integers of the body, from the byte ``at`` on.
 
         Raises
         ------
@@ -61,18 +61,18 @@ class Block(NamedTuple):
         return layout.unpack_from(self.body, at)
 
     def reals(self, at: int, count: int) -> tuple[float, ...]:
-        """Floating-point numbers of the body; raises as `values` does."""
+        """Read floating-point numbers of the body; raises the error of `values`."""
         return self.values(f"{count}d", at)
 
     def link(self, index: int) -> int:
-        """A link, 0 where the block has fewer."""
+        """Link with this number; 0 if the block has fewer."""
         return self.links[index] if index < len(self.links) else 0
 
 
 class MdfFile:
     """Reading access to the blocks of an open file.
 
-    ``known`` are the addresses of the blocks that were met; ``consumed`` counts the bytes read.
+    ``known`` are the addresses of the blocks read so far; ``consumed`` is the number of bytes read.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -82,7 +82,7 @@ class MdfFile:
         self.consumed = 0
 
     def bytes_at(self, address: int, count: int) -> bytes:
-        """Read ``count`` bytes, or fewer where the file ends."""
+        """Read ``count`` bytes, or fewer at the end of the file."""
         self._file.seek(min(address, self.size))
         data = self._file.read(max(min(count, self.size - address), 0))
         self.consumed += len(data)
@@ -111,7 +111,7 @@ class MdfFile:
         Raises
         ------
         BadMdfError
-            There is no such block, it is cut, or its sizes cannot be.
+            There is no such block, it is cut, or its sizes are impossible.
         """
         head = self.head(address, *kinds)
         if not HEAD.size + 8 * head.links <= head.size <= MAX_BODY:
@@ -123,12 +123,12 @@ class MdfFile:
         return Block(head.kind, address, head.size, links, raw[8 * head.links :])
 
     def chain(self, address: int, *kinds: bytes) -> Iterator[Block]:
-        """Blocks of given kinds whose first link leads to the next one.
+        """Yield the blocks of given kinds in a chain, where the first link of each leads to the next.
 
         Raises
         ------
         BadMdfError
-            A block is none, or the chain has no end.
+            A block is invalid, or the chain has no end.
         """
         met: set[int] = set()
         while address:
@@ -140,7 +140,7 @@ class MdfFile:
             address = block.link(0)
 
     def text(self, address: int) -> str:
-        """The text of a block ``##TX``, or nothing at address 0."""
+        """Text of a block ``##TX``; empty for address 0."""
         if not address:
             return ""
         body = self.block(address, b"##TX", b"##MD").body[:MAX_NAME]
@@ -148,5 +148,5 @@ class MdfFile:
 
 
 def shown(kind: bytes) -> str:
-    """A kind of block, for a message."""
+    """Kind of a block, for an error message."""
     return kind.decode("ascii", "replace")

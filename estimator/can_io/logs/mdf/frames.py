@@ -18,31 +18,31 @@ INVALID = "frame marked as invalid"
 
 
 class Payloads(NamedTuple):
-    """Where the payloads of frames (n,) are: from a byte of records on, where ``room`` bytes can be read."""
+    """Location of the payloads of frames (n,): ``records``, first ``byte``, and number ``room`` of readable bytes."""
 
     records: Records
     byte: int
     room: int
 
     def first(self, count: int) -> "Payloads":
-        """Those of the first frames."""
+        """Payloads of the first ``count`` frames."""
         return Payloads(self.records.first(count), self.byte, self.room)
 
 
 class Heads(NamedTuple):
-    """Ids (n,) with the bit for 29 of them, and lengths (n,) [bytes] of frames; which are ``valid``, None for all."""
+    """Ids (n,) with bit 31 set if they have 29 bits, lengths (n,) [bytes], and mask ``valid`` (n,), None for all."""
 
     ident: NDArray[np.uint32]
     length: NDArray[np.uint8]
     valid: Mask | None = None
 
     def first(self, count: int) -> "Heads":
-        """Those of the first frames."""
+        """Ids and lengths of the first ``count`` frames."""
         return Heads(self.ident[:count], self.length[:count], None if self.valid is None else self.valid[:count])
 
 
 def valid_rows(group: FrameGroup, records: Records) -> Mask | None:
-    """Which frames (n,) have none of their values marked as invalid, None for all."""
+    """Mask (n,) of frames without a value marked as invalid; None if it is True for all."""
     valid = np.ones(len(records), np.bool_)
     for bit in group.invalid:
         valid &= unsigned(records, bit) == 0
@@ -50,12 +50,12 @@ def valid_rows(group: FrameGroup, records: Records) -> Mask | None:
 
 
 def heads(group: FrameGroup, records: Records, sizes: NDArray[np.int64] | int) -> tuple[Heads, str]:
-    """Read ids and lengths of frames (n,), for whose payloads there are ``sizes`` (n,), or one for all [bytes].
+    """Read ids and lengths of frames (n,); ``sizes`` (n,) or scalar [bytes] is the room for each payload.
 
     Returns
     -------
     tuple[Heads, str]
-        Of the frames before the first that no bus can carry, and what is wrong with that one.
+        Heads of the frames before the first impossible one, and the error of that frame.
     """
     length = unsigned(records, group.length)
     raw = unsigned(records, group.ident).astype(np.uint32)
@@ -76,23 +76,23 @@ def heads(group: FrameGroup, records: Records, sizes: NDArray[np.int64] | int) -
     return Heads(ident, length.astype(np.uint8), valid).first(count), fault
 
 
-def frames_of(group: FrameGroup, found: Heads, masters: Records, payloads: Payloads, start: float) -> Frames:
-    """The frames (n,) whose times are in the records ``masters`` (n,) and count from ``start`` [s]."""
-    return Frames(times(masters, group.times, start), found.ident, found.length, _data(payloads, found.length))
+def frames_of(group: FrameGroup, head: Heads, masters: Records, payloads: Payloads, start: float) -> Frames:
+    """Frames (n,) with times from the records ``masters`` (n,), counted from ``start`` [s]."""
+    return Frames(times(masters, group.times, start), head.ident, head.length, _data(payloads, head.length))
 
 
 def rows_read(
-    channels: Channels, group: FrameGroup, found: Heads, records: Records, skipped: Counter[str]
+    channels: Channels, group: FrameGroup, head: Heads, records: Records, skipped: Counter[str]
 ) -> slice | Mask:
-    """Which of the frames (n,) in ``records`` (n,) are valid and of channels that are read; others are counted."""
+    """Mask (n,) or slice of the valid frames of read channels in ``records`` (n,); others are counted."""
     number = np.zeros(len(records), np.uint8) if group.channel is None else unsigned(records, group.channel)
     name = str if group.channel is not None else lambda _: UNNAMED
-    if found.valid is None:
-        return channels.rows(found.ident, number, name)
-    rows = found.valid.copy()
+    if head.valid is None:
+        return channels.rows(head.ident, number, name)
+    rows = head.valid.copy()
     skipped[INVALID] += int(np.count_nonzero(~rows))
     read = np.zeros(np.count_nonzero(rows), np.bool_)
-    read[channels.rows(found.ident[rows], number[rows], name)] = True
+    read[channels.rows(head.ident[rows], number[rows], name)] = True
     rows[rows] = read
     return rows
 

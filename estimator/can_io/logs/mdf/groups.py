@@ -1,7 +1,7 @@
-"""What an ASAM MDF 4 file says of its records: which of them are CAN frames, and where the values stand in them.
+"""Groups of records of an ASAM MDF 4 file: CAN frames among them, and the layout of their values.
 
-Names and meanings of the channels as in the standard ASAM MDF bus logging. Values are taken raw; only the conversion
-of times is applied.
+Names and meanings of the channels follow the standard ASAM MDF bus logging. Values are raw; only the conversion of
+times is applied.
 """
 
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ OTHERS = {"CAN_ErrorFrame": ERROR_FRAME, "CAN_RemoteFrame": REMOTE_FRAME, "CAN_O
 
 
 class Field(NamedTuple):
-    """Where a value stands in a record: its first byte, and the lowest of its bits there; ``kind`` is a type of data.
+    """Position of a value in a record: its first byte, and its lowest bit in that byte; ``kind`` is its data type.
 
-    ``values`` is the address of values of variable length, to which the field is the offset, 0 where it is the value.
-    A value that is the same in all records takes no bits: it is ``constant``.
+    ``values`` is the address of values of variable length, in which the field is an offset; 0 if the field is the
+    value. A value that is equal in all records has no bits, and is given as ``constant``.
     """
 
     byte: int
@@ -41,12 +41,12 @@ class Field(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The byte after the value."""
+        """Byte after the value."""
         return self.byte + -(-(self.bit + self.bits) // 8)
 
 
 class Times(NamedTuple):
-    """The times of a group: where they stand, and t = raw * factor + offset [s]."""
+    """Times of a group: their field, and the conversion t = raw * factor + offset [s]."""
 
     field: Field
     factor: float
@@ -55,10 +55,10 @@ class Times(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameGroup:
-    """Records that are CAN frames.
+    """Group of records that are CAN frames.
 
-    ``extended`` and ``channel``, that of the bus, may be missing; ``times_at`` is the group that holds the times, this
-    one as a rule. ``invalid`` are bits of which each, where it is set, says that a value of the frame is none.
+    ``extended`` and the bus ``channel`` may be missing. ``times_at`` is the group with the times, usually this one.
+    Each of the bits ``invalid``, if set, marks a value of the frame as invalid.
     """
 
     address: int
@@ -73,7 +73,7 @@ class FrameGroup:
 
     @property
     def needed(self) -> int:
-        """Bytes of a record that holds all values."""
+        """Smallest size of a record with all values [bytes]."""
         fields = (self.ident, self.extended, self.length, self.data, self.channel, *self.invalid)
         own_times = self.times.field.end if self.times_at == self.address else 0
         return max(own_times, *(field.end for field in fields if field is not None))
@@ -81,9 +81,9 @@ class FrameGroup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """Records of one kind: their id, size [bytes] and number as the file gives them, and what they are.
+    """Records of one kind: their id, size [bytes] and number according to the file, and their meaning.
 
-    ``has_variable_size`` is that of records with a size of their own; ``skipped`` names the frames without data.
+    ``has_variable_size`` is True if each record states its size; ``skipped`` names the kind of frames without data.
     """
 
     address: int
@@ -96,7 +96,7 @@ class Group:
 
 
 class DataGroup(NamedTuple):
-    """Groups whose records share a stream, told apart by an id of ``id_bytes`` before each record."""
+    """Groups whose records share a stream, distinguished by an id of ``id_bytes`` before each record."""
 
     address: int
     id_bytes: int
@@ -105,12 +105,12 @@ class DataGroup(NamedTuple):
 
 
 def start_time(file: MdfFile) -> float:
-    """Start of the measurement, from which times count [s since 1970]; a local time is taken as one of this machine.
+    """Start of the measurement [s since 1970], from which times count; a local time is read in this machine's zone.
 
     Raises
     ------
     BadMdfError
-        There is no header, or the time is none.
+        There is no header, or the time is invalid.
     """
     nanoseconds, zone, summer, flags = file.block(HEADER_AT, b"##HD").values("QhhB")
     if flags & LOCAL_TIME:
@@ -123,7 +123,7 @@ def start_time(file: MdfFile) -> float:
 
 
 def data_groups(file: MdfFile) -> list[DataGroup]:
-    """All groups of records.
+    """Read all groups of records.
 
     Raises
     ------
@@ -131,9 +131,9 @@ def data_groups(file: MdfFile) -> list[DataGroup]:
         A block is damaged, or CAN frames are stored in an unknown way.
     """
     first = file.block(HEADER_AT, b"##HD").link(0)
-    found = []
+    groups_of_data = []
     for block in file.chain(first, b"##DG"):
-        groups = tuple(_group(file, each) for each in file.chain(block.link(1), b"##CG"))
+        groups = tuple(_group(file, group_block) for group_block in file.chain(block.link(1), b"##CG"))
         (id_bytes,) = block.values("B")
         if id_bytes not in (0, 1, 2, 4, 8):
             raise BadMdfError(block.address, f"record ids of {id_bytes} bytes")
@@ -141,8 +141,8 @@ def data_groups(file: MdfFile) -> list[DataGroup]:
             raise BadMdfError(block.address, "a record id of more than a byte")
         if id_bytes == 0 and len(groups) > 1:
             raise BadMdfError(block.address, "records of several groups without ids")
-        found.append(DataGroup(block.address, id_bytes, block.link(2), groups))
-    return found
+        groups_of_data.append(DataGroup(block.address, id_bytes, block.link(2), groups))
+    return groups_of_data
 
 
 def _group(file: MdfFile, block: Block) -> Group:
@@ -167,16 +167,16 @@ def _group(file: MdfFile, block: Block) -> Group:
 
 
 def _channels(file: MdfFile, group: Block) -> dict[str, Block]:
-    """The channels of a group by name, and the parts of its frames."""
-    found = {}
+    """Channels of a group by name, and the parts of its frames."""
+    channels = {}
     for channel in file.chain(group.link(1), b"##CN"):
         name = file.text(channel.link(2))
         if channel.values("B")[0] == MASTER:
-            found[""] = channel
-        found[name] = channel
+            channels[""] = channel
+        channels[name] = channel
         if name == FRAME and channel.link(1):
-            found |= {file.text(part.link(2)): part for part in file.chain(channel.link(1), b"##CN")}
-    return found
+            channels |= {file.text(part.link(2)): part for part in file.chain(channel.link(1), b"##CN")}
+    return channels
 
 
 def _frame_group(file: MdfFile, group: Block, flags: int, names: dict[str, Block], data_bytes: int) -> FrameGroup:
@@ -215,7 +215,7 @@ def _field(channel: Block, *types: int) -> Field:
 
 
 def _invalidation(channel: Block, data_bytes: int) -> list[Field]:
-    """The bit of a record that says that a channel's value is none, if there is one."""
+    """Bit of a record that marks the value of a channel as invalid; None if there is none."""
     flags, bit = channel.values("LL", 12)
     if flags & ALL_INVALID:
         return [Field(0, 0, 0, UNSIGNED[0], constant=1)]
@@ -232,7 +232,7 @@ def _unsigned(file: MdfFile, channel: Block) -> Field:
 
 
 def _constant(file: MdfFile, channel: Block) -> int:
-    """The value of a virtual channel: the number of the record, converted to the same value everywhere."""
+    """Value of a virtual channel: the number of the record, converted to an equal value for all records."""
     conversion = file.block(channel.link(4), b"##CC") if channel.link(4) else None
     if conversion is not None and conversion.values("B") == (LINEAR,):
         value, factor = conversion.reals(24, 2)

@@ -1,8 +1,8 @@
-"""Where the records of several kinds begin in a stream, each behind an id that tells its size.
+"""Location of records of several kinds in a stream, each after an id that determines its size.
 
-Each record's place follows from the one before. Many stretches are followed side by side: each begins where a chain
-of records that comes from somewhat before it arrives, and is followed again from the right place where the stretch
-before it ends elsewhere.
+The place of each record follows from the previous one. Many stretches are followed in parallel. The first record of a
+stretch is guessed from a chain of records that begins shortly before it. If the stretch before it ends elsewhere, it is
+followed again from the right place.
 """
 
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ MAX_ROUNDS = 8  # in which wrong beginnings are corrected
 
 
 class Located(NamedTuple):
-    """Places (n,) of the complete records and their ids (n,), the bytes used, and what is wrong after them."""
+    """Places (n,) of the complete records, their ids (n,), the bytes used, and the error found after them."""
 
     at: Places
     ids: Ids
@@ -34,7 +34,7 @@ class Located(NamedTuple):
 
 
 class Chain:
-    """The steps from record to record in ``data``, behind which are ROOM bytes."""
+    """Steps from record to record in ``data``, which ends in ROOM further bytes."""
 
     def __init__(self, data: bytes, id_bytes: int, groups: tuple[Group, ...]) -> None:
         self.size = len(data) - ROOM
@@ -50,39 +50,39 @@ class Chain:
             self._is_variable[group.record_id] = group.has_variable_size
 
     def ids(self, at: Places) -> Ids:
-        """Ids (n,) of records; what is no id counts as the largest."""
+        """Ids (n,) of records at places (n,); an invalid id counts as the largest."""
         ids = self._ids[at]
         return ids if ids.dtype == np.uint8 else np.minimum(ids, ids.dtype.type(len(self._steps) - 1))
 
     def steps(self, at: Places) -> Places:
-        """Sizes (n,) of records [bytes], 0 where there is none."""
+        """Sizes (n,) [bytes] of records at places (n,); 0 if there is none."""
         ids = self.ids(at)
         steps: Places = self._steps[ids] + self._is_variable[ids] * self._sizes[at]
         return steps
 
     def walk(self, first: int) -> Places:
-        """Places (n,) of the records from one on, followed one by one; the last may be none, or incomplete."""
-        found: list[int] = []
+        """Places (n,) of the records from ``first`` on, one by one; the last may be invalid or incomplete."""
+        places: list[int] = []
         steps, is_variable = self._steps.tolist(), self._is_variable.tolist()
         at, last = first, len(steps) - 1
         while at < self.size:
-            found.append(at)
+            places.append(at)
             number = min(int(self._ids[at]), last)
             if steps[number] == 0:
                 break
             at += steps[number] + (int(self._sizes[at]) if is_variable[number] else 0)
-        return np.array(found, np.int64)
+        return np.array(places, np.int64)
 
 
 class Paths(NamedTuple):
-    """Places (m, k) of records, those of a stretch one below the other, -1 beyond; where each (k,) goes on."""
+    """Places (m, k) of the records of k stretches, padded with -1, and the place (k,) after the last of each."""
 
     places: Places
     finals: Places
 
 
 def locate(data: bytes, id_bytes: int, groups: tuple[Group, ...]) -> Located:
-    """Find the complete records in ``data``, the first of which begins at 0; the last ROOM bytes are not data."""
+    """Find the complete records in ``data``, the first of which begins at 0; its last ROOM bytes are padding."""
     chain = Chain(data, id_bytes, groups)
     count = chain.size // STRETCH
     at = chain.walk(0) if count < MIN_STRETCHES else _side_by_side(chain, np.arange(count, dtype=np.int64) * STRETCH)
@@ -97,7 +97,7 @@ def locate(data: bytes, id_bytes: int, groups: tuple[Group, ...]) -> Located:
 
 
 def _side_by_side(chain: Chain, stretches: Places) -> Places:
-    """Follow the records of stretches that begin at (k,), the first of them with a record."""
+    """Follow the records of ``stretches`` (k,) in parallel; the first stretch begins with a record."""
     ends = np.append(stretches[1:], chain.size)
     begins = _arrivals(chain, stretches)
     places, finals = _follow(chain, begins, ends)
@@ -117,13 +117,13 @@ def _side_by_side(chain: Chain, stretches: Places) -> Places:
     else:
         wrong = np.flatnonzero(begins[1:] != finals[:-1]) + 1
         sound = int(wrong[0]) if len(wrong) else len(begins)
-    found = places[:, :sound].T.ravel()
-    found = found[found >= 0]
-    return found if sound == len(begins) else np.concatenate((found, chain.walk(int(finals[sound - 1]))))
+    at = places[:, :sound].T.ravel()
+    at = at[at >= 0]
+    return at if sound == len(begins) else np.concatenate((at, chain.walk(int(finals[sound - 1]))))
 
 
 def _follow(chain: Chain, begins: Places, ends: Places) -> Paths:
-    """Follow records from each of (k,) places up to an end; a chain that breaks goes on behind the data."""
+    """Follow records from each of the places ``begins`` (k,) to ``ends`` (k,); a broken chain ends after the data."""
     at, rows = begins.copy(), []
     under_way = at < ends
     while under_way.any():
@@ -135,7 +135,7 @@ def _follow(chain: Chain, begins: Places, ends: Places) -> Paths:
 
 
 def _arrivals(chain: Chain, stretches: Places) -> Places:
-    """Where chains of records that begin before each of the stretches (k,) arrive in it."""
+    """Places (k,) at which chains of records that begin before a stretch (k,) enter it."""
     arrivals = stretches.copy()
     table = chain.low_bytes[: len(stretches) * STRETCH].reshape(-1, STRETCH)
     windows = table[:-1, STRETCH - LEAD : STRETCH - LEAD + TRIES]

@@ -1,4 +1,4 @@
-"""Several streams of frames as one, in order of time."""
+"""Merging of several streams of frames in order of time."""
 
 from collections.abc import Iterator
 
@@ -9,7 +9,7 @@ from estimator.signals import Floats
 
 
 class _Stream:
-    """A stream of which a batch is held; ``keys`` (n,) are the latest times up to each of its frames [s]."""
+    """Stream with one batch in memory; ``keys`` (n,) [s] are the running maximum of its times."""
 
     def __init__(self, batches: Iterator[Frames]) -> None:
         self.batches = batches
@@ -19,7 +19,7 @@ class _Stream:
         self.is_at_end = False
 
     def fill(self) -> None:
-        """Hold frames, unless there are no more."""
+        """Read a batch, if there is another one and none is held."""
         while not len(self.frames) and not self.is_at_end:
             batch = next(self.batches, None)
             if batch is None:
@@ -30,7 +30,7 @@ class _Stream:
                 self._latest = float(self.keys[-1])
 
     def take(self, until: float, is_first: bool) -> tuple[Frames, Floats]:
-        """The frames before a time, or up to it if it is this stream's turn, with their keys."""
+        """Take the frames before a time, or up to it if it is this stream's turn, with their keys."""
         count = int(np.searchsorted(self.keys, until, "right" if is_first else "left"))
         taken = self.frames[:count], self.keys[:count]
         self.frames, self.keys = self.frames[count:], self.keys[count:]
@@ -38,7 +38,7 @@ class _Stream:
 
 
 def merged(streams: list[Iterator[Frames]]) -> Iterator[Frames]:
-    """Frames of all streams; of the next frames of each, the earliest comes first, or that of the first stream.
+    """Yield frames of all streams: always the earliest of the next frames, at equal times that of the first stream.
 
     Frames of a stream keep their order. Each stream holds one batch.
     """
@@ -52,7 +52,7 @@ def merged(streams: list[Iterator[Frames]]) -> Iterator[Frames]:
         until = min(float(stream.keys[-1]) for stream in held)
         turn = next(i for i, stream in enumerate(held) if stream.keys[-1] == until)
         taken = [stream.take(until, i <= turn) for i, stream in enumerate(held)]
-        keys = np.concatenate([each for _, each in taken])
+        keys = np.concatenate([stream_keys for _, stream_keys in taken])
         yield Frames.concatenate([frames for frames, _ in taken])[np.argsort(keys, kind="stable")]
     for stream in held:
         yield stream.frames

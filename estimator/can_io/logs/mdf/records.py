@@ -1,7 +1,7 @@
-"""Numbers and bytes of many records at once, however the records lie in memory.
+"""Vectorised access to numbers and bytes of many records, for any arrangement in memory.
 
-Records of one size follow each other, or stand in a table stored column after column, or lie among others at known
-places. Only what is asked for is gathered.
+Records of one size are consecutive, or a table stored column by column, or scattered at known places. Only the
+requested values are gathered.
 """
 
 from abc import ABC, abstractmethod
@@ -20,26 +20,26 @@ SIZES = (1, 2, 4, 8)  # bytes of a number that are read at once
 
 
 class Records(ABC):
-    """Records (n,); fields must lie inside them."""
+    """Interface of records (n,); fields must lie inside them."""
 
     @abstractmethod
     def __len__(self) -> int: ...
 
     @abstractmethod
     def first(self, count: int) -> "Records":
-        """The first of them."""
+        """First ``count`` records."""
 
     @abstractmethod
     def numbers(self, byte: int, form: str) -> NDArray[Any]:
-        """Values (n,) of a NumPy format that begin at a byte."""
+        """Values (n,) of a NumPy format, from a byte on."""
 
     @abstractmethod
     def bytes_at(self, byte: int, count: int) -> Bytes:
-        """Bytes (n, count) from a byte on."""
+        """Bytes (n, count), from a byte on."""
 
 
 class Rows(Records):
-    """Records of ``size`` bytes that follow each other in ``data``, the first ``count`` of them."""
+    """First ``count`` of the consecutive records of ``size`` bytes in ``data``."""
 
     def __init__(self, data: bytes | bytearray | memoryview, size: int, count: int) -> None:
         self._data = data
@@ -50,7 +50,7 @@ class Rows(Records):
         return self._count
 
     def first(self, count: int) -> "Rows":
-        """The first of them."""
+        """First ``count`` records."""
         return Rows(self._data, self._size, count)
 
     def numbers(self, byte: int, form: str) -> NDArray[Any]:
@@ -63,7 +63,7 @@ class Rows(Records):
 
 
 class Table(Records):
-    """Records stored as a table, column after column of ``rows`` bytes, the first ``count`` of them."""
+    """First ``count`` records of a table stored column by column, with ``rows`` bytes in a column."""
 
     def __init__(self, data: bytes | bytearray, rows: int, first: int, count: int) -> None:
         self._data = data
@@ -75,11 +75,11 @@ class Table(Records):
         return self._count
 
     def first(self, count: int) -> "Table":
-        """The first of them."""
+        """First ``count`` records."""
         return Table(self._data, self._rows, self._first, count)
 
     def numbers(self, byte: int, form: str) -> NDArray[Any]:
-        """Values (n,), put together from columns."""
+        """Values (n,), assembled from columns."""
         return np.ascontiguousarray(self.bytes_at(byte, np.dtype(form).itemsize)).view(form)[:, 0]
 
     def bytes_at(self, byte: int, count: int) -> Bytes:
@@ -88,7 +88,7 @@ class Table(Records):
 
 
 class Scattered(Records):
-    """Records that begin at the places ``at`` (n,) of a buffer, behind which there is room for the largest field."""
+    """Records that begin at the places ``at`` (n,) of a buffer, with room for the largest field after the last."""
 
     def __init__(self, data: bytes | bytearray, at: NDArray[np.int64]) -> None:
         self._data = data
@@ -98,7 +98,7 @@ class Scattered(Records):
         return len(self._at)
 
     def first(self, count: int) -> "Scattered":
-        """The first of them."""
+        """First ``count`` records."""
         return Scattered(self._data, self._at[:count])
 
     def numbers(self, byte: int, form: str) -> NDArray[Any]:
@@ -113,7 +113,7 @@ class Scattered(Records):
 
 
 def unsigned(records: Records, field: Field) -> Numbers:
-    """Unsigned numbers (n,) of up to 64 bits in any place."""
+    """Unsigned numbers (n,) of up to 64 bits, at any bit position."""
     if field.constant is not None:
         return np.full(len(records), field.constant, np.uint64)
     size, is_big = -(-(field.bit + field.bits) // 8), field.kind == UNSIGNED[1]
@@ -121,9 +121,9 @@ def unsigned(records: Records, field: Field) -> Numbers:
         value: Numbers = records.numbers(field.byte, f"{'>' if is_big else '<'}u{size}")
     else:
         value = np.zeros(len(records), np.uint64)
-        for place in range(size):
-            byte = field.byte + (size - 1 - place if is_big else place)
-            value |= records.numbers(byte, "u1").astype(np.uint64) << np.uint64(8 * place)
+        for i in range(size):
+            byte = field.byte + (size - 1 - i if is_big else i)
+            value |= records.numbers(byte, "u1").astype(np.uint64) << np.uint64(8 * i)
     if field.bit:
         value = value >> value.dtype.type(field.bit)
     if field.bit + field.bits == 8 * value.dtype.itemsize:
@@ -132,7 +132,7 @@ def unsigned(records: Records, field: Field) -> Numbers:
 
 
 def times(records: Records, layout: Times, start: float) -> Floats:
-    """Times (n,) [s], the same floating-point numbers as of asammdf and python-can."""
+    """Times (n,) [s], bit-identical to those of asammdf and python-can."""
     field = layout.field
     if field.kind in REAL:
         raw = records.numbers(field.byte, f"{'>' if field.kind == REAL[1] else '<'}f{field.bits // 8}")

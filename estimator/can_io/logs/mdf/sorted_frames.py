@@ -1,4 +1,4 @@
-"""CAN frames of an ASAM MDF 4 file whose records have a stream of their own, one kind in each."""
+"""CAN frames of an ASAM MDF 4 file with one kind of records in each stream."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -21,12 +21,12 @@ MAX_WINDOW = 1 << 26  # bytes between the values that frames made at once refer 
 
 
 def record_count(chunks: Iterator[Chunk], size: int) -> int:
-    """Number of the whole records of ``size`` bytes in a stream."""
+    """Number of whole records of ``size`` bytes in a stream."""
     return sum(len(chunk.raw) for chunk in chunks) // size
 
 
 class RecordStream:
-    """Records of ``size`` bytes in a stream, taken piece by piece."""
+    """Stream of records of ``size`` bytes, taken in pieces."""
 
     def __init__(self, chunks: Iterator[Chunk], size: int) -> None:
         self._chunks = chunks
@@ -39,7 +39,7 @@ class RecordStream:
 
     @property
     def ready(self) -> int:
-        """How many records can be taken at once, 0 at the end; reads on where there are none.
+        """Number of records that can be taken at once, 0 at the end; reads on if there are none.
 
         Raises
         ------
@@ -61,7 +61,7 @@ class RecordStream:
         self._rest = chunk.raw[self._count * self._size :]
 
     def take(self, count: int) -> Records:
-        """The next records, at most as many as are ready."""
+        """Take the next records, at most as many as are ready."""
         first, self._taken = self._taken, self._taken + count
         if self._chunk.columns:
             return Table(self._chunk.raw, self._count, first, count)
@@ -69,9 +69,9 @@ class RecordStream:
 
 
 class ValueStream:
-    """Values of variable length, each behind its size, referred to by offsets that grow from batch to batch.
+    """Values of variable length, each after its size; frames refer to them by offsets that grow from batch to batch.
 
-    ``address`` is that of their first block [bytes].
+    ``address`` [bytes] is that of the first block.
     """
 
     def __init__(self, chunks: Iterator[Chunk], address: int) -> None:
@@ -81,12 +81,12 @@ class ValueStream:
         self._start = 0  # offset of the window
 
     def payloads(self, offsets: Numbers) -> tuple[Payloads, NDArray[np.int64]]:
-        """The values at offsets (n,), none before the first one of the batch before, and their sizes (n,) [bytes].
+        """Values at offsets (n,), none before the first of the previous batch, and their sizes (n,) [bytes].
 
         Raises
         ------
         BadMdfError
-            There are no values where an offset leads, or a block is damaged or cut.
+            There is no value at an offset, or a block is damaged or cut.
         """
         first, last = int(offsets.min()), int(offsets.max())
         if first < self._start or last - first > MAX_WINDOW:
@@ -102,7 +102,7 @@ class ValueStream:
         return Payloads(values, SIZE.itemsize, FD_BYTES), np.minimum(sizes, end - SIZE.itemsize - at)
 
     def _advance(self, first: int, end: int) -> None:
-        """Let the window begin at ``first`` and reach to ``end``, or as far as the stream does."""
+        """Move the window to begin at ``first`` and to reach ``end``, or the end of the stream."""
         parts, reached = [self._window], self._start + len(self._window)
         while reached < end and (chunk := next(self._chunks, None)) is not None:
             if reached <= first:
@@ -115,7 +115,7 @@ class ValueStream:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Streams:
-    """Where the frames of a group are read: their records, times that are elsewhere, payloads that are."""
+    """Streams of a group of frames: its records, and those of times and payloads that lie elsewhere."""
 
     records: RecordStream
     masters: RecordStream | None
@@ -131,24 +131,24 @@ def sorted_frames(
     most: int,
     skipped: Counter[str],
 ) -> Iterator[Frames]:
-    """The frames of a group on the channels that are read, at most ``most`` at a time.
+    """Yield the frames of a group on the channels that are read, at most ``most`` at a time.
 
     Parameters
     ----------
     group : FrameGroup
-        The group.
+        Layout of the frames.
     streams : Streams
-        Its streams.
+        Streams of the group.
     channels : Channels
-        Which channels are read.
+        Choice of the channels that are read.
     count : int or None
-        Number of frames, None where it was never written: as many as there are.
+        Number of frames; None if the file lacks it, for all that follow.
     start : float
-        Time that times count from [s].
+        Start of the measurement, from which times count [s].
     most : int
-        Frames in a batch.
+        Largest number of frames in a batch.
     skipped : Counter[str]
-        Frames that are none are counted here.
+        Counts invalid frames.
 
     Raises
     ------
@@ -166,10 +166,10 @@ def sorted_frames(
         payloads = Payloads(records, group.data.byte, group.data.bits // 8)
         if streams.values is not None:
             payloads, sizes = streams.values.payloads(_offsets(group, records))
-        found, fault = heads(group, records, sizes)
-        count = len(found.ident)
-        frames = frames_of(group, found, masters.first(count), payloads.first(count), start)
-        yield frames[rows_read(channels, group, found, records.first(count), skipped)]
+        frame_heads, fault = heads(group, records, sizes)
+        count = len(frame_heads.ident)
+        frames = frames_of(group, frame_heads, masters.first(count), payloads.first(count), start)
+        yield frames[rows_read(channels, group, frame_heads, records.first(count), skipped)]
         if fault:
             raise BadMdfError(streams.records.offset, fault)
         left = None if left is None else left - ready
@@ -178,6 +178,6 @@ def sorted_frames(
 
 
 def _offsets(group: FrameGroup, records: Records) -> Numbers:
-    """Offsets (n,) of payloads; of a frame that is none, that of another one."""
+    """Offsets (n,) of payloads; an invalid frame gets the offset of another one."""
     offsets, valid = unsigned(records, group.data), valid_rows(group, records)
     return offsets if valid is None else np.where(valid, offsets, offsets[np.argmax(valid)])

@@ -1,6 +1,6 @@
-"""The bytes behind a data link of an ASAM MDF 4 file, whichever blocks they are spread over.
+"""Bytes of a data link of an ASAM MDF 4 file, which may be spread over several blocks.
 
-The link leads to a block of plain or packed bytes, or to a list of such blocks, which are followed one by one. As none
+The link leads to a block of plain or packed bytes, or to a list of such blocks, which are read one by one. As no block
 belongs to a stream twice, together they are no larger than the file.
 """
 
@@ -23,7 +23,7 @@ PIECE = 1 << 20  # bytes of a plain block that are read at once
 
 
 class Chunk(NamedTuple):
-    """Some bytes of a stream, in order, or ``columns`` > 0 of a table one after the other; and where they lie."""
+    """Bytes of a stream and their offset in the file; if ``columns`` > 0, a table stored column by column."""
 
     raw: bytes | bytearray
     columns: int
@@ -31,11 +31,11 @@ class Chunk(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """Rows of the table whose columns are stored."""
+        """Number of rows of the table."""
         return len(self.raw) // self.columns
 
     def data(self) -> bytes | bytearray:
-        """The bytes in order; what a table leaves over is stored behind it, in order."""
+        """Bytes in order; those beyond a whole table are stored after it, in order."""
         if not self.columns:
             return self.raw
         whole = self.rows * self.columns
@@ -44,30 +44,30 @@ class Chunk(NamedTuple):
 
 
 class Tail(NamedTuple):
-    """What a logger that lost power may have left open: the last block's size, and the last list's links."""
+    """Parts that a logger without power may have left open: size of the last block, links of the last list."""
 
     size: bool = False
     links: bool = False
 
 
 def chunks(file: MdfFile, address: int, tail: Tail, largest: int) -> Iterator[Chunk]:
-    """Bytes of the stream at a data link, in order.
+    """Yield the bytes of the stream at a data link, in order.
 
     Parameters
     ----------
     file : MdfFile
-        The file.
+        Open file.
     address : int
-        The link, 0 where there are none.
+        Address of the link; 0 for an empty stream.
     tail : Tail
-        What its writer left open.
+        Parts that the writer left open.
     largest : int
-        A packed block that holds more is refused [bytes].
+        Largest contents of a packed block that is accepted [bytes].
 
     Raises
     ------
     BadMdfError
-        A block is damaged or cut, after what could be read of it.
+        A block is damaged or cut; its readable bytes are yielded first.
     """
     passed = 0
     blocks = _blocks(file, address, tail)
@@ -91,7 +91,7 @@ def chunks(file: MdfFile, address: int, tail: Tail, largest: int) -> Iterator[Ch
 
 
 def _blocks(file: MdfFile, address: int, tail: Tail) -> Iterator[int]:
-    """Addresses of the blocks with data."""
+    """Yield the addresses of the blocks with data."""
     if not address:
         return
     head = file.head(address, *PLAIN, PACKED, *LISTS, HEADER_LIST)
@@ -113,7 +113,7 @@ def _blocks(file: MdfFile, address: int, tail: Tail) -> Iterator[int]:
 
 
 def _unlisted(file: MdfFile, last: int) -> Iterator[int]:
-    """Blocks that follow the last one that is listed, or the list if it is empty."""
+    """Yield the blocks after the last one that is listed, or after an empty list."""
     while True:
         size = file.head(last, *PLAIN, PACKED, *LISTS).size
         last += max(size, HEAD.size) + -size % 8
@@ -125,8 +125,8 @@ def _unlisted(file: MdfFile, last: int) -> Iterator[int]:
 
 
 def _end(file: MdfFile, address: int) -> int:
-    """Where a block of unknown size ends: at the next block, or with the file."""
-    return min((known for known in file.known if known > address), default=file.size)
+    """End of a block of unknown size: the next block, or the end of the file."""
+    return min((later for later in file.known if later > address), default=file.size)
 
 
 def _plain(file: MdfFile, address: int, end: int) -> Iterator[Chunk]:
@@ -153,14 +153,14 @@ def _unpacked(file: MdfFile, address: int, head: Head, largest: int) -> Iterator
         raise BadMdfError(address, f"a packed block of {packed} bytes in {head.size}, with {columns} columns")
     data = file.bytes_at(address + HEAD.size + PACKED_HEAD.size, packed)
     try:
-        found, fault = unpack(method & ~TRANSPOSED, data, size, largest)
+        contents, fault = unpack(method & ~TRANSPOSED, data, size, largest)
     except MissingPackageError as error:
         raise UnreadMdfError(address, f"a block packed with {error}", "pip install 'roadload[mf4]'") from error
-    if not fault and len(found) != size:
-        fault = f"hold {len(found)} bytes instead of {size}"
+    if not fault and len(contents) != size:
+        fault = f"hold {len(contents)} bytes instead of {size}"
     if fault and is_transposed:
-        found = b""
-    if found:
-        yield Chunk(found, columns if is_transposed else 0, address)
+        contents = b""
+    if contents:
+        yield Chunk(contents, columns if is_transposed else 0, address)
     if fault:
         raise BadMdfError(address, f"a packed block whose data {fault}")

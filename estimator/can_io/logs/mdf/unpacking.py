@@ -1,6 +1,6 @@
 """Unpacking of the data of packed blocks, by the methods of ASAM MDF 4.3.
 
-Zlib is always there. Zstandard and LZ4 need a package each.
+Zlib is always available. Zstandard and LZ4 need a package each.
 """
 
 import sys
@@ -15,32 +15,32 @@ MAX_WINDOW_BITS = 26  # of the memory that packed data may ask for: 64 MiB
 
 
 class MissingPackageError(ImportError):
-    """The package that unpacks a method is not installed."""
+    """Raised if the package for a method of packing is not installed."""
 
 
 class Unpacker(Protocol):
-    """What unpacks a stream of bytes piece by piece."""
+    """Interface of an object that unpacks a stream of bytes in pieces."""
 
     @property
     def eof(self) -> bool:
-        """Whether all was unpacked."""
+        """True if the stream is unpacked completely."""
 
     def decompress(self, data: bytes, /, max_length: int = -1) -> bytes:
-        """At most ``max_length`` bytes of the contents."""
+        """Unpack at most ``max_length`` bytes of the contents."""
 
 
 def unpack(method: int, packed: bytes, size: int, most: int) -> tuple[bytes | bytearray, str]:
-    """Unpack data that hold ``size`` bytes as their writer said, at most ``most``.
+    """Unpack data whose writer states ``size`` bytes of contents; at most ``most`` bytes are unpacked.
 
     Returns
     -------
     tuple[bytes | bytearray, str]
-        The contents as far as they are there, and what is wrong with the packed data, if anything.
+        Available contents, and the error of the packed data; empty without one.
 
     Raises
     ------
     MissingPackageError
-        There is no package for the method.
+        The package for the method is not installed.
     """
     if method == DEFLATED:
         return inflate(packed, size, most)

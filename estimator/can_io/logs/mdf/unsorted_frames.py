@@ -1,8 +1,8 @@
-"""CAN frames of an ASAM MDF 4 file whose records of several kinds are in one stream, as loggers write them.
+"""CAN frames of an ASAM MDF 4 file with records of several kinds in one stream, as loggers write them.
 
-The stream is decoded in pieces. A frame whose payload is a value of variable length refers to it by its offset among
-the values of that kind; the value is a record near it, before or after. What is not complete at the end of a piece is
-decoded with the next one.
+The stream is decoded in pieces. A payload of variable length is a separate record near its frame, before or after it;
+the frame has its offset among the values of that kind. Records and payloads that are incomplete at the end of a piece
+are decoded with the next one.
 """
 
 from collections import Counter
@@ -28,7 +28,7 @@ NEVER = np.iinfo(np.int64).max  # a place behind every record
 class Values(NamedTuple):
     """Values of variable length in a piece: places of their records (n,), sizes (n,) [bytes], and offsets (n + 1,).
 
-    Offsets count from the first value of the stream; the last one is that of the value to come.
+    Offsets count from the first value of the stream; the last one is that of the next value.
     """
 
     at: Places
@@ -37,11 +37,10 @@ class Values(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Frames of a group in a piece that can be read: places of their records (n,), and where their payloads are.
+    """Readable frames of a group in a piece: places of their records (n,), and of their payloads (n,).
 
-    ``payload_at`` (n,) are places of records too: of values with the record id ``values``, or of the frames themselves.
-    ``ends_at`` is where the first frame begins that cannot be read, and ``fault`` says why, if not because its payload
-    is still to come.
+    ``payload_at`` (n,) are places of records: of values with the record id ``values``, or of the frames themselves.
+    ``ends_at`` is the place of the first unreadable frame, and ``fault`` its error; empty if its payload may follow.
     """
 
     group: FrameGroup
@@ -54,7 +53,7 @@ class Found(NamedTuple):
 
 
 class Decoded(NamedTuple):
-    """The frames at the beginning of a piece, counts of others, the bytes used, and what is wrong after them."""
+    """Frames at the beginning of a piece, counts of others, the bytes used, and the error found after them."""
 
     frames: Frames
     skipped: Counter[str]
@@ -63,7 +62,7 @@ class Decoded(NamedTuple):
 
 
 class UnsortedStream:
-    """The records of a stream that may end anywhere if ``is_cut``; their times count from ``start`` [s]."""
+    """Records of a stream, which may end anywhere if ``is_cut``; their times count from ``start`` [s]."""
 
     def __init__(
         self, data_group: DataGroup, chunks: Iterator[Chunk], channels: Channels, start: float, is_cut: bool
@@ -85,12 +84,12 @@ class UnsortedStream:
         self._passed: Counter[int] = Counter()  # bytes of values, by record id
 
     def frames(self, skipped: Counter[str]) -> Iterator[Frames]:
-        """The frames in order of the file; those without data are counted by kind in ``skipped``.
+        """Yield the frames in order of the file; frames without data are counted by kind in ``skipped``.
 
         Raises
         ------
         BadMdfError
-            Where the stream is damaged or cut, after the frames before that.
+            The stream is damaged or cut; the frames before that are yielded first.
         """
         rest, offset = b"", 0
         for raw, is_last, offset in _pieces(self._chunks):
@@ -109,22 +108,22 @@ class UnsortedStream:
             raise BadMdfError(offset, "the last record or its payload is incomplete")
 
     def _decode(self, data: bytes, is_last: bool) -> Decoded:
-        """The frames in records from the beginning of ``data`` on, which ends the stream if ``is_last``."""
+        """Decode the records at the beginning of ``data``, which ends the stream if ``is_last``."""
         buffer = data + bytes(ROOM)
         located = locate(buffer, self._id_bytes, self._groups)
         values = {number: self._values(buffer, located, number) for number in set(self._value_ids.values())}
-        found = [self._found(buffer, located, number, group, values) for number, group in self._frame_groups]
-        used = _used(found, values, located, is_last or bool(located.fault))
-        for number, each in values.items():
-            self._passed[number] = int(each.offsets[np.searchsorted(each.at, used)])
-        before = located.ids[: np.searchsorted(located.at, used)]
+        readable = [self._readable(buffer, located, number, group, values) for number, group in self._frame_groups]
+        used = _used(readable, values, located, is_last or bool(located.fault))
+        for number, group_values in values.items():
+            self._passed[number] = int(group_values.offsets[np.searchsorted(group_values.at, used)])
+        ids = located.ids[: np.searchsorted(located.at, used)]
         skipped: Counter[str] = Counter()
         for group in self._groups:
             if group.skipped:
-                skipped[group.skipped] += int(np.count_nonzero(before == group.record_id))
-        faults = [each.fault for each in found if each.fault and each.ends_at == used]
+                skipped[group.skipped] += int(np.count_nonzero(ids == group.record_id))
+        faults = [frames.fault for frames in readable if frames.fault and frames.ends_at == used]
         fault = next(iter(faults), located.fault if used == located.used else "")
-        return Decoded(self._frames(buffer, found, used, skipped), +skipped, used, fault)
+        return Decoded(self._frames(buffer, readable, used, skipped), +skipped, used, fault)
 
     def _values(self, buffer: bytes, located: Located, number: int) -> Values:
         at = located.at[located.ids == number]
@@ -132,7 +131,7 @@ class UnsortedStream:
         offsets = np.cumsum(np.concatenate(([self._passed[number]], sizes + SIZE_BYTES)))
         return Values(at, sizes, offsets)
 
-    def _found(
+    def _readable(
         self, buffer: bytes, located: Located, number: int, group: FrameGroup, values: dict[int, Values]
     ) -> Found:
         at = located.at[located.ids == number]
@@ -145,64 +144,64 @@ class UnsortedStream:
                 here = int(np.argmax(payload_at))
                 is_passed = offsets[here] < values[value_id].offsets[-1]
                 fault = f"a payload at byte {offsets[here]} of its stream, where none begins" if is_passed else ""
-        found, wrong = heads(group, self._records(buffer, at[:here]), sizes[:here])
+        frame_heads, wrong = heads(group, self._records(buffer, at[:here]), sizes[:here])
         if wrong:
-            here, fault = len(found.ident), wrong
+            here, fault = len(frame_heads.ident), wrong
         ends_at = int(at[here]) if here < len(at) else NEVER
-        return Found(group, value_id, at[:here], payload_at[:here], found, ends_at, fault)
+        return Found(group, value_id, at[:here], payload_at[:here], frame_heads, ends_at, fault)
 
-    def _frames(self, buffer: bytes, found: list[Found], used: int, skipped: Counter[str]) -> Frames:
-        """The frames before a place, in order of the file."""
+    def _frames(self, buffer: bytes, readable: list[Found], used: int, skipped: Counter[str]) -> Frames:
+        """Frames of records before the place ``used``, in order of the file."""
         parts, places = [], []
-        for each in found:
-            count = int(np.searchsorted(each.at, used))
-            records = self._records(buffer, each.at[:count])
-            behind = each.group.data.byte if each.values is None else SIZE_BYTES
-            payloads = Payloads(self._records(buffer, each.payload_at[:count]), behind, FD_BYTES)
-            read = each.heads.first(count)
-            frames = frames_of(each.group, read, records, payloads, self._start)
-            rows = rows_read(self._channels, each.group, read, records, skipped)
+        for group_frames in readable:
+            count = int(np.searchsorted(group_frames.at, used))
+            records = self._records(buffer, group_frames.at[:count])
+            behind = group_frames.group.data.byte if group_frames.values is None else SIZE_BYTES
+            payloads = Payloads(self._records(buffer, group_frames.payload_at[:count]), behind, FD_BYTES)
+            read = group_frames.heads.first(count)
+            frames = frames_of(group_frames.group, read, records, payloads, self._start)
+            rows = rows_read(self._channels, group_frames.group, read, records, skipped)
             parts.append(frames[rows])
-            places.append(each.at[:count][rows])
+            places.append(group_frames.at[:count][rows])
         if len(parts) < 2:
             return Frames.concatenate(parts)
         return Frames.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
 
     def _records(self, buffer: bytes, at: Places) -> Scattered:
-        """What follows the ids of records (n,)."""
+        """Records (n,) without their ids."""
         return Scattered(buffer, at + self._id_bytes)
 
 
 def _referred(values: Values, offsets: Numbers) -> tuple[Places, Places]:
-    """Places (n,) and sizes (n,) [bytes] of the values at some offsets (n,), NEVER and 0 where there is none."""
+    """Places (n,) and sizes (n,) [bytes] of the values at offsets (n,); NEVER and 0 if there is none."""
     if np.array_equal(offsets, values.offsets[:-1]):  # the rule: one a frame, in order
         return values.at, values.sizes
-    place = np.searchsorted(values.offsets[:-1], offsets.astype(np.int64))
-    place[values.offsets[place] != offsets] = len(values.at)
-    return np.append(values.at, NEVER)[place], np.append(values.sizes, 0)[place]
+    index = np.searchsorted(values.offsets[:-1], offsets.astype(np.int64))
+    index[values.offsets[index] != offsets] = len(values.at)
+    return np.append(values.at, NEVER)[index], np.append(values.sizes, 0)[index]
 
 
-def _used(found: list[Found], values: dict[int, Values], located: Located, is_last: bool) -> int:
-    """The place before which every frame has its payload, and every payload its frame if more is to come."""
-    used = min([located.used, *(each.ends_at for each in found)])
+def _used(readable: list[Found], values: dict[int, Values], located: Located, is_last: bool) -> int:
+    """Place before which every frame has its payload and, unless ``is_last``, every payload its frame."""
+    used = min([located.used, *(frames.ends_at for frames in readable)])
     if not is_last:
         for number, every in values.items():
-            last = max(int(each.payload_at.max(initial=-1)) for each in found if each.values == number)
+            last = max(int(frames.payload_at.max(initial=-1)) for frames in readable if frames.values == number)
             used = min([used, *every.at[np.searchsorted(every.at, last, "right") :][:1].tolist()])
     while True:
-        early = [each.payload_at[(each.at >= used) & (each.payload_at < used)] for each in found]
+        early = [frames.payload_at[(frames.at >= used) & (frames.payload_at < used)] for frames in readable]
         if not any(map(len, early)):
             return used
-        used = min(int(each.min()) for each in early if len(each))
+        used = min(int(places.min()) for places in early if len(places))
 
 
 def _pieces(chunks: Iterator[Chunk]) -> Iterator[tuple[bytes, bool, int]]:
-    """Bytes of a stream to be decoded at once, whether they are the last, and where they begin in the file.
+    """Yield pieces of a stream, whether each is the last, and its offset in the file.
 
     Raises
     ------
     BadMdfError
-        Of ``chunks``, after the bytes before it.
+        Raised by ``chunks``; the bytes before it are yielded first.
     """
     held: list[bytes | bytearray] = []
     size, begin = 0, 0
@@ -224,7 +223,7 @@ def _pieces(chunks: Iterator[Chunk]) -> Iterator[tuple[bytes, bool, int]]:
 
 
 def _slices(chunks: Iterator[Chunk]) -> Iterator[tuple[bytes | bytearray, int]]:
-    """Bytes of at most the size of a piece, and where they are in the file."""
+    """Yield bytes of at most the size of a piece, and their offset in the file."""
     for chunk in chunks:
         data = chunk.data()
         for first in range(0, len(data), JOINED):
