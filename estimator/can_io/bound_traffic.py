@@ -71,7 +71,7 @@ def _message(index: int, name: str, signals: list[str], config: Config, database
 def _signal(number: int, path: str, config: Config, database: Database) -> Signal:
     lake = config.lake
     assert lake is not None
-    like = _known(database, path)
+    like = _signal_in(database, path)
     unit = lake.units.get(path, None if like is None else like.unit)
     low, high = lake.ranges.get(path, (None, None) if like is None else (like.minimum, like.maximum))
     return Signal(
@@ -86,7 +86,7 @@ def _signal(number: int, path: str, config: Config, database: Database) -> Signa
     )
 
 
-def _known(database: Database, path: str) -> Signal | None:
+def _signal_in(database: Database, path: str) -> Signal | None:
     """Signal with this name in a database, or None."""
     message, name = path.split(".")
     namesakes: list[AnyMessage] = [m for m in database.messages if m.name == message]

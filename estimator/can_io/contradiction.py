@@ -107,7 +107,7 @@ def are_alternating(value: Floats, bounds: NDArray[np.intp], magnitude: float, s
     if is_mixture.any():
         next_but_one = block_sums(np.abs(_steps(value, bounds, 2)), bounds) / np.maximum(count - 2, 1)
         is_mixture &= next_step > MAX_STEP_RATIO * next_but_one
-    is_mixture |= _stand_out(
+    is_mixture |= _exceed_neighbours(
         value,
         _reversals(steps, sizes),
         bounds,
@@ -134,7 +134,9 @@ def _reversals(steps: Floats, sizes: Floats) -> Floats:
     return beyond
 
 
-def _stand_out(value: Floats, beyond: Floats, bounds: NDArray[np.intp], material: Floats, slight: Floats) -> Mask:
+def _exceed_neighbours(
+    value: Floats, beyond: Floats, bounds: NDArray[np.intp], material: Floats, slight: Floats
+) -> Mask:
     """Mask (k,) of blocks in which too many readings lie ``beyond`` both neighbours, by the limits (k,) of each."""
     if beyond.max() <= slight.min():
         return np.zeros(len(slight), dtype=bool)

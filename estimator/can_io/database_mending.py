@@ -262,7 +262,7 @@ class _Reader:
         def apply(signal: _Signal) -> None:
             signal.values = self._tables.get(table, "") if table else _pairs(pairs)
 
-        self._of_signal(ident, name, "value tables of signals that do not exist", apply)
+        self._defer(ident, name, "value tables of signals that do not exist", apply)
 
     def _take_table(self, match: re.Match[str]) -> None:
         self._tables[match[1]] = _pairs(match[2])
@@ -274,7 +274,7 @@ class _Reader:
             target.comment = text
 
         if ident is not None:
-            self._of_signal(ident, name, "comments of signals that do not exist", apply)
+            self._defer(ident, name, "comments of signals that do not exist", apply)
         elif of_message is not None:
             self._of_message(of_message, "comments of messages that do not exist", apply)
 
@@ -294,7 +294,7 @@ class _Reader:
         if ident is not None:
             apply: Callable[[_Signal], None] = rename if attribute in LONG_NAMES else lambda signal: None
             apply = number_signal if attribute == SPN else apply
-            self._of_signal(ident, name, "attributes of signals that do not exist", apply)
+            self._defer(ident, name, "attributes of signals that do not exist", apply)
         elif of_message is not None:
             set_or_rename = rename if attribute in LONG_NAMES else set_attribute
             self._of_message(of_message, "attributes of messages that do not exist", set_or_rename)
@@ -312,7 +312,7 @@ class _Reader:
         def apply(signal: _Signal) -> None:
             signal.kind = kind if kind in "12" else ""  # IEEE float, double; 0 and 3 are integers
 
-        self._of_signal(ident, name, "types of signals that do not exist", apply)
+        self._defer(ident, name, "types of signals that do not exist", apply)
 
     def _take_selection(self, match: re.Match[str]) -> None:
         ident, name, multiplexer, ranges = match.groups()
@@ -324,9 +324,9 @@ class _Reader:
         def apply(signal: _Signal) -> None:
             signal.selection = (multiplexer, ", ".join(f"{low}-{high}" for low, high in spans))
 
-        self._of_signal(ident, name, "multiplexed signals that do not exist", apply)
+        self._defer(ident, name, "multiplexed signals that do not exist", apply)
 
-    def _of_signal(self, ident: str, name: str, kind: str, apply: Callable[[_Signal], None]) -> None:
+    def _defer(self, ident: str, name: str, kind: str, apply: Callable[[_Signal], None]) -> None:
         """Register a statement to be applied to a signal once all signals are read."""
         line = self._line
 

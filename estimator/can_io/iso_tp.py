@@ -78,7 +78,7 @@ class IsoTp:
         size = self._sizes(frames, first, is_single)
         packets = np.where(is_single, 0, -(-(size - FIRST_BYTES) // PACKET_BYTES))
         there = np.diff(np.append(first, len(frames))) - 1  # consecutive frames behind each
-        is_sound = _are_sound(frames, first, size, packets) & (is_single | (size > 0))
+        is_sound = _are_in_order(frames, first, size, packets) & (is_single | (size > 0))
         is_whole = is_sound & (there >= packets)
         unfinished = is_sound & ~is_whole
         if unfinished[-1]:
@@ -123,7 +123,7 @@ class IsoTp:
         return Frames(frames.t[last], frames.ident[last], length.astype(np.uint16), data)
 
 
-def _are_sound(frames: Frames, first: Places, size: Places, packets: Places) -> Mask:
+def _are_in_order(frames: Frames, first: Places, size: Places, packets: Places) -> Mask:
     """Flag (k,) the first frames ``first`` (k,) whose consecutive frames, as far as they have come, are in order.
 
     Only the ``packets`` (k,) frames of an answer of ``size`` (k,) bytes are checked.

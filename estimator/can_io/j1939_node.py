@@ -124,7 +124,7 @@ class Node:
         if taken and (address != self._wanted or self.lost):
             self._wanted, self.lost = address, False
             self._claimed = self._since = self._owed = None
-        self._owe(self._now)
+        self._schedule_claim(self._now)
         return taken
 
     def poll(self, t: float) -> list[can.Message]:
@@ -132,7 +132,7 @@ class Node:
         self._now = max(self._now, t)
         if self._owed is None and self._is_unconfirmed():
             self.counts["claim not confirmed"] += 1
-            self._owe(self._now)
+            self._schedule_claim(self._now)
         if self.fault or self._owed is None or self._now < self._owed:
             return []
         if not self._claims.take(self._now):
@@ -206,7 +206,7 @@ class Node:
             self._others[source] = name
         elif ours < name:
             self.counts["address defended"] += 1
-            self._owe(self._now)
+            self._schedule_claim(self._now)
         else:
             self._others[source] = name
             self._give_way()
@@ -220,18 +220,18 @@ class Node:
         next_free = next(free, None) if self._name.arbitrary_address_capable else None
         if next_free is None:
             self.lost = True
-            self._owe(self._now + self._rng.uniform(0, MAX_CLAIM_DELAY))
+            self._schedule_claim(self._now + self._rng.uniform(0, MAX_CLAIM_DELAY))
         else:
             self._wanted = next_free
-            self._owe(self._now)
+            self._schedule_claim(self._now)
 
-    def _owe(self, t: float) -> None:
+    def _schedule_claim(self, t: float) -> None:
         """Schedule a claim; it answers all requests for one until it is sent."""
         self._owed = t if self._owed is None else self._owed
 
     def _hear_request(self, pgn: int, source: int, everybody: bool) -> list[can.Message]:
         if pgn == ADDRESS_CLAIMED:
-            self._owe(self._now + (self._rng.uniform(0, MAX_CLAIM_DELAY) if self.lost else 0.0))
+            self._schedule_claim(self._now + (self._rng.uniform(0, MAX_CLAIM_DELAY) if self.lost else 0.0))
             return []
         if self.address is None or source >= NULL:
             return []

@@ -183,16 +183,16 @@ def _contents(estimate: Estimate | None, slope: Slope | None, status: str, age: 
         contents[f"Roadload{name}.EstimateStatus"] = str(Status.UNESTIMATED if is_lost else parameter_status)
     contents["GrossCombinationVehicleWeight"] = contents["MassMean"]
     contents["PoweredVehicleWeight"] = _NOT_AVAILABLE
-    return contents | _of_road(slope if usable else None, status, withheld)
+    return contents | _road_contents(slope if usable else None, status, withheld)
 
 
-def _of_road(slope: Slope | None, status: str, withheld: str) -> dict[str, float | str]:
+def _road_contents(slope: Slope | None, status: str, withheld: str) -> dict[str, float | str]:
     """Contents of the message of the road; a slope or height too uncertain for its signals is withheld."""
-    if slope is None or abs(slope.sine) >= 1 or 100 * slope.grade_sd > _most("RoadGradeDeviation"):
+    if slope is None or abs(slope.sine) >= 1 or 100 * slope.grade_sd > _largest("RoadGradeDeviation"):
         status = Status.UNESTIMATED.value if status == Status.ESTIMATED else status
         names = ("RoadGrade", "RoadGradeDeviation", "RoadHeight", "RoadHeightDeviation")
         return {"RoadloadRoad.EstimateStatus": status, **dict.fromkeys(names, withheld)}
-    is_known = abs(slope.height) <= _most("RoadHeight") and slope.height_sd <= _most("RoadHeightDeviation")
+    is_known = abs(slope.height) <= _largest("RoadHeight") and slope.height_sd <= _largest("RoadHeightDeviation")
     return {
         "RoadloadRoad.EstimateStatus": status,
         "RoadGrade": 100 * slope.grade,
@@ -203,7 +203,7 @@ def _of_road(slope: Slope | None, status: str, withheld: str) -> dict[str, float
 
 
 @cache
-def _most(signal: str) -> float:
+def _largest(signal: str) -> float:
     """Largest value that a signal can encode."""
     signals = (s for message in output_database().messages for s in message.signals if s.name == signal)
     return min(inf if s.maximum is None else float(s.maximum) for s in signals)
@@ -212,7 +212,7 @@ def _most(signal: str) -> float:
 def _fits(name: str, marginal: Marginal) -> bool:
     """True if the signals of a parameter can encode its values."""
     values = {"Mean": marginal.mean, "Q05": marginal.q05, "Q95": marginal.q95, "Deviation": marginal.sd}
-    return not any(value > _most(f"{name}{part}") for part, value in values.items())
+    return not any(value > _largest(f"{name}{part}") for part, value in values.items())
 
 
 def _raw(signal: Signal, value: float | str) -> int:

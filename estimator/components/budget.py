@@ -126,11 +126,11 @@ def budget(
     residuals = tuple(_residuals(drive_powers, given) for drive_powers in powers)
     residual = np.concatenate([drive_powers.residual for drive_powers in powers])
     total = _rms(residual)
-    drawn = _joined(
+    drawn = _concatenated(
         [drive_powers.draws for drive_powers in powers],
         [np.zeros((len(drive_powers.residual), DRAWS)) for drive_powers in powers],
     )
-    held_out = _joined(
+    held_out = _concatenated(
         [drive_powers.held_out for drive_powers in powers],
         [np.zeros(len(drive_powers.residual)) for drive_powers in powers],
     )
@@ -155,7 +155,7 @@ def budget(
     )
 
 
-def _joined(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
+def _concatenated(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
     """Powers of all drives by cause, concatenated; ``blank`` on a drive without the cause.
 
     The arrays are removed from ``drives``, so that none is in memory twice.
@@ -236,7 +236,7 @@ def _powers(
         )
         for i, component in enumerate(components)
     }
-    for cause, part in _rest(drive, joint, amplitudes, rng):
+    for cause, part in _road_and_noise(drive, joint, amplitudes, rng):
         draws[cause] = plain.residual(plain.as_power(part, masses))
     held_out = _held_out(drive, [_name(component) for component in drive.chosen])
     mass = 1 / drive.fit.beta[:1]
@@ -247,7 +247,7 @@ def _powers(
     )
 
 
-def _rest(
+def _road_and_noise(
     drive: DriveState, joint: JointLikelihood, amplitudes: Floats, rng: np.random.Generator
 ) -> Iterator[tuple[str, Floats]]:
     """Draws of the acceleration (n, d) [m/s^2] by the road, white forces and sensor noise, with their causes."""

@@ -99,8 +99,8 @@ class Candidates:
         ``with_stretches``: include stretches of a road that no signal shows.
         """
         frame, times = Frame.of(drive.fit), self._times(number, drive)
-        yield from self._as_the_bus_tells(frame, drive)
-        yield from self._finer(number, frame, drive)
+        yield from self._without_fitted_times(frame, drive)
+        yield from self._near_shapes(number, frame, drive)
         yield from self._at_times(number, frame, drive.chosen, times)
         if drive.is_hidden and with_stretches:
             yield from self._stretches(number, frame, drive, times)
@@ -127,7 +127,7 @@ class Candidates:
         proposed |= self._forms.times[number]
         return _different({*present, *both, *proposed}, present, drive.fit.strides.t)
 
-    def _as_the_bus_tells(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+    def _without_fitted_times(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Effects that act always, that a signal shows, or that begin at a standstill."""
         quantities = frozenset(drive.strides.context)
         for effect in self._effects:
@@ -141,7 +141,7 @@ class Candidates:
                     component=component,
                 )
 
-    def _finer(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+    def _near_shapes(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Shapes near those of chosen effects and of effects found before; given effects keep their shapes."""
         chosen = [(c.term, size) for c, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if c.term]
         present = {term.effect.name: (term, size) for term, size in chosen}

@@ -31,7 +31,7 @@ from estimator.strides import DURATION, Strides
 class Frame:
     """Strides of a drive and an estimate of the vehicle, from which columns are computed."""
 
-    strides: Strides  # those whose force is known
+    strides: Strides  # strides whose force is known
     force: Floats  # (n,) [N], at the lag of the drive
     road_load: Floats  # [A, C, m]
     lag: float  # s, by which power comes after speed

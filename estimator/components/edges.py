@@ -55,15 +55,15 @@ def _products(
     """
     spans, t = term.spans or (), joint.frame.strides.t
     profile, column = joint.frame.column(replace(term, spans=None)), joint.frame.column(term)
-    near = _reached(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
-    moved = [sp.csc_array((profile[near] * _moved(t[near], spans[i][side], moves, side)).T) for i, side in edges]
+    near = _strides_near(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
+    moved = [sp.csc_array((profile[near] * _share_change(t[near], spans[i][side], moves, side)).T) for i, side in edges]
     single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))
     G, s = joint.projected(chosen, sp.hstack([sp.csc_array(column[:, None]), single], format="csc"))
     changes = sp.hstack(moved, format="csc") if moved else sp.csc_array((len(near), 0))
     return G, s, sp.block_diag([sp.csc_array([[1.0]]), changes], format="csc")
 
 
-def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.intp]:
+def _strides_near(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.intp]:
     """Strides (k,) whose covered share may change when ``edges`` [s] are moved by up to ``furthest`` [s]."""
     reached = np.zeros(len(t), dtype=bool)
     for edge in edges:
@@ -71,7 +71,7 @@ def _reached(t: Floats, edges: Sequence[float], furthest: float) -> NDArray[np.i
     return np.flatnonzero(reached)
 
 
-def _moved(t: Floats, edge: float, moves: Floats, side: int) -> Floats:
+def _share_change(t: Floats, edge: float, moves: Floats, side: int) -> Floats:
     """Change (k, n) of the covered share of each stride when the ``edge`` [s] of a span makes k ``moves`` [s]."""
     before = np.clip((edge - t) / DURATION + 0.5, 0.0, 1.0)  # share of each stride before the edge
     after = np.clip((edge + moves[:, None] - t) / DURATION + 0.5, 0.0, 1.0)

@@ -101,11 +101,11 @@ class Hypotheses:
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
         """Log evidence of a hypothesis, less costs; minus infinity if a size is impossible, given terms excepted."""
-        return sum(joint.log_evidence(self._here(chosen, n)) for n, joint in enumerate(self._joints))
+        return sum(joint.log_evidence(self._numbers_on(chosen, n)) for n, joint in enumerate(self._joints))
 
     def unlimited(self, chosen: Sequence[int]) -> float:
         """Log evidence of a hypothesis, less costs, without limits of the sizes."""
-        return sum(joint.unlimited(self._here(chosen, n)) for n, joint in enumerate(self._joints))
+        return sum(joint.unlimited(self._numbers_on(chosen, n)) for n, joint in enumerate(self._joints))
 
     def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
         """`log_evidence` (c,) of the hypothesis with each of ``others`` added."""
@@ -125,13 +125,13 @@ class Hypotheses:
         """Sum (c,) over the drives of ``with_each``, or of ``alone`` on drives where the added form does not act."""
         total = np.zeros(len(others))
         for n, joint in enumerate(self._joints):
-            here, acting = self._here(chosen, n), [k for k, i in enumerate(others) if n in self.each[i]]
+            here, acting = self._numbers_on(chosen, n), [k for k, i in enumerate(others) if n in self.each[i]]
             added = np.full(len(others), alone(joint, here) if len(acting) < len(others) else 0.0)
             added[acting] = with_each(joint, here, [self._places[others[k]][n] for k in acting])
             total += added
         return total
 
-    def _here(self, chosen: Sequence[int], number: int) -> list[int]:
+    def _numbers_on(self, chosen: Sequence[int], number: int) -> list[int]:
         """Numbers of the given terms and of a hypothesis' terms in the likelihood of one drive."""
         places = [self._places[i][number] for i in chosen if number in self._places[i]]
         return [*range(len(self.given[number])), *places]
@@ -148,8 +148,8 @@ class Hypotheses:
         sets = [chosen if {self.keys[i][:2] for i in hypothesis} == causes else hypothesis for hypothesis in sets]
         return tuple(
             _mixed(
-                joint.base(self._here(chosen, n)),
-                [joint.base(self._here(hypothesis, n)) for hypothesis in sets],
+                joint.base(self._numbers_on(chosen, n)),
+                [joint.base(self._numbers_on(hypothesis, n)) for hypothesis in sets],
                 weights,
             )
             for n, joint in enumerate(self._joints)
@@ -169,7 +169,7 @@ class Hypotheses:
             for form in new:
                 for number, component in self.each[form].items():
                     if component.term is not None and is_free(component.term):
-                        here, column = self._here(hypothesis, number), self._places[form][number]
+                        here, column = self._numbers_on(hypothesis, number), self._places[form][number]
                         yield number, component.term, self._joints[number].value(here, column)
 
     def component(self, i: int) -> Component:

@@ -55,7 +55,7 @@ class JointLikelihood(SetLikelihood):
         self.stretches = np.arange(plain, base_size)  # places of the stretches among the amplitudes
         columns, places = _shared(components, self.frame, base_size)
         self.response = base.data[:, 0]
-        parts = [sp.csc_array(base.data[:, 1:]), *(self._tall(part) for part in (steep, columns))]
+        parts = [sp.csc_array(base.data[:, 1:]), *(self._padded(part) for part in (steep, columns))]
         self.columns = sp.hstack(parts, format="csc")  # of all amplitudes; most entries are zero
         unit = np.concatenate([base.unit, np.ones(self.columns.shape[1] - plain)])
         of_stretches = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
@@ -68,7 +68,7 @@ class JointLikelihood(SetLikelihood):
         self._information -= limited(self._noise(base, fit, rng), believed)
         self._moment = self._moment + ANSWERED * self._answered(base, fit)
 
-    def _tall(self, columns: Floats | sp.sparray) -> sp.csc_array:
+    def _padded(self, columns: Floats | sp.sparray) -> sp.csc_array:
         """Columns (m, c) extended with zero rows to the length of the data (n, c)."""
         sparse = sp.csc_array(columns)
         return sp.csc_array((sparse.data, sparse.indices, sparse.indptr), (len(self.response), sparse.shape[1]))
@@ -82,28 +82,28 @@ class JointLikelihood(SetLikelihood):
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
         total = np.zeros((len(self.unit), len(self.unit)))
         for error, rate in force_errors(base.model, fit.scales.values, 1 / float(fit.beta[0]), PROBES, rng):
-            places, data = self._by_force(error, rate)
+            places, data = self._change_by_force(error, rate)
             total[np.ix_(places, places)] += self.conditioned.gram(data.tocsr()) / PROBES
         return total
 
     def _answered(self, base: Likelihood, fit: RoadFit) -> Floats:
         """Loss of the moments (p,) of all columns if drivers compensate slopes in full."""
         n = len(self.frame.strides)
-        places, data = self._by_force(np.ones(n), np.zeros(n))
+        places, data = self._change_by_force(np.ones(n), np.zeros(n))
         taken = np.zeros(len(self.unit))
         taken[places] = self.conditioned.freedom @ data[:n] / float(fit.beta[0])
         ours, information, _ = self._set(())
         shift = float(np.linalg.solve(information, taken[ours])[0])
         return taken * of_first_order(shift, float(fit.beta[0] * base.unit[0]))
 
-    def _by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
+    def _change_by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
         """Places and change of the data columns by an ``error`` (n,) [N] of the force with ``rate`` (n,) [N/s]."""
         components, clean, places = self._noisy
         force = self.frame.force
         drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
         plain = np.column_stack([error, rate, drag]) / self.unit[places[:3]]
         changed = _shared(components, self.frame.disturbed(error), 0)[0] - clean
-        return places, sp.hstack([self._tall(plain), self._tall(changed)], format="csc")
+        return places, sp.hstack([self._padded(plain), self._padded(changed)], format="csc")
 
     @cached_property
     def _noisy(self) -> tuple[list[Component], sp.csc_array, NDArray[np.int64]]:
@@ -123,7 +123,7 @@ class JointLikelihood(SetLikelihood):
         The columns have shape (m, c), m <= n; their other rows are zero.
         """
         beside = self.columns[:, self._set(chosen)[0]]
-        return self.off(chosen, self._products(sp.hstack([beside, self._tall(columns)], format="csc")))
+        return self.off(chosen, self._products(sp.hstack([beside, self._padded(columns)], format="csc")))
 
     def weighed_residual(self, chosen: Sequence[int]) -> Floats:
         """K^-1 (a - X b) (n,) of the accelerations a given a hypothesis; its products with columns are their scores."""

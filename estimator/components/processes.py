@@ -65,11 +65,11 @@ def processes(frame: Frame) -> Iterator[Component]:
             yield Component(name="gain over torque", columns=_gain_over_torque, sd=strength * GAIN_ERROR, is_noisy=True)
     for name, profile, usual, axis, lengths in over:
         for length in lengths:
-            columns = _over(profile, axis, length)
+            columns = _hats_times(profile, axis, length)
             for strength in STRENGTHS:
                 yield Component(name=name, columns=columns, sd=strength * usual, is_noisy=profile is _measured)
     if not USUAL_LAG[0] < frame.lag < USUAL_LAG[1]:
-        yield Component(name=LOW_PASS, columns=_bent, sd=LOW_PASS_SD / m)
+        yield Component(name=LOW_PASS, columns=_force_curvature, sd=LOW_PASS_SD / m)
     for period in RING_PERIODS.tolist():
         for ratio in DAMPING_RATIOS:
             yield Component(name=RING, columns=_ring(period, ratio), sd=RINGING_SHARE * m, positive=True, is_noisy=True)
@@ -96,7 +96,7 @@ def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Comp
         cost = float(np.log(len(frequencies) / len(tried)))
         for frequency in sorted(tried):
             angle = 2 * np.pi * frequency * t
-            columns = _along(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
+            columns = _shapes_times(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
             for strength in STRENGTHS:
                 usual = strength * USUAL_POWER * float(frame.road_load[2])
                 yield Component(name=SWING, columns=columns, sd=usual, cost=cost)
@@ -125,7 +125,7 @@ def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
         return
     m, cost = float(frame.road_load[2]), cost_without_dwell(spans, frame.strides.t)
     for name, profile, usual in zip(SWITCHES, (_power, _force), (SWITCHED_POWER, SWITCHED_FORCE), strict=True):
-        yield Component(name=name, columns=_along(profile, on), sd=usual * m, cost=cost, spans=spans)
+        yield Component(name=name, columns=_shapes_times(profile, on), sd=usual * m, cost=cost, spans=spans)
 
 
 def _power(frame: Frame) -> Floats:
@@ -169,16 +169,16 @@ def _gain_over_torque(frame: Frame) -> Floats:
     return frame.as_acceleration(np.column_stack([power * share, power * share**2]))
 
 
-def _along(profile: Callable[[Frame], Floats], shapes: Floats) -> Columns:
+def _shapes_times(profile: Callable[[Frame], Floats], shapes: Floats) -> Columns:
     return lambda frame: shapes * frame.as_acceleration(profile(frame))[:, None]
 
 
-def _over(profile: Callable[[Frame], Floats], axis: Floats, spacing: float) -> Columns:
+def _hats_times(profile: Callable[[Frame], Floats], axis: Floats, spacing: float) -> Columns:
     """Columns of hats times a ``profile``, computed on demand to save memory: over 8 h there are 240 hats."""
     return lambda frame: hats(axis, spacing) * frame.as_acceleration(profile(frame))[:, None]
 
 
-def _bent(frame: Frame) -> Floats:
+def _force_curvature(frame: Frame) -> Floats:
     """Second derivative of the force [N/s^2] (n, 1): second-order term of a low-pass of the speed, after the lag."""
     force = frame.strides.force
     middle = int(np.clip(np.argmin(np.abs(force - frame.force[:, None]).sum(axis=0)), 1, force.shape[1] - 2))

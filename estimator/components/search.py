@@ -80,7 +80,7 @@ class Search:
     @cached_property
     def alone(self) -> tuple[DriveState, ...]:
         """Drives fitted with the most probable effects, without any process."""
-        return self._alone()
+        return self._with_effects_only()
 
     def explained(self) -> Explained:
         """Search, and return the chosen hypothesis with its evidence."""
@@ -89,7 +89,7 @@ class Search:
     def explained_above(self, least: float) -> Explained | None:
         """Search as in `explained`; None as soon as the log posterior is not expected to reach ``least``."""
         try:
-            alone = self._alone(least)
+            alone = self._with_effects_only(least)
             return self._explained(self._converged(alone, with_processes=True, with_stretches=True, least=least))
         except _OutOfReachError:
             return None
@@ -107,7 +107,7 @@ class Search:
         if any(drive.has_unusual_noise for drive in self._drives):
             yield tuple(drive.with_usual_noise() for drive in self._drives)
 
-    def _alone(self, least: float = -np.inf) -> tuple[DriveState, ...]:
+    def _with_effects_only(self, least: float = -np.inf) -> tuple[DriveState, ...]:
         """Drives fitted with effects only. Tables are not kept, because they take megabytes.
 
         On a hidden road, the search with stretches also starts from the drives with and without the effects found

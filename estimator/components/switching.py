@@ -118,10 +118,11 @@ class Switching:
         }
         times = earlier_times | (set() if best is None else {best[0]})
         refined = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
-        return refined if is_window else refined | {_between(spans, self._joint.frame.strides.t) for spans in refined}
+        t = self._joint.frame.strides.t
+        return refined if is_window else refined | {_complement(spans, t) for spans in refined}
 
 
-def _between(spans: Spans, t: Floats) -> Spans:
+def _complement(spans: Spans, t: Floats) -> Spans:
     """Complement of ``spans`` in the drive."""
     first, last = float(t[0]) - DURATION / 2, float(t[-1]) + DURATION / 2
     edges = [first, *(edge for span in spans for edge in span), last]

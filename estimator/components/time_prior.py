@@ -160,7 +160,7 @@ def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
     if effect.timing is Timing.WINDOW:
         return sum(_cost_of_end(_gap_at(edge, t), t) for span in spans for edge in span if t[0] < edge < t[-1])
     pieces = _pieces(spans, t)
-    return _cost(_periods(pieces, apart=False), effect.dwells, _off(pieces, t), t)
+    return _periods_cost(_periods(pieces, apart=False), effect.dwells, _duration_off(pieces, t), t)
 
 
 def _cost_of_end(gap: float, t: Floats) -> float:
@@ -186,14 +186,14 @@ def cost_apart(spans: Spans, dwells: Sequence[float], t: Floats) -> float:
     """
     pieces = _pieces(spans, t)
     shared = sum(a.run == b.run and a.stop == b.start for a, b in pairwise(pieces))
-    return _cost(_periods(pieces, apart=True), dwells, len(t) * DURATION, t) - CHANGE_COST * shared
+    return _periods_cost(_periods(pieces, apart=True), dwells, len(t) * DURATION, t) - CHANGE_COST * shared
 
 
-def _cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration: float, t: Floats) -> float:
+def _periods_cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration: float, t: Floats) -> float:
     """Prior cost [nats] of the times ``periods``, each of which may begin within the observed ``duration`` [s]."""
     total, begins = 0.0, 0.0
     for period in periods:
-        cost, dwell = min((_cost_by(dwell, period), dwell) for dwell in dwells)
+        cost, dwell = min((_period_cost(dwell, period), dwell) for dwell in dwells)
         total += cost
         begins += 1.0 + sum(begun_again(piece.after, dwell) for piece in period[:-1])
     dwell, gaps = max(dwells), _gaps(t)
@@ -201,7 +201,7 @@ def _cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], duration
     return total + rate_cost(begins, duration + unseen)
 
 
-def _cost_by(dwell: float, period: Sequence[_Piece]) -> float:
+def _period_cost(dwell: float, period: Sequence[_Piece]) -> float:
     """Prior cost [nats] of one period, with a mean ``dwell`` [s]."""
     before, after = period[0].before, period[-1].after
     total = sum(piece.duration for piece in period) / dwell
@@ -210,7 +210,7 @@ def _cost_by(dwell: float, period: Sequence[_Piece]) -> float:
     return total + (in_gap(after, dwell).ends if after else log(dwell))
 
 
-def _off(pieces: Sequence[_Piece], t: Floats) -> float:
+def _duration_off(pieces: Sequence[_Piece], t: Floats) -> float:
     """Duration [s] for which the state is observed to be off."""
     return max(len(t) * DURATION - sum(piece.duration for piece in pieces), 0.0)
 
@@ -230,7 +230,7 @@ def cost_without_dwell(spans: Spans, t: Floats) -> float:
     periods = _periods(pieces, apart=False)
     ends = [gap for period in periods for gap in (period[0].before, period[-1].after) if gap < inf]
     total = sum(max(CHANGE_COST - log(max(gap, DURATION)), 0.0) for gap in ends) + DWELL_COST * len(periods)
-    return total + rate_cost(len(periods), _off(pieces, t))
+    return total + rate_cost(len(periods), _duration_off(pieces, t))
 
 
 def cost_of_leaving(edge: float, is_end: bool, effect: Effect, t: Floats) -> float:

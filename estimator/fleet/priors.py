@@ -51,11 +51,11 @@ def of_new_vehicle(config: Config, results: Sequence[VehicleResult], new: Sequen
     means = np.array([result.load[0] for result in loaded if result.load is not None])
     variances = np.array([result.load[1] ** 2 for result in loaded if result.load is not None])
     load = float(means.mean()), float(np.sqrt(variances.mean() + means.var()))
-    rolling, drag = (_widened(new[i], [result.scatter[i] for result in loaded]) for i in (ROLLING, DRAG))
+    rolling, drag = (_on_one_drive(new[i], [result.scatter[i] for result in loaded]) for i in (ROLLING, DRAG))
     return _allowed(config, load, rolling, drag)
 
 
-def _widened(new: Mixture, scatter: Sequence[float]) -> Normal:
+def _on_one_drive(new: Mixture, scatter: Sequence[float]) -> Normal:
     """Mean and sd of a new vehicle's value on one drive, which includes the scatter between drives."""
     marginal = new.marginal
     return marginal.mean, sqrt(marginal.sd**2 + sum(s**2 for s in scatter) / len(scatter))

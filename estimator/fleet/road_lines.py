@@ -38,7 +38,7 @@ def road_lines(key: Cells, passes: NDArray[np.int64]) -> list[RoadLine]:
     """Lines of places, the longest first, from their ascending keys (n,) and numbers of ``passes`` (n,)."""
     row, column, _ = place_of(key)
     latitude, longitude = centre_of(row, column)
-    lines = (_line(places, latitude[places], longitude[places]) for places in _ways(_followers(key, passes)))
+    lines = (_line(places, latitude[places], longitude[places]) for places in _lines(_followers(key, passes)))
     return sorted(lines, key=lambda line: -line.distance[-1])
 
 
@@ -84,7 +84,7 @@ def _steps() -> list[tuple[int, int, int]]:
     return [*((*way, turn) for way in nearest for turn in (0, -1, 1)), (0, 0, -1), (0, 0, 1)]
 
 
-def _ways(follower: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+def _lines(follower: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     """Yield lines of places in order, the longest first; each place is in one line."""
     after, is_used = follower.tolist(), [False] * len(follower)
     for start in np.argsort(-_lengths(after), kind="stable").tolist():

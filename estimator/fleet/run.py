@@ -110,7 +110,7 @@ def conclude(grouped: Grouped, results: tuple[DriveResult, ...], config: Config,
     """Pool the drives of each vehicle and compare the vehicles, given the result of each drive."""
     joined = _vehicles(grouped, results, config, engine)
     vehicles = tuple(vehicle for vehicle, _ in joined)
-    compared, new = _compared(vehicles)
+    compared, new = _outlier_rates(vehicles)
     seasons = tuple(seasons for _, seasons in joined)
     road = learned([drive.vehicle for drive in grouped.drives], [result.passes for result in results])
     return Fleet(
@@ -182,7 +182,7 @@ def _doubt(overlapping: int) -> str:
     return f"{drives}: two vehicles in one folder? give --vehicle"
 
 
-def _compared(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture, ...]]:
+def _outlier_rates(vehicles: Sequence[VehicleResult]) -> tuple[Floats, tuple[Mixture, ...]]:
     """False-discovery rates (n, 2) of A/m and C over all comparisons, and the distributions of a new vehicle."""
     rates = np.full((len(vehicles), 2), np.nan)
     new: list[Mixture] = []

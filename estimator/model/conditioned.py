@@ -45,7 +45,7 @@ class Conditioned:
         return cls(model, np.concatenate(variances), factor, log_noise + factor.log_determinant - log_prior)
 
     @cached_property
-    def _of_slopes(self) -> tuple[Floats, Floats]:
+    def _slope_moments(self) -> tuple[Floats, Floats]:
         """`freedom` (n,) and `slope_variance` (N,), from the covariance of the unknowns."""
         n, model = self.model.counts[0], self.model
         if model.is_level:
@@ -60,12 +60,12 @@ class Conditioned:
         It is the diagonal of the product of K^-1 and the prior covariance of the accelerations by the slopes alone. Its
         sum is the effective number of parameters of the slopes.
         """
-        return self._of_slopes[0]
+        return self._slope_moments[0]
 
     @property
     def slope_variance(self) -> Floats:
         """Posterior variance (N,) [1] of the slope at each node of the road, given the parameters."""
-        return self._of_slopes[1]
+        return self._slope_moments[1]
 
     def gram(self, data: Rows) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""

@@ -50,7 +50,7 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
         for observed, rows in kinds:
             part = observed.within(begin, begin + width)
             here = slice(rows.start + part.start, rows.start + part.stop)
-            there, values = _present(data, here)
+            there, values = _nonzero_columns(data, here)
             if len(there):
                 scaled = values * weight[here]
                 product[np.ix_(there, there)] += scaled.T @ scaled
@@ -70,7 +70,7 @@ def gram(factor: Factor, kinds: Sequence[tuple[Observations, slice]], variance: 
     return product - whitened.product
 
 
-def _present(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
+def _nonzero_columns(data: Rows, here: slice) -> tuple[NDArray[np.intp], Floats]:
     """Indices (k,) of columns with a non-zero element in the rows ``here`` (m,), and those columns (m, k)."""
     if not isinstance(data, sp.csr_array):
         rows = data[here]
@@ -97,7 +97,7 @@ class _Whitened:
 
     def add(self, begin: int, is_active: Mask, columns: Floats) -> None:
         """Add the piece of F W from row ``begin`` on: ``columns`` (m, k) of those that are ``is_active`` (c,)."""
-        link = self._link(begin)[: len(columns)]
+        link = self._coupling(begin)[: len(columns)]
         columns[: len(link)] += link @ self._last[:, is_active]
         W = self._solved(begin, columns)
         self.product[np.ix_(is_active, is_active)] += W.T @ W
@@ -115,7 +115,7 @@ class _Whitened:
             last[-len(H) :, going] = H[-self.reach :] @ state
         self._last = last
 
-    def _link(self, begin: int) -> Floats:
+    def _coupling(self, begin: int) -> Floats:
         """Matrix (reach, reach) from elements before ``begin`` to their part of the right-hand side behind it."""
         if not begin:
             return np.zeros((self.reach, self.reach))

@@ -129,7 +129,7 @@ def _product(stiffness: Floats, scale: Floats, power: Floats) -> Floats:
     Row r + d of diagonals (2 r + 1, N) holds the elements (i, i + d) at places i; S has those of r = 1.
     """
     product = np.zeros((len(power) + 2, power.shape[1]))
-    for ahead in (1, 0, -1):  # what is rolled over the ends meets zeros of S
+    for ahead in (1, 0, -1):  # elements rolled over the ends meet zeros of S
         factor = stiffness[1 + ahead] * np.roll(scale, -ahead)
         product[1 + ahead : 1 + ahead + len(power)] += factor * np.roll(power, -ahead, axis=1)
     return product

@@ -112,7 +112,7 @@ class RoadModel:
         self.driven = driven = strides[strides.known]
         gearing = driven.filled_gearing
         self.weight = gearing / np.median(gearing)  # of the torque's error in each stride's force
-        of_power = np.median(driven.speed) / driven.speed  # the same of the power's
+        of_power = np.median(driven.speed) / driven.speed  # of the power's error in each stride's force
         # Place of the scales of each noise of the force, and its share in each stride.
         self._shares = ((TORQUE, self.weight), (POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
@@ -223,8 +223,8 @@ class RoadModel:
         """Set up the linear maps from unknowns to data, and the bands of the priors."""
         maps = [self._motion(), *(self._heights() if self.has_altitude else [])]
         maps += [self._measured(reading, wander) for reading, wander in zip(self.readings, self._wander, strict=True)]
-        slopes = [_reach(self._slope, k) for k in range(1, self.alpha + 1)]
-        chains = [_reach(places, k) for places in self._wander for k in range(1, self.wander + 1)]
+        slopes = [_largest_distance(self._slope, k) for k in range(1, self.alpha + 1)]
+        chains = [_largest_distance(places, k) for places in self._wander for k in range(1, self.wander + 1)]
         noise = [int(np.diff(error).max(where=self._linked, initial=0)) for error in self._force_errors]
         shape = (max([*(bandwidth(p) for p, _ in maps), *slopes, *chains, *noise]) + 1, self.size)
         self._maps = [Observations(p, w, shape) for p, w in maps]
@@ -274,7 +274,7 @@ class RoadModel:
         unit = np.eye(len(scales))
         processes = [
             Acting(process=self._speed_noise, sd=speed, memory=1.0, by=np.array([unit[SPEED], 0 * unit[SPEED]])),
-            *(_of_ends(noise, scales, at) for noise, (at, _) in zip(self._force_noises, self._shares, strict=True)),
+            *(_force_noise(noise, scales, at) for noise, (at, _) in zip(self._force_noises, self._shares, strict=True)),
         ]
         if self._field is not None:
             processes.append(Acting(process=self._field, sd=slope, memory=length, by=unit[[SLOPE, LENGTH]]))
@@ -416,7 +416,7 @@ class RoadModel:
         return errors
 
 
-def _of_ends(process: Chain, scales: Floats, at: int) -> Acting:
+def _force_noise(process: Chain, scales: Floats, at: int) -> Acting:
     """Process whose mean over a stride acts, with sd and time from the scales ``at`` and ``at + 1``."""
     unit, time = np.eye(len(scales)), scales[at + 1]
     weight, _ = mean_given_ends(DURATION, time)
@@ -426,6 +426,6 @@ def _of_ends(process: Chain, scales: Floats, at: int) -> Acting:
     )
 
 
-def _reach(places: Places, step: int) -> int:
+def _largest_distance(places: Places, step: int) -> int:
     """Largest difference between elements of ``places`` (n,) that are ``step`` elements apart."""
     return int((places[step:] - places[:-step]).max()) if len(places) > step else 0

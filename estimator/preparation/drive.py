@@ -86,24 +86,24 @@ class Drive:
 
 
 def _strides(pieces: Sequence[Rows], config: Config, start: float, rejected: Counter[str]) -> Strides:
-    """Strides of all pieces, with the quantities of `_heard` as context; gaps in the context are bridged."""
+    """Strides of all pieces, with the quantities of `_known_quantities` as context; gaps in the context are bridged."""
     if not pieces:
         return Strides.none()
-    strider = Strider(config.admission, _heard(pieces, start), start)
+    strider = Strider(config.admission, _known_quantities(pieces, start), start)
     parts, stops, stops_before = list[Strides](), list[Floats](), 0.0
     for piece in pieces:
-        halts = stops_before + _halts(piece.speed)
+        halts = stops_before + _stops_ended(piece.speed)
         for part in (strider.feed(piece, rejected), strider.finish(rejected)):
             parts.append(part)
             stops.append(halts[np.clip(np.searchsorted(piece.t, part.t), 0, len(piece) - 1)])
         strider.pause()
         stops_before = float(halts[-1])
     strides = Strides.concatenate(parts)
-    context = {quantity: _bridged(quantity, values) for quantity, values in strides.context.items()}
+    context = {quantity: _interpolated(quantity, values) for quantity, values in strides.context.items()}
     return replace(strides, context={**context, Quantity.STOPS: np.concatenate(stops)})
 
 
-def _heard(pieces: Sequence[Rows], start: float) -> frozenset[Quantity]:
+def _known_quantities(pieces: Sequence[Rows], start: float) -> frozenset[Quantity]:
     """Quantities of rows that are known for more than MIN_KNOWN_SHARE of the drive."""
     rows_known: Counter[Quantity] = Counter()
     for piece in pieces:
@@ -112,7 +112,7 @@ def _heard(pieces: Sequence[Rows], start: float) -> frozenset[Quantity]:
     return frozenset(quantity for quantity, count in rows_known.items() if count > least)
 
 
-def _bridged(quantity: Quantity, values: Floats) -> Floats:
+def _interpolated(quantity: Quantity, values: Floats) -> Floats:
     """Values (n,) with gaps interpolated linearly; a state holds its last known value."""
     finite = np.flatnonzero(np.isfinite(values))
     if len(finite) in (0, len(values)):
@@ -123,7 +123,7 @@ def _bridged(quantity: Quantity, values: Floats) -> Floats:
     return np.interp(np.arange(len(values)), finite, measured_values)
 
 
-def _halts(speed: Floats) -> Floats:
+def _stops_ended(speed: Floats) -> Floats:
     """Number (n,) of standstills of at least MIN_STOP that ended before or at each row."""
     standing = np.concatenate([[False], speed < MAX_STANDING_SPEED, [False]])
     changes = np.diff(standing.astype(int))

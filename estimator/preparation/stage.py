@@ -100,7 +100,7 @@ class StrideStage:
         if self._pending is not None and len(self._pending):
             yield from self._stride(self._pending)
         self._pending, self._newest = None, None
-        yield from self._last()
+        yield from self._held_strides()
         self._strider.pause()
 
     def pause(self, rows: int) -> None:
@@ -124,11 +124,11 @@ class StrideStage:
         if departure is not None:
             if departure:
                 yield Piece(rows[:departure], self._strider.feed(rows[:departure], self.rejected), False)
-            yield from self._last()
+            yield from self._held_strides()
             rows = rows[departure:]
         yield Piece(rows, self._strider.feed(rows, self.rejected), departure is not None)
 
-    def _last(self) -> Iterator[Piece]:
+    def _held_strides(self) -> Iterator[Piece]:
         """Yield the strides that the strider still holds; their rows belong to earlier pieces."""
         assert self._strider is not None
         held = self._strider.held

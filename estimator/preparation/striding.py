@@ -131,7 +131,7 @@ class Strider:
             for i in (0, ROWS)
         )
         slow = np.maximum(speed, MIN_SPEED)
-        force = np.column_stack([mean(np.where(coasting, 0.0, _later(rows.power, lag) / slow)) for lag in LAGS])
+        force = np.column_stack([mean(np.where(coasting, 0.0, _shifted(rows.power, lag) / slow)) for lag in LAGS])
         turns = signal(Role.ENGINE_SPEED)
         rise = signal(Role.GRADE)
         middle = at[:, SPAN_ROWS // 2]
@@ -153,10 +153,10 @@ class Strider:
             grade=mean(rise / np.hypot(1.0, rise)),
             grade_offset_sd=mean(rows.derived.get(Quantity.GRADE_OFFSET_SD, blank)),
             gravity=np.where(is_known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
-            context={q: there.get(q, blank)[middle] for q in sorted(self.wanted | self._always(rows))},
+            context={q: there.get(q, blank)[middle] for q in sorted(self.wanted | self._fit_quantities(rows))},
         )
 
-    def _always(self, rows: Rows) -> frozenset[Quantity]:
+    def _fit_quantities(self, rows: Rows) -> frozenset[Quantity]:
         """Quantities of the rows that strides carry in any case, because the fit uses them."""
         return frozenset({Quantity.SPEED_STEP} & rows.derived.keys())
 
@@ -203,7 +203,7 @@ class Strider:
         return strider
 
 
-def _later(values: Floats, lag: float) -> Floats:
+def _shifted(values: Floats, lag: float) -> Floats:
     """Values (n,) shifted by ``lag`` [s], with the outermost held; an unknown later value is not taken."""
     index = np.arange(len(values)) + round(lag / STEP)
     later = values[np.clip(index, 0, len(values) - 1)]

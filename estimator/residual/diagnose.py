@@ -95,7 +95,7 @@ def diagnose_residual(
         reached=held_out(record, [forms[i] for i in chosen], scales),
         noise=float(np.sqrt(scales.variance)),
         where=disagreements(record, likelihood),
-        formula=_described(record, likelihood, chosen, scales, unit) if unknown >= LEVEL else None,
+        formula=_best_formula(record, likelihood, chosen, scales, unit) if unknown >= LEVEL else None,
         max_false_alarms=_max_false_alarms(causes),
         p_value=_p_value(record, table, surrogates, rng) if surrogates else None,
     )
@@ -187,7 +187,7 @@ def _magnitude(likelihood: ResidualLikelihood, table: ModelTable, cause: Cause) 
     return mean, float(np.sqrt(weight @ (sds**2 + (values - mean) ** 2)))
 
 
-def _described(
+def _best_formula(
     record: Record, likelihood: ResidualLikelihood, chosen: Chosen, scales: Scales, unit: str
 ) -> Description | None:
     """The formula with most evidence beside the chosen forms; None if its log Bayes factor is not above 0."""

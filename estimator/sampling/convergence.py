@@ -19,7 +19,7 @@ class Diagnosis:
 
     r_hat: float  # the larger of the rank-normalised and the folded one
     ess_bulk: float  # effective number of independent draws, for the centre
-    ess_tail: float  # the same for the 5 % and 95 % quantiles, the smaller of the two
+    ess_tail: float  # that for the 5 % and 95 % quantiles, the smaller of the two
 
 
 def diagnose(draws: Floats) -> Diagnosis:

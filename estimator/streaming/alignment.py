@@ -238,7 +238,7 @@ class Aligner:
             for (role, i), track in self._tracks.items()
             if i == 0 and role not in self._hidden
         }
-        derived = {**self._past.follow(index, speed), **self._coarse(len(index))}
+        derived = {**self._past.follow(index, speed), **self._speed_step_column(len(index))}
         if is_by_wheels and contradicted.any():
             derived |= {Quantity.CONTRADICTED: contradicted.astype(float)}
         elif not is_by_wheels and wheels_there.any():
@@ -252,7 +252,7 @@ class Aligner:
             derived=derived,
         )
 
-    def _coarse(self, count: int) -> dict[Quantity, Floats]:
+    def _speed_step_column(self, count: int) -> dict[Quantity, Floats]:
         """Resolution [m/s] of a coarse speed, repeated for ``count`` rows; empty where the speed is fine."""
         return {Quantity.SPEED_STEP: np.full(count, self._speed_step)} if self._speed_step >= COARSE_STEP else {}
 

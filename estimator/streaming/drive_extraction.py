@@ -54,7 +54,8 @@ def diagnose_logs(
     _require_different(given_paths)
     torques = list[float | None]()
     for i, path in enumerate(given_paths):
-        logs, stream = LogFrames([path], config, partial(_part, progress, i, len(given_paths))), RowStream(config)
+        logs = LogFrames([path], config, partial(_report_share, progress, i, len(given_paths)))
+        stream = RowStream(config)
         in_log = [Drive.of(pieces, config) for pieces in rows_of(logs, stream, str(path))]
         torques.append(stream.reference_torque)
         mixed.update(logs.mixed)
@@ -104,7 +105,7 @@ def diagnose_drive(paths: Sequence[Path], config: Config) -> Diagnosis:
     return diagnose([Drive.of(drive, config) for drive in pieces], named(config.effects), rng)
 
 
-def _part(progress: Progress, done: int, of: int, share: float) -> None:
+def _report_share(progress: Progress, done: int, of: int, share: float) -> None:
     progress((done + READING_SHARE * share) / of)
 
 

@@ -103,11 +103,11 @@ class EnginePower:
     def extend(self, ends: Floats) -> None:
         """Add the power at the times of new torque readings, in blocks that end at ``ends`` (k,) [s]."""
         if Role.ENGINE_POWER in self._bound:
-            given = self._of(Role.ENGINE_POWER)
+            given = self._track_of(Role.ENGINE_POWER)
             new = given.t > self._powered_to
             self._append(given.t[new], given.value[new], block_bounds(given.t[new], ends), is_slow=given.is_slow)
             return
-        lead, other = (self._of(role) for role in self._factors)
+        lead, other = (self._track_of(role) for role in self._factors)
         new = lead.t > self._powered_to
         if not len(other.t) or not new.any():
             return
@@ -125,7 +125,7 @@ class EnginePower:
 
     def means(self, edges: Floats, known_to: Floats) -> tuple[Floats, Mask]:
         """Mean power [W] (n,), see `Track.means`; where a factor is slow, product of the means of both factors."""
-        if Role.ENGINE_POWER in self._bound or not (other := self._of(self._factors[1])).is_slow:
+        if Role.ENGINE_POWER in self._bound or not (other := self._track_of(self._factors[1])).is_slow:
             return self.track.means(edges, known_to)
         lead, lead_there = self._lead_track.means(edges, known_to)
         factor, factor_there = other.means(edges, known_to)
@@ -139,13 +139,13 @@ class EnginePower:
     def is_settled(self, readings: Mapping[Role, list[Series]], ends: Floats, forgotten: Floats) -> bool:
         """True if these blocks of readings change no earlier power; see `Track.is_settled`."""
         needed = (Role.ENGINE_POWER,) if Role.ENGINE_POWER in self._bound else self._factors
-        if not all(len(self._of(role).t) for role in needed):
+        if not all(len(self._track_of(role).t) for role in needed):
             return False
         if np.isfinite(self.track.fresh):
             return True
         # There is at most one power at each reading of the first role.
         lead = readings.get(needed[0], [NO_SERIES])[0]
-        return self._of(needed[0]).is_few(lead, ends, forgotten)
+        return self._track_of(needed[0]).is_few(lead, ends, forgotten)
 
     @property
     def _factors(self) -> tuple[Role, Role]:
@@ -161,26 +161,26 @@ class EnginePower:
             value = despike(value, bounds) if self._despike and not is_slow else value
             self.track.add(Series(t, value * self._vehicle.driveline_efficiency))
 
-    def _of(self, role: Role) -> Track:
+    def _track_of(self, role: Role) -> Track:
         return self._tracks.get((role, 0), Track())
 
     def _net_fraction(self, t: Floats, indicated: Floats, bounds: NDArray[np.intp]) -> Floats:
         """Indicated torque less friction torque (n,), as a fraction of the reference torque."""
-        fine = self._of(Role.TORQUE_FRACTION_FINE).held(t)
+        fine = self._track_of(Role.TORQUE_FRACTION_FINE).held(t)
         fraction = indicated + np.where(np.isfinite(fine), fine, 0.0)
         if Role.FRICTION_FRACTION in self._bound:
-            friction, speed = self._of(Role.FRICTION_FRACTION), self._of(Role.ENGINE_SPEED)
+            friction, speed = self._track_of(Role.FRICTION_FRACTION), self._track_of(Role.ENGINE_SPEED)
             speed_then = speed.held(friction.time_of_held(t))
             fraction = fraction - self._friction.refine(speed.held(t), friction.held(t), speed_then, bounds)
         if self._vehicle.subtract_parasitic_losses:
-            fraction = fraction - self._of(Role.PARASITIC_FRACTION).held(t)
+            fraction = fraction - self._track_of(Role.PARASITIC_FRACTION).held(t)
         return fraction
 
     def _reference_torque(self, t: Floats) -> Floats:
         if self._vehicle.reference_torque_Nm is not None:
             return np.full(len(t), self._vehicle.reference_torque_Nm)
         # A constant of the engine, sent every few seconds: the last value is held.
-        heard = self._of(Role.REFERENCE_TORQUE)
+        heard = self._track_of(Role.REFERENCE_TORQUE)
         held = heard.held(t, NO_LIMIT)
         if self._reference is None:
             return held
@@ -189,7 +189,7 @@ class EnginePower:
     @property
     def reference_torque(self) -> float | None:
         """Newest reference torque [N m] that the bus sent."""
-        heard = self._of(Role.REFERENCE_TORQUE).value
+        heard = self._track_of(Role.REFERENCE_TORQUE).value
         finite = heard[np.isfinite(heard)]
         return float(finite[-1]) if len(finite) else self._reference
 

@@ -51,11 +51,13 @@ class FrictionCurve:
         speed, value = speed_then[is_complete], reading[is_complete]
         block = np.searchsorted(bounds[1:], np.flatnonzero(is_complete), side="right")
         half_step, curve = self._learn(speed, value, np.searchsorted(block, np.arange(len(bounds))))
-        then = _at(curve[block], speed)
+        then = _curve_values(curve[block], speed)
         within = np.clip(then, value - half_step[block], value + half_step[block])
         refined = np.full(len(reading), np.nan)
         shown = np.isfinite(half_step)[block]
-        refined[is_complete] = np.where(shown, _at(curve[block], engine_speed[is_complete]) + (within - then), value)
+        refined[is_complete] = np.where(
+            shown, _curve_values(curve[block], engine_speed[is_complete]) + (within - then), value
+        )
         return refined
 
     def _learn(self, speed: Floats, value: Floats, bounds: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -109,7 +111,7 @@ class FrictionCurve:
         return coefficients
 
 
-def _at(curve: Floats, engine_speed: Floats) -> Floats:
+def _curve_values(curve: Floats, engine_speed: Floats) -> Floats:
     """Values (n,) of curves (n, DEGREE + 1) by Horner's rule; each value is computed from one row of coefficients."""
     x = engine_speed / SPEED_SCALE
     value = curve[:, DEGREE]

@@ -29,7 +29,7 @@ MAX_IMPROBABLE = 120.0  # -n log p of one signal alone
 LEARNT = (
     20  # rows of a repetition, 2 s, from which p is learnt: a value that is held for long says nothing of the usual
 )
-PRIOR_ROWS = 20.0  # that are assumed to have been seen, one of them a repetition
+PRIOR_ROWS = 20.0  # rows of the prior of p, one of them a repetition
 
 
 class FrozenRows:
@@ -72,7 +72,7 @@ class _Repetition:
 
     def __init__(self, values: Callable[[Rows], Floats], is_coarse: bool) -> None:
         self._values, self._is_coarse = values, is_coarse
-        self._held: Rows | None = None  # they follow on those handed on, and have not changed for up to LONGEST
+        self._held: Rows | None = None  # rows that wait: without a change for up to LONGEST
         self._held_still = np.empty(0)  # [s], for which each of them has not changed
         self._held_long = np.zeros(0, dtype=bool)  # whether that is too long
         self._last: Floats | None = None  # values (k,) of the row before the next one
@@ -85,7 +85,7 @@ class _Repetition:
 
     def feed(self, rows: Rows) -> Rows | None:
         """Take the next rows, at least one; return those that are now decided, marked."""
-        new_still, new_long, may_be = self._stillness(rows)
+        new_still, new_long, may_be = self._time_since_change(rows)
         still, long = np.concatenate([self._held_still, new_still]), np.concatenate([self._held_long, new_long])
         rows = rows if self._held is None else Rows.concatenate(self._held, rows)
         begun = rows.index - np.rint(still / STEP).astype(np.int64)  # where each stretch without a change began
@@ -103,7 +103,7 @@ class _Repetition:
         self._last, self._count, self._is_long = None, 0, False
         return None if held is None else _marked(held, np.zeros(len(held), dtype=bool), len(held))
 
-    def _stillness(self, rows: Rows) -> tuple[Floats, Mask, bool]:
+    def _time_since_change(self, rows: Rows) -> tuple[Floats, Mask, bool]:
         """Time since a change [s] (n,), whether it is too long (n,), and whether the newest run can become too long.
 
         A standstill and an unknown value count as a change.

@@ -55,7 +55,7 @@ class Track:
     def is_few(self, series: Series, ends: Floats, forgotten: Floats) -> bool:
         """True if too few readings for a period are left after each block; see `is_settled`."""
         t, _ = self.joined(series)
-        dropped = self._outdated(t, forgotten[:-1])
+        dropped = self._droppable(t, forgotten[:-1])
         count = np.searchsorted(t, ends) - np.concatenate([[0], dropped])
         return bool(np.all(count < MIN_READINGS_FOR_PERIOD))
 
@@ -75,10 +75,10 @@ class Track:
 
     def forget(self, horizon: float) -> None:
         """Drop readings older than ``horizon`` [s], but for the last of them."""
-        first = int(self._outdated(self.t, np.array([horizon]))[0])
+        first = int(self._droppable(self.t, np.array([horizon]))[0])
         self.t, self.value = self.t[first:], self.value[first:]
 
-    def _outdated(self, t: Floats, horizons: Floats) -> NDArray[np.intp]:
+    def _droppable(self, t: Floats, horizons: Floats) -> NDArray[np.intp]:
         """Number (m,) of times ``t`` (n,) that can be dropped at each of the limits ``horizons`` (m,) [s]."""
         # One reading before the horizon stays: it is the one that is held.
         return np.maximum(np.searchsorted(t, horizons - self._memory) - 1, 0)

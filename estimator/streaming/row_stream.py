@@ -197,11 +197,11 @@ class RowStream:
         if not self.used:
             self._answers += current_data(frames)
         for ordered in self.order.feed(frames):
-            yield from self._take(ordered)
+            yield from self._process(ordered)
 
     def finish(self) -> Iterator[Block | Interruption]:
         """Turn the waiting frames into rows, at the end of the traffic."""
-        yield from self._take(self.order.finish())
+        yield from self._process(self.order.finish())
         yield from self._end()
 
     def feed_all(self, batches: Iterable[Frames]) -> Iterator[Block | Interruption]:
@@ -294,7 +294,7 @@ class RowStream:
     def _missing_roles(self) -> list[Role]:
         return [role for role in needed(self._config.vehicle, self._names.keys()) if not self.seen[role]]
 
-    def _take(self, frames: Frames) -> Iterator[Block | Interruption]:
+    def _process(self, frames: Frames) -> Iterator[Block | Interruption]:
         """Process frames in order of time, with an interruption at each silence or step in time."""
         if not len(frames):
             return
@@ -352,7 +352,7 @@ class RowStream:
         frames, self._waiting = Frames.concatenate(self._waiting), []
         bounds = block_bounds(frames.t, ends).tolist()
         for decoded in self._decoder.decode_blocks(frames, ends):
-            self._note(decoded.readings)
+            self._note_readings(decoded.readings)
             if self._decoder.replaced:
                 yield self._replace(float(decoded.ends[0]))
             self._block_end = float(decoded.ends[-1]) + BLOCK
@@ -388,7 +388,7 @@ class RowStream:
         self._aligner.forget()
         return Interruption(self._block_end - BLOCK, end, is_new_drive=True, is_sender_replaced=True)
 
-    def _note(self, readings: Readings) -> None:
+    def _note_readings(self, readings: Readings) -> None:
         """Count readings, and keep the time of the newest valid one of each role."""
         for role, parts in readings.items():
             self.seen[role] += sum(len(part.t) for part in parts)

@@ -53,7 +53,7 @@ class Wheels:
             if self._still is None or self._still.wheels != len(speeds):
                 self._still = _Still(len(speeds))
             still = self._still.feed(speeds)
-            out = self._compared(np.where(still, np.nan, speeds))
+            out = self._left_out(np.where(still, np.nan, speeds))
             undecided[:] = is_used.any(axis=0) & ~(is_used & ~still & ~out).any(axis=0) & out.any(axis=0)
             self._count(still & is_used, out & is_used & ~undecided, undecided, places)
             is_used &= ~still & ~out
@@ -70,10 +70,10 @@ class Wheels:
         self.pause()
         self._code, self._counts = 0, 0
 
-    def _compared(self, speeds: Floats) -> Mask:
+    def _left_out(self, speeds: Floats) -> Mask:
         """Mask (k, n) of the wheels left out by the last comparison that held for MIN_ROWS rows."""
         bits = 1 << np.arange(len(speeds))
-        code = bits @ _apart(speeds)
+        code = bits @ _outside_majority(speeds)
         with np.errstate(invalid="ignore"):
             decisive = np.flatnonzero((speeds > MIN_SPEED).any(axis=0))
         codes = np.concatenate([[self._code], code[decisive]])
@@ -98,7 +98,7 @@ class Wheels:
             self.refused[f"wheel_speeds: {UNDECIDED}"] += int(undecided.sum())
 
 
-def _apart(speeds: Floats) -> NDArray[np.int64]:
+def _outside_majority(speeds: Floats) -> NDArray[np.int64]:
     """1 for each known wheel (k, n) outside the majority, and for all known wheels where there is no majority."""
     with np.errstate(invalid="ignore"):
         faster = np.maximum(speeds[:, None], speeds[None])

@@ -30,7 +30,7 @@ def _wind(view: View, wind: Shape) -> Floats:
     return drag
 
 
-def _winds_near(wind: Shape, speed: float) -> tuple[Shape, ...]:
+def _finer_winds(wind: Shape, speed: float) -> tuple[Shape, ...]:
     """Winds near a shape with the fitted ``speed`` [m/s], where their columns are exact."""
     direction, yawed, _ = wind
     speed = max(speed, LOWEST_WIND)
@@ -47,7 +47,7 @@ HEADWIND = Effect(
     usual=always(USUAL_WIND),
     needs=(Quantity.HEADING,),
     shapes=WINDS,
-    finer=_winds_near,
+    finer=_finer_winds,
     alike=lambda wind: wind[:2],
     describe=lambda wind: f"from {degrees(wind[0]) % 360:.0f} deg",
     breaks="the way back over the same road, with the heading on the bus",

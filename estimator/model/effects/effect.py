@@ -14,7 +14,7 @@ from estimator.signals import Floats, Quantity, Role
 TYPICAL_MASS = 27e3  # kg, a loaded tractor and semi-trailer
 USUAL_TO_LARGEST = 4.0  # largest magnitude over the usual one, where no other is known
 
-Shape = Any  # what an effect is non-linear in: a time constant [s], a direction [rad], a source, None
+Shape = Any  # parameter that an effect is non-linear in: a time constant [s], a direction [rad], a source, None
 Usual = Callable[[Floats], float]  # usual magnitude for a vehicle with road load [A, C, m]
 
 SOURCES: dict[Quantity, tuple[Role, ...]] = {  # any one of the roles will do

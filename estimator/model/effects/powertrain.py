@@ -39,7 +39,7 @@ def _cold_oil(view: View, oil: Shape) -> Floats:
     return drag * excess(cold_by_speed(view, time), steepness)
 
 
-def _oils_near(oil: Shape, size: float) -> tuple[Shape, ...]:
+def _finer_oils(oil: Shape, size: float) -> tuple[Shape, ...]:
     time, steepness, churned = oil
     return tuple((*near, churned) for near in finer_excesses((time, steepness), size))
 
@@ -65,7 +65,7 @@ OIL_WARM_UP = Effect(
     usual=lambda road_load: 0.25 * float(road_load[0]) / 20.0,
     needs=tuple(PAST_SPEEDS),
     shapes=COLD_OILS,
-    finer=_oils_near,
+    finer=_finer_oils,
     describe=told_excess,
     breaks="a drive that starts with warm oil",
 )

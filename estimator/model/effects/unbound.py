@@ -26,7 +26,7 @@ def _friction(view: View, rise: Shape) -> Floats:
     return power
 
 
-def _rises_near(rise: Shape, size: float) -> tuple[Shape, ...]:
+def _finer_rises(rise: Shape, size: float) -> tuple[Shape, ...]:
     index = int(np.argmin(np.abs(np.array(RISES) - rise)))
     return RISES[max(index - 1, 0) : index + 2]
 
@@ -41,7 +41,7 @@ UNBOUND_FRICTION = Effect(
     usual=by_mass(300.0),
     needs=(Quantity.ENGINE_SPEED,),
     shapes=RISES,
-    finer=_rises_near,
+    finer=_finer_rises,
     describe=lambda rise: f"{100 * rise:.0f} % of it rises with the engine's speed",
     breaks="friction_fraction (SPN 514 of EEC3)",
 )
