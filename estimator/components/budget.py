@@ -202,7 +202,7 @@ def _part(
     given: Collection[str],
     systematic: tuple[Floats, Floats],
 ) -> Part:
-    """Part of a cause; ``systematic`` (d,), (d,): total share of what was found, and of everything but noise."""
+    """Part of a cause; ``systematic`` (d,), (d,): total share of the causes found, and of everything but noise."""
     draws, added = drawn[cause], {cause, *given}
     shares = residual @ draws / (residual @ residual)
     mean = float(shares.mean())

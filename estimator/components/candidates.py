@@ -77,8 +77,8 @@ class Candidates:
 
     Fitted times of effects come from four proposals. Those beside the latest chosen terms are renewed once these or
     their times change, or the slow noise halves or doubles. Those of fits without timed terms and stretches are kept.
-    Those that replace all timed terms are renewed with the first stretches of road, and with effects of other names:
-    two effects may share the times that one of them has. Those of earlier searches, in ``forms``, are reused.
+    Those that replace all timed terms are renewed with the first stretches of road, and with effects of other names,
+    because two effects may share times. Those of earlier searches, in ``forms``, are reused.
 
     Shapes near those of chosen effects are candidates, and so are shapes near those in ``forms``.
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.

@@ -84,10 +84,10 @@ def checked(
     Raises
     ------
     InputError
-        The message names the array and the reason: too few samples, another length, times that do not ascend, a value
-        that is not finite or cannot be squared, a column of zeros. Further reasons: a prior that is not positive, a
-        name reserved for the answer, a unit that is no product of powers, a base whose columns are not independent or
-        that explains the whole residual.
+        The message names the array and the reason. Arrays: too few samples, another length, times that do not ascend,
+        a value that is not finite or cannot be squared, a column of zeros. Candidates and axes: a prior that is not
+        positive, a reserved name, a unit that is no product of powers. Base: its columns are not independent, or
+        explain the whole residual.
     """
     t, y = _array("time", time), _array("residual", residual)
     if len(y) < MIN_SAMPLES:

@@ -54,7 +54,7 @@ class Gearbox:
         v
             Vehicle speed [m/s].
         force
-            Force that the driver asks for [N].
+            Force that the driver demands [N].
         load
             Engine torque over full-load torque [1].
         """

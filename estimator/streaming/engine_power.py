@@ -1,7 +1,7 @@
 """Power at the wheels, at the times of the torque readings (J1939-71: percent torques refer to SPN 544).
 
-The first of these sources that is bound is used: power; torque and engine speed; voltage and current of the traction
-battery; indicated torque less friction torque, both as fractions of the reference torque.
+The first bound source is used: power; torque and engine speed; voltage and current of the traction battery; indicated
+torque less friction torque, as fractions of the reference torque.
 """
 
 from collections.abc import Mapping, Set

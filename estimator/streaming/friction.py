@@ -9,8 +9,8 @@ All engine speeds have the same weight, for any duration: an hour of cruising re
 bias the curve at that speed. A reading belongs to the engine speed at which it was sent. The correction of the curve
 by clipping is held until the next reading, a quarter of a second later.
 
-Bins, weights, ridge and memory were chosen by hand. Half and twice of each move the mass by at most 0.17 sd, A and C
-by at most 0.13 sd, on three simulated drives of 40 min (hills, highway, city).
+Bins, weights, ridge and memory were chosen by hand, on three simulated drives of 40 min (hills, highway, city). Half
+and twice of each move the mass by at most 0.17 sd, A and C by at most 0.13 sd.
 """
 
 from itertools import pairwise

@@ -19,7 +19,7 @@ SLOW_PERIOD = 0.2  # s: readings that are further apart are polled, and no neigh
 class Track:
     """Recent readings of one signal, and the duration for which a reading is valid.
 
-    Readings are kept for ``memory`` [s] longer than `forget` asks for.
+    Readings are kept for ``memory`` [s] beyond the horizon of `forget`.
     """
 
     def __init__(self, memory: float = 0.0) -> None:

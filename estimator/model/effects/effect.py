@@ -200,7 +200,7 @@ class Effect:
 
     @property
     def wanted(self) -> tuple[Role, ...]:
-        """Roles that a message asks for; at least one of them is needed."""
+        """Roles to name in a message; at least one of them is needed."""
         quantities = [*self.needs, *(shape for shape in self.shapes if isinstance(shape, Quantity))]
         return tuple(role for quantity in quantities for role in SOURCES.get(quantity, ()))
 
