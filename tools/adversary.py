@@ -16,12 +16,11 @@ from bus_attacks.trial import BIASED_SD, Look, Outcome, attempt, deviations, loo
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
+from estimator.commands.demo import TRUCK
 from estimator.config import Config
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
-from estimator.simulation.truck import Truck
 
-TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # as in tools/demo.py
 METRES_PER_MINUTE = 2000.0
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "adversary.md"
 BEGIN, END = "<!-- table: tools/adversary.py -->", "<!-- end of table -->"

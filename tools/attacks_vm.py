@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import can
-from adversary import PAGE, TRUCK, drive_of, table_on, write_table
+from adversary import PAGE, drive_of, table_on, write_table
 from bus_attacks import sequence
 from bus_attacks.catalogue import Attack
 from bus_attacks.sequence import OWN, Heard, Result, Slot, Values, chosen, duration, looked_up, of_looks, throughout
@@ -31,6 +31,7 @@ from estimator import config as configuration
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
+from estimator.commands.demo import TRUCK
 
 BEGIN, BEGIN_THROUGHOUT = "<!-- table: tools/attacks_vm.py -->", "<!-- table: tools/attacks_vm.py --throughout -->"
 LONGEST = 5400.0  # s of the host

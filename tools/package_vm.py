@@ -23,11 +23,10 @@ from vm.machine import EARLY_GATE, QUICK_SAMPLER, require_qemu, run, shown_conso
 
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
+from estimator.commands.demo import TRUCK
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
-from estimator.simulation.truck import Truck
 
-TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # as in tools/demo.py
 DURATION, SEED = 900.0, 3  # s of driving; with this one there is an estimate after 210 s
 PROGRAMS = Path(__file__).parent / "vm"
 LONGEST = 5400.0  # s of the host

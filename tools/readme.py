@@ -39,7 +39,7 @@ def output_of(command: list[str], folder: Path) -> list[str]:
 
 def demo(folder: Path) -> str:
     """The table of the demonstration, and the line that counts its frames."""
-    lines = output_of([str(ROOT / "tools" / "demo.py")], folder)
+    lines = output_of(["-m", "estimator", "demo"], folder)
     last = next(i for i, line in enumerate(lines) if line.lstrip().startswith("C "))
     return "\n".join(lines[: last + 1])
 

@@ -23,7 +23,7 @@ TYPES = [["mypy"], ["mypy", *HELPERS], ["mypy", "tests/socketcan/conftest.py"]] 
 LINT = [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["lint-imports"]]
 TESTS = ["pytest", "-n", "auto", "--no-loadscope-reorder"]  # a worker a core
 TASKS = {
-    "demo": ("", [["python", "tools/demo.py"]]),
+    "demo": ("", [["roadload", "demo"]]),
     "types": ("[dev]", TYPES),
     "check": ("[dev]", [*LINT, *TYPES, [*TESTS, "-m", "not slow"]]),
     "test": ("[dev]", [*LINT, TESTS]),

@@ -46,6 +46,7 @@ def number(low: float, high: float, what: str) -> Callable[[str], float]:
 
 
 positive = number(sys.float_info.min, sys.float_info.max, "a positive number")
+MINUTES = number(0.5, 10_000.0, "a number of minutes from 0.5 to 10000")
 not_negative = number(0.0, sys.float_info.max, "a number that is not negative")
 
 

@@ -20,6 +20,7 @@ from estimator.lean_import import import_without
 from estimator.near_names import did_you_mean
 
 COMMANDS = {  # module of this package, and its use
+    "demo": "drive a simulated truck, replay its log, compare with the truth",
     "replay": "play logs on a virtual bus to the daemon's loop",
     "estimate": "the same answer from logs without a bus",
     "fleet": "many logs to a table of drives and one of vehicles",

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.can_io import j1939_encoder, obd2_encoder
 from estimator.can_io.log_writer import WRITABLE, write_log
-from estimator.commands.arguments import add_output, not_negative, number, whole_number
+from estimator.commands.arguments import MINUTES, add_output, not_negative, number, whole_number
 from estimator.commands.log_options import check_outputs
 from estimator.commands.terminal import print_json
 from estimator.errors import InputError
@@ -19,16 +19,14 @@ from estimator.report.simulation_summary import of_recording
 from estimator.signals import Role
 from estimator.simulation.cycle import COLUMNS, cycle_route
 from estimator.simulation.effects.catalogue import KINDS, parse_effect
-from estimator.simulation.itinerary import Shape, shaped
+from estimator.simulation.itinerary import METRES_PER_SECOND, Shape, shaped
 from estimator.simulation.polling import polled
 from estimator.simulation.recording import record
 from estimator.simulation.route import RoadKind, generate_route
 from estimator.simulation.sensors import OPTIONAL, Sensors
 from estimator.simulation.truck import draw_car, draw_truck
 
-METRES_PER_MINUTE = 2000.0  # of simulated road, 120 km/h: longer than any drive
 TRUTHS = {"mass": ("kg", "mass", 1e6), "A": ("N", "rolling force", 1e6), "C": ("N s2/m2", "drag coefficient", 1e3)}
-MINUTES = number(0.5, 10_000.0, "a number of minutes from 0.5 to 10000")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     drawn = draw_truck(rng) if options.poll is None else draw_car(rng)
     chosen = {name: getattr(options, name) for name in ("mass", "A", "C") if getattr(options, name) is not None}
     truck = dataclasses.replace(drawn, **chosen)
-    length = options.minutes * METRES_PER_MINUTE
+    length = duration * METRES_PER_SECOND
     road = cycle_route(options.cycle, length, rng) if options.cycle else generate_route(options.route, length, rng)
     sensors = Sensors(
         speed_noise=options.speed_noise,
