@@ -60,7 +60,8 @@ def write(path: Path, content: bytes, mode: int) -> None:
         The file cannot be written.
     """
     with whole(path, mode) as file:
-        os.fchmod(file.fileno(), mode)
+        if hasattr(os, "fchmod"):  # Windows has no such modes
+            os.fchmod(file.fileno(), mode)
         file.write(content)
 
 
@@ -88,4 +89,4 @@ def create(path: Path, mode: int) -> int:
         It cannot be removed or created.
     """
     path.unlink(missing_ok=True)
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)  # O_EXCL follows no link

@@ -41,4 +41,4 @@ def write_log(frames: Frames, path: Path) -> None:
 def _writer(file: BinaryIO, suffix: str) -> can.io.generic.MessageWriter:
     if suffix == ".blf":
         return can.BLFWriter(file)
-    return TEXT_WRITERS[suffix](TextIOWrapper(file, encoding="utf-8"))
+    return TEXT_WRITERS[suffix](TextIOWrapper(file, encoding="utf-8", newline="\n"))

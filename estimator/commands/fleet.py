@@ -1,7 +1,6 @@
 """The subcommand `fleet`: many logs to one table of drives and one of vehicles."""
 
 import argparse
-import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -65,8 +64,7 @@ def run(options: argparse.Namespace) -> int:
         check_names(log.vehicle for log in logs)
     prepare(options.output)
     cache = Cache.of(options.output / CACHE, config, options.diagnose)
-    workers = options.workers or len(os.sched_getaffinity(0))
-    with progress_bar("fleet") as progress, dask_engine(options.scheduler, workers) as engine:
+    with progress_bar("fleet") as progress, dask_engine(options.scheduler, options.workers) as engine:
         found = run_fleet(
             logs,
             config,

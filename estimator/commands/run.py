@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import signal
 
 import can.cli
 
@@ -10,6 +11,7 @@ from estimator.commands.terminal import print_config
 from estimator.daemon.service import logging_setup
 from estimator.daemon.service.assembly import plan, settle
 from estimator.daemon.service.supervision import Signals, supervise
+from estimator.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,10 +26,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until SIGTERM or SIGINT."""
+    """Run until SIGTERM or SIGINT.
+
+    Raises
+    ------
+    ConfigError
+        On Windows, which has neither the signals nor the locks of a daemon.
+    """
     if options.print_config:
         print_config(settle(options.config, options.dbc, options))
         return 0
+    if not hasattr(signal, "SIGHUP"):
+        raise ConfigError("run: a daemon needs Linux or macOS; 'roadload watch -i INTERFACE -c CHANNEL' listens here")
     level = logging.DEBUG if options.verbose else logging.INFO
     with logging_setup.on_standard_error(level), Signals().caught() as signals:
         supervise(lambda: plan(options.config, options.dbc, options), signals)

@@ -100,8 +100,10 @@ def _failure(error: BaseException) -> Failure:
 
 
 @contextmanager
-def dask_engine(scheduler: str | None, workers: int) -> Iterator[Engine]:
+def dask_engine(scheduler: str | None, workers: int | None) -> Iterator[Engine]:
     """Yield an engine of the workers of the cluster at the address ``scheduler``, or of local processes without one.
+
+    Where ``workers`` is None there are as many of them as this process has processors.
 
     Raises
     ------
@@ -149,6 +151,9 @@ def _no_interrupts() -> Iterator[None]:
 
     Ctrl-C goes to all processes, and each worker would write a traceback. This process ends the workers instead.
     """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows: their tracebacks come before the line of this process
+        yield
+        return
     resource_tracker.ensure_running()  # once; its start would undo what follows for the thread that starts workers
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from glob import glob
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -159,7 +159,7 @@ def _remote(source: str) -> Iterator[LogFile]:
 
 def _log_of(name: str, root: str) -> LogFile | None:
     """Log that a file is, or belongs to; None if it is no log. ``root`` is the source in which it was found."""
-    if PurePosixPath(name).name.startswith("."):
+    if PurePath(name).name.startswith("."):
         return None
     if name.lower().endswith(tuple(FORMATS)):
         return LogFile(name, _vehicle(root, name))

@@ -122,7 +122,7 @@ def open_bus(spec: BusSpec, filters: list[CanFilter] | None) -> can.BusABC:
 
 def _check_type(name: str) -> None:
     try:
-        kind = int((INTERFACES / name / "type").read_text())
+        kind = int((INTERFACES / name / "type").read_text(encoding="ascii"))
     except (OSError, ValueError):
         return
     if kind != ARPHRD_CAN:

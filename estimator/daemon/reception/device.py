@@ -31,9 +31,9 @@ def probe_of(spec: BusSpec) -> Probe:
     def look() -> "Device | bool | None":
         try:
             return Device(
-                int((folder / "ifindex").read_text()),
-                bool(int((folder / "flags").read_text(), 16) & 1),
-                int((folder / "statistics" / "rx_packets").read_text()),
+                int((folder / "ifindex").read_text(encoding="ascii")),
+                bool(int((folder / "flags").read_text(encoding="ascii"), 16) & 1),
+                int((folder / "statistics" / "rx_packets").read_text(encoding="ascii")),
             )
         except (OSError, ValueError):
             return None

@@ -30,8 +30,7 @@ MEMORY_INFO, DROPS = 55, 8  # socket option SO_MEMINFO and its counter of droppe
 FORCED_BUFFER = 33  # SO_RCVBUFFORCE: beyond net.core.rmem_max, for the privileged
 TIMESTAMP = 35  # SO_TIMESTAMPNS
 LONG = np.dtype("l")
-ANCILLARY = socket.CMSG_SPACE(2 * LONG.itemsize)  # bytes: one struct timespec, seconds and nanoseconds
-NO_STAMP = bytes(2 * LONG.itemsize)
+NO_STAMP = bytes(2 * LONG.itemsize)  # struct timespec: seconds and nanoseconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,10 +109,10 @@ class SocketReader:
         raw: list[bytes] = []
         stamps: list[bytes] = []
         flags: list[int] = []
-        receive = self._socket.recvmsg
+        receive, ancillary_bytes = self._socket.recvmsg, socket.CMSG_SPACE(len(NO_STAMP))
         try:
             while len(raw) < MAX_BATCH:
-                data, ancillary, flag, _ = receive(FD_FRAME, ANCILLARY, socket.MSG_DONTWAIT)
+                data, ancillary, flag, _ = receive(FD_FRAME, ancillary_bytes, socket.MSG_DONTWAIT)
                 raw.append(data)
                 flags.append(flag)
                 stamps.append(ancillary[0][2] if ancillary and ancillary[0][1] == TIMESTAMP else NO_STAMP)

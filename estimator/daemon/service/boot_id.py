@@ -11,6 +11,6 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")  # random(4): made anew at eve
 def boot_id() -> str:
     """Identifier of this start; empty where the kernel has none, and two starts are then never equal."""
     try:
-        return BOOT_ID.read_text().strip()
+        return BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
         return ""

@@ -1,7 +1,6 @@
 """A lock that keeps other daemons out of a folder: two would overwrite each other's state."""
 
 import errno
-import fcntl
 import os
 import threading
 from collections.abc import Iterator, Mapping
@@ -62,6 +61,8 @@ class FolderLock:
             return False
 
     def _locked(self) -> int | None:
+        import fcntl  # which Windows has not; `watch` imports this module there, and locks nothing
+
         try:
             descriptor = self._open()
         except OSError as error:

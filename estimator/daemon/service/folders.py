@@ -22,13 +22,17 @@ STATUS_FILE = "status.json"
 SYSTEM_RUNTIME = Path("/run") / NAME
 
 
+def _is_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0
+
+
 def state_directory(service: Service) -> Path:
     """Folder of the saved state."""
     if service.state_directory:
         return Path(service.state_directory)
     if given := os.environ.get("STATE_DIRECTORY"):
         return Path(given.split(":")[0])
-    if os.geteuid() == 0:
+    if _is_root():
         return Path("/var/lib") / NAME
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / NAME
 
@@ -39,7 +43,7 @@ def runtime_directory(service: Service) -> Path:
         return Path(service.runtime_directory)
     if given := os.environ.get("RUNTIME_DIRECTORY"):
         return Path(given.split(":")[0])
-    if os.geteuid() == 0:
+    if _is_root():
         return SYSTEM_RUNTIME
     own = os.environ.get("XDG_RUNTIME_DIR")
     return Path(own) / NAME if own else state_directory(service)

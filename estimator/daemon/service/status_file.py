@@ -1,6 +1,7 @@
 """The file in which a running daemon shows its status, written about once a second."""
 
 import os
+import sys
 from pathlib import Path
 
 import msgspec
@@ -60,7 +61,9 @@ def obstacle_to_status(status: StatusAnswer, now: float | None = None) -> str:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process exists."""
+    """Whether a process exists; False on Windows, where no daemon runs, and `os.kill` sends Ctrl-C as signal 0."""
+    if sys.platform == "win32":
+        return False
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
