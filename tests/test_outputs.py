@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 import sys
 import threading
 from argparse import Namespace
@@ -31,6 +32,7 @@ from estimator.daemon.service.status import published
 from estimator.daemon.service.worker import Knowledge
 from estimator.errors import ConfigError
 from estimator.estimates import Status
+from estimator.extras import how_to_install
 
 PATIENCE = 20.0  # s for threads to get somewhere
 STALE_AFTER = 3600.0  # s
@@ -288,7 +290,7 @@ def test_a_library_that_is_not_installed_is_named_with_the_command(
     for name in [name for name in sys.modules if name.split(".")[0] == library or name.endswith(f"outputs.{table}")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(ConfigError, match=rf"{table}: needs .*: pip install 'roadload\[{table}\]'"):
+    with pytest.raises(ConfigError, match=rf"{table}: needs .*: {re.escape(how_to_install(table))}"):
         plan(path, None, Namespace())
 
 

@@ -22,6 +22,7 @@ from estimator.commands.log_options import (
 from estimator.commands.tables import print_run
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.errors import RoadloadError
+from estimator.extras import how_to_install
 from estimator.report import export, summary
 from estimator.streaming import replay
 from estimator.streaming.replay import Run
@@ -76,4 +77,4 @@ def _plots() -> ModuleType:
     try:
         return importlib.import_module("estimator.report.plots")
     except ImportError as error:
-        raise RoadloadError("--plot needs matplotlib: pip install 'roadload[plot]'") from error
+        raise RoadloadError(f"--plot needs matplotlib: {how_to_install('plot')}") from error

@@ -9,6 +9,7 @@ from multiprocessing import resource_tracker
 from typing import Any, Protocol, TypeVar
 
 from estimator.errors import RoadloadError
+from estimator.extras import how_to_install
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -115,7 +116,7 @@ def dask_engine(scheduler: str | None, workers: int | None) -> Iterator[Engine]:
         from distributed import Client, LocalCluster
         from distributed.utils import silence_logging_cmgr
     except ImportError as error:
-        raise RoadloadError("roadload fleet needs Dask: pip install 'roadload[fleet]'") from error
+        raise RoadloadError(f"roadload fleet needs Dask: {how_to_install('fleet')}") from error
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=SECONDS_TO_CONNECT, set_as_default=False)

@@ -16,6 +16,7 @@ from typing import Any
 from estimator.can_io.logs import FORMATS
 from estimator.can_io.logs.lake import ANY, day_of, files_of, is_day
 from estimator.errors import ConfigError, InputError, LogError, RoadloadError
+from estimator.extras import how_to_install
 from estimator.input_files import MIB, read_bounded
 
 LIST = ".txt"  # suffix of a list of logs: a log a line, and its vehicle after a tab
@@ -193,7 +194,7 @@ def file_system(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
-        raise InputError(f"{url}: URLs need fsspec: pip install 'roadload[fleet]'") from error
+        raise InputError(f"{url}: URLs need fsspec: {how_to_install('fleet')}") from error
     try:
         files, path = url_to_fs(url)
     except (ImportError, ValueError, OSError) as error:

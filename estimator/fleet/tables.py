@@ -10,6 +10,7 @@ import numpy as np
 
 from estimator.columns import EVIDENCE, Column, Row, posterior
 from estimator.errors import RoadloadError
+from estimator.extras import how_to_install
 from estimator.output_files import whole
 from estimator.printable import escaped
 
@@ -132,7 +133,7 @@ def require_arrow() -> Any:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise RoadloadError("roadload fleet needs pyarrow: pip install 'roadload[fleet]'") from error
+        raise RoadloadError(f"roadload fleet needs pyarrow: {how_to_install('fleet')}") from error
     return pyarrow
 
 

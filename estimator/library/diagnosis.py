@@ -15,6 +15,7 @@ from estimator.config import Config
 from estimator.diagnosis.diagnose import diagnose as diagnosed
 from estimator.diagnosis.result import Diagnosis
 from estimator.errors import InputError, RoadloadError
+from estimator.extras import how_to_install
 from estimator.library.reading import as_drives
 from estimator.model.effects import CATALOGUE, Effect, named
 from estimator.preparation.drive import Drive
@@ -61,7 +62,7 @@ class DriveDiagnosis(Diagnosis):
         try:
             from estimator.report import diagnosis_plots
         except ImportError as error:
-            raise RoadloadError("plot needs matplotlib: pip install 'roadload[plot]'") from error
+            raise RoadloadError(f"plot needs matplotlib: {how_to_install('plot')}") from error
         if kind not in diagnosis_plots.KINDS:
             raise InputError(f"kind: {kind!r} is none of {', '.join(diagnosis_plots.KINDS)}")
         if self.traces is None:

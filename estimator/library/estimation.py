@@ -15,6 +15,7 @@ from estimator.errors import RoadloadError
 from estimator.estimates import PARAMETERS, Estimate, Marginal, Status
 from estimator.estimation.estimator import Estimator
 from estimator.estimation.evidence import Evidence
+from estimator.extras import how_to_install
 from estimator.library.reading import as_drives
 from estimator.preparation.drive import Drive
 from estimator.report import export
@@ -108,7 +109,7 @@ class Estimation:
         try:
             from estimator.report import plots
         except ImportError as error:
-            raise RoadloadError("plot needs matplotlib: pip install 'roadload[plot]'") from error
+            raise RoadloadError(f"plot needs matplotlib: {how_to_install('plot')}") from error
         return plots.draw(evidence, title)
 
     def _evidence(self) -> Evidence:

@@ -21,6 +21,7 @@ from estimator.answers.draws import DrawsAnswer
 from estimator.errors import ConfigError
 from estimator.estimation.evidence import Evidence
 from estimator.estimation.posterior import Posterior
+from estimator.extras import how_to_install
 from estimator.model.road_load import design
 from estimator.output_files import check_suffix, whole
 from estimator.sampling.convergence import diagnose
@@ -41,7 +42,7 @@ def require_arviz() -> None:
         The package arviz-base is not installed.
     """
     if importlib.util.find_spec("arviz_base") is None:
-        raise ConfigError("this needs arviz-base: pip install 'roadload[arviz]', in a clone pip install -e '.[arviz]'")
+        raise ConfigError(f"this needs arviz-base: {how_to_install('arviz')}")
 
 
 def write_draws(evidence: Evidence, path: Path) -> None:

@@ -22,6 +22,7 @@ from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, FD_BYTES, Frames
 from estimator.can_io.logs.log import Log
 from estimator.can_io.table_columns import NUMBER_BYTES
 from estimator.errors import LogError
+from estimator.extras import how_to_install
 from estimator.signals import Floats
 
 SUFFIX = ".parquet"
@@ -167,7 +168,7 @@ def _opened(file: Path) -> Iterator[Any]:
         from pyarrow import ArrowException
         from pyarrow.parquet import ParquetFile
     except ImportError as error:
-        raise LogError(f"{file}: Parquet needs pyarrow: pip install 'roadload[fleet]'") from error
+        raise LogError(f"{file}: Parquet needs pyarrow: {how_to_install('fleet')}") from error
     try:
         with ParquetFile(file, buffer_size=BUFFER) as table:
             yield table

@@ -26,6 +26,7 @@ from estimator.can_io.table_columns import (
     split_unit,
 )
 from estimator.errors import LogError
+from estimator.extras import how_to_install
 from estimator.settings import Table
 from estimator.signals import Floats, Role
 from estimator.units import conversion_of
@@ -77,7 +78,7 @@ class TableLog(Log):
             from pyarrow import ArrowException
             from pyarrow.parquet import ParquetFile
         except ImportError as error:
-            raise LogError(f"{self.path}: Parquet needs pyarrow: pip install 'roadload[fleet]'") from error
+            raise LogError(f"{self.path}: Parquet needs pyarrow: {how_to_install('fleet')}") from error
         try:
             with ParquetFile(self.path) as file:
                 names, total = file.schema_arrow.names, max(file.metadata.num_rows, 1)

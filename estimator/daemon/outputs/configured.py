@@ -4,6 +4,7 @@ from estimator.config import Config
 from estimator.daemon.outputs.credentials import read_secret
 from estimator.daemon.outputs.output import Channel
 from estimator.errors import ConfigError
+from estimator.extras import how_to_install
 
 
 def check(settings: Config) -> None:
@@ -35,12 +36,12 @@ def channels(settings: Config) -> dict[str, tuple[Channel, float]]:
         try:
             from estimator.daemon.outputs.mqtt import MqttChannel
         except ImportError as error:
-            raise ConfigError("mqtt: needs paho-mqtt 2: pip install 'roadload[mqtt]'") from error
+            raise ConfigError(f"mqtt: needs paho-mqtt 2: {how_to_install('mqtt')}") from error
         opened["mqtt"] = MqttChannel(settings.mqtt), settings.mqtt.period_s
     if settings.kuksa is not None:
         try:
             from estimator.daemon.outputs.kuksa import KuksaChannel
         except (ImportError, RuntimeError) as error:  # RuntimeError: grpcio is older than the generated code
-            raise ConfigError(f"kuksa: needs kuksa-client: pip install 'roadload[kuksa]' ({error})") from error
+            raise ConfigError(f"kuksa: needs kuksa-client: {how_to_install('kuksa')} ({error})") from error
         opened["kuksa"] = KuksaChannel(settings.kuksa), settings.kuksa.period_s
     return opened

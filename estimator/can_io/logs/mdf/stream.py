@@ -12,6 +12,7 @@ import numpy as np
 
 from estimator.can_io.logs.mdf.blocks import HEAD, BadMdfError, Head, MdfFile, UnreadMdfError
 from estimator.can_io.logs.mdf.unpacking import METHODS, TRANSPOSED, MissingPackageError, unpack
+from estimator.extras import how_to_install
 
 PLAIN = (b"##DT", b"##DV", b"##SD", b"##RD")  # records, columns of values, values of variable length
 PACKED = b"##DZ"
@@ -155,7 +156,7 @@ def _unpacked(file: MdfFile, address: int, head: Head, largest: int) -> Iterator
     try:
         contents, fault = unpack(method & ~TRANSPOSED, data, size, largest)
     except MissingPackageError as error:
-        raise UnreadMdfError(address, f"a block packed with {error}", "pip install 'roadload[mf4]'") from error
+        raise UnreadMdfError(address, f"a block packed with {error}", how_to_install("mf4")) from error
     if not fault and len(contents) != size:
         fault = f"hold {len(contents)} bytes instead of {size}"
     if fault and is_transposed:
