@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from estimator.streaming.listener import Listener
     from estimator.streaming.replay import estimate_logs
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Axis",
     "Candidate",
