@@ -3,4 +3,4 @@
 
 def how_to_install(extra: str) -> str:
     """The command that adds an extra to an installed package, and the one for a clone; quotes suit every shell."""
-    return f'pip install "roadload[{extra}]", in a clone pip install -e ".[{extra}]"'
+    return f'pip install "roadload[{extra}]", in a clone .venv/bin/pip install -e ".[{extra}]"'

@@ -337,7 +337,7 @@ def test_mf4_names_the_extra_where_a_package_is_missing(monkeypatch: pytest.Monk
     monkeypatch.delattr(importlib.import_module(name), "zstd", raising=False)
     message = refusal(LOGS / "mf4_zstd.mf4")
     assert "Zstandard" in message
-    assert message.endswith('pip install "roadload[mf4]", in a clone pip install -e ".[mf4]"')
+    assert message.endswith('pip install "roadload[mf4]", in a clone .venv/bin/pip install -e ".[mf4]"')
     assert "copy it anew" not in message
 
 
