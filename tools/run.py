@@ -32,18 +32,23 @@ TASKS = {
 BESIDE = {"test": "types"}  # which takes a minute of one processor
 
 
+def program(name: str) -> str:
+    """Path of a program of the environment."""
+    return str(BIN / (f"{name}.exe" if os.name == "nt" else name))
+
+
 def install(extras: str) -> None:
     """Install the project with ``extras`` and the pinned versions, unless that has been done."""
     pins = (ROOT / "pyproject.toml").read_bytes() + (ROOT / "constraints.txt").read_bytes()
     stamp, state = ENVIRONMENT / f"installed{extras}", hashlib.sha256(pins).hexdigest()
-    if stamp.exists() and stamp.read_text() == state:
+    if stamp.exists() and stamp.read_text(encoding="ascii") == state:
         return
     print(f"setting up {ENVIRONMENT.relative_to(ROOT)} ...", flush=True)
-    if not (BIN / "python").exists():
+    if not Path(program("python")).exists():
         venv.create(ENVIRONMENT, with_pip=True)
-    pip = [str(BIN / "python"), "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
+    pip = [program("python"), "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
     subprocess.run([*pip, "--constraint", "constraints.txt", "--editable", f".{extras}"], cwd=ROOT, check=True)
-    stamp.write_text(state)
+    stamp.write_text(state, encoding="ascii")
 
 
 def main() -> int:
@@ -59,9 +64,9 @@ def main() -> int:
         if task in BESIDE:
             beside = subprocess.Popen([sys.executable, __file__, BESIDE[task]])
         for step in steps:
-            program, *arguments = step
-            print(f"> {program} {' '.join(arguments)}", flush=True)
-            command = [str(BIN / program), *arguments, *(sys.argv[2:] if step is steps[-1] else [])]
+            name, *arguments = step
+            print(f"> {' '.join(step)}", flush=True)
+            command = [program(name), *arguments, *(sys.argv[2:] if step is steps[-1] else [])]
             subprocess.run(command, cwd=ROOT, check=True)
     except subprocess.CalledProcessError as error:
         return error.returncode
