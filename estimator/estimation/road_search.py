@@ -175,7 +175,7 @@ class Search:
 
     def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float]:
         """The ``scales``, or the most probable of ``other`` orders where these have more evidence."""
-        varied, found = self._improved(other)
+        varied, found = self._improved(other, evidence)
         return (varied, found) if found > evidence else (scales, evidence)
 
     def _turned(self, scales: RoadScales, evidence: float) -> tuple[RoadScales, float]:
@@ -202,10 +202,10 @@ class Search:
             for likelihood, other in zip(likelihoods, others, strict=True)
         ]
 
-    def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
-        """The most probable scales from those given."""
+    def _improved(self, scales: RoadScales, needed: float = -np.inf) -> tuple[RoadScales, float]:
+        """The most probable scales from those given; less probable ones if log evidence ``needed`` is out of reach."""
         likelihood = self.likelihood(scales)
-        values, evidence = most_probable(likelihood, scales.values, scales.free)
+        values, evidence = most_probable(likelihood, scales.values, scales.free, needed + scales.price)
         return replace(scales, values=values), evidence - scales.price
 
     def _lagged(self, scales: RoadScales) -> tuple[RoadScales, float]:
