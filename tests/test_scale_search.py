@@ -65,13 +65,15 @@ def test_a_search_that_cannot_reach_what_is_needed_ends_early_with_less_and_any_
     free, start = range(len(found.model.scales)), scales_of(found.model, 1)
     mode, value = most_probable(found, start, free)
     again, same = most_probable(found, start, free, needed=value)
-    assert np.array_equal(again, mode) and same == value
+    assert np.array_equal(again, mode)
+    assert same == value
     evaluated = []
     monkeypatch.setattr(found, "score", lambda scales, score=found.score: evaluated.append(scales) or score(scales))
     most_probable(found, start, free)
     steps = len(evaluated)
     _, short = most_probable(found, start, free, needed=value + 10)
-    assert short < value + 10 and len(evaluated) - steps < steps
+    assert short < value + 10
+    assert len(evaluated) - steps < steps
 
 
 @pytest.mark.parametrize("factor", [1 / 30, 30])
