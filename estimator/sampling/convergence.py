@@ -7,7 +7,6 @@ Rank-normalised split R-hat, bulk and tail effective sample size: Vehtari, Gelma
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtri
 
 from estimator.signals import Floats
@@ -62,10 +61,10 @@ def _effective(chains: Floats) -> float:
     """Effective sample size of split ``chains`` (m, n), by Geyer's initial monotone sequence over all of them."""
     m, n = chains.shape
     centred = chains - chains.mean(axis=1, keepdims=True)
-    size = next_fast_len(2 * n, real=True)
-    spectrum = rfft(centred, size)
+    size = 1 << (2 * n - 1).bit_length()  # a power of 2, for speed; twice as long as the chains, or they wrap round
+    spectrum = np.fft.rfft(centred, size)
     power = (spectrum.real**2 + spectrum.imag**2).mean(axis=0)
-    covariance = irfft(power, size)[:n] / n  # mean over the chains
+    covariance = np.fft.irfft(power, size)[:n] / n  # mean over the chains
     within = float(covariance[0]) * n / (n - 1)
     total = within * (n - 1) / n + float(chains.mean(axis=1).var(ddof=1))
     if total <= 0:
