@@ -111,7 +111,7 @@ class _Repetition:
         values = self._values(rows)
         previous = np.full(len(values), np.nan) if self._last is None else self._last
         values = np.column_stack([previous, values])
-        is_same = np.all(np.abs(np.diff(values)) <= ROUNDING * np.abs(values[:, 1:]), axis=0)
+        is_same = np.all(np.abs(values[:, 1:] - values[:, :-1]) <= ROUNDING * np.abs(values[:, 1:]), axis=0)
         is_moving = rows.speed > MIN_SPEED
         is_same &= is_moving
         if not self._is_coarse:
@@ -145,6 +145,9 @@ def _engine_speed(rows: Rows) -> Floats:
 
 def _marked(rows: Rows, frozen: Mask, number: int) -> Rows | None:
     """First ``number`` rows, marked where ``frozen`` (n,) or marked before; None if there are none."""
-    frozen = frozen | rows.frozen
-    derived = {**rows.derived, Quantity.FROZEN: frozen.astype(float)}
-    return replace(rows, derived=derived)[:number] if number else None
+    if not number:
+        return None
+    if frozen.any() or Quantity.FROZEN not in rows.derived:
+        derived = {**rows.derived, Quantity.FROZEN: (frozen | rows.frozen).astype(float)}
+        rows = replace(rows, derived=derived)
+    return rows if number == len(rows) else rows[:number]
