@@ -113,11 +113,17 @@ class Search:
         self._models: dict[tuple[int, int, bool, bool, tuple[Place, ...]], RoadModel] = {}
 
     def model(self, scales: RoadScales) -> RoadModel:
-        """The strides' model that belongs to scales."""
+        """The strides' model that belongs to scales; kept."""
         key = scales.alpha, scales.wander, scales.has_power, scales.designed, scales.turns
         if key not in self._models:
-            self._models[key] = scales.model_of(self._strides)
+            self._models[key] = self._model_like(scales)
         return self._models[key]
+
+    def _model_like(self, scales: RoadScales) -> RoadModel:
+        """A model that belongs to scales; one that is kept and differs in the road's design alone lends the rest."""
+        orders = scales.alpha, scales.wander, scales.has_power
+        base = next((model for (*others, _, _), model in self._models.items() if tuple(others) == orders), None)
+        return scales.model_of(self._strides) if base is None else base.laid(scales.designed, scales.turns)
 
     def likelihood(self, scales: RoadScales) -> Likelihood:
         """The likelihood that belongs to scales."""
@@ -196,7 +202,7 @@ class Search:
     def _gains(self, scales: RoadScales, others: Sequence[RoadScales]) -> list[float]:
         """Gain in log evidence of each of ``others`` with equal values; their models are not kept."""
         before = self.likelihood(scales).log_evidence(scales.values) - scales.price
-        likelihoods = (self._likelihood_of(other.model_of(self._strides), other) for other in others)
+        likelihoods = (self._likelihood_of(self._model_like(other), other) for other in others)
         return [
             likelihood.log_evidence(scales.values) - other.price - before
             for likelihood, other in zip(likelihoods, others, strict=True)
