@@ -4,7 +4,8 @@ Rank-normalised split R-hat, bulk and tail effective sample size: Vehtari, Gelma
 "Rank-normalization, folding, and localization: an improved R-hat", Bayesian Analysis 16 (2021).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
@@ -12,25 +13,32 @@ from scipy.special import ndtri
 from estimator.signals import Floats
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Diagnosis:
     """Convergence diagnostics of one parameter; NaN if they cannot be computed, which never counts as converged."""
 
     r_hat: float  # the larger of the rank-normalised and the folded one
     ess_bulk: float  # effective number of independent draws, for the centre
-    ess_tail: float  # the same for the 5 % and 95 % quantiles, the smaller of the two
+    draws: Floats = field(repr=False)  # (chains, draws); none where nothing can be computed
+
+    @cached_property
+    def ess_tail(self) -> float:
+        """Effective number of independent draws for the 5 % and 95 % quantiles, the smaller of the two."""
+        if not self.draws.size:
+            return np.nan
+        halves = _split(self.draws)
+        return min(_effective((halves <= q).astype(float)) for q in np.quantile(self.draws, (0.05, 0.95)))
 
 
 def diagnose(draws: Floats) -> Diagnosis:
     """Compute the diagnostics of the ``draws`` (chains, draws) of one parameter."""
     if draws.shape[0] < 2 or draws.shape[1] < 4 or not np.isfinite(draws).all() or np.ptp(draws) == 0:
-        return Diagnosis(np.nan, np.nan, np.nan)
+        return Diagnosis(np.nan, np.nan, np.empty((0, 0)))
     halves = _split(draws)
     scores = _rank_normal(halves)
     folded = _rank_normal(np.abs(halves - np.median(halves)))
-    tails = [_effective((halves <= q).astype(float)) for q in np.quantile(draws, (0.05, 0.95))]
     r_hat = max(_potential_scale_reduction(scores), _potential_scale_reduction(folded))
-    return Diagnosis(r_hat, _effective(scores), min(tails))
+    return Diagnosis(r_hat, _effective(scores), draws)
 
 
 def _split(draws: Floats) -> Floats:
