@@ -86,6 +86,8 @@ class _Repetition:
     def feed(self, rows: Rows) -> Rows | None:
         """Take the next rows, at least one; return those that are now decided, marked."""
         new_still, new_long, may_be = self._stillness(rows)
+        if self._held is None and not new_still.any():
+            return _marked(rows, new_long, len(rows))
         still, long = np.concatenate([self._held_still, new_still]), np.concatenate([self._held_long, new_long])
         rows = rows if self._held is None else Rows.concatenate(self._held, rows)
         begun = rows.index - np.rint(still / STEP).astype(np.int64)  # where each stretch without a change began
@@ -116,13 +118,18 @@ class _Repetition:
         is_same &= is_moving
         if not self._is_coarse:
             is_same &= (values[:, 1:] != 0).all(axis=0)  # no power while coasting
+        self._last = values[:, -1]
+        if not is_same.any():
+            self._count, self._is_long = 0, False
+            self._rows += 0.0 if self._is_coarse else float(is_moving.sum())
+            return np.zeros(len(rows)), np.zeros(len(rows), dtype=bool), self._can_be_improbable()
         index = np.arange(len(rows))
         changed: NDArray[np.int64] = np.maximum.accumulate(np.where(is_same, -1 - self._count, index))
         run = index - changed
         reached = run * STEP > LONGEST if self._is_coarse else self._improbable(run, is_same, is_moving)
         newest = np.maximum.accumulate(np.where(reached, index, -1))
         long: Mask = (newest > changed) & (newest >= 0) | (changed < 0) & self._is_long
-        self._last, self._count, self._is_long = values[:, -1], int(run[-1]), bool(long[-1])
+        self._count, self._is_long = int(run[-1]), bool(long[-1])
         return run * STEP, long, bool(run[-1] * STEP <= LONGEST) and self._can_be_improbable()
 
     def _improbable(self, run: NDArray[np.int64], is_same: Mask, is_moving: Mask) -> Mask:
