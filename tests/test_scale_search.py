@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from dense_road import likelihood_of, scales_of, strides_of
 from made_strides import made_strides
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
 from estimator.estimation.road_fit import fit, fit_given
+from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.scale_search import MIN_GAIN, most_probable
 from estimator.model.conditioned import Conditioned
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
@@ -192,6 +193,29 @@ def test_a_turn_that_gains_nothing_any_more_is_given_up():
     again = fit(strides, np.random.default_rng(1), known=known)
     assert again is not None
     assert again.scales.turns == ()
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_from_the_orders_that_lost_before(monkeypatch):
+    strides, steps = back_and_forth(False, 1), list[Likelihood]()
+    monkeypatch.setattr(
+        Likelihood, "score", lambda found, scales, score=Likelihood.score: steps.append(found) or score(found, scales)
+    )
+
+    def again(known):
+        steps.clear()
+        found = fit(strides, np.random.default_rng(1), known=known)
+        assert found is not None
+        return found, len(steps)
+
+    first, _ = again(None)
+    assert len({scales.orders for scales in first.scales.lost} - {first.scales.orders}) == 2
+    found, fewer = again(first.scales)
+    anew, number = again(replace(first.scales, lost=()))
+    assert fewer < number
+    assert found.scales.orders == anew.scales.orders
+    assert_array_equal(found.scales.values, anew.scales.values)
+    assert_array_equal(found.beta, anew.beta)
 
 
 def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):

@@ -51,6 +51,12 @@ class RoadScales:
     designed: bool = False  # the road is designed for the speed it is driven at
     turns: tuple[Place, ...] = ()  # where slopes change at once
     power_chance: float = 0.0  # probability that noise of the power is there, where it is not in the model
+    lost: tuple["RoadScales", ...] = ()  # less probable ones of other orders: the next search goes on from there
+
+    @property
+    def orders(self) -> tuple[int, int, bool, bool]:
+        """Orders of road and wander, noise of the power and design."""
+        return self.alpha, self.wander, self.has_power, self.designed
 
     @property
     def has_power(self) -> bool:
@@ -111,10 +117,12 @@ class Search:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
         self._departures, self._taken = departures, taken
         self._models: dict[tuple[int, int, bool, bool, tuple[Place, ...]], RoadModel] = {}
+        self._lost_before: tuple[RoadScales, ...] = ()  # of the search before
+        self._lost: list[RoadScales] = []
 
     def model(self, scales: RoadScales) -> RoadModel:
         """The strides' model that belongs to scales; kept."""
-        key = scales.alpha, scales.wander, scales.has_power, scales.designed, scales.turns
+        key = (*scales.orders, scales.turns)
         if key not in self._models:
             self._models[key] = self._model_like(scales)
         return self._models[key]
@@ -146,6 +154,7 @@ class Search:
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
         """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
+        self._lost_before = () if known is None else known.lost
         try:
             scales, evidence = self._lagged(known or self._central(level))
         except NotPositiveDefiniteError:  # scales of another part of the drive
@@ -166,7 +175,7 @@ class Search:
         for alpha in () if scales.alpha == LEVEL else ALPHAS:
             if alpha != scales.alpha:
                 scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha))
-        return self.likelihood(scales), scales, evidence
+        return self.likelihood(scales), replace(scales, lost=tuple(self._lost)), evidence
 
     def _central(self, level: bool) -> RoadScales:
         """Scales at the centres of their priors, without noise of the power."""
@@ -181,8 +190,18 @@ class Search:
 
     def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float]:
         """The ``scales``, or the most probable of ``other`` orders where these have more evidence."""
-        varied, found = self._improved(other, evidence)
-        return (varied, found) if found > evidence else (scales, evidence)
+        varied, found = self._improved(self._start(other), evidence)
+        if found > evidence:
+            scales, evidence, varied, found = varied, found, scales, evidence
+        if np.isfinite(found):
+            self._lost.append(replace(varied, lost=()))
+        return scales, evidence
+
+    def _start(self, other: RoadScales) -> RoadScales:
+        """``other``, or its orders with the values that the search before ended with, if these have more evidence."""
+        ended = [replace(other, values=lost.values) for lost in self._lost_before if lost.orders == other.orders]
+        evidence = self.likelihood(other).log_evidence
+        return max([other, *ended], key=lambda scales: evidence(scales.values)) if ended else other
 
     def _turned(self, scales: RoadScales, evidence: float) -> tuple[RoadScales, float]:
         """The scales with turns where these add evidence, one after the other; a designed road needs none."""
