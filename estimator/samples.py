@@ -80,7 +80,9 @@ class Rows:
     @property
     def frozen(self) -> Mask:
         """Where speed and power no longer change on the move (n,): last values are repeated."""
-        is_frozen: Mask = self.derived.get(Quantity.FROZEN, np.zeros(len(self))) == 1.0
+        if Quantity.FROZEN not in self.derived:
+            return np.zeros(len(self), dtype=bool)
+        is_frozen: Mask = self.derived[Quantity.FROZEN] == 1.0
         return is_frozen
 
     @property
@@ -116,4 +118,7 @@ def over_mean(density: Floats) -> Floats:
 def _joined(parts: Sequence[tuple[Mapping[K, Floats], int]]) -> dict[K, Floats]:
     """Columns of parts, each with its length, one after another: NaN in a part that lacks the column."""
     keys = dict.fromkeys(key for columns, _ in parts for key in columns)
-    return {key: np.concatenate([columns.get(key, np.full(n, np.nan)) for columns, n in parts]) for key in keys}
+    return {
+        key: np.concatenate([columns[key] if key in columns else np.full(n, np.nan) for columns, n in parts])
+        for key in keys
+    }

@@ -110,7 +110,8 @@ class Strides:
         }
         quantities = dict.fromkeys(quantity for part in parts for quantity in part.context)
         context = {
-            q: np.concatenate([part.context.get(q, np.full(len(part), np.nan)) for part in parts]) for q in quantities
+            q: np.concatenate([part.context[q] if q in part.context else np.full(len(part), np.nan) for part in parts])
+            for q in quantities
         }
         return cls(**plain, context=context)
 

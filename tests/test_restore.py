@@ -291,6 +291,18 @@ def test_the_turns_of_the_road_come_back(state):
     assert_array_equal(restored(kept).state()["estimator"]["inference"]["scales"]["turns"], turns)
 
 
+def test_the_orders_that_lost_come_back_and_those_of_other_signals_are_refused(state):
+    kept = deepcopy(state)
+    inference = kept["estimator"]["inference"]
+    assert inference["lost"]
+    back = restored(kept).state()["estimator"]["inference"]["lost"]
+    assert [scales["alpha"] for scales in back] == [scales["alpha"] for scales in inference["lost"]]
+    inference["lost"][0]["readings"] = [*inference["scales"]["readings"], "gravity"]
+    inference["lost"][0]["values"] = np.ones(len(inference["scales"]["values"]) + 3)
+    with pytest.raises(StateError, match="lost: scales of other signals"):
+        restored(kept)
+
+
 @pytest.mark.parametrize("kind", [Estimator, StrideStage, RoadInference, PaperInference, Pipeline, RowStream])
 def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
     """A new attribute belongs into the state, or into REBUILT."""

@@ -5,6 +5,8 @@ import pytest
 from dense_road import ORDERS, SHOWN, Dense, likelihood_of, observed, scales_of, strides_of
 from numpy.testing import assert_allclose
 
+from estimator.model.road_score import average_information, changed_by_scales
+
 STEP = 1e-4  # of the logarithm of a scale
 
 
@@ -40,6 +42,20 @@ def test_the_information_is_the_average_of_the_observed_and_the_expected_one(sho
     found = likelihood.score(scales).information
     assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
     assert np.all(np.linalg.eigvalsh(found) > -1e-9 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids="+".join)
+def test_the_information_without_the_gradient_is_the_same(shown):
+    likelihood = likelihood_of(strides_of(shown=shown))
+    scales = scales_of(likelihood.model, 5)
+    conditioned, gram = likelihood.at(scales)
+    beta, precision, _ = likelihood.solve(gram)
+    X = likelihood.data[:, 1:]
+    changed = changed_by_scales(conditioned, scales, likelihood.data[:, 0] - X @ beta)
+    weighed = conditioned.weighed(changed)
+    found = average_information(changed, weighed, X.T @ weighed, precision)
+    expected = likelihood.score(scales).information
+    assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
 def test_on_data_drawn_from_the_model_the_mean_score_is_zero_and_its_variance_the_information():

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from dense_road import likelihood_of, scales_of, strides_of
 from made_strides import made_strides
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
 from estimator.estimation.road_fit import fit, fit_given
+from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.scale_search import MIN_GAIN, most_probable
 from estimator.model.conditioned import Conditioned
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
@@ -56,6 +57,24 @@ def test_from_elsewhere_the_same_mode_is_reached():
     for scales, value in modes:
         assert value == pytest.approx(modes[0][1], abs=0.01)
         assert_allclose(np.log(scales), np.log(modes[0][0]), atol=0.1)
+
+
+def test_a_search_that_cannot_reach_what_is_needed_ends_early_with_less_and_any_other_ends_at_the_same_mode(
+    monkeypatch,
+):
+    found = likelihood(("altitude",))
+    free, start = range(len(found.model.scales)), scales_of(found.model, 1)
+    mode, value = most_probable(found, start, free)
+    again, same = most_probable(found, start, free, needed=value)
+    assert np.array_equal(again, mode)
+    assert same == value
+    evaluated = []
+    monkeypatch.setattr(found, "score", lambda scales, score=found.score: evaluated.append(scales) or score(scales))
+    most_probable(found, start, free)
+    steps = len(evaluated)
+    _, short = most_probable(found, start, free, needed=value + 10)
+    assert short < value + 10
+    assert len(evaluated) - steps < steps
 
 
 @pytest.mark.parametrize("factor", [1 / 30, 30])
@@ -174,6 +193,29 @@ def test_a_turn_that_gains_nothing_any_more_is_given_up():
     again = fit(strides, np.random.default_rng(1), known=known)
     assert again is not None
     assert again.scales.turns == ()
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_from_the_orders_that_lost_before(monkeypatch):
+    strides, steps = back_and_forth(False, 1), list[Likelihood]()
+    monkeypatch.setattr(
+        Likelihood, "score", lambda found, scales, score=Likelihood.score: steps.append(found) or score(found, scales)
+    )
+
+    def again(known):
+        steps.clear()
+        found = fit(strides, np.random.default_rng(1), known=known)
+        assert found is not None
+        return found, len(steps)
+
+    first, _ = again(None)
+    assert len({scales.orders for scales in first.scales.lost} - {first.scales.orders}) == 2
+    found, fewer = again(first.scales)
+    anew, number = again(replace(first.scales, lost=()))
+    assert fewer < number
+    assert found.scales.orders == anew.scales.orders
+    assert_array_equal(found.scales.values, anew.scales.values)
+    assert_array_equal(found.beta, anew.beta)
 
 
 def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):

@@ -16,6 +16,9 @@ OTHER_COMMANDS = {
     "estimate": {
         "matplotlib",
         "filterpy",
+        "distributed",
+        "scipy.fft",
+        "scipy.optimize",
         "scipy.signal",
         "scipy.stats",
         "estimator.simulation",
@@ -35,6 +38,9 @@ OTHER_COMMANDS = {
     "run": {
         "matplotlib",
         "filterpy",
+        "distributed",
+        "scipy.fft",
+        "scipy.optimize",
         "scipy.signal",
         "scipy.stats",
         "estimator.simulation",

@@ -5,7 +5,6 @@ as many degrees of freedom as there are cosines.
 """
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from estimator.signals import Floats
 
@@ -16,7 +15,7 @@ TIMES_PER_COSINE = 3.0  # autocorrelation times that one cosine transform must s
 def autocorrelation_time(x: Floats) -> float:
     """Integrated autocorrelation time [samples] of ``x`` (n,), at least 1, with Sokal's window of 5 times that time."""
     n = len(x)
-    size = next_fast_len(2 * n)
+    size = 1 << (2 * n - 1).bit_length()  # a power of 2, for speed
     spectrum = np.fft.rfft(x - x.mean(), size)
     covariance = np.fft.irfft(np.abs(spectrum) ** 2, size)[:n]
     if covariance[0] <= 0:

@@ -39,7 +39,7 @@ import numpy as np
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood, limited
 from estimator.model.linear_gaussian import Places
 from estimator.model.road_scales import TORQUE
-from estimator.model.road_score import changed_by_scales
+from estimator.model.road_score import average_information, changed_by_scales
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION
 
@@ -87,7 +87,7 @@ class NormalEquations:
         """
         conditioned, plain = likelihood.at(scales)
         data = likelihood.with_changes(shapes)
-        beta, _, _ = likelihood.solve(plain)
+        beta, information, _ = likelihood.solve(plain)
         by_force = likelihood.disturbed(np.ones(len(shapes)), np.zeros(len(shapes)), shapes)
         q = data.shape[1] - 1
         found = cls(
@@ -102,10 +102,14 @@ class NormalEquations:
         )
         if Quantity.SPEED_STEP in likelihood.model.strides.context:
             found = replace(found, noise=COARSE_SHARE * found.noise)
-        root, noise_moved = _scale_doubt(likelihood, scales, free, power_chance)
         residual = data[:, 0] - data[:, 1 : 1 + len(beta)] @ found.solve()[0]
-        changed = changed_by_scales(conditioned, scales, residual)[:, free] @ root
-        moved = -data[:, 1:].T @ conditioned.weighed(changed)
+        changed = changed_by_scales(conditioned, scales, residual)[:, free]
+        weighed = conditioned.weighed(changed)
+        moments = data[:, 1:].T @ weighed
+        of_scales = average_information(changed, weighed, moments[: len(beta)], information)
+        spread = np.array([likelihood.model.scales[i].spread for i in free])
+        root, noise_moved = _scale_doubt(of_scales + np.diag(spread**-2.0), scales, free, power_chance)
+        moved = -moments @ root
         if Quantity.SPEED_STEP in likelihood.model.strides.context:
             moved, noise_moved = np.column_stack([moved, np.zeros(q)]), np.append(noise_moved, COARSE_SD)
         return replace(found, moved=moved, noise_moved=noise_moved)
@@ -157,15 +161,14 @@ def of_first_order(taken: float, coefficient: float) -> float:
 
 
 def _scale_doubt(
-    likelihood: Likelihood, scales: Floats, free: Sequence[int], power_chance: float
+    information: Floats, scales: Floats, free: Sequence[int], power_chance: float
 ) -> tuple[Floats, Floats]:
     """Change by one sd of d independent directions: of the logarithms of ``free`` scales (k, d), of the noise (d,).
 
-    The noise is the variance of a stride's mean noise of the torque, 2 sd^2 (u - 1 + exp(-u)) / u^2 with u = T / time.
-    The last direction is the doubt whether the noise is of the torque (``power_chance``); the scales are constant.
+    ``information`` (k, k) on these logarithms is that of the posterior. The noise is the variance of a stride's mean
+    noise of the torque, 2 sd^2 (u - 1 + exp(-u)) / u^2 with u = T / time. The last direction is the doubt whether the
+    noise is of the torque (``power_chance``); the scales are constant.
     """
-    spread = np.array([likelihood.model.scales[i].spread for i in free])
-    information = likelihood.score(scales).information[np.ix_(free, free)] + np.diag(spread**-2.0)
     root = np.linalg.inv(np.linalg.cholesky(information)).T
     u = DURATION / scales[TORQUE + 1]
     by_time = 2 - u * (1 - np.exp(-u)) / (u - 1 + np.exp(-u))

@@ -118,23 +118,11 @@ class RoadInference:
 
     def state(self) -> dict[str, Any]:
         """The state that `restore` reads; the evidence is left out, for the next update computes it."""
-        scales = self._scales
-        found = None
-        if scales is not None:
-            found = {
-                "values": scales.values,
-                "alpha": scales.alpha,
-                "wander": scales.wander,
-                "readings": list(scales.readings),
-                "lag": scales.lag,
-                "designed": scales.designed,
-                "turns": np.array(scales.turns, float).reshape(-1, 2),
-                "power_chance": scales.power_chance,
-            }
         return {
             "generator": generator_state(self._rng),
             "loads": self._loads.state(),
-            "scales": found,
+            "scales": None if self._scales is None else _scales_state(self._scales),
+            "lost": [] if self._scales is None else [_scales_state(lost) for lost in self._scales.lost],
             "fitted": self._fitted,
             "departures": list(self._departures),
         }
@@ -150,6 +138,11 @@ class RoadInference:
         set_generator(self._rng, state, "generator")
         self._loads.restore(substate(state, "loads"))
         self._scales = optional(state, "scales", _restored_scales)
+        lost = tuple(map(_restored_scales, read(state, "lost", list[dict[str, Any]])))
+        if self._scales is not None:
+            if any(scales.readings != self._scales.readings for scales in lost):
+                raise StateError("lost: scales of other signals")
+            self._scales = replace(self._scales, lost=lost)
         self._fitted = read(state, "fitted", Count)
         self._departures = tuple(read(state, "departures", list[float]))
         if np.any(np.diff(self._departures) <= 0):
@@ -338,6 +331,19 @@ class RoadInference:
 def _has_changed(now: int, before: int, factor: float) -> bool:
     """Whether a number of rows has grown or shrunk by a factor."""
     return now >= factor * before or now <= before / factor
+
+
+def _scales_state(scales: RoadScales) -> dict[str, Any]:
+    return {
+        "values": scales.values,
+        "alpha": scales.alpha,
+        "wander": scales.wander,
+        "readings": list(scales.readings),
+        "lag": scales.lag,
+        "designed": scales.designed,
+        "turns": np.array(scales.turns, float).reshape(-1, 2),
+        "power_chance": scales.power_chance,
+    }
 
 
 def _restored_scales(state: State) -> RoadScales:

@@ -149,7 +149,7 @@ class Likelihood:
         self.model, self.lag, self.terms, self.departures = model, lag, tuple(terms), tuple(departures)
         self._road_load, self._taken = road_load, taken
         self._last: tuple[bytes, Conditioned, Floats] | None = None
-        X = self._columns(model.driven)
+        self._clean = X = self._columns(model.driven)
         self._plain = X.shape[1] - len(terms)  # coefficients before the offsets
         data = model.given(np.column_stack([model.driven.a, X]))
         inside = data.shape[1] - 1 - X.shape[1]  # offsets of the road's signals follow them
@@ -222,7 +222,7 @@ class Likelihood:
         """
         driven, p = self.model.driven, len(self.unit)
         places = np.array([*range(self._plain), *range(p - len(self.terms), p)])
-        change = self._columns(replace(driven, force=driven.force + error[:, None])) - self._columns(driven)
+        change = self._columns(replace(driven, force=driven.force + error[:, None])) - self._clean
         change[:, LAG] = rate
         added = np.zeros((len(driven), p))
         added[:, places] = change / self.unit[places]

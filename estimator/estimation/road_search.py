@@ -51,6 +51,12 @@ class RoadScales:
     designed: bool = False  # the road is designed for the speed it is driven at
     turns: tuple[Place, ...] = ()  # where slopes change at once
     power_chance: float = 0.0  # probability that noise of the power is there, where it is not in the model
+    lost: tuple["RoadScales", ...] = ()  # less probable ones of other orders: the next search goes on from there
+
+    @property
+    def orders(self) -> tuple[int, int, bool, bool]:
+        """Orders of road and wander, noise of the power and design."""
+        return self.alpha, self.wander, self.has_power, self.designed
 
     @property
     def has_power(self) -> bool:
@@ -111,13 +117,21 @@ class Search:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
         self._departures, self._taken = departures, taken
         self._models: dict[tuple[int, int, bool, bool, tuple[Place, ...]], RoadModel] = {}
+        self._lost_before: tuple[RoadScales, ...] = ()  # of the search before
+        self._lost: list[RoadScales] = []
 
     def model(self, scales: RoadScales) -> RoadModel:
-        """The strides' model that belongs to scales."""
-        key = scales.alpha, scales.wander, scales.has_power, scales.designed, scales.turns
+        """The strides' model that belongs to scales; kept."""
+        key = (*scales.orders, scales.turns)
         if key not in self._models:
-            self._models[key] = scales.model_of(self._strides)
+            self._models[key] = self._model_like(scales)
         return self._models[key]
+
+    def _model_like(self, scales: RoadScales) -> RoadModel:
+        """A model that belongs to scales; one that is kept and differs in the road's design alone lends the rest."""
+        orders = scales.alpha, scales.wander, scales.has_power
+        base = next((model for (*others, _, _), model in self._models.items() if tuple(others) == orders), None)
+        return scales.model_of(self._strides) if base is None else base.laid(scales.designed, scales.turns)
 
     def likelihood(self, scales: RoadScales) -> Likelihood:
         """The likelihood that belongs to scales."""
@@ -140,6 +154,7 @@ class Search:
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
         """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
+        self._lost_before = () if known is None else known.lost
         try:
             scales, evidence = self._lagged(known or self._central(level))
         except NotPositiveDefiniteError:  # scales of another part of the drive
@@ -160,7 +175,7 @@ class Search:
         for alpha in () if scales.alpha == LEVEL else ALPHAS:
             if alpha != scales.alpha:
                 scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha))
-        return self.likelihood(scales), scales, evidence
+        return self.likelihood(scales), replace(scales, lost=tuple(self._lost)), evidence
 
     def _central(self, level: bool) -> RoadScales:
         """Scales at the centres of their priors, without noise of the power."""
@@ -175,8 +190,18 @@ class Search:
 
     def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float]:
         """The ``scales``, or the most probable of ``other`` orders where these have more evidence."""
-        varied, found = self._improved(other)
-        return (varied, found) if found > evidence else (scales, evidence)
+        varied, found = self._improved(self._start(other), evidence)
+        if found > evidence:
+            scales, evidence, varied, found = varied, found, scales, evidence
+        if np.isfinite(found):
+            self._lost.append(replace(varied, lost=()))
+        return scales, evidence
+
+    def _start(self, other: RoadScales) -> RoadScales:
+        """``other``, or its orders with the values that the search before ended with, if these have more evidence."""
+        ended = [replace(other, values=lost.values) for lost in self._lost_before if lost.orders == other.orders]
+        evidence = self.likelihood(other).log_evidence
+        return max([other, *ended], key=lambda scales: evidence(scales.values)) if ended else other
 
     def _turned(self, scales: RoadScales, evidence: float) -> tuple[RoadScales, float]:
         """The scales with turns where these add evidence, one after the other; a designed road needs none."""
@@ -196,16 +221,16 @@ class Search:
     def _gains(self, scales: RoadScales, others: Sequence[RoadScales]) -> list[float]:
         """Gain in log evidence of each of ``others`` with equal values; their models are not kept."""
         before = self.likelihood(scales).log_evidence(scales.values) - scales.price
-        likelihoods = (self._likelihood_of(other.model_of(self._strides), other) for other in others)
+        likelihoods = (self._likelihood_of(self._model_like(other), other) for other in others)
         return [
             likelihood.log_evidence(scales.values) - other.price - before
             for likelihood, other in zip(likelihoods, others, strict=True)
         ]
 
-    def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
-        """The most probable scales from those given."""
+    def _improved(self, scales: RoadScales, needed: float = -np.inf) -> tuple[RoadScales, float]:
+        """The most probable scales from those given; less probable ones if log evidence ``needed`` is out of reach."""
         likelihood = self.likelihood(scales)
-        values, evidence = most_probable(likelihood, scales.values, scales.free)
+        values, evidence = most_probable(likelihood, scales.values, scales.free, needed + scales.price)
         return replace(scales, values=values), evidence - scales.price
 
     def _lagged(self, scales: RoadScales) -> tuple[RoadScales, float]:

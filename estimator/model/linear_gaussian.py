@@ -90,6 +90,7 @@ class Observations:
         q = places.shape[1]
         self._first = places.min(axis=1)
         self._gather = _by_observation(places, weights, shape[1])
+        self._see = self._gather.T
         # Each pair of an observation's places once, the later one in front; of two equal ones both orders count.
         first, second = np.triu_indices(q)
         apart = places[:, first] - places[:, second]
@@ -102,6 +103,7 @@ class Observations:
         number[self._touched] = np.arange(len(self._touched))
         values = weights[:, first] * weights[:, second] * twice
         self._square = _by_observation(number[stored], values, len(self._touched))
+        self._spread = self._square.T
 
     def add_information(self, target: Floats, variance: Floats) -> None:
         """Add A' R^-1 A, for variances (n,), to a band ``target`` (bandwidth + 1, size)."""
@@ -109,7 +111,7 @@ class Observations:
 
     def variance(self, products: Floats) -> Floats:
         """Variance of A x (n,), for unknowns x whose covariance is given as `both_triangles`."""
-        spread: Floats = self._square.T @ products.ravel()[self._touched]
+        spread: Floats = self._spread @ products.ravel()[self._touched]
         return spread
 
     def within(self, begin: int, end: int) -> slice:
@@ -137,7 +139,7 @@ class Observations:
 
     def observed(self, unknowns: Floats) -> Floats:
         """A times ``unknowns`` (size,)."""
-        seen: Floats = self._gather.T @ unknowns
+        seen: Floats = self._see @ unknowns
         return seen
 
 

@@ -11,12 +11,11 @@ This is a polynomial in kappa^2 with fixed bands, so other scales need no new as
 (Neumann boundary), where the variance doubles.
 """
 
-from math import comb, pi, sqrt
+from math import comb, gamma, pi, sqrt
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.linalg.lapack import dpttrf
-from scipy.special import gamma
 
 from estimator.model.linear_gaussian import Places
 from estimator.signals import Floats
@@ -64,7 +63,7 @@ class MaternField:
     def _kappa_tau(self, sd: float, length: float) -> tuple[float, float]:
         nu = self._nu
         kappa = sqrt(2 * nu) / length
-        return kappa, float(gamma(nu)) / (float(gamma(self.alpha)) * sqrt(4 * pi) * kappa ** (2 * nu) * sd**2)
+        return kappa, gamma(nu) / (gamma(self.alpha) * sqrt(4 * pi) * kappa ** (2 * nu) * sd**2)
 
     def _factors(self, kappa: float, tau: float) -> Floats:
         """Factors (alpha + 1,) of the terms of the polynomial in kappa^2."""

@@ -28,6 +28,7 @@ signals then follow those of the motion, and the band is a quarter as wide.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -117,12 +118,26 @@ class RoadModel:
         self._shares = ((TORQUE, self.weight), (POWER, of_power))[: 1 + power]
         self.joined = strides.joined[strides.known]
         self.nodes = Nodes.under(strides)
-        self.along = self.nodes.along(designed, turns)  # [m], over which slopes change
         readings = [Reading.of(name, strides, self.nodes) for name in SIGNALS]
         self.readings = tuple(reading for reading in readings if reading is not None)
         self.scales = (*SCALES, *(scale for reading in self.readings for scale in SIGNAL_SCALES[reading.name]))
         self._place()
         self._observe()
+        self._lay(designed, turns)
+
+    def laid(self, designed: bool, turns: Sequence[Place]) -> "RoadModel":
+        """The model of the same strides on a road that is ``designed`` otherwise, with other ``turns``.
+
+        All but the process of the slopes is shared with this one.
+        """
+        other = copy(self)
+        other._lay(designed, turns)
+        return other
+
+    def _lay(self, designed: bool, turns: Sequence[Place]) -> None:
+        """Set up the process of the slopes, over the distance [m] that they change with."""
+        self.along, joined = self.nodes.along(designed, turns), self.nodes.joined
+        self._field = None if self.is_level else MaternField(self.along, joined, self.alpha, self._slope, self._shape)
 
     @property
     def reading_names(self) -> tuple[str, ...]:
@@ -173,7 +188,7 @@ class RoadModel:
 
     def _motion(self) -> tuple[Places, Floats]:
         """Unknowns that the acceleration of each driven stride depends on (n, q), and their weights (n, q)."""
-        places, weights = zip(self._errors(), self._slopes(), strict=True)
+        places, weights = zip(self._errors(), self._slopes, strict=True)
         return np.hstack(places), np.hstack(weights)
 
     def _errors(self) -> tuple[Places, Floats]:
@@ -184,6 +199,7 @@ class RoadModel:
         weights += [-0.5 * np.repeat(share[:, None], 2, axis=1) for _, share in self._shares]
         return np.hstack(places), np.hstack(weights)
 
+    @cached_property
     def _slopes(self) -> tuple[Places, Floats]:
         """Slopes among the unknowns of `_motion`, and their weights."""
         if self.is_level:
@@ -229,8 +245,6 @@ class RoadModel:
         shape = (max([*(bandwidth(p) for p, _ in maps), *slopes, *chains, *noise]) + 1, self.size)
         self._maps = [Observations(p, w, shape) for p, w in maps]
         self._shape = shape
-        nodes = self.nodes
-        self._field = None if self.is_level else MaternField(self.along, nodes.joined, self.alpha, self._slope, shape)
         self._speed_noise = Chain(self._ends_t, self._speed_error, np.zeros_like(self._linked))
         self._force_noises = [Chain(self._ends_t, error, self._linked) for error in self._force_errors]
         self._wanders = [self._wandering(places) for places in self._wander]
@@ -396,9 +410,11 @@ class RoadModel:
 
         ``products`` is the covariance of the unknowns, as `both_triangles`.
         """
-        errors, slopes = (Observations(*part, self._shape) for part in (self._errors(), self._slopes()))
-        both, by_slopes, by_errors = (part.variance(products) for part in (self._maps[0], slopes, errors))
-        shared: Floats = 0.5 * (both + by_slopes - by_errors)
+        (places, weights), (slopes, hats) = self._motion(), self._slopes
+        apart = places[:, :, None] - slopes[:, None, :]
+        covariance = products[np.abs(apart), np.minimum(places[:, :, None], slopes[:, None, :])]
+        covariance[apart != 0] /= 2
+        shared: Floats = np.einsum("ni,nij,nj->n", weights, covariance, hats)
         return shared
 
     def slope_variance(self, products: Floats) -> Floats:

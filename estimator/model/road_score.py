@@ -66,6 +66,16 @@ def changed_by_scales(conditioned: Conditioned, scales: Floats, residual: Floats
     return _changed(conditioned, scales, unknowns, residual - conditioned.model.observed(unknowns))
 
 
+def average_information(changed: Floats, weighed: Floats, moments: Floats, precision: Floats) -> Floats:
+    """Average information (k, k) on the logarithms of k scales, with the coefficients integrated out.
+
+    From ``changed`` (sum of counts, k) by each of the scales, K^-1 times it, and X' K^-1 times it: ``moments`` (p, k),
+    for the columns X of p coefficients, whose information is ``precision`` (p, p).
+    """
+    information: Floats = 0.5 * (changed.T @ weighed - moments.T @ np.linalg.solve(precision, moments))
+    return information
+
+
 def _changed(conditioned: Conditioned, scales: Floats, unknowns: Floats, rest: Floats) -> Floats:
     """Products of `changed_by_scales`, given the posterior mean ``unknowns`` (size,) and the ``rest`` it leaves."""
     model = conditioned.model

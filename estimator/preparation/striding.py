@@ -99,20 +99,24 @@ class Strider:
             return Strides.none()
         first, length = np.array(starts), np.array(lengths)
         is_known = clear[first]
-        for at, span in zip(first[~is_known].tolist(), length[~is_known].tolist(), strict=True):
-            count_reasons(codes[at : at + span], rejected)
-        strides = self._strides(rows, coasting, first, length, is_known)
-        strides = strides[is_known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
+        count_reasons(codes[starts[0] : begin][np.repeat(~is_known, length)], rejected)
         travelled, held = self._travelled(rows)
+        strides = self._strides(rows, travelled, coasting, first, length, is_known)
+        strides = strides[is_known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
         self._distance, self._speed = float(travelled[begin]), float(held[begin - 1])
         kept = max(begin - self._margin, 0)
         self._rows, self._next = rows[kept:], begin - kept
         return strides
 
     def _strides(
-        self, rows: Rows, coasting: Mask, first: NDArray[np.intp], length: NDArray[np.intp], is_known: Mask
+        self,
+        rows: Rows,
+        travelled: Floats,
+        coasting: Mask,
+        first: NDArray[np.intp],
+        length: NDArray[np.intp],
+        is_known: Mask,
     ) -> Strides:
-        travelled, _ = self._travelled(rows)
         at = np.minimum(first[:, None] + np.arange(SPAN_ROWS), len(rows) - 1)
         speed = rows.plausible_speed
         blank = np.full(len(rows), np.nan)

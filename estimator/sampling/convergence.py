@@ -4,34 +4,41 @@ Rank-normalised split R-hat, bulk and tail effective sample size: Vehtari, Gelma
 "Rank-normalization, folding, and localization: an improved R-hat", Bayesian Analysis 16 (2021).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtri
 
 from estimator.signals import Floats
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Diagnosis:
     """Convergence diagnostics of one parameter; NaN if they cannot be computed, which never counts as converged."""
 
     r_hat: float  # the larger of the rank-normalised and the folded one
     ess_bulk: float  # effective number of independent draws, for the centre
-    ess_tail: float  # that for the 5 % and 95 % quantiles, the smaller of the two
+    draws: Floats = field(repr=False)  # (chains, draws); none where nothing can be computed
+
+    @cached_property
+    def ess_tail(self) -> float:
+        """Effective number of independent draws for the 5 % and 95 % quantiles, the smaller of the two."""
+        if not self.draws.size:
+            return np.nan
+        halves = _split(self.draws)
+        return min(_effective((halves <= q).astype(float)) for q in np.quantile(self.draws, (0.05, 0.95)))
 
 
 def diagnose(draws: Floats) -> Diagnosis:
     """Compute the diagnostics of the ``draws`` (chains, draws) of one parameter."""
     if draws.shape[0] < 2 or draws.shape[1] < 4 or not np.isfinite(draws).all() or np.ptp(draws) == 0:
-        return Diagnosis(np.nan, np.nan, np.nan)
+        return Diagnosis(np.nan, np.nan, np.empty((0, 0)))
     halves = _split(draws)
     scores = _rank_normal(halves)
     folded = _rank_normal(np.abs(halves - np.median(halves)))
-    tails = [_effective((halves <= q).astype(float)) for q in np.quantile(draws, (0.05, 0.95))]
     r_hat = max(_potential_scale_reduction(scores), _potential_scale_reduction(folded))
-    return Diagnosis(r_hat, _effective(scores), min(tails))
+    return Diagnosis(r_hat, _effective(scores), draws)
 
 
 def _split(draws: Floats) -> Floats:
@@ -62,10 +69,10 @@ def _effective(chains: Floats) -> float:
     """Effective sample size of split ``chains`` (m, n), by Geyer's initial monotone sequence over all of them."""
     m, n = chains.shape
     centred = chains - chains.mean(axis=1, keepdims=True)
-    size = next_fast_len(2 * n, real=True)
-    spectrum = rfft(centred, size)
+    size = 1 << (2 * n - 1).bit_length()  # a power of 2, for speed; twice as long as the chains, or they wrap round
+    spectrum = np.fft.rfft(centred, size)
     power = (spectrum.real**2 + spectrum.imag**2).mean(axis=0)
-    covariance = irfft(power, size)[:n] / n  # mean over the chains
+    covariance = np.fft.irfft(power, size)[:n] / n  # mean over the chains
     within = float(covariance[0]) * n / (n - 1)
     total = within * (n - 1) / n + float(chains.mean(axis=1).var(ddof=1))
     if total <= 0:

@@ -3,7 +3,6 @@
 from typing import Protocol
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from estimator.signals import Floats, Mask
 
@@ -58,6 +57,8 @@ def highest_in_box(precision: Floats, mean: Floats, lower: Floats, upper: Floats
     """Mode (p,) in the box of a Gaussian of ``mean`` (p,) and ``precision`` (p, p), by bounded least squares."""
     if in_box(mean[None], lower, upper)[0]:
         return mean
+    from scipy.optimize import lsq_linear  # takes as long to import as the rest of scipy; most boxes cut nothing
+
     scale = np.sqrt(np.diag(precision))
     root = factor(precision).T / scale
     solution = lsq_linear(root, root @ (mean * scale), (lower * scale, upper * scale), method="bvls")

@@ -86,6 +86,8 @@ class _Repetition:
     def feed(self, rows: Rows) -> Rows | None:
         """Take the next rows, at least one; return those that are now decided, marked."""
         new_still, new_long, may_be = self._time_since_change(rows)
+        if self._held is None and not new_still.any():
+            return _marked(rows, new_long, len(rows))
         still, long = np.concatenate([self._held_still, new_still]), np.concatenate([self._held_long, new_long])
         rows = rows if self._held is None else Rows.concatenate(self._held, rows)
         begun = rows.index - np.rint(still / STEP).astype(np.int64)  # where each stretch without a change began
@@ -111,18 +113,23 @@ class _Repetition:
         values = self._values(rows)
         previous = np.full(len(values), np.nan) if self._last is None else self._last
         values = np.column_stack([previous, values])
-        is_same = np.all(np.abs(np.diff(values)) <= ROUNDING * np.abs(values[:, 1:]), axis=0)
+        is_same = np.all(np.abs(values[:, 1:] - values[:, :-1]) <= ROUNDING * np.abs(values[:, 1:]), axis=0)
         is_moving = rows.speed > MIN_SPEED
         is_same &= is_moving
         if not self._is_coarse:
             is_same &= (values[:, 1:] != 0).all(axis=0)  # no power while coasting
+        self._last = values[:, -1]
+        if not is_same.any():
+            self._count, self._is_long = 0, False
+            self._rows += 0.0 if self._is_coarse else float(is_moving.sum())
+            return np.zeros(len(rows)), np.zeros(len(rows), dtype=bool), self._can_be_improbable()
         index = np.arange(len(rows))
         changed: NDArray[np.int64] = np.maximum.accumulate(np.where(is_same, -1 - self._count, index))
         run = index - changed
         reached = run * STEP > LONGEST if self._is_coarse else self._improbable(run, is_same, is_moving)
         newest = np.maximum.accumulate(np.where(reached, index, -1))
         long: Mask = (newest > changed) & (newest >= 0) | (changed < 0) & self._is_long
-        self._last, self._count, self._is_long = values[:, -1], int(run[-1]), bool(long[-1])
+        self._count, self._is_long = int(run[-1]), bool(long[-1])
         return run * STEP, long, bool(run[-1] * STEP <= LONGEST) and self._can_be_improbable()
 
     def _improbable(self, run: NDArray[np.int64], is_same: Mask, is_moving: Mask) -> Mask:
@@ -145,6 +152,9 @@ def _engine_speed(rows: Rows) -> Floats:
 
 def _marked(rows: Rows, frozen: Mask, number: int) -> Rows | None:
     """First ``number`` rows, marked where ``frozen`` (n,) or marked before; None if there are none."""
-    frozen = frozen | rows.frozen
-    derived = {**rows.derived, Quantity.FROZEN: frozen.astype(float)}
-    return replace(rows, derived=derived)[:number] if number else None
+    if not number:
+        return None
+    if frozen.any() or Quantity.FROZEN not in rows.derived:
+        derived = {**rows.derived, Quantity.FROZEN: (frozen | rows.frozen).astype(float)}
+        rows = replace(rows, derived=derived)
+    return rows if number == len(rows) else rows[:number]
