@@ -145,7 +145,9 @@ def _road_load(row: Row) -> str:
     if rolling and rolling == drag:
         return f"A/m and C unestimated ({rolling})"
     A, C = _value(row, "A_per_mass_N_kg", "N/kg", rolling), _value(row, "C_N_s2_m2", "N/(m/s)^2", drag)
-    return f"A/m {A}, C {C}"
+    c_rr = "" if rolling else f" (c_rr {100 * row['c_rr_mean']:.3g} %)"
+    c_d_A = "" if drag else f" (c_d A {row['c_d_A_m2_mean']:.3g} m^2)"
+    return f"A/m {A}{c_rr}, C {C}{c_d_A}"
 
 
 def _value(row: Row, name: str, unit: str, reason: str) -> str:

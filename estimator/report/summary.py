@@ -9,13 +9,14 @@ from msgspec import UNSET
 from estimator.answers import run as answer
 from estimator.answers import status
 from estimator.answers.run import RunAnswer
-from estimator.estimates import Estimate, Marginal, Slope
+from estimator.estimates import Estimate, Marginal, Slope, drag_area
 from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION
 from estimator.report import parameter_text
 from estimator.report.next_step import next_step
 from estimator.report.run_warnings import warnings_of
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.replay import Run
+from estimator.units import KMH, STANDARD_DENSITY
 
 
 def of_run(run: Run) -> RunAnswer:
@@ -44,6 +45,8 @@ def of_run(run: Run) -> RunAnswer:
         effects=tuple(pipeline.effects),
         magnitudes=final.effects,
         updates=tuple(_update(update, run) for update in run.updates),
+        coefficients=coefficients(final),
+        coverage_map=coverage_map(pipeline),
     )
 
 
@@ -54,10 +57,30 @@ def parameters(estimate: Estimate) -> answer.Parameters:
     )
 
 
+def coefficients(estimate: Estimate) -> answer.Coefficients:
+    """What follows from mass, A and C, each estimated where these are."""
+    C, density = estimate.C, estimate.air_density
+    return answer.Coefficients(
+        c_rr=_derived(estimate, "A", estimate.c_rr),
+        c_d_A_m2=_derived(estimate, "C", None if C is None else drag_area(C, density)),
+        air_density_kg_m3=density or STANDARD_DENSITY,
+        is_density_measured=density is not None,
+        coast_down=answer.CoastDown(
+            F0_N=_parameter(estimate, "A"),
+            F1_N_h_km=0.0,
+            F2_N_h2_km2=_derived(estimate, "C", None if C is None else C.times(1 / KMH**2)),
+        ),
+    )
+
+
 def _parameter(estimate: Estimate, which: str) -> answer.Parameter:
+    return _derived(estimate, which, estimate.marginals[which])
+
+
+def _derived(estimate: Estimate, which: str, marginal: Marginal | None) -> answer.Parameter:
+    """A parameter that is known where ``which`` is."""
     known, reason = estimate.status_of(which)
-    marginal = estimate.marginals[which]
-    values = {} if marginal is None else asdict(marginal)
+    values = {} if marginal is None or estimate.marginals[which] is None else asdict(marginal)
     return answer.Parameter(status=known, reason=reason, **values)
 
 
@@ -110,6 +133,7 @@ def conclusion(estimate: Estimate | None, t: float, start: float | None) -> stat
         coverage=coverage(estimate),
         t_s=None if start is None else round(estimate.t - start, 3),
         road=road(estimate),
+        coefficients=coefficients(estimate),
     )
 
 

@@ -4,8 +4,8 @@ from collections import Counter
 
 from estimator.answers.run import Coverage, CoverageMap
 from estimator.answers.status import Progress
+from estimator.units import KMH
 
-KMH = 3.6  # km/h in 1 m/s
 BAND = 20.0  # km/h of speed that are named together
 STEADY, BRISK = 0.1, 0.5  # m/s^2 where accelerating begins, and where it is brisk
 NAMED = 2  # kinds of driving in the sentence: those with most cells

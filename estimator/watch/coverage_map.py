@@ -7,11 +7,11 @@ from rich.text import Text
 
 from estimator.answers.run import CoverageMap
 from estimator.report import wanted_driving
+from estimator.units import KMH
 
 MIN_LINES = 5  # of cells, below which the map would not be readable
 MAX_ACROSS = 3  # columns of a cell
 LABEL = 6  # columns of an acceleration beside the map
-KMH = 3.6  # km/h in 1 m/s
 EMPTY, WANTED, BEGUN, OCCUPIED = range(4)  # states of a cell, in rising order
 STYLES = ("", "dim", "cyan", "cyan")
 
