@@ -39,6 +39,7 @@ def _table(rows: list[Known], truth: dict[str, float] | None) -> Table:
     table = Table("", "mean", "90 % interval", "sd", *(["truth"] if truth else []), box=box.SIMPLE_HEAD, pad_edge=False)
     for x in rows:
         cells = [x.row.name, x.row.value(x.mean), x.row.interval(x.q05, x.q95), f"{100 * x.sd / x.mean:.2f} %"]
-        true = truth and truth.get(x.row.name)
-        table.add_row(*cells, *(["" if true is None else x.row.text(true)] if truth else []))
+        if truth:
+            cells.append(x.row.text(truth[x.row.name]) if x.row.name in truth else "")
+        table.add_row(*cells)
     return table

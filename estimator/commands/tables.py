@@ -13,7 +13,6 @@ from estimator.model.effects import BY_NAME, unbound
 from estimator.printable import printable
 from estimator.report import number_format, parameter_text, summary, usual_units
 from estimator.report.next_step import next_step
-from estimator.report.run_warnings import warnings_of
 from estimator.roles import Role
 from estimator.streaming.replay import Run
 
@@ -29,7 +28,7 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     )
     if advice := next_step(run):
         say(console, f"to do     {advice}")
-    for warning in (*run.pipeline.traffic.remarks, *warnings_of(run.pipeline.config, run.pipeline.traffic.errors)):
+    for warning in summary.warnings(run):
         say(console, f"warning   {warning}")
     if final.mass is not None:
         print_estimate(console, summary.parameters(final), summary.coefficients(final), truth)

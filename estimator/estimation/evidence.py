@@ -16,8 +16,8 @@ from estimator.signals import Floats
 class Trace:
     """Data that the model was fitted to; all arrays (n,).
 
-    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` measured power [W], aligned with the speed, ``fitted`` power [W], ``density`` of the air
-    [kg/m^3], NaN where unknown; ``spacing`` [s] is the time between consecutive elements.
+    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` measured power [W] aligned with the speed, ``fitted`` power [W],
+    ``density`` of the air [kg/m^3], NaN where unknown; ``spacing`` [s] is the time between consecutive elements.
     """
 
     t: Floats

@@ -32,7 +32,7 @@ def export(result: VehicleResult) -> VehicleAnswer | None:
         fastsim=Fastsim(
             mass_kilograms=mass,
             chassis=FastsimChassis(
-                drag_coef=drag_area(found.drag, FASTSIM_DENSITY).mean / FRONTAL_AREA,
+                drag_coef=drag_area(result.drag, FASTSIM_DENSITY).mean / FRONTAL_AREA,
                 frontal_area_square_meters=FRONTAL_AREA,
                 wheel_rr_coef=coefficient,
                 wheel_inertia_kilogram_square_meters=0.0,
@@ -40,7 +40,7 @@ def export(result: VehicleResult) -> VehicleAnswer | None:
                 cargo_mass_kilograms=None,
             ),
         ),
-        vecto=Vecto(CdA=drag_area(found.drag, VECTO_DENSITY).mean, RRCISO=coefficient),
+        vecto=Vecto(CdA=drag_area(result.drag, VECTO_DENSITY).mean, RRCISO=coefficient),
     )
 
 

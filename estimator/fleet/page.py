@@ -23,19 +23,26 @@ from estimator.report.page.plot import DAY, DateAxis, axis, dots, plot, rods
 from estimator.report.page.tables import table
 from estimator.signals import Floats
 from estimator.streaming.row_stream import MIN_SET_CLOCK
+from estimator.units import STANDARD_DENSITY
 
 MAX_ROWS = 40  # of a list; the others are folded away
 HOUR = 60.0  # min
 SHORT = 10  # h of driving, given in minutes below
 STRONG_CHANGE = 10.0  # %, shown in the full colour
 PARAMETERS = (("A_per_mass_N_kg", "A/m", "N/kg"), ("C_N_s2_m2", "C", "N s²/m²"))
-USUAL = {"A_per_mass_N_kg": ("c_rr", 100.0, "%"), "C_N_s2_m2": ("c_d_A_m2", 1.0, "m²")}  # column, factor, unit
+USUAL = {  # beside them: name, column, factor to the unit, unit
+    "A_per_mass_N_kg": ("c_rr", "c_rr_mean", 100.0, "%"),
+    "C_N_s2_m2": ("c_d A", "c_d_A_m2_mean", 1.0, "m²"),
+}
 NUMBERS = re.compile(r"[+-]?\d[\d.,]*")
 TERMS = (
     ("A/m", "rolling and friction force over the moving mass, rotating parts included"),
     ("c_rr", "A/m over the standard gravity; it has all friction behind the place where power is measured"),
     ("C", "aerodynamic force over the square of the speed; it holds for the density of the air on the drive"),
-    ("c_d A", "2 C over the density of the air: measured on the newest drive that has it, else 1.225 kg/m³"),
+    (
+        "c_d A",
+        f"2 C over the density of the air, that of the newest drive that has it, else {STANDARD_DENSITY} kg/m³",
+    ),
     (
         "interval",
         "90 %, of the vehicle as at its newest drive; single drives scatter around it, with the wind for one",
@@ -138,10 +145,8 @@ def _vehicles(rows: Sequence[Row]) -> str:
     for name, short, unit in PARAMETERS:
         estimated = sorted((row for row in rows if f"{name}_mean" in row), key=lambda row: -row[f"{name}_mean"])
         if estimated:
-            usual = "c_rr [%]" if short == "A/m" else "c_d A [m²]"
-            lists.append(
-                f"<div><h3>{short} [{unit}], <small>{usual}</small></h3>{_folded(_intervals(estimated, name, short))}</div>"
-            )
+            heading = f"{short} [{unit}], {USUAL[name][0]}"
+            lists.append(f"<div><h3>{heading}</h3>{_folded(_intervals(estimated, name, short))}</div>")
     if not lists:
         reasons = Counter(row["C_reason"] for row in rows if row["C_reason"])
         why = "".join(f": {html.escape(reason)}" for reason, _ in reasons.most_common(1))
@@ -159,8 +164,8 @@ def _intervals(rows: Sequence[Row], name: str, short: str) -> list[str]:
         low, at, high = (_share(scale.at(np.array([row[f"{name}_{part}"]]))) for part in ("q05", "mean", "q95"))
         kind = "out" if f"{short} " in row["outlier"] else "in"
         value = html.escape(with_sd(row[f"{name}_mean"], row[f"{name}_sd"], ""))
-        column, factor, unit = USUAL[name]
-        usual = html.escape(f"{factor * row[f'{column}_mean']:.3g} {unit}")
+        _, column, factor, unit = USUAL[name]
+        usual = html.escape(f"{factor * row[column]:.3g} {unit}")
         entries.append(
             f'<li class="{kind}"><span>{html.escape(row["vehicle"])}</span><b class="track">'
             f'<s style="left:{middle:.1f}%"></s>'

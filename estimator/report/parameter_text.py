@@ -66,6 +66,14 @@ def known(parameters: Parameters, coefficients: Coefficients | None) -> list[Kno
     ]
 
 
+def mass(parameters: Parameters) -> str:
+    """``27,161 kg (27,012 .. 27,314)``; empty where it is not estimated."""
+    x = parameters.mass_kg
+    if x.mean is None or x.q05 is None or x.q95 is None:
+        return ""
+    return f"{ROWS[0].value(x.mean)} ({ROWS[0].interval(x.q05, x.q95)})"
+
+
 def coast_down(coefficients: Coefficients | None) -> str:
     """``F0 1,736 N, F1 0, F2 0.2900 N/(km/h)²``, those that are estimated; empty where none is."""
     if coefficients is None:
