@@ -22,6 +22,7 @@ from estimator.units import KMH
 
 FORMATS = (".html",)
 CLOCK = "time since the first frame [h:mm]"
+ACROSS = 5  # ticks of one of three plots side by side
 CHAINS = 4  # that are drawn
 KINDS = {OCCUPIED: "occupied", BEGUN: "begun", WANTED: "wanted"}
 PILLS = {Status.ESTIMATED: "no-gap", Status.UNESTIMATED: "cannot-tell", Status.INVALID: "effect"}
@@ -144,7 +145,7 @@ def _formed(view: EstimateView, row: Row) -> str:
     shapes = band(x, y, curve.t, curve.low, curve.high, "band after") + line(x, y, curve.t, curve.mean, "line after")
     shapes += dots(x, y, curve.t[last], curve.mean[last], "answer")
     words = f"{row.name} over time: {_ends(curve, row, last)}"
-    return plot(shapes, x, y, words, f"{row.name} {row.value(float(curve.mean[last][0]))}", "strip")
+    return plot(shapes, x, y, words, f"{row.name} {row.value(float(curve.mean[last][0]))}", "strip", ACROSS)
 
 
 def _ends(curve: Curve, row: Row, last: slice) -> str:
@@ -225,7 +226,7 @@ def _joint(view: EstimateView) -> str:
         r = signed(f"{np.corrcoef(view.chains(across).ravel(), view.chains(up).ravel())[0, 1]:.2f}")
         title = f"{up.name} over {across.name}, correlation {r}"
         shapes = bar(x, low, high, "span") + dots(x, y, u, v, "cloud")
-        plots.append(plot(shapes, x, y, f"{len(u)} draws: {title}", title, "map"))
+        plots.append(plot(shapes, x, y, f"{len(u)} draws: {title}", title, "map", ACROSS))
     note = f"{len(u):,} of the draws; shaded is the 90 % interval of the quantity across."
     return f'<div class="columns figures">{"".join(plots)}</div>{_soft(note)}'
 
@@ -241,7 +242,7 @@ def _chains(view: EstimateView) -> str:
         at = np.arange(chains.shape[1], dtype=float)
         x, y = axis(at.tolist(), "draw"), axis(chains.ravel().tolist(), row.unit, margin=0.04)
         shapes = "".join(line(x, y, at, chain, f"line chain-{k}") for k, chain in enumerate(chains))
-        plots.append(plot(shapes, x, y, f"{row.name} along {len(chains)} chains", row.name, "strip"))
+        plots.append(plot(shapes, x, y, f"{row.name} along {len(chains)} chains", row.name, "strip", ACROSS))
     words = f"{found.chains} chains of {found.draws} draws; the first {len(chains)} are drawn. "
     words += f"R-hat {found.r_hat:.3f}, {found.ess_bulk:,.0f} effective draws, {100 * found.acceptance:.0f} % accepted."
     return f'<p>{words}</p><div class="columns figures">{"".join(plots)}</div>'

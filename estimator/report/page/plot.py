@@ -144,10 +144,10 @@ def cell(x: Axis, y: Axis, corners: tuple[float, float, float, float], kind: str
     )
 
 
-def plot(shapes: str, x: Axis, y: Axis, description: str, title: str = "", kind: str = "") -> str:
-    """The drawing with its axes; ``description`` is its text for screen readers."""
+def plot(shapes: str, x: Axis, y: Axis, description: str, title: str = "", kind: str = "", most: int = 8) -> str:
+    """The drawing with its axes, ``most`` ticks across; ``description`` is its text for screen readers."""
     grid, labels = [], []
-    for value, at in _placed(x, 8):
+    for value, at in _placed(x, most):
         grid.append(f'<path class="grid" d="M{at:.1f} 0V{SIDE}"/>')
         labels.append(f'<span class="x" style="left:{at / SIDE:.2%}">{x.text(value)}</span>')
     for value, at in _placed(y, 5):
