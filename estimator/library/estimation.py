@@ -117,7 +117,7 @@ class Estimation:
             raise RoadloadError("plot needs matplotlib: pip install 'roadload[plot]'") from error
         return plots.draw(self._view(title))
 
-    def write_page(self, path: str | Path, title: str = "roadload") -> None:
+    def report(self, path: str | Path, title: str = "roadload") -> None:
         """Write the page of `roadload estimate --plot OUT.html`, which opens offline.
 
         Raises

@@ -44,6 +44,16 @@ COEFFICIENTS = (Row("c_rr", "c_rr", "%", "{:.3f}", 100.0), Row("c_d_A_m2", "c_d 
 COAST_DOWN = (Row("F0_N", "F0", "N", "{:,.0f}"), Row("F2_N_h2_km2", "F2", "N/(km/h)²", "{:.4f}"))
 
 
+BESIDE = dict(zip(("A_N", "C_N_s2_m2"), COEFFICIENTS, strict=True))  # what follows from a parameter, by its key
+
+
+def beside(row: Row, coefficients: Coefficients | None) -> str:
+    """``c_rr 0.652 %`` for A, ``c_d A 6.13 m²`` for C; empty where it is not estimated."""
+    derived = BESIDE.get(row.key)
+    mean = None if derived is None or coefficients is None else derived.of(coefficients).mean
+    return "" if derived is None or mean is None else f"{derived.name} {derived.value(mean)}"
+
+
 class Known(NamedTuple):
     """A parameter that is estimated, with its row."""
 

@@ -14,6 +14,7 @@ from estimator.report.number_format import MINUS, number
 from estimator.report.page.plot import Axis, axis, band, bar, cell, line, plot
 from estimator.report.page.series import BLOCKS, binned, telling_minutes
 from estimator.signals import Floats
+from estimator.units import KMH
 
 CAUSES = 8  # colours of the budget; further causes share the last
 BINS = 600  # of an overview: each shows its least, greatest and, in blocks, its mean residual
@@ -42,7 +43,7 @@ def gap_map(cells: GapMap, better: Improved | None) -> str:
     shown = [("plain model", cells.before)] + ([(better.name, cells.after)] if better else [])
     scale = _scale(np.concatenate([values.ravel() for _, values in shown]) / 1e3)
     seen = np.isfinite(cells.before) | np.isfinite(cells.after)
-    x = _covered(cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [m/s]")
+    x = _covered(KMH * cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [km/h]")
     y = _covered(cells.acceleration_edges, np.flatnonzero(seen.any(axis=0)), "acceleration [m/s²]")
     maps = "".join(
         plot(_cells(cells, values / 1e3, x, y, scale), x, y, _map_words(name, values), name, "map")
@@ -53,12 +54,12 @@ def gap_map(cells: GapMap, better: Improved | None) -> str:
 
 
 def _cells(cells: GapMap, kilowatts: Floats, x: Axis, y: Axis, scale: float) -> str:
-    v, a = cells.speed_edges.tolist(), cells.acceleration_edges.tolist()
+    v, a = (KMH * cells.speed_edges).tolist(), cells.acceleration_edges.tolist()
     shapes = []
     for i, j in np.argwhere(np.isfinite(kilowatts)).tolist():
         value, count = float(kilowatts[i, j]), float(cells.samples[i, j])
         words = (
-            f"{v[i]:g} to {v[i + 1]:g} m/s, {a[j]:.2g} to {a[j + 1]:.2g} m/s²: {value:+.1f} kW, {count:,.0f} samples"
+            f"{v[i]:g} to {v[i + 1]:g} km/h, {a[j]:.2g} to {a[j + 1]:.2g} m/s²: {value:+.1f} kW, {count:,.0f} samples"
         )
         strength = 0.04 + 0.96 * min(abs(value) / scale, 1)
         shapes.append(cell(x, y, (v[i], v[i + 1], a[j], a[j + 1]), "high" if value > 0 else "low", strength, words))
