@@ -22,6 +22,7 @@ from estimator.fleet.run import Fleet, check, run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import UNUSED, doubts, require_arrow
 from estimator.report.number_format import counted
+from estimator.report.parameter_text import COEFFICIENTS
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
@@ -145,8 +146,10 @@ def _road_load(row: Row) -> str:
     if rolling and rolling == drag:
         return f"A/m and C unestimated ({rolling})"
     A, C = _value(row, "A_per_mass_N_kg", "N/kg", rolling), _value(row, "C_N_s2_m2", "N/(m/s)^2", drag)
-    c_rr = "" if rolling else f" (c_rr {100 * row['c_rr_mean']:.3g} %)"
-    c_d_A = "" if drag else f" (c_d A {row['c_d_A_m2_mean']:.3g} m^2)"
+    c_rr, c_d_A = (
+        "" if reason else f" ({x.name} {x.value(row[f'{x.key}_mean'])})"
+        for x, reason in zip(COEFFICIENTS, (rolling, drag), strict=True)
+    )
     return f"A/m {A}{c_rr}, C {C}{c_d_A}"
 
 

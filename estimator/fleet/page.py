@@ -21,6 +21,7 @@ from estimator.report.number_format import NOTHING, counted, rounded, signed, wi
 from estimator.report.page.document import Section, document
 from estimator.report.page.plot import DAY, DateAxis, axis, dots, plot, rods
 from estimator.report.page.tables import table
+from estimator.report.parameter_text import COEFFICIENTS
 from estimator.signals import Floats
 from estimator.streaming.row_stream import MIN_SET_CLOCK
 from estimator.units import STANDARD_DENSITY
@@ -30,10 +31,7 @@ HOUR = 60.0  # min
 SHORT = 10  # h of driving, given in minutes below
 STRONG_CHANGE = 10.0  # %, shown in the full colour
 PARAMETERS = (("A_per_mass_N_kg", "A/m", "N/kg"), ("C_N_s2_m2", "C", "N s²/m²"))
-USUAL = {  # beside them: name, column, factor to the unit, unit
-    "A_per_mass_N_kg": ("c_rr", "c_rr_mean", 100.0, "%"),
-    "C_N_s2_m2": ("c_d A", "c_d_A_m2_mean", 1.0, "m²"),
-}
+DERIVED = dict(zip((name for name, _, _ in PARAMETERS), COEFFICIENTS, strict=True))  # what follows from each
 NUMBERS = re.compile(r"[+-]?\d[\d.,]*")
 TERMS = (
     ("A/m", "rolling and friction force over the moving mass, rotating parts included"),
@@ -145,7 +143,7 @@ def _vehicles(rows: Sequence[Row]) -> str:
     for name, short, unit in PARAMETERS:
         estimated = sorted((row for row in rows if f"{name}_mean" in row), key=lambda row: -row[f"{name}_mean"])
         if estimated:
-            heading = f"{short} [{unit}], {USUAL[name][0]}"
+            heading = f"{short} [{unit}], {DERIVED[name].name}"
             lists.append(f"<div><h3>{heading}</h3>{_folded(_intervals(estimated, name, short))}</div>")
     if not lists:
         reasons = Counter(row["C_reason"] for row in rows if row["C_reason"])
@@ -164,13 +162,12 @@ def _intervals(rows: Sequence[Row], name: str, short: str) -> list[str]:
         low, at, high = (_share(scale.at(np.array([row[f"{name}_{part}"]]))) for part in ("q05", "mean", "q95"))
         kind = "out" if f"{short} " in row["outlier"] else "in"
         value = html.escape(with_sd(row[f"{name}_mean"], row[f"{name}_sd"], ""))
-        _, column, factor, unit = USUAL[name]
-        usual = html.escape(f"{factor * row[column]:.3g} {unit}")
+        derived = html.escape(DERIVED[name].value(row[f"{DERIVED[name].key}_mean"]))
         entries.append(
             f'<li class="{kind}"><span>{html.escape(row["vehicle"])}</span><b class="track">'
             f'<s style="left:{middle:.1f}%"></s>'
             f'<i class="range" style="left:{low:.1f}%;width:{max(high - low, 0.5):.1f}%"></i>'
-            f'<i class="point" style="left:{at:.1f}%"></i></b><span>{value} <small>{usual}</small></span></li>'
+            f'<i class="point" style="left:{at:.1f}%"></i></b><span>{value} <small>{derived}</small></span></li>'
         )
     return entries
 
