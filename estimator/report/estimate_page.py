@@ -23,6 +23,7 @@ from estimator.units import KMH
 FORMATS = (".html",)
 CLOCK = "time since the first frame [h:mm]"
 ACROSS = 5  # ticks of one of three plots side by side
+NBSP = "\N{NO-BREAK SPACE}"
 CHAINS = 4  # that are drawn
 KINDS = {OCCUPIED: "occupied", BEGUN: "begun", WANTED: "wanted"}
 PILLS = {Status.ESTIMATED: "no-gap", Status.UNESTIMATED: "cannot-tell", Status.INVALID: "effect"}
@@ -93,9 +94,11 @@ def _header(view: EstimateView) -> str:
 def _words(view: EstimateView) -> str:
     """Rolling resistance and drag in one sentence."""
     parameters, coefficients = summary.parameters(view.final), summary.coefficients(view.final)
-    by_name = {x.row.name: x.row.value(x.mean) for x in parameter_text.known(parameters, coefficients)}
+    by_name = {
+        x.row.name: x.row.value(x.mean).replace(" ", NBSP) for x in parameter_text.known(parameters, coefficients)
+    }
     parts = [
-        f"{what} {', '.join(f'{name} {by_name[name]}' for name in names)}"
+        f"{what} {', '.join(f'{name}{NBSP}{by_name[name]}' for name in names)}"
         if names[0] in by_name
         else f"{what} unestimated"
         for what, names in (("rolling resistance", ("A", "c_rr")), ("drag", ("C", "c_d A")))
@@ -194,7 +197,7 @@ def _power(view: EstimateView, power: PowerTrace) -> str:
     key = '<p class="key"><span class="measured">measured</span><span class="after">fitted</span></p>'
     stated = "" if rms is None else f", root mean square {rms / 1e3:.1f} kW over {int(np.isfinite(power.t).sum()):,} s"
     return (
-        f"<p>The five minutes in which the fit misses most, {span}.</p>{key}"
+        f"<p>The five minutes in which the fit misses most, {span}; gaps are moments that are not used.</p>{key}"
         + plot(shapes, x, y, f"Power from {span}: measured, fitted", kind="trace")
         + _residual(part, x, "", 0)
         + f"<h3>Residual of the whole fit{stated}</h3>"
