@@ -1,8 +1,10 @@
 """The estimate of one update, which is printed, broadcast and stored."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from math import sqrt
+
+from estimator.units import STANDARD_DENSITY
 
 PARAMETERS = ("A", "C", "m")  # order of every parameter vector: [N], [N s^2/m^2], [kg]
 
@@ -24,6 +26,15 @@ class Marginal:
     q05: float
     q50: float
     q95: float
+
+    def times(self, factor: float) -> "Marginal":
+        """Posterior of the parameter times a positive ``factor``."""
+        return Marginal(**{name: factor * value for name, value in asdict(self).items()})
+
+
+def drag_area(C: Marginal, density: float | None) -> Marginal:
+    """Return c_d A = 2 C / density [m^2] from C [N s^2/m^2] in air of a density [kg/m^3]; None: the standard's."""
+    return C.times(2 / (density or STANDARD_DENSITY))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +135,8 @@ class Estimate:
     load: LoadChange | None = None  # against the load before the last long stop, where that was estimated
     withheld: dict[str, str] = field(default_factory=dict)  # reason, for each of PARAMETERS that is not known yet
     road: Road | None = None  # where the model has one
+    c_rr: Marginal | None = None  # A / (m g) [1], by the mass that is estimated, rotating parts included
+    air_density: float | None = None  # [kg/m^3] that C holds for; None where no signal shows it
 
     @property
     def marginals(self) -> dict[str, Marginal | None]:

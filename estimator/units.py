@@ -7,6 +7,8 @@ from math import pi
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, ISO 80000-3
 HOUR = 3600.0  # s
+KMH = 3.6  # km/h in 1 m/s
+STANDARD_DENSITY = 1.225  # kg/m^3, of air at sea level, ISO 2533
 EARTH_RADIUS = 6.371e6  # m, of a sphere: cells and short ways need no ellipsoid
 
 

@@ -1,7 +1,18 @@
 """Views with everything in them, for the tests of the screen and of the page of `watch`."""
 
 from estimator.answers import status as answer
-from estimator.answers.run import Coverage, CoverageMap, Needed, Parameter, Parameters, Past, Quantiles, Road
+from estimator.answers.run import (
+    CoastDown,
+    Coefficients,
+    Coverage,
+    CoverageMap,
+    Needed,
+    Parameter,
+    Parameters,
+    Past,
+    Quantiles,
+    Road,
+)
 from estimator.answers.watch import WatchAnswer
 from estimator.estimates import Status
 from estimator.watch import view
@@ -54,6 +65,13 @@ def estimated(source: str = "drive.blf", unused: dict[str, int] | None = None) -
         coverage=Coverage(fraction=0.6, occupied=54, available=90),
         t_s=480.0,
         road=Road(slope_sd=0.012, length_m=800.0, shown_by=("altitude",), climbed_m=120.0),
+        coefficients=Coefficients(
+            c_rr=_parameter(0.00652),
+            c_d_A_m2=_parameter(6.12),
+            air_density_kg_m3=1.222,
+            is_density_measured=True,
+            coast_down=CoastDown(F0_N=_parameter(1739.0), F1_N_h_km=0.0, F2_N_h2_km2=_parameter(3.74 / 3.6**2)),
+        ),
     )
     progress = answer.Progress(t_s=492.0, samples=9000, needed=NEEDED, coverage_map=CELLS, history=_history())
     return _seen(

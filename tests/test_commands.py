@@ -62,6 +62,8 @@ JSON_KEYS = {
     "effects",
     "magnitudes",
     "updates",
+    "coefficients",
+    "coverage_map",
     "road",
 }
 

@@ -20,7 +20,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(recording, tmp_path_factory.mktemp("drive") / "drive.blf")
 
 
-def test_an_estimate_is_that_of_the_command(log: Path) -> None:
+def test_an_estimate_is_that_of_the_command(log: Path, tmp_path: Path) -> None:
     made = read(log)
     assert repr(made).startswith("25 min, ")
     est = estimate(made)
@@ -33,6 +33,10 @@ def test_an_estimate_is_that_of_the_command(log: Path) -> None:
     assert est._repr_html_().startswith("<pre>estimated")
     assert est.to_arviz()["posterior"]["mass_kg"].mean() == pytest.approx(est.mass.mean)
     assert len(est.plot().axes) > 3
+    est.report(tmp_path / "page.html", "my <drive>")
+    text = (tmp_path / "page.html").read_text()
+    assert f"<h1>Mass {est.mass.mean:,.0f} kg" in text
+    assert "my &lt;drive&gt;" in text
 
 
 def test_a_diagnosis_is_that_of_the_command(log: Path, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ RUN = ["README.md", "docs/logs.md", "docs/diagnosis.md"]  # pages whose commands
 SUFFIXES = ("npy", "parquet", "py")  # of files that are called as a table of the configuration is
 ANSWERS = (("load", "probability"), ("transmit", "trouble_codes"))  # keys of JSON answers
 MAX_LINES, MAX_WORDS = 150, 1_500
+MAX_PICTURE = 40_000  # bytes
 SAMPLED = 0.002  # relative difference of sampled numbers between machines
 ON_FILES = ("inspect", "estimate", "replay", "diagnose", "simulate")
 ON_A_BUS = ("run", "check", "status")
@@ -84,6 +85,25 @@ def test_outputs_are_those_of_the_program(name: str, tmp_path: Path) -> None:
 
     assert readme.blocks(PAGE).keys() == readme.EXAMPLES.keys() == {"demo", "hills"}
     assert_same(readme.EXAMPLES[name](tmp_path), readme.blocks(PAGE)[name], rtol=SAMPLED)
+
+
+def test_pictures_say_what_the_outputs_say() -> None:
+    """The numbers in them are those of the blocks, which the test above compares with the program."""
+    import readme
+
+    texts = {}
+    for name in re.findall(r"\]\(docs/pictures/(\w+)\.svg\)", PAGE):
+        content = (ROOT / "docs" / "pictures" / f"{name}.svg").read_text(encoding="utf-8")
+        assert len(content.encode()) < MAX_PICTURE
+        texts[name] = " ".join(re.findall(r"<text[^>]*>([^<]*)", content))
+    assert texts.keys() == {"mass", "gap"}
+    blocks = readme.blocks(PAGE)
+    mean, interval, truth = re.findall(r"mass +([\d,]+ kg) +([\d,]+ \.\. [\d,]+) .* ([\d,]+)", blocks["demo"])[0]
+    assert f"mass {mean} ({interval})" in texts["mass"]
+    assert f"truth {truth} kg" in texts["mass"]
+    before, effect, after = re.findall(r"plain model ([\d.]+ kW), \+ (\w+) ([\d.]+ kW)", blocks["hills"])[0]
+    assert f"plain model: {before}" in texts["gap"]
+    assert f"with {effect}: {after}" in texts["gap"]
 
 
 @pytest.mark.slow

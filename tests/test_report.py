@@ -13,6 +13,7 @@ from estimator import config
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.commands.main import main
+from estimator.report.estimate_view import view_of
 from estimator.report.plots import write_plot
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
@@ -92,12 +93,11 @@ def test_pictures(outputs: dict[str, Path], suffix: str, start: bytes) -> None:
 
 @pytest.mark.parametrize("suffix", ["svg", "pdf"])
 def test_a_picture_has_no_date_and_any_name(log: Path, once: Path, suffix: str) -> None:
-    found = estimate_logs([log], config.load(once)).pipeline.estimator.evidence
-    assert found is not None
+    view = view_of(estimate_logs([log], config.load(once)), "a$b_$ $\\frac$ \udcff")
     pictures = []
     for number in range(2):
         path = log.with_name(f"{number}.{suffix}")
-        write_plot(found, "a$b_$ $\\frac$ \udcff", path)
+        write_plot(view, path)
         pictures.append(path.read_bytes())
     assert pictures[0] == pictures[1]
 

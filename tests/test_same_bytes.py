@@ -35,6 +35,6 @@ def test_pictures_and_pages_do_not_depend_on_the_process(tmp_path: Path) -> None
         printed.append(dict(line.split() for line in text.splitlines()))
     first, second = printed
     assert first == second
-    assert len(first) == 4 + len(KINDS) * DRAWINGS
+    assert len(first) == 5 + len(KINDS) * DRAWINGS
     for suffix in KINDS:
         assert len({value for name, value in first.items() if name.endswith(suffix)}) == 1

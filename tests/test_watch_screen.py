@@ -111,6 +111,9 @@ def test_signals_are_read_in_usual_units() -> None:
     assert usual_units.between(Role.YAW_RATE, -np.pi, np.pi) == "-180 .. 180 °/s"
     assert usual_units.between(Role.ENGINE_SPEED, 0.0, 20 * np.pi) == "0 .. 600 rpm"
     assert usual_units.between(Role.GEAR, 1.0, 12.0) == "1 .. 12"
+    places = {(25.0, "m/s"): "90 km/h", (-0.12, "m/s^2"): "\N{MINUS SIGN}0.12 m/s²", (12.5, "degC"): "12.5 °C"}
+    places |= {(90.0, "deg"): "90°", (3.0, ""): "3", (1200.0, "s"): "1,200 s"}
+    assert {place: usual_units.with_unit(*place) for place in places} == places
     for role in Role:
         assert usual_units.between(role, 0.0, 1.0)
 

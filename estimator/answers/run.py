@@ -26,6 +26,28 @@ class Parameters(Struct, frozen=True, kw_only=True):
     C_N_s2_m2: Parameter
 
 
+class CoastDown(Struct, frozen=True, kw_only=True):
+    """The force F = F0 + F1 v + F2 v^2, v in km/h, on a level road without wind: F0 is A, and the model has no F1."""
+
+    F0_N: Parameter
+    F1_N_h_km: float
+    F2_N_h2_km2: Parameter
+
+
+class Coefficients(Struct, frozen=True, kw_only=True):
+    """Rolling resistance and drag in the terms of tyres, bodies and coast-down tests.
+
+    ``c_rr`` is A / (m g), where A has all friction behind the place where power is measured, and m rotating parts.
+    ``c_d_A_m2`` is 2 C / ``air_density_kg_m3``, which is the standard's (ISO 2533) unless ``is_density_measured``.
+    """
+
+    c_rr: Parameter
+    c_d_A_m2: Parameter
+    air_density_kg_m3: float
+    is_density_measured: bool
+    coast_down: CoastDown
+
+
 class Convergence(Struct, frozen=True, kw_only=True):
     """Diagnostics of the chains: worst value over the parameters; draws per chain."""
 
@@ -163,3 +185,5 @@ class RunAnswer(Answer, frozen=True, kw_only=True):
     effects: tuple[str, ...]
     magnitudes: dict[str, Marginal]
     updates: tuple[Update, ...]
+    coefficients: Coefficients | None = None
+    coverage_map: CoverageMap | None = None

@@ -6,7 +6,17 @@ from typing import Literal
 from msgspec import UNSET, Struct, UnsetType, field
 
 from estimator.answers.answer import Answer
-from estimator.answers.run import Convergence, Coverage, CoverageMap, Needed, Parameters, Past, Road, RoadNow
+from estimator.answers.run import (
+    Coefficients,
+    Convergence,
+    Coverage,
+    CoverageMap,
+    Needed,
+    Parameters,
+    Past,
+    Road,
+    RoadNow,
+)
 from estimator.estimates import Status
 
 
@@ -100,6 +110,7 @@ class Estimate(Struct, frozen=True, kw_only=True):
     coverage: Coverage
     t_s: float | None = None
     road: Road | None = None
+    coefficients: Coefficients | None = None
 
 
 class Progress(Struct, frozen=True, kw_only=True):

@@ -10,7 +10,7 @@ from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import Budget
 from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Shift
 from estimator.printable import printable
-from estimator.report import number_format, wording
+from estimator.report import usual_units, wording
 
 RANKING_ROWS, PLACE_ROWS, NAMES_IN_LINE = 6, 5, 4  # rows of the ranking, of the places, names in a line
 STYLES = {Verdict.EFFECT: "cyan", Verdict.NO_GAP: "green", Verdict.UNKNOWN: "magenta", Verdict.CANNOT_TELL: "yellow"}
@@ -94,7 +94,7 @@ def _budget(budget: Budget) -> Table:
 def _places(d: Diagnosis) -> Table:
     table = _table("where", "from", "to", "mean residual", "of the square", right=(1, 2, 3, 4))
     for p in d.where[:PLACE_ROWS]:
-        ends = [f"{number_format.number(at)} {p.unit}" for at in (p.start, p.end)]
+        ends = [usual_units.with_unit(at, p.unit) for at in (p.start, p.end)]
         row = (wording.label(p.axis), *ends, wording.kilowatts(p.bias), wording.percent(p.share))
         table.add_row(*map(Text, row))
     return table

@@ -23,7 +23,8 @@ from estimator.commands.tables import print_run
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.errors import RoadloadError
 from estimator.extras import how_to_install
-from estimator.report import export, summary
+from estimator.report import estimate_page, export, summary
+from estimator.report.estimate_view import EstimateView, evidence_of, view_of
 from estimator.streaming import replay
 from estimator.streaming.replay import Run
 
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_map(parser)
     add_seed(parser, "sampler")
     parser.add_argument("--draws", type=Path, metavar="OUT.csv|.json|.nc", help="draws of the posterior")
-    parser.add_argument("--plot", type=Path, metavar="OUT.png|.svg|.pdf|.html", help="posterior, fit, coverage, chains")
+    parser.add_argument("--plot", type=Path, metavar="OUT.html|.png|.svg|.pdf", help="the answer, and what it rests on")
     add_effects(parser)
 
 
@@ -45,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """Estimate, write the files asked for, and print the answer."""
     outputs: dict[Path | None, tuple[str, ...]] = {options.draws: export.FORMATS}
     if options.plot is not None:
-        outputs[options.plot] = _plots().FORMATS
+        outputs[options.plot] = (*estimate_page.FORMATS, *_picture_formats(options.plot))
     check_outputs(options.log, outputs)
     if options.draws is not None and options.draws.suffix.lower() == ".nc":
         export.require_arviz()
@@ -56,13 +57,13 @@ def run(options: argparse.Namespace) -> int:
             return replay.estimate_logs(options.log, chosen, progress)
 
     result, status = until_interrupted(work)
-    evidence = result.pipeline.estimator.evidence
+    evidence = evidence_of(result)
     if evidence is not None and options.draws is not None:
         export.write_draws(evidence, options.draws)
-    if evidence is not None and options.plot is not None:
-        _plots().write_plot(evidence, f"roadload: {', '.join(path.name for path in options.log)}", options.plot)
-    if evidence is None and (options.draws or options.plot):
-        complain("note: no estimate, so no draws and no picture were written")
+    if evidence is None and options.draws is not None:
+        complain("note: no estimate, so no draws were written")
+    if options.plot is not None:
+        _write_plot(view_of(result, ", ".join(path.name for path in options.log)), options.plot)
     complain_of_channels(result.mixed_channels)
     complain_of_databases(settings(options))
     if options.json:
@@ -72,9 +73,22 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
+def _write_plot(view: EstimateView, path: Path) -> None:
+    if path.suffix.lower() in estimate_page.FORMATS:
+        estimate_page.write_page(view, path)
+    else:
+        _plots().write_plot(view, path)
+
+
+def _picture_formats(path: Path) -> tuple[str, ...]:
+    """Suffixes of pictures; none for a page, which needs no matplotlib."""
+    formats: tuple[str, ...] = () if path.suffix.lower() in estimate_page.FORMATS else _plots().FORMATS
+    return formats
+
+
 def _plots() -> ModuleType:
     """The module that draws; it needs matplotlib, so it is imported for ``--plot`` only."""
     try:
         return importlib.import_module("estimator.report.plots")
     except ImportError as error:
-        raise RoadloadError(f"--plot needs matplotlib: {how_to_install('plot')}") from error
+        raise RoadloadError(f"--plot needs matplotlib, but for .html: {how_to_install('plot')}") from error

@@ -21,6 +21,7 @@ from estimator.fleet.run import Fleet, check, run_fleet
 from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import UNUSED, doubts, require_arrow
 from estimator.report.number_format import counted
+from estimator.report.parameter_text import COEFFICIENTS
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
@@ -143,7 +144,11 @@ def _road_load(row: Row) -> str:
     if rolling and rolling == drag:
         return f"A/m and C unestimated ({rolling})"
     A, C = _value(row, "A_per_mass_N_kg", "N/kg", rolling), _value(row, "C_N_s2_m2", "N/(m/s)^2", drag)
-    return f"A/m {A}, C {C}"
+    c_rr, c_d_A = (
+        "" if reason else f" ({x.name} {x.value(row[f'{x.key}_mean'])})"
+        for x, reason in zip(COEFFICIENTS, (rolling, drag), strict=True)
+    )
+    return f"A/m {A}{c_rr}, C {C}{c_d_A}"
 
 
 def _value(row: Row, name: str, unit: str, reason: str) -> str:

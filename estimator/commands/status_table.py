@@ -75,7 +75,7 @@ def _print_estimate(console: Console, status: StatusAnswer) -> None:
         age = f", concluded {clock(estimate.age_s)} ago"
         console.print(Text.assemble("estimate  ", (estimate.status.value, style), printable(why), age), soft_wrap=True)
         if estimate.status is Status.ESTIMATED:
-            print_estimate(console, estimate.parameters)
+            print_estimate(console, estimate.parameters, estimate.coefficients)
         for row in ROWS:
             x = row.of(estimate.parameters)
             if x.mean is None and estimate.status is Status.ESTIMATED:

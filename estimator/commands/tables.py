@@ -1,6 +1,5 @@
 """The estimate and the inspection on the terminal."""
 
-import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -14,7 +13,6 @@ from estimator.model.effects import BY_NAME, unbound
 from estimator.printable import printable
 from estimator.report import number_format, parameter_text, summary, usual_units
 from estimator.report.next_step import next_step
-from estimator.report.run_warnings import warnings_of
 from estimator.roles import Role
 from estimator.streaming.replay import Run
 
@@ -30,10 +28,10 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
     )
     if advice := next_step(run):
         say(console, f"to do     {advice}")
-    for warning in (*run.pipeline.traffic.remarks, *warnings_of(run.pipeline.config, run.pipeline.traffic.errors)):
+    for warning in summary.warnings(run):
         say(console, f"warning   {warning}")
     if final.mass is not None:
-        print_estimate(console, summary.parameters(final), truth)
+        print_estimate(console, summary.parameters(final), summary.coefficients(final), truth)
     for key, reason in final.withheld.items():
         say(console, f"{key:9} unestimated: {reason}")
     _print_fit(console, run)
@@ -55,9 +53,6 @@ def _print_fit(console: Console, run: Run) -> None:
     evidence = estimator.evidence
     if evidence is not None:
         say(console, f"lag       power comes {evidence.lag:.2f} s after speed, and has been aligned")
-    if evidence is not None and np.isfinite(evidence.trace.density).any():
-        density = float(np.nanmean(evidence.trace.density))
-        say(console, f"air       {density:.3f} kg/m³; C holds for this density, and is proportional to it")
     c, k = final.coverage, final.convergence
     say(console, f"coverage  {100 * c.fraction:.0f} % ({c.occupied} of {c.available} reachable cells)")
     if k is not None and final.rms is not None:

@@ -42,7 +42,7 @@ class Frame:
         """Frame of a fit of the road model."""
         return cls(
             strides=fit.strides,
-            force=fit.strides.force[:, fit.scales.lag],
+            force=fit.force,
             road_load=fit.road_load,
             lag=fit.lag,
             taken=fit.taken,

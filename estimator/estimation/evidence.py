@@ -16,8 +16,8 @@ from estimator.signals import Floats
 class Trace:
     """Data that the model was fitted to; all arrays (n,).
 
-    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` measured power [W], ``fitted`` power [W], ``density`` of the air
-    [kg/m^3], NaN where unknown; ``spacing`` [s] is the time between consecutive elements.
+    ``t`` [s], ``v`` [m/s], ``a`` [m/s^2], ``P`` measured power [W] aligned with the speed, ``fitted`` power [W],
+    ``density`` of the air [kg/m^3], NaN where unknown; ``spacing`` [s] is the time between consecutive elements.
     """
 
     t: Floats
@@ -32,6 +32,12 @@ class Trace:
     def relative_density(self) -> Floats:
         """Air density (n,) over its mean in this trace [1]; 1 where it is unknown."""
         return over_mean(self.density)
+
+    @property
+    def mean_density(self) -> float | None:
+        """Mean density [kg/m^3] of the air, for which C holds; None where it is unknown."""
+        known = self.density[np.isfinite(self.density)]
+        return float(known.mean()) if len(known) else None
 
 
 @dataclass(frozen=True)

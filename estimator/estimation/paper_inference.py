@@ -118,16 +118,17 @@ class PaperInference:
     ) -> Estimate:
         """Return the estimate from converged draws; store its evidence and the segment of its load."""
         rms = float(np.sqrt(np.mean((pulling.power - fitted) ** 2)))
+        trace = Trace(
+            t=pulling.t,
+            v=pulling.speed,
+            a=pulling.a,
+            P=pulling.power,
+            fitted=fitted,
+            density=pulling.density,
+            spacing=DURATION,
+        )
         self.evidence = Evidence(
-            trace=Trace(
-                t=pulling.t,
-                v=pulling.speed,
-                a=pulling.a,
-                P=pulling.power,
-                fitted=fitted,
-                density=pulling.density,
-                spacing=DURATION,
-            ),
+            trace=trace,
             posterior=draws,
             lag=0.0,
             grid=self._window.grid,
@@ -149,6 +150,8 @@ class PaperInference:
             convergence=draws.convergence,
             rms=rms,
             load=self._loads.show(Segment(road_load.mean(axis=0), np.cov(road_load.T), t)),
+            c_rr=draws.c_rr,
+            air_density=trace.mean_density,
         )
 
 

@@ -10,6 +10,7 @@ from estimator.sampling.likelihood import Target
 from estimator.sampling.run import MAX_R_HAT, run
 from estimator.settings import Prior
 from estimator.signals import Floats
+from estimator.units import STANDARD_GRAVITY
 
 MIN_ESS = 100.0  # effective draws: the Monte Carlo error of the mean is then a tenth of the sd
 MAX_USUAL_MAGNITUDES = 20.0  # bound of an effect's magnitude, over its usual magnitude
@@ -35,9 +36,18 @@ class Posterior:
 
     def marginal(self, i: int) -> Marginal:
         """Return mean, sd and quantiles of parameter ``i``."""
-        x = self.draws[:, :, i]
-        q05, q50, q95 = np.quantile(x, [0.05, 0.5, 0.95]).tolist()
-        return Marginal(mean=float(x.mean()), sd=float(x.std(ddof=1)), q05=q05, q50=q50, q95=q95)
+        return _marginal(self.draws[:, :, i])
+
+    @property
+    def c_rr(self) -> Marginal:
+        """Marginal of A / (m g) [1], the ratio draw by draw."""
+        A, _, m = np.moveaxis(self.draws[:, :, :3], 2, 0)
+        return _marginal(A / (m * STANDARD_GRAVITY))
+
+
+def _marginal(draws: Floats) -> Marginal:
+    q05, q50, q95 = np.quantile(draws, [0.05, 0.5, 0.95]).tolist()
+    return Marginal(mean=float(draws.mean()), sd=float(draws.std(ddof=1)), q05=q05, q50=q50, q95=q95)
 
 
 def box(prior: Prior) -> tuple[Floats, Floats]:

@@ -69,11 +69,16 @@ class RoadFit:
         """Road load [A, C, m] (3,) that effects and priors scale with, see `scaled_by`."""
         return scaled_by(self.beta)
 
+    @property
+    def force(self) -> Floats:
+        """Measured force (n,) [N], its power taken later by the lag of the scales."""
+        aligned: Floats = self.strides.force[:, self.scales.lag]
+        return aligned
+
     @cached_property
     def taken(self) -> Floats:
         """Force (n,) [N] of the terms, without those computed from the acceleration."""
-        force = self.strides.force[:, self.scales.lag]
-        return taken_by(self.strides, force, self.road_load, self.terms, self.theta[LAG + 1 :])
+        return taken_by(self.strides, self.force, self.road_load, self.terms, self.theta[LAG + 1 :])
 
     @property
     def lag(self) -> float:

@@ -287,13 +287,14 @@ class RoadInference:
         reasons: dict[str, str],
     ) -> Estimate:
         driven, window = found.strides, self._window
-        rms = float(np.sqrt(np.mean(found.residual_power**2)))
+        power, residual = found.force * driven.speed, found.residual_power
+        rms = float(np.sqrt(np.mean(residual**2)))
         trace = Trace(
             t=driven.t,
             v=driven.speed,
             a=driven.a,
-            P=driven.power,
-            fitted=driven.power - found.residual_power,
+            P=power,
+            fitted=power - residual,
             density=driven.density,
             spacing=DURATION,
         )
@@ -325,6 +326,8 @@ class RoadInference:
             load=self._loads.show(Segment(road_load.mean(axis=0), np.cov(road_load.T), t)),
             withheld=reasons,
             road=_road(found),
+            c_rr=draws.c_rr if "A" in marginals else None,
+            air_density=trace.mean_density,
         )
 
 

@@ -40,7 +40,7 @@ class Segment:
 
     ``start`` [s] and ``minutes`` [min] are those of its rows. ``parameters`` are m [kg], A [N] and C [N s^2/m^2].
     ``mean`` (3,) and ``covariance`` (3, 3) are those of the likelihood of [1/m, A/m, C/m]; empty if the mass is not
-    estimated.
+    estimated. ``c_rr`` [1] and ``air_density`` [kg/m^3] are those of `Estimate`.
     """
 
     start: float
@@ -50,6 +50,8 @@ class Segment:
     parameters: dict[str, Parameter]
     mean: list[float]
     covariance: list[list[float]]
+    c_rr: Marginal | None = None
+    air_density: float | None = None
 
     @property
     def coefficients(self) -> Coefficients | None:
@@ -201,4 +203,6 @@ def _segment(update: Estimate, coefficients: Coefficients | None, start: float, 
         parameters=parameters,
         mean=[] if coefficients is None else coefficients.mean.tolist(),
         covariance=[] if coefficients is None else coefficients.covariance.tolist(),
+        c_rr=update.c_rr,
+        air_density=update.air_density,
     )

@@ -1,14 +1,13 @@
 """Export of a vehicle for simulators and range planners."""
 
 from estimator.answers.vehicle import CoastDown, Fastsim, FastsimChassis, Shared, Value, Vecto, VehicleAnswer
-from estimator.estimates import Marginal
+from estimator.estimates import Marginal, drag_area
 from estimator.fleet.vehicles import DRAG, ROLLING, VehicleResult
-from estimator.units import STANDARD_GRAVITY
+from estimator.units import KMH, STANDARD_GRAVITY
 
 FASTSIM_DENSITY = 1.2  # kg/m^3, of FASTSim 3.1 by default, at any elevation
 VECTO_DENSITY = 1.188  # kg/m^3, of VECTO: its reference for the air drag
 FRONTAL_AREA = 10.0  # m^2, about that of a truck; the drag coefficient goes with it
-KMH = 3.6  # km/h in a m/s
 
 
 def export(result: VehicleResult) -> VehicleAnswer | None:
@@ -33,7 +32,7 @@ def export(result: VehicleResult) -> VehicleAnswer | None:
         fastsim=Fastsim(
             mass_kilograms=mass,
             chassis=FastsimChassis(
-                drag_coef=_drag_area(C, FASTSIM_DENSITY) / FRONTAL_AREA,
+                drag_coef=drag_area(result.drag, FASTSIM_DENSITY).mean / FRONTAL_AREA,
                 frontal_area_square_meters=FRONTAL_AREA,
                 wheel_rr_coef=coefficient,
                 wheel_inertia_kilogram_square_meters=0.0,
@@ -41,14 +40,9 @@ def export(result: VehicleResult) -> VehicleAnswer | None:
                 cargo_mass_kilograms=None,
             ),
         ),
-        vecto=Vecto(CdA=_drag_area(C, VECTO_DENSITY), RRCISO=coefficient),
+        vecto=Vecto(CdA=drag_area(result.drag, VECTO_DENSITY).mean, RRCISO=coefficient),
     )
 
 
 def _shared(marginal: Marginal, scatter: float, factor: float = 1.0) -> Shared:
     return Shared(mean=factor * marginal.mean, sd=factor * marginal.sd, scatter=factor * scatter)
-
-
-def _drag_area(C: float, density: float) -> float:
-    """Drag area [m^2] from C [N s^2/m^2]: C = density / 2 * area."""
-    return 2 * C / density

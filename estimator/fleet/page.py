@@ -21,18 +21,26 @@ from estimator.report.number_format import NOTHING, counted, rounded, signed, wi
 from estimator.report.page.document import Section, document
 from estimator.report.page.plot import DAY, DateAxis, axis, dots, plot, rods
 from estimator.report.page.tables import table
+from estimator.report.parameter_text import COEFFICIENTS
 from estimator.signals import Floats
 from estimator.streaming.row_stream import MIN_SET_CLOCK
+from estimator.units import STANDARD_DENSITY
 
 MAX_ROWS = 40  # of a list; the others are folded away
 HOUR = 60.0  # min
 SHORT = 10  # h of driving, given in minutes below
 STRONG_CHANGE = 10.0  # %, shown in the full colour
 PARAMETERS = (("A_per_mass_N_kg", "A/m", "N/kg"), ("C_N_s2_m2", "C", "N s²/m²"))
+DERIVED = dict(zip((name for name, _, _ in PARAMETERS), COEFFICIENTS, strict=True))  # what follows from each
 NUMBERS = re.compile(r"[+-]?\d[\d.,]*")
 TERMS = (
-    ("A/m", "rolling and friction force over the mass; 0.06 N/kg is a rolling resistance of 0.6 %"),
+    ("A/m", "rolling and friction force over the moving mass, rotating parts included"),
+    ("c_rr", "A/m over the standard gravity; it has all friction behind the place where power is measured"),
     ("C", "aerodynamic force over the square of the speed; it holds for the density of the air on the drive"),
+    (
+        "c_d A",
+        f"2 C over the density of the air, that of the newest drive that has it, else {STANDARD_DENSITY} kg/m³",
+    ),
     (
         "interval",
         "90 %, of the vehicle as at its newest drive; single drives scatter around it, with the wind for one",
@@ -135,7 +143,8 @@ def _vehicles(rows: Sequence[Row]) -> str:
     for name, short, unit in PARAMETERS:
         estimated = sorted((row for row in rows if f"{name}_mean" in row), key=lambda row: -row[f"{name}_mean"])
         if estimated:
-            lists.append(f"<div><h3>{short} [{unit}]</h3>{_folded(_intervals(estimated, name, short))}</div>")
+            heading = f"{short} [{unit}], {DERIVED[name].name}"
+            lists.append(f"<div><h3>{heading}</h3>{_folded(_intervals(estimated, name, short))}</div>")
     if not lists:
         reasons = Counter(row["C_reason"] for row in rows if row["C_reason"])
         why = "".join(f": {html.escape(reason)}" for reason, _ in reasons.most_common(1))
@@ -153,11 +162,12 @@ def _intervals(rows: Sequence[Row], name: str, short: str) -> list[str]:
         low, at, high = (_share(scale.at(np.array([row[f"{name}_{part}"]]))) for part in ("q05", "mean", "q95"))
         kind = "out" if f"{short} " in row["outlier"] else "in"
         value = html.escape(with_sd(row[f"{name}_mean"], row[f"{name}_sd"], ""))
+        derived = html.escape(DERIVED[name].value(row[f"{DERIVED[name].key}_mean"]))
         entries.append(
             f'<li class="{kind}"><span>{html.escape(row["vehicle"])}</span><b class="track">'
             f'<s style="left:{middle:.1f}%"></s>'
             f'<i class="range" style="left:{low:.1f}%;width:{max(high - low, 0.5):.1f}%"></i>'
-            f'<i class="point" style="left:{at:.1f}%"></i></b><span>{value}</span></li>'
+            f'<i class="point" style="left:{at:.1f}%"></i></b><span>{value} <small>{derived}</small></span></li>'
         )
     return entries
 

@@ -1,12 +1,13 @@
 """Rows of the tables of a fleet."""
 
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from estimator.columns import Row, statistics
-from estimator.estimates import Marginal, Status
+from estimator.estimates import Marginal, Status, drag_area
 from estimator.fleet.drive_result import DriveResult, Segment
 from estimator.fleet.grouping import Drive
 from estimator.fleet.road import LearnedRoad
@@ -14,6 +15,7 @@ from estimator.fleet.run import Fleet
 from estimator.fleet.vehicles import DRAG, ROLLING, Normal, VehicleResult
 from estimator.road_map import COURSES, centre_of, place_of
 from estimator.signals import Floats
+from estimator.units import STANDARD_GRAVITY
 
 MINUTE = 60.0  # s
 DEGREE_DIGITS = 6  # 0.1 m
@@ -57,6 +59,8 @@ def _segment_cells(segment: Segment, joint: Marginal | None) -> dict[str, Any]:
         **statistics("C_N_s2_m2", C.posterior),
         "A_reason": A.reason,
         "C_reason": C.reason,
+        **statistics("c_rr", segment.c_rr),
+        **_drag_area(C.posterior, segment.air_density),
         **statistics("joint_mass_kg", joint),
     }
 
@@ -83,6 +87,8 @@ def vehicle_rows(fleet: Fleet, rate: float) -> list[Row]:
             **statistics("C_N_s2_m2", vehicle.drag),
             "C_reason": vehicle.reasons[DRAG],
             "C_q_value": float(q[DRAG]),
+            **statistics("c_rr", None if vehicle.rolling is None else vehicle.rolling.times(1 / STANDARD_GRAVITY)),
+            **_drag_area(vehicle.drag, _newest_density(drives)),
             "outlier": ", ".join(_out_of_line(fleet, vehicle, q, rate)),
         }
         if vehicle.load is not None:
@@ -91,6 +97,18 @@ def vehicle_rows(fleet: Fleet, rate: float) -> list[Row]:
         row |= _changes("trend", vehicle.trend) | _changes("winter", vehicle.winter)
         rows.append(row)
     return rows
+
+
+def _drag_area(C: Marginal | None, density: float | None) -> dict[str, float]:
+    """Columns of the drag area and of the density [kg/m^3] that was measured."""
+    air = {} if density is None else {"air_density_kg_m3": density}
+    return air | statistics("c_d_A_m2", None if C is None else drag_area(C, density))
+
+
+def _newest_density(drives: Sequence[tuple[Drive, DriveResult]]) -> float | None:
+    """Density of the air [kg/m^3] on the newest drive that measured it."""
+    known = [(one.start, one.air_density) for _, result in drives for one in result.segments if one.air_density]
+    return max(known)[1] if known else None
 
 
 def _changes(kind: str, change: tuple[Normal, Normal] | None) -> dict[str, float]:

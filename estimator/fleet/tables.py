@@ -13,6 +13,7 @@ from estimator.errors import RoadloadError
 from estimator.extras import how_to_install
 from estimator.output_files import whole
 from estimator.printable import escaped
+from estimator.units import STANDARD_DENSITY
 
 UNUSED = ("unreadable", "duplicate", "failed")  # status of a log that gives no estimate, with its reason
 
@@ -21,6 +22,7 @@ def _change(name: str, unit: str, meaning: str) -> list[Column]:
     return [Column(f"{name}_{part}", "number", unit, f"{meaning}: {part}") for part in ("mean", "sd")]
 
 
+DENSITY = Column("air_density_kg_m3", "number", "kg/m3", f"measured; without, c_d_A_m2 is by {STANDARD_DENSITY} kg/m3")
 DRIVES = (
     Column("source", "text", meaning="first file of the drive"),
     Column("files", "count", meaning="files of the drive"),
@@ -36,6 +38,9 @@ DRIVES = (
     *posterior("C_N_s2_m2", "N s2/m2", "aerodynamic coefficient, by the drive"),
     Column("A_reason", "text", meaning="why A is not estimated"),
     Column("C_reason", "text", meaning="why C is not estimated"),
+    *posterior("c_rr", "1", "A / (m g), m with rotating parts, by the drive"),
+    *posterior("c_d_A_m2", "m2", "2 C / density of the air, by the drive"),
+    DENSITY,
     *posterior("joint_mass_kg", "kg", "mass, given all drives of the vehicle"),
     Column("verdict", "text", meaning="of the diagnosis"),
 )
@@ -59,6 +64,9 @@ VEHICLES = (
     Column("C_reason", "text", meaning="why C is not estimated"),
     Column("C_scatter_N_s2_m2", "number", "N s2/m2", "sd of C between drives"),
     Column("C_q_value", "number", "1", "false-discovery rate at which C is out of line"),
+    *posterior("c_rr", "1", "A / (m g), m with rotating parts, at the newest drive"),
+    *posterior("c_d_A_m2", "m2", "2 C / density of the air, at the newest drive"),
+    DENSITY,
     Column("mass_kg_mean", "number", "kg", "mean of the loads"),
     Column("mass_kg_sd", "number", "kg", "sd of the loads"),
     Column("outlier", "text", meaning="parameters that are out of line, and their direction"),

@@ -4,11 +4,13 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import StringIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
+from estimator.answers.run import CoverageMap
 from estimator.blas_threads import one_blas_thread
 from estimator.config import Config
 from estimator.errors import RoadloadError
@@ -18,8 +20,10 @@ from estimator.estimation.evidence import Evidence
 from estimator.extras import how_to_install
 from estimator.library.reading import as_drives
 from estimator.preparation.drive import Drive
-from estimator.report import export
+from estimator.report import export, summary
+from estimator.report.estimate_page import write_page
 from estimator.report.estimate_text import lines_of
+from estimator.report.estimate_view import EstimateView
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,12 +36,14 @@ class Estimation:
     """What drives of one vehicle say of it.
 
     ``final``: the last estimate, of which ``mass``, ``A`` and ``C`` are the marginals; ``updates``: all, in order of
-    time; ``evidence``: trace and draws behind the last one, None where it has no values; ``rejected``: rows not used,
-    by reason.
+    time; ``start``: time of the first frame [s]; ``cells``: the coverage map; ``evidence``: trace and draws behind the
+    last one, None where it has no values; ``rejected``: rows not used, by reason.
     """
 
     final: Estimate
     updates: tuple[Estimate, ...]
+    start: float
+    cells: CoverageMap
     evidence: Evidence | None = field(default=None)
     rejected: dict[str, int]
 
@@ -98,19 +104,36 @@ class Estimation:
         return export.arviz_tree(self._evidence().posterior)
 
     def plot(self, title: str = "roadload") -> "Figure":
-        """A figure of matplotlib: the answer, the power measured and fitted, coverage, joint posterior.
+        """A figure of matplotlib: the answer, how it formed, coverage, power with its residual, posterior.
 
         Raises
         ------
         RoadloadError
             There is no estimate, or matplotlib is not installed.
         """
-        evidence = self._evidence()
+        self._evidence()
         try:
             from estimator.report import plots
         except ImportError as error:
             raise RoadloadError(f"plot needs matplotlib: {how_to_install('plot')}") from error
-        return plots.draw(evidence, title)
+        return plots.draw(self._view(title))
+
+    def report(self, path: str | Path, title: str = "roadload") -> None:
+        """Write the page of `roadload estimate --plot OUT.html`, which opens offline.
+
+        Raises
+        ------
+        ConfigError
+            The name does not end in ``.html``, or its folder is missing.
+        RoadloadError
+            The file cannot be written.
+        """
+        write_page(self._view(title), Path(path))
+
+    def _view(self, title: str) -> EstimateView:
+        return EstimateView(
+            title=title, start=self.start, updates=self.updates, cells=self.cells, evidence=self.evidence
+        )
 
     def _evidence(self) -> Evidence:
         if self.evidence is None:
@@ -152,6 +175,8 @@ def estimate(drives: Drive | Sequence[Drive], config: Config | None = None) -> E
     return Estimation(
         final=updates[-1],
         updates=tuple(updates),
+        start=given[0].log_start,
+        cells=summary.coverage_map(estimator.window, settings.gate, updates[-1]),
         evidence=estimator.evidence,
         rejected=dict(estimator.rejected),
     )

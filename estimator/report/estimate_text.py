@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 
-from estimator.estimates import Estimate
+from estimator.estimates import Estimate, drag_area
 from estimator.report.number_format import with_interval
 
 PARAMETERS = (("m", "mass", "kg"), ("A", "A", "N"), ("C", "C", "N s²/m²"))  # key, name, unit
@@ -18,6 +18,12 @@ def lines_of(estimate: Estimate, rejected: Mapping[str, int]) -> Iterator[str]:
             yield f"{name:9} {with_interval(marginal.mean, marginal.q05, marginal.q95, unit)}"
         elif estimate.mass is not None:
             yield f"{name:9} {status.value}: {reason}"
+    if estimate.c_rr is not None:
+        c_rr = estimate.c_rr.times(100.0)
+        yield f"c_rr      {with_interval(c_rr.mean, c_rr.q05, c_rr.q95, '%')}"
+    if estimate.C is not None:
+        area = drag_area(estimate.C, estimate.air_density)
+        yield f"c_d A     {with_interval(area.mean, area.q05, area.q95, 'm²')}"
     cells = estimate.coverage
     yield f"coverage  {100 * cells.fraction:.0f} % ({cells.occupied} of {cells.available} reachable cells)"
     total = estimate.admitted + sum(rejected.values())

@@ -27,10 +27,10 @@ from estimator.output_files import check_suffix, whole
 from estimator.sampling.convergence import diagnose
 from estimator.sampling.identifiability import EigenMetrics, eigen_metrics
 from estimator.signals import Floats
+from estimator.units import STANDARD_DENSITY
 
 NAMES = ("A_N", "C_N_s2_m2", "mass_kg")  # order of the draws' last axis
 FORMATS = (".csv", ".json", ".nc")
-REFERENCE_DENSITY = 1.225  # kg/m^3, of air at sea level, ISO 2533
 
 
 def require_arviz() -> None:
@@ -88,17 +88,17 @@ def _draws(evidence: Evidence) -> DrawsAnswer:
         eigen_metrics=answer.EigenMetricsPair(
             raw=_metrics(eigen_metrics(information)), scaled=_metrics(eigen_metrics(information, scale))
         ),
-        air=_air(used.density[np.isfinite(used.density)], flat[:, 1]),
+        air=_air(used.mean_density, flat[:, 1]),
     )
 
 
-def _air(density: Floats, C: Floats) -> answer.Air | UnsetType:
-    if not len(density):
+def _air(density: float | None, C: Floats) -> answer.Air | UnsetType:
+    if density is None:
         return UNSET
-    factor = REFERENCE_DENSITY / float(density.mean())
+    factor = STANDARD_DENSITY / density
     return answer.Air(
-        density_kg_m3=float(density.mean()),
-        reference_kg_m3=REFERENCE_DENSITY,
+        density_kg_m3=density,
+        reference_kg_m3=STANDARD_DENSITY,
         C_at_reference_N_s2_m2=answer.Drag(mean=factor * float(C.mean()), sd=factor * float(C.std())),
     )
 

@@ -2,31 +2,36 @@
 
 from typing import NamedTuple
 
-from estimator.answers.run import Coverage, Parameter, Parameters, Road
+from estimator.answers.run import CoastDown, Coefficients, Coverage, Parameter, Parameters, Road
 from estimator.estimates import Status
 
 MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
 
 
 class Row(NamedTuple):
-    """A parameter: its key in `Parameters`, its name, unit and format."""
+    """A parameter: its key in the answers, its name, unit and format; ``factor`` from the answers to the unit."""
 
     key: str
     name: str
     unit: str
     form: str
+    factor: float = 1.0
+
+    def text(self, x: float) -> str:
+        """``27,161``."""
+        return self.form.format(self.factor * x)
 
     def value(self, x: float) -> str:
         """``27,161 kg``."""
-        return f"{self.form.format(x)} {self.unit}"
+        return f"{self.text(x)} {self.unit}"
 
     def interval(self, low: float, high: float) -> str:
         """``27,012 .. 27,314``."""
-        return f"{self.form.format(low)} .. {self.form.format(high)}"
+        return f"{self.text(low)} .. {self.text(high)}"
 
-    def of(self, parameters: Parameters) -> Parameter:
+    def of(self, answers: Parameters | Coefficients | CoastDown) -> Parameter:
         """Its marginal."""
-        marginal: Parameter = getattr(parameters, self.key)
+        marginal: Parameter = getattr(answers, self.key)
         return marginal
 
 
@@ -35,6 +40,67 @@ ROWS = (
     Row("A_N", "A", "N", "{:,.0f}"),
     Row("C_N_s2_m2", "C", "N s²/m²", "{:.3f}"),
 )
+COEFFICIENTS = (Row("c_rr", "c_rr", "%", "{:.3f}", 100.0), Row("c_d_A_m2", "c_d A", "m²", "{:.2f}"))
+COAST_DOWN = (Row("F0_N", "F0", "N", "{:,.0f}"), Row("F2_N_h2_km2", "F2", "N/(km/h)²", "{:.4f}"))
+
+
+BESIDE = dict(zip(("A_N", "C_N_s2_m2"), COEFFICIENTS, strict=True))  # what follows from a parameter, by its key
+
+
+def beside(row: Row, coefficients: Coefficients | None) -> str:
+    """``c_rr 0.652 %`` for A, ``c_d A 6.13 m²`` for C; empty where it is not estimated."""
+    derived = BESIDE.get(row.key)
+    mean = None if derived is None or coefficients is None else derived.of(coefficients).mean
+    return "" if derived is None or mean is None else f"{derived.name} {derived.value(mean)}"
+
+
+class Known(NamedTuple):
+    """A parameter that is estimated, with its row."""
+
+    row: Row
+    mean: float
+    sd: float
+    q05: float
+    q95: float
+
+
+def known(parameters: Parameters, coefficients: Coefficients | None) -> list[Known]:
+    """Mass, A, C, c_rr and c_d A, those that are estimated."""
+    rows = [(row, row.of(parameters)) for row in ROWS]
+    if coefficients is not None:
+        rows += [(row, row.of(coefficients)) for row in COEFFICIENTS]
+    return [
+        Known(row, x.mean, x.sd, x.q05, x.q95)
+        for row, x in rows
+        if x.mean is not None and x.sd is not None and x.q05 is not None and x.q95 is not None
+    ]
+
+
+def mass(parameters: Parameters) -> str:
+    """``27,161 kg (27,012 .. 27,314)``; empty where it is not estimated."""
+    x = parameters.mass_kg
+    if x.mean is None or x.q05 is None or x.q95 is None:
+        return ""
+    return f"{ROWS[0].value(x.mean)} ({ROWS[0].interval(x.q05, x.q95)})"
+
+
+def coast_down(coefficients: Coefficients | None) -> str:
+    """``F0 1,736 N, F1 0, F2 0.2900 N/(km/h)²``, those that are estimated; empty where none is."""
+    if coefficients is None:
+        return ""
+    F0, F2 = (row.of(coefficients.coast_down).mean for row in COAST_DOWN)
+    if F0 is None and F2 is None:
+        return ""
+    first, last = ("unestimated" if x is None else row.value(x) for row, x in zip(COAST_DOWN, (F0, F2), strict=True))
+    return f"F0 {first}, F1 0, F2 {last}"
+
+
+def air(coefficients: Coefficients) -> str:
+    """Density of the air that c_d A is computed with, and where it comes from."""
+    density = f"{coefficients.air_density_kg_m3:.3f} kg/m³"
+    if coefficients.is_density_measured:
+        return f"{density}; C holds for this density, and is proportional to it"
+    return f"{density} of standard air, for no signal shows the density; c_d A holds for it"
 
 
 def line(status: Status, reason: str, parameters: Parameters, coverage: Coverage) -> str:

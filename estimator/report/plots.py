@@ -1,9 +1,9 @@
-"""One picture of an estimate: joint posterior, power measured and fitted, coverage, chains."""
+"""An estimate as one picture: the answer, how it formed, coverage, power with its residual, joint posterior, chains."""
 
-import base64
-import html
 from io import BytesIO
+from itertools import combinations
 from pathlib import Path
+from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -11,22 +11,41 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
-from matplotlib.ticker import MaxNLocator
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from estimator.estimation.evidence import Evidence
-from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, SPEED_CELLS
 from estimator.output_files import check_suffix, whole
 from estimator.printable import printable
+from estimator.report import parameter_text, summary, wanted_driving
+from estimator.report.estimate_view import EstimateView, PowerTrace
+from estimator.report.number_format import MINUS
+from estimator.report.page.plot import ClockAxis
+from estimator.report.parameter_text import ROWS, Row
+from estimator.report.wanted_driving import BEGUN, OCCUPIED, WANTED
+from estimator.units import KMH
 
-NAMES = ("A [N]", "C [N s²/m²]", "m [kg]")
 INK, FADED, MARK = "#1b3a4b", "#8fa9b8", "#d1495b"
-SHOWN = 600.0  # s of the power trace
-FORMATS = (".png", ".svg", ".pdf", ".html")
+COLOURS = {OCCUPIED: ("occupied", INK), BEGUN: ("begun", FADED), WANTED: ("wanted", "#f6ead0")}
+FORMATS = (".png", ".svg", ".pdf")
 mpl.rcParams["svg.hashsalt"] = "roadload"
 
 
-def write_plot(evidence: Evidence, title: str, path: Path) -> None:
-    """Draw what an estimate rests on; ``.html`` is one page that opens offline.
+class Clock(NamedTuple):
+    """Times [s] from ``low`` to ``high`` on the abscissa of a panel."""
+
+    low: float
+    high: float
+
+    def on(self, axes: Axes) -> None:
+        """Mark the abscissa with round times."""
+        axis = ClockAxis(self.low, self.high, "")
+        axes.set_xlim(self.low, self.high)
+        axes.set_xticks(axis.ticks(6))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: axis.text(value)))
+
+
+def write_plot(view: EstimateView, path: Path) -> None:
+    """Draw an estimate and what it rests on.
 
     Raises
     ------
@@ -34,102 +53,118 @@ def write_plot(evidence: Evidence, title: str, path: Path) -> None:
         The file cannot be written.
     """
     check_suffix(path, FORMATS)
-    title = printable(title)
-    figure = draw(evidence, title)
+    figure = draw(view)
     kind = path.suffix.lower().removeprefix(".")
     image = BytesIO()
     undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)  # the same picture is the same file
-    figure.savefig(image, format="png" if kind == "html" else kind, dpi=130, metadata=undated)
-    content = image.getvalue()
-    if kind == "html":
-        content = _page(title, content).encode()
+    figure.savefig(image, format=kind, dpi=130, metadata=undated)
     with whole(path) as file:
-        file.write(content)
+        file.write(image.getvalue())
 
 
-def draw(evidence: Evidence, title: str) -> Figure:
-    """The whole figure."""
+def draw(view: EstimateView) -> Figure:
+    """The whole figure; without evidence, what was driven and how the estimate formed."""
     # The solver of the layout "constrained" goes by the addresses of its variables, so its last bits are not the same
     # in two drawings.
-    figure = Figure(figsize=(11, 10), layout="tight")
+    heights = [1.0, 1.0, 0.6, 1.1, 0.8] if view.evidence is not None else [1.0, 1.0]
+    figure = Figure(figsize=(11, 3 * sum(heights) + 0.8), layout="tight")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, color=INK, parse_math=False)  # names of files may have dollar signs
-    grid = GridSpec(5, 3, figure=figure, height_ratios=[1, 1, 1, 0.9, 0.9])
-    _corner(figure, grid, evidence)
-    _power_trace(figure.add_subplot(grid[3, :2]), evidence)
-    _coverage(figure.add_subplot(grid[3, 2]), evidence)
-    for i in range(3):
-        _chains(figure.add_subplot(grid[4, i]), evidence, i)
+    figure.suptitle(_title(view), color=INK, parse_math=False)  # names of files may have dollar signs
+    grid = GridSpec(len(heights), 3, figure=figure, height_ratios=heights)
+    for i, row in enumerate(ROWS):
+        _formed(figure.add_subplot(grid[0, i]), view, row)
+    _coverage(figure.add_subplot(grid[1, 0]), view)
+    power = view.power
+    if power is None:
+        return figure
+    _power(figure.add_subplot(grid[1, 1:]), power.telling)
+    _residual(figure.add_subplot(grid[2, :]), power, view.final.rms)
+    for i, (across, up) in enumerate(combinations(ROWS, 2)):
+        _joint(figure.add_subplot(grid[3, i]), view, across, up)
+    for i, row in enumerate(ROWS):
+        _chains(figure.add_subplot(grid[4, i]), view, row)
     return figure
 
 
-def _corner(figure: Figure, grid: GridSpec, evidence: Evidence) -> None:
-    draws = evidence.posterior.draws.reshape(-1, evidence.posterior.draws.shape[2])
-    for row in range(3):
-        for column in range(row + 1):
-            axes = figure.add_subplot(grid[row, column])
-            if row == column:
-                axes.hist(draws[:, row], bins=40, color=FADED)
-                for q in np.quantile(draws[:, row], [0.05, 0.95]):
-                    axes.axvline(q, color=MARK, lw=1)
-                axes.set_yticks([])
-            else:
-                axes.plot(draws[:, column], draws[:, row], ".", ms=1, color=INK, alpha=0.3, rasterized=True)
-            axes.set_xlabel(NAMES[column]) if row == 2 or row == column else axes.set_xticklabels([])
-            axes.xaxis.set_major_locator(MaxNLocator(4))
-            if column == 0 and row > 0:
-                axes.set_ylabel(NAMES[row])
-            _quiet(axes)
+def _title(view: EstimateView) -> str:
+    """The logs and the answer, the mass in a line of its own."""
+    final = view.final
+    name = printable(" · ".join(part for part in (view.title, view.date) if part))
+    known = parameter_text.known(summary.parameters(final), summary.coefficients(final))
+    values = [f"{x.row.name} {x.row.value(x.mean)} ({x.row.interval(x.q05, x.q95)})" for x in known]
+    mass, others = (values[0], ", ".join(values[1:])) if values else (printable(view.headline), "")
+    return "\n".join(line for line in (name, mass, others) if line)
 
 
-def _power_trace(axes: Axes, evidence: Evidence) -> None:
-    trace = evidence.trace
-    shown = slice(-round(SHOWN / trace.spacing), None)
-    position = np.arange(len(trace.P[shown])) * trace.spacing
-    axes.plot(position, trace.P[shown] / 1e3, color=FADED, lw=0.8, label="measured")
-    axes.plot(position, trace.fitted[shown] / 1e3, color=MARK, lw=0.6, label="best fit")
-    axes.set_xlabel("used samples, the last ones [s]")
-    axes.set_ylabel("power [kW]")
-    axes.legend(frameon=False, ncols=2, loc="upper right", fontsize="small")
+def _formed(axes: Axes, view: EstimateView, row: Row) -> None:
+    curve = view.curve(row)
+    axes.fill_between(curve.t, curve.low, curve.high, color=FADED, alpha=0.5, lw=0)
+    axes.plot(curve.t, curve.mean, color=INK, lw=1.2)
+    known = np.flatnonzero(np.isfinite(curve.mean))[-1:]
+    axes.plot(curve.t[known], curve.mean[known], "o", color=MARK, ms=5)
+    if len(known):
+        low, high = curve.range
+        axes.set_ylim(low - 0.06 * (high - low), high + 0.06 * (high - low))
+    Clock(0.0, 1.02 * max(float(curve.t[-1]), 1.0)).on(axes)
+    axes.set_xlabel("time since the first frame")
+    axes.set_title(f"{row.name} [{row.unit}]", fontsize="medium", color=INK)
     _quiet(axes)
 
 
-def _coverage(axes: Axes, evidence: Evidence) -> None:
-    counts = evidence.counts.reshape(SPEED_CELLS, ACCELERATION_CELLS).astype(float)
-    counts[counts == 0] = np.nan
-    rows, columns = np.flatnonzero(np.isfinite(counts).any(axis=1)), np.flatnonzero(np.isfinite(counts).any(axis=0))
-    top, low, high = rows[-1] + 1, columns[0], columns[-1] + 1
-    extent = (
-        0.0,
-        top * evidence.grid.speed_step,
-        MIN_ACCELERATION + low * evidence.grid.acceleration_step,
-        MIN_ACCELERATION + high * evidence.grid.acceleration_step,
-    )
-    shown = np.log10(counts[:top, low:high].T)
-    image = axes.imshow(shown, origin="lower", aspect="auto", extent=extent, cmap="Blues", vmin=0)
-    bar = axes.figure.colorbar(image, ax=axes)
-    bar.set_label("log10 samples")
-    axes.set_xlabel("speed [m/s]")
+def _coverage(axes: Axes, view: EstimateView) -> None:
+    cells = view.cells
+    dv, da, lowest = KMH * cells.speed_step_m_s, cells.acceleration_step_m_s2, cells.lowest_acceleration_m_s2
+    states = wanted_driving.cell_states(cells)
+    for (i, j), state in states.items():
+        axes.bar(i * dv, da, dv, lowest + j * da, align="edge", color=COLOURS[state][1], edgecolor="white", lw=0.5)
+    if states:
+        keys = [Patch(color=colour, label=name) for name, colour in COLOURS.values()]
+        axes.legend(
+            handles=keys, frameon=False, ncols=3, fontsize="x-small", loc="upper center", bbox_to_anchor=(0.5, 1.13)
+        )
+    axes.set_xlabel("speed [km/h]")
     axes.set_ylabel("acceleration [m/s²]")
     _quiet(axes)
 
 
-def _chains(axes: Axes, evidence: Evidence, i: int) -> None:
-    axes.plot(evidence.posterior.draws[:8, :, i].T, lw=0.5, alpha=0.8)
-    axes.set_xlabel("draw, first 8 chains")
-    axes.set_ylabel(NAMES[i])
+def _power(axes: Axes, part: PowerTrace) -> None:
+    axes.plot(part.t, part.measured, color=FADED, lw=2.5, label="measured")
+    axes.plot(part.t, part.fitted, color=MARK, lw=0.9, label="fitted")
+    Clock(float(np.nanmin(part.t)), float(np.nanmax(part.t))).on(axes)
+    axes.set_ylabel("power [kW]")
+    axes.set_title("the minutes in which the fit misses most", fontsize="medium", color=INK)
+    axes.legend(frameon=False, ncols=2, loc="upper right", fontsize="small")
+    _quiet(axes)
+
+
+def _residual(axes: Axes, power: PowerTrace, rms: float | None) -> None:
+    axes.plot(power.t, power.residual, color=INK, lw=0.5)
+    axes.axhline(0, color=FADED, lw=0.8)
+    Clock(float(np.nanmin(power.t)), float(np.nanmax(power.t))).on(axes)
+    axes.set_xlabel("time since the first frame")
+    axes.set_ylabel(f"measured {MINUS} fitted [kW]")
+    stated = "" if rms is None else f", root mean square {rms / 1e3:.1f} kW"
+    axes.set_title(f"residual{stated}", fontsize="medium", color=INK)
+    _quiet(axes)
+
+
+def _joint(axes: Axes, view: EstimateView, across: Row, up: Row) -> None:
+    axes.plot(view.draws(across), view.draws(up), ".", ms=2, color=INK, alpha=0.3, rasterized=True)
+    for q in np.quantile(view.chains(across), [0.05, 0.95]):
+        axes.axvline(q, color=MARK, lw=1)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.set_xlabel(f"{across.name} [{across.unit}]")
+    axes.set_ylabel(f"{up.name} [{up.unit}]")
+    _quiet(axes)
+
+
+def _chains(axes: Axes, view: EstimateView, row: Row) -> None:
+    axes.plot(view.chains(row)[:4].T, lw=0.5, alpha=0.8)
+    axes.set_xlabel("draw, first 4 chains")
+    axes.set_ylabel(f"{row.name} [{row.unit}]")
     _quiet(axes)
 
 
 def _quiet(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize="small", colors=INK)
-
-
-def _page(title: str, picture: bytes) -> str:
-    encoded = base64.b64encode(picture).decode()
-    return (
-        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{html.escape(title)}</title><style>body{{margin:1rem auto;max-width:70rem;font:1rem sans-serif}}"
-        f'img{{width:100%}}</style><img alt="{html.escape(title)}" src="data:image/png;base64,{encoded}"></html>\n'
-    )

@@ -9,13 +9,15 @@ from msgspec import UNSET
 from estimator.answers import run as answer
 from estimator.answers import status
 from estimator.answers.run import RunAnswer
-from estimator.estimates import Estimate, Marginal, Slope
-from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION
+from estimator.estimates import Estimate, Marginal, Slope, drag_area
+from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, Window
 from estimator.report import parameter_text
 from estimator.report.next_step import next_step
 from estimator.report.run_warnings import warnings_of
+from estimator.settings import Gate
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.replay import Run
+from estimator.units import KMH, STANDARD_DENSITY
 
 
 def of_run(run: Run) -> RunAnswer:
@@ -26,7 +28,7 @@ def of_run(run: Run) -> RunAnswer:
         status=final.status,
         reason=final.reason,
         advice=next_step(run),
-        warnings=(*traffic.remarks, *warnings_of(pipeline.config, traffic.errors)),
+        warnings=warnings(run),
         parameters=parameters(final),
         convergence=convergence(final),
         coverage=coverage(final),
@@ -44,7 +46,15 @@ def of_run(run: Run) -> RunAnswer:
         effects=tuple(pipeline.effects),
         magnitudes=final.effects,
         updates=tuple(_update(update, run) for update in run.updates),
+        coefficients=coefficients(final),
+        coverage_map=coverage_map(pipeline.estimator.window, pipeline.config.gate, final),
     )
+
+
+def warnings(run: Run) -> tuple[str, ...]:
+    """What widens the estimate or was left out of it, and what may be wrong in the DBC, a line each."""
+    traffic = run.pipeline.traffic
+    return (*traffic.remarks, *warnings_of(run.pipeline.config, traffic.errors))
 
 
 def parameters(estimate: Estimate) -> answer.Parameters:
@@ -54,10 +64,30 @@ def parameters(estimate: Estimate) -> answer.Parameters:
     )
 
 
+def coefficients(estimate: Estimate) -> answer.Coefficients:
+    """What follows from mass, A and C, each estimated where these are."""
+    C, density = estimate.C, estimate.air_density
+    return answer.Coefficients(
+        c_rr=_derived(estimate, "A", estimate.c_rr),
+        c_d_A_m2=_derived(estimate, "C", None if C is None else drag_area(C, density)),
+        air_density_kg_m3=density or STANDARD_DENSITY,
+        is_density_measured=density is not None,
+        coast_down=answer.CoastDown(
+            F0_N=_parameter(estimate, "A"),
+            F1_N_h_km=0.0,
+            F2_N_h2_km2=_derived(estimate, "C", None if C is None else C.times(1 / KMH**2)),
+        ),
+    )
+
+
 def _parameter(estimate: Estimate, which: str) -> answer.Parameter:
+    return _derived(estimate, which, estimate.marginals[which])
+
+
+def _derived(estimate: Estimate, which: str, marginal: Marginal | None) -> answer.Parameter:
+    """A parameter that is known where ``which`` is."""
     known, reason = estimate.status_of(which)
-    marginal = estimate.marginals[which]
-    values = {} if marginal is None else asdict(marginal)
+    values = {} if marginal is None or estimate.marginals[which] is None else asdict(marginal)
     return answer.Parameter(status=known, reason=reason, **values)
 
 
@@ -81,9 +111,8 @@ def road(estimate: Estimate) -> answer.Road | None:
     return answer.Road(slope_sd=found.slope_sd, length_m=found.length, shown_by=found.shown_by, climbed_m=found.climbed)
 
 
-def coverage_map(pipeline: Pipeline) -> answer.CoverageMap:
-    """The cells that were driven so far, and those that the newest estimate found wanted."""
-    window, gate, latest = pipeline.estimator.window, pipeline.config.gate, pipeline.latest
+def coverage_map(window: Window, gate: Gate, latest: Estimate | None) -> answer.CoverageMap:
+    """The cells that were driven so far, and those that the latest estimate found wanted."""
     counts = window.counts
     driven = np.flatnonzero(counts)
     return answer.CoverageMap(
@@ -110,6 +139,7 @@ def conclusion(estimate: Estimate | None, t: float, start: float | None) -> stat
         coverage=coverage(estimate),
         t_s=None if start is None else round(estimate.t - start, 3),
         road=road(estimate),
+        coefficients=coefficients(estimate),
     )
 
 
@@ -125,7 +155,7 @@ def progress(pipeline: Pipeline, history: tuple[answer.Past, ...]) -> status.Pro
         t_s=None if traffic.until is None or traffic.start is None else round(traffic.until - traffic.start, 3),
         samples=len(pipeline.estimator.window),
         needed=answer.Needed(samples=gate.minimum_samples, cells=gate.minimum_cells, coverage=gate.coverage),
-        coverage_map=coverage_map(pipeline),
+        coverage_map=coverage_map(pipeline.estimator.window, gate, pipeline.latest),
         history=history,
     )
 

@@ -1,7 +1,8 @@
 """Values of signals in the units in which people read them: km/h, degrees, degrees Celsius."""
 
+from estimator.report.number_format import number
 from estimator.roles import DIMENSION, STATE, Role
-from estimator.units import conversion_of
+from estimator.units import KMH, conversion_of
 
 USUAL = {  # by dimension: the unit, and its spelling in `units`
     "m/s": ("km/h", "km/h"),
@@ -17,7 +18,14 @@ USUAL = {  # by dimension: the unit, and its spelling in `units`
     "V": ("V", "v"),
     "A": ("A", "a"),
 }
+SHOWN = {"m/s": (KMH, " km/h"), "m/s^2": (1.0, " m/s²"), "deg": (1.0, "°"), "degC": (1.0, " °C")}  # along an axis
 PER_SECOND = ("°/s", "deg/s")  # of turning vehicles, unlike shafts
+
+
+def with_unit(value: float, unit: str) -> str:
+    """``90 km/h`` for 25 m/s, ``12 °C`` for 12 degC; other units stay."""
+    factor, shown = SHOWN.get(unit, (1.0, f" {unit}"))
+    return f"{number(factor * value)}{shown}".strip()
 
 
 def between(role: Role, low: float, high: float) -> str:

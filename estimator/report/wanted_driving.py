@@ -4,10 +4,11 @@ from collections import Counter
 
 from estimator.answers.run import Coverage, CoverageMap
 from estimator.answers.status import Progress
+from estimator.units import KMH
 
-KMH = 3.6  # km/h in 1 m/s
 BAND = 20.0  # km/h of speed that are named together
 STEADY, BRISK = 0.1, 0.5  # m/s^2 where accelerating begins, and where it is brisk
+EMPTY, WANTED, BEGUN, OCCUPIED = range(4)  # states of a cell, in rising order
 NAMED = 2  # kinds of driving in the sentence: those with most cells
 
 
@@ -18,6 +19,14 @@ def kind_of(acceleration: float) -> str:
     if acceleration <= STEADY:
         return "steady"
     return "accelerating gently" if acceleration <= BRISK else "accelerating briskly"
+
+
+def cell_states(cells: CoverageMap) -> dict[tuple[int, int], int]:
+    """OCCUPIED, BEGUN or WANTED of each cell that was driven or is wanted."""
+    states = dict.fromkeys(open_cells(cells), WANTED)
+    for i, j, count in cells.rows:
+        states[i, j] = OCCUPIED if count >= cells.needed else BEGUN
+    return states
 
 
 def open_cells(cells: CoverageMap) -> list[tuple[int, int]]:

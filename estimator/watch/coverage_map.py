@@ -6,13 +6,12 @@ from typing import NamedTuple
 from rich.text import Text
 
 from estimator.answers.run import CoverageMap
-from estimator.report import wanted_driving
+from estimator.report.wanted_driving import BEGUN, EMPTY, OCCUPIED, WANTED, cell_states
+from estimator.units import KMH
 
 MIN_LINES = 5  # of cells, below which the map would not be readable
 MAX_ACROSS = 3  # columns of a cell
 LABEL = 6  # columns of an acceleration beside the map
-KMH = 3.6  # km/h in 1 m/s
-EMPTY, WANTED, BEGUN, OCCUPIED = range(4)  # states of a cell, in rising order
 STYLES = ("", "dim", "cyan", "cyan")
 
 
@@ -50,14 +49,6 @@ def plan(cells: CoverageMap, width: int, height: int, glyphs: Glyphs) -> list[Te
     result.append(_speed_axis(columns, across, KMH * cells.speed_step_m_s))
     key = (f"{glyphs.cells[OCCUPIED]} enough", f"{glyphs.cells[BEGUN]} begun", f"{glyphs.cells[WANTED]} wanted")
     return [Text("m/s²", "dim"), *result, Text(f"{'':{LABEL}}{'  '.join(key)}", "dim")]
-
-
-def cell_states(cells: CoverageMap) -> dict[tuple[int, int], int]:
-    """OCCUPIED, BEGUN or WANTED of each cell that was driven or is wanted."""
-    states = dict.fromkeys(wanted_driving.open_cells(cells), WANTED)
-    for i, j, count in cells.rows:
-        states[i, j] = OCCUPIED if count >= cells.needed else BEGUN
-    return states
 
 
 def _together(states: list[int]) -> int:

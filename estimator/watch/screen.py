@@ -13,7 +13,7 @@ from estimator.answers.status import Progress
 from estimator.answers.watch import WatchAnswer
 from estimator.estimates import Status
 from estimator.printable import printable
-from estimator.report.parameter_text import ROWS, Row, clock
+from estimator.report.parameter_text import ROWS, Row, beside, clock
 from estimator.watch import coverage_map
 from estimator.watch.coverage_map import ASCII, BLOCKS, Glyphs
 
@@ -88,7 +88,8 @@ def _numbers(view: WatchAnswer, width: int, glyphs: Glyphs, is_brief: bool = Fal
     conclusion, progress = view.estimate, view.progress
     if conclusion is not None and progress is not None and conclusion.status is Status.ESTIMATED:
         for row in ROWS:
-            yield from _parameter(row, row.of(conclusion.parameters), progress, width, glyphs, is_brief)
+            also = beside(row, conclusion.coefficients)
+            yield from _parameter(row, row.of(conclusion.parameters), also, progress, width, glyphs, is_brief)
         age = f"concluded {clock(conclusion.age_s)} ago" if conclusion.age_s >= 0 else ""
         if age and not is_brief:
             yield Text(f"{'':{NAME}}{age}", "dim")
@@ -105,9 +106,9 @@ def _numbers(view: WatchAnswer, width: int, glyphs: Glyphs, is_brief: bool = Fal
 
 
 def _parameter(
-    row: Row, x: Parameter, progress: Progress, width: int, glyphs: Glyphs, is_brief: bool
+    row: Row, x: Parameter, also: str, progress: Progress, width: int, glyphs: Glyphs, is_brief: bool
 ) -> Iterator[Text]:
-    """Value and interval, and how the interval narrowed; as many of them as there is room for."""
+    """Value, interval, what follows from it, and how the interval narrowed; as many of them as there is room for."""
     if x.mean is None or x.q05 is None or x.q95 is None:
         yield from _named(row.name, x.reason, width, 1 if is_brief else 2)
         return
@@ -115,6 +116,7 @@ def _parameter(
     interval = row.interval(x.q05, x.q95)
     half = (x.q95 - x.q05) / 2 / abs(x.mean) if x.mean else math.inf
     spread = f"± {100 * half:.1f} %" if math.isfinite(half) else ""
+    spread = "  ".join(part for part in (spread, "" if is_brief else also) if part)
     past = [p for p in (_past(row, point) for point in progress.history) if p is not None]
     chart = sparkline([p.q95 - p.q05 for p in past], max(width - NAME - len(spread) - 1, 0), glyphs)
     if is_brief:

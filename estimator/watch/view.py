@@ -9,7 +9,6 @@ from estimator.report.history import History
 from estimator.streaming.pipeline import Pipeline
 
 MISSING_AFTER = 15.0  # s of traffic after which an input that never came counts as missing
-MASS = parameter_text.ROWS[0]
 
 
 def of_pipeline(
@@ -76,10 +75,8 @@ def sentences(conclusion: answer.Estimate | None, progress: answer.Progress | No
 
 
 def _headline(conclusion: answer.Estimate | None, progress: answer.Progress | None) -> str:
-    if conclusion is not None and conclusion.status is Status.ESTIMATED:
-        mass = MASS.of(conclusion.parameters)
-        if mass.mean is not None and mass.q05 is not None and mass.q95 is not None:
-            return f"{MASS.value(mass.mean)} ({MASS.interval(mass.q05, mass.q95)})"
+    if conclusion is not None and (mass := parameter_text.mass(conclusion.parameters)):
+        return mass
     if conclusion is not None and conclusion.status is Status.INVALID:
         return f"invalid: {conclusion.reason}"
     if progress is None:

@@ -11,15 +11,15 @@ from estimator.components.budget import NOISE, Budget
 from estimator.diagnosis.result import Diagnosis, GapMap, Span, Traces
 from estimator.report import wording
 from estimator.report.number_format import MINUS, number
-from estimator.report.page.plot import SIDE, Axis, axis, band, bar, cell, line, plot
+from estimator.report.page.plot import Axis, axis, band, bar, cell, line, plot
+from estimator.report.page.series import BLOCKS, binned, telling_minutes
 from estimator.signals import Floats
+from estimator.units import KMH
 
 CAUSES = 8  # colours of the budget; further causes share the last
 BINS = 600  # of an overview: each shows its least, greatest and, in blocks, its mean residual
-BLOCKS = 200  # of the mean line
 MAX_BREAK = 900.0  # s; longer ones, as between two logs, are cut out of the overview
 CUT_BREAK = 60.0  # s, their length after the cut
-DETAIL_DURATION = 300.0  # s of the power trace shown
 
 
 class Improved(NamedTuple):
@@ -43,7 +43,7 @@ def gap_map(cells: GapMap, better: Improved | None) -> str:
     shown = [("plain model", cells.before)] + ([(better.name, cells.after)] if better else [])
     scale = _scale(np.concatenate([values.ravel() for _, values in shown]) / 1e3)
     seen = np.isfinite(cells.before) | np.isfinite(cells.after)
-    x = _covered(cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [m/s]")
+    x = _covered(KMH * cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [km/h]")
     y = _covered(cells.acceleration_edges, np.flatnonzero(seen.any(axis=0)), "acceleration [m/s²]")
     maps = "".join(
         plot(_cells(cells, values / 1e3, x, y, scale), x, y, _map_words(name, values), name, "map")
@@ -54,12 +54,12 @@ def gap_map(cells: GapMap, better: Improved | None) -> str:
 
 
 def _cells(cells: GapMap, kilowatts: Floats, x: Axis, y: Axis, scale: float) -> str:
-    v, a = cells.speed_edges.tolist(), cells.acceleration_edges.tolist()
+    v, a = (KMH * cells.speed_edges).tolist(), cells.acceleration_edges.tolist()
     shapes = []
     for i, j in np.argwhere(np.isfinite(kilowatts)).tolist():
         value, count = float(kilowatts[i, j]), float(cells.samples[i, j])
         words = (
-            f"{v[i]:g} to {v[i + 1]:g} m/s, {a[j]:.2g} to {a[j + 1]:.2g} m/s²: {value:+.1f} kW, {count:,.0f} samples"
+            f"{v[i]:g} to {v[i + 1]:g} km/h, {a[j]:.2g} to {a[j + 1]:.2g} m/s²: {value:+.1f} kW, {count:,.0f} samples"
         )
         strength = 0.04 + 0.96 * min(abs(value) / scale, 1)
         shapes.append(cell(x, y, (v[i], v[i + 1], a[j], a[j + 1]), "high" if value > 0 else "low", strength, words))
@@ -124,15 +124,13 @@ def _residuals(position: Floats, traces: Traces, better: Improved | None, label:
     if better:
         residuals.append((better.name, "after", (traces.measured - better.power) / 1e3))
     x = axis(position.tolist(), label)
-    binned = [
-        (name, kind, _binned(x, position, r, BINS), _binned(x, position, r, BLOCKS)) for name, kind, r in residuals
-    ]
+    bins = [(name, kind, binned(x, position, r, BINS), binned(x, position, r, BLOCKS)) for name, kind, r in residuals]
     y = axis(
         np.nanpercentile(residuals[0][2], [0.5, 99.5]).tolist(), f"measured {MINUS} model [kW]", zero=True, margin=0.1
     )
     marks = "".join(bar(x, start, end, "span") for start, end in spans.tolist())
     panels = []
-    for name, kind, (at, low, high, _), (centre, _, _, mean) in binned:
+    for name, kind, (at, low, high, _), (centre, _, _, mean) in bins:
         shapes = marks + band(x, y, at, low, high, f"band {kind}") + line(x, y, centre, mean, f"line {kind}")
         words = (
             f"Residual of the {name} over {label}: block means from {np.nanmin(mean):.1f} to {np.nanmax(mean):.1f} kW"
@@ -141,37 +139,16 @@ def _residuals(position: Floats, traces: Traces, better: Improved | None, label:
     return "".join(panels)
 
 
-def _binned(x: Axis, position: Floats, values: Floats, count: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Centres, least, greatest and mean value of equal bins; NaN where a bin is empty."""
-    there = np.isfinite(position) & np.isfinite(values)
-    values = values[there]
-    index = np.minimum((x.at(position[there]) / SIDE * count).astype(int), count - 1)
-    n = np.bincount(index, minlength=count)
-    low, high = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(low, index, values)
-    np.maximum.at(high, index, values)
-    mean = np.bincount(index, values, minlength=count) / np.maximum(n, 1)
-    low[n == 0] = high[n == 0] = mean[n == 0] = np.nan
-    centres = x.low + (np.arange(count) + 0.5) * (x.high - x.low) / count
-    return centres, low, high, mean
-
-
 def power(traces: Traces, better: Improved | None) -> str:
     """Measured power and that of the models in the five most informative minutes; empty without data."""
     squared = (traces.measured - traces.base) ** 2
     worth = np.nan_to_num(squared - (traces.measured - better.power) ** 2 if better else squared)
     clock = _clock(traces)
-    ends = np.minimum(
-        np.searchsorted(clock, clock + DETAIL_DURATION, side="right"),
-        np.searchsorted(traces.log, traces.log, side="right"),
-    )
-    total = np.concatenate([[0.0], np.cumsum(worth)])
-    start = int(np.argmax(total[ends] - total[:-1]))
-    window = slice(start, int(ends[start]))
+    window = telling_minutes(clock, worth, clock[np.searchsorted(traces.log, traces.log, side="right") - 1])
     t = traces.t[window]
     late = np.diff(t, prepend=t[:1]) > 5 * np.median(np.diff(clock))  # no line across a stop
-    frame = f"the first frame of log {traces.log[start] + 1:.0f}" if _has_several_logs(traces) else "the first frame"
-    x = axis((t / 60).tolist(), f"time since {frame} [min]")
+    log = f" of log {traces.log[window.start] + 1:.0f}" if _has_several_logs(traces) else ""
+    x = axis((t / 60).tolist(), f"time since the first frame{log} [min]")
     curves = [("measured", traces.measured), ("before", traces.base)] + ([("after", better.power)] if better else [])
     values = {kind: np.where(late, np.nan, curve[window] / 1e3) for kind, curve in curves}
     y = axis(np.concatenate(list(values.values())).tolist(), "power [kW]", zero=True, margin=0.04)

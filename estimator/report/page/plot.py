@@ -14,11 +14,13 @@ import numpy as np
 
 from estimator.report.number_format import MINUS
 from estimator.signals import Floats, Mask
+from estimator.units import HOUR
 
 SIDE = 1000  # units of the drawing, each way
 DAY = 86_400.0  # s
 DAYS_OF_YEAR = 366.0
 MAX_DAYS_BY_DAY = 62.0  # of an axis whose ticks are days; those of a longer one are months
+CLOCK_STEPS = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0, 1800.0)  # s
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)  # of a tick, times a power of ten
 
 
@@ -45,6 +47,23 @@ class Axis:
         step = next(power * s for s in STEPS if power * s >= rough * (1 - 1e-9))
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         return np.arange(first, last + 1) * step
+
+
+class ClockAxis(Axis):
+    """An axis of seconds since the first frame, whose ticks are hours and minutes, and seconds where it is short."""
+
+    def text(self, value: float) -> str:
+        """``0:05``, or ``0:05:30``."""
+        seconds = round(value)
+        parts = f"{seconds // 3600}:{seconds // 60 % 60:02}"
+        return parts if self.high - self.low > HOUR / 20 else f"{parts}:{seconds % 60:02}"
+
+    def ticks(self, most: int) -> Floats:
+        """At most ``most`` times (k,) that are round on a clock."""
+        rough = (self.high - self.low) / most
+        steps = (*CLOCK_STEPS, *(HOUR * n for n in (1, 2, 3, 6, 12)), DAY * math.ceil(rough / DAY))
+        step = next(s for s in steps if s >= rough)
+        return np.arange(math.ceil(self.low / step), math.floor(self.high / step) + 1) * step
 
 
 class DateAxis(Axis):
@@ -125,10 +144,10 @@ def cell(x: Axis, y: Axis, corners: tuple[float, float, float, float], kind: str
     )
 
 
-def plot(shapes: str, x: Axis, y: Axis, description: str, title: str = "", kind: str = "") -> str:
-    """The drawing with its axes; ``description`` is its text for screen readers."""
+def plot(shapes: str, x: Axis, y: Axis, description: str, title: str = "", kind: str = "", most: int = 8) -> str:
+    """The drawing with its axes, ``most`` ticks across; ``description`` is its text for screen readers."""
     grid, labels = [], []
-    for value, at in _placed(x, 8):
+    for value, at in _placed(x, most):
         grid.append(f'<path class="grid" d="M{at:.1f} 0V{SIDE}"/>')
         labels.append(f'<span class="x" style="left:{at / SIDE:.2%}">{x.text(value)}</span>')
     for value, at in _placed(y, 5):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from estimator.components.budget import Budget
 from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Invisible, Isolability, NotTestable, Place
-from estimator.report import number_format, wording
+from estimator.report import number_format, usual_units, wording
 
 MAX_ROWS = 8  # candidates; the others are folded away
 
@@ -86,7 +86,7 @@ def where(places: Sequence[Place]) -> str:
     rows = [
         (
             html.escape(wording.label(p.axis)),
-            *(html.escape(f"{number_format.number(at)} {p.unit}".replace(" °", "°")) for at in (p.start, p.end)),
+            *(html.escape(usual_units.with_unit(at, p.unit)) for at in (p.start, p.end)),
             wording.kilowatts(p.bias),
             _meter(p.share, html.escape(wording.percent(p.share))),
             "&lt; 0.001" if p.q_value < 0.001 else number_format.number(p.q_value),
