@@ -10,7 +10,6 @@ import tempfile
 from io import StringIO
 from pathlib import Path
 
-import demo
 import matplotlib as mpl
 import numpy as np
 import readme
@@ -18,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimator import diagnose, read
+from estimator.commands import demo
 from estimator.commands.main import main as program
 from estimator.config import Config
 from estimator.report import wording
@@ -83,8 +83,7 @@ def drawn(folder: Path) -> dict[str, Figure]:
     drive, hills = folder / "drive.blf", folder / "out" / "hills.blf"
     hills.parent.mkdir()
     with contextlib.chdir(folder), contextlib.redirect_stdout(StringIO()):
-        sys.argv = ["demo.py", "--folder", str(folder)]
-        demo.main()
+        program(["demo", "-o", str(drive)])
         words = next(words for words in readme.commands(readme.README.read_text()) if "out/hills.blf" in words)
         program(words)
     return {"mass": mass(view_of(estimate_logs([drive], Config()), "")), "gap": gap(hills)}
