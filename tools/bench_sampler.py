@@ -2,11 +2,11 @@
 
     python tools/bench_sampler.py [--samples 1000 10000 100000]
 
-The others are installed by ``tools/peers.txt``; those that are missing are named and left out. Counted is the CPU
-time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Steps that
+The others are installed by ``tools/peers/samplers.txt``; those that are missing are named and left out. Counted is the
+CPU time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Steps that
 run once are not counted for any: fit, compilation, and for NUTS (to its advantage) the warm-up. Means and standard
-deviations are printed, so that it can be checked that all rows sample the same posterior. The last rows are the cost
-of roadload's own fit: from all samples, and update by update of a full window.
+deviations are printed, so that it can be checked that all rows sample the same posterior. The last rows are the cost of
+roadload's own fit: from all samples, and update by update of a full window.
 """
 
 import argparse
@@ -18,9 +18,9 @@ from collections.abc import Callable
 
 import numpy as np
 from arviz_stats.base.array import array_stats
+from peers.samplers import BOX, Problem, blackjax_nuts, emcee_stretch, paper, pymcmcstat_dram, samples
 from rich.console import Console
 from rich.table import Table
-from sampler_peers import BOX, Problem, blackjax_nuts, emcee_stretch, paper, pymcmcstat_dram, samples
 
 from estimator.config import Config
 from estimator.sampling.clipped import ClippedGaussianTarget

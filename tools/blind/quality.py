@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
+from harness.intervals import Floats, bootstrap, calibration_error, share
 
 from blind import answer
 from blind.case import Case, Measure, is_visible, share_of
-from blind.intervals import Floats, bootstrap, calibration_error, share
 from blind.truth import HIDDEN, key_of
 from estimator.answers.diagnosis import Finding
 

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from peers_online import FORCE_NOISE, MIN_STATE, START, START_SD, Z90, Stretch, regression
 from scipy.signal import butter, lfilter
 
 from estimator.samples import STEP
 from estimator.signals import Floats
 from estimator.units import STANDARD_GRAVITY
+from peers.level import FORCE_NOISE, MIN_STATE, START, START_SD, Normal, Stretch, regression
 
 SLOPE_SD = 0.02  # of the slope's sine at the start
 SLOPE_TIME = 30.0  # s in which the slope of the filter returns to zero
@@ -40,18 +40,6 @@ class Known:
 
     A: float
     C: float
-
-
-@dataclass(frozen=True)
-class Mass:
-    """Mass [kg] after the last row, and its standard deviation ``sd`` [kg]."""
-
-    mean: float
-    sd: float
-
-    def holds(self, truth: float) -> bool:
-        """Whether the 90 % interval holds the ``truth`` [kg]."""
-        return abs(truth - self.mean) <= Z90 * self.sd
 
 
 @dataclass(frozen=True)
@@ -80,12 +68,12 @@ class Band:
     high: float
 
 
-def two_forgetting_factors(data: Sequence[Stretch], settings: TwoFactors, known: Known) -> Mass:
+def two_forgetting_factors(data: Sequence[Stretch], settings: TwoFactors, known: Known) -> Normal:
     """Recursion over all rows in order; the slope takes up the rolling resistance, and C is known."""
     steps = list(_recursion(data, settings, known))
     _, theta, spread, _ = steps[-1]
     mass, squares = 1 / max(float(theta[0]), MIN_INVERSE_MASS), sum(step[3] for step in steps)
-    return Mass(mass, float(np.sqrt(squares / max(len(steps) - 2, 1) * spread[0])) * mass**2)
+    return Normal(mass, float(np.sqrt(squares / max(len(steps) - 2, 1) * spread[0])) * mass**2)
 
 
 def slopes_by_two_factors(data: Sequence[Stretch], settings: TwoFactors, known: Known) -> Floats:
@@ -150,7 +138,7 @@ class SlopeFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has n
         self.x[:2] = np.maximum(self.x[:2], [MIN_STATE[0], MIN_MASS])
 
 
-def kalman_with_slope(data: Sequence[Stretch], settings: SlopeNoise, known: Known) -> Mass:
+def kalman_with_slope(data: Sequence[Stretch], settings: SlopeNoise, known: Known) -> Normal:
     """Filter over all rows in order; A and C are known."""
     kalman = SlopeFilter(settings, known)
     for stretch in data:
@@ -159,10 +147,10 @@ def kalman_with_slope(data: Sequence[Stretch], settings: SlopeNoise, known: Know
         for speed, power in zip(stretch.speed[1:], between, strict=True):
             kalman.predict(power)
             kalman.see(speed)
-    return Mass(float(kalman.x[1]), float(np.sqrt(kalman.P[1, 1])))
+    return Normal(float(kalman.x[1]), float(np.sqrt(kalman.P[1, 1])))
 
 
-def band_passed(data: Sequence[Stretch], settings: Band, known: Known) -> Mass:
+def band_passed(data: Sequence[Stretch], settings: Band, known: Known) -> Normal:
     """Least squares over all rows but those at the start of a stretch, in which the band-pass settles; C is known."""
     settling = round(1 / settings.low / STEP)
     band = butter(2, (settings.low, settings.high), "bandpass", fs=1 / STEP)
@@ -172,7 +160,7 @@ def band_passed(data: Sequence[Stretch], settings: Band, known: Known) -> Mass:
         a, F = lfilter(*band, columns - columns[0], axis=0)[settling:].T
         aa, aF, FF, count = aa + float(a @ a), aF + float(a @ F), FF + float(F @ F), count + len(a)
     mass = aF / max(aa, 1e-12)
-    return Mass(mass, float(np.sqrt(max(FF - mass * aF, 0.0) / max(count - 1, 1) / max(aa, 1e-12))))
+    return Normal(mass, float(np.sqrt(max(FF - mass * aF, 0.0) / max(count - 1, 1) / max(aa, 1e-12))))
 
 
 def _motion(stretch: Stretch, known: Known) -> Floats:

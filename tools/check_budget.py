@@ -1,6 +1,6 @@
 """Gap budget and names of effects on drives with hills, wind, cold tyres and auxiliaries at once.
 
-python tools/natural_world.py [--drives 24] [--minutes 60] [--seed 1] [--json]
+    python tools/check_budget.py [--drives 24] [--minutes 60] [--seed 1]
 
 Every second drive has a further effect. The road is hidden, shown by a poor altimeter (3 m) or by a good one (0.3 m),
 on a third of the drives each. The shares in the budget of `roadload diagnose` are compared with the powers of the
@@ -10,7 +10,6 @@ effect is visible on a drive or not.
 """
 
 import argparse
-import json
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -19,19 +18,15 @@ from typing import Any
 
 import numpy as np
 from blind.truth import DETECTABLE
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from harness.check import Check, Figures, Table, drive_options, progress
+from harness.drives import METRES_PER_MINUTE, diagnosed, traffic, without_road
 
 from estimator.answers.diagnosis import Verdict
-from estimator.can_io.j1939_encoder import frames_of
-from estimator.can_io.log_writer import write_log
 from estimator.components.budget import NOISE, ROAD, WHITE
 from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
 from estimator.components.time_prior import prior_cost
-from estimator.config import Config
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import Timing
 from estimator.preparation.drive import Drive
@@ -42,7 +37,6 @@ from estimator.simulation.route import generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
 from estimator.simulation.truth import Truth
-from estimator.streaming.drive_extraction import diagnose_logs, drives_of
 
 # Smallest and largest size, in the units of the simulation (`simulation/effects/catalogue.py`).
 NATURAL = {"headwind": (1.0, 5.0), "warm_up": (0.1, 0.3), "auxiliary_load": (2e3, 8e3)}
@@ -77,10 +71,9 @@ def draw(number: int, seed: int, minutes: float) -> World:
     if extra:
         effects[extra] = float(rng.uniform(*EXTRA[extra]))
     kind = rng.choice(["mixed", "highway", "urban"])
-    route = generate_route(kind, 2000 * minutes, rng, float(rng.uniform(*SLOPES)))
+    route = generate_route(kind, METRES_PER_MINUTE * minutes, rng, float(rng.uniform(*SLOPES)))
     noise = ALTIMETERS[shown]
-    without = {Role.GRADE, Role.LONGITUDINAL_ACCELERATION, Role.FAN_SPEED} | (set() if noise else {Role.ALTITUDE})
-    sensors = Sensors(altitude_noise=noise or 0.0, without=frozenset(without))
+    sensors = Sensors(altitude_noise=noise or 0.0, without=without_road(noise) | {Role.FAN_SPEED})
     return World(shown, extra, record(truck, route, 60 * minutes, rng, sensors=sensors, effects=effects_from(effects)))
 
 
@@ -141,11 +134,8 @@ def visibility(recording: Recording, plain: DriveState, start: float, extra: str
 
 def score(world: World, folder: Path) -> dict[str, Any]:
     """Diagnose a drive from its log and compare."""
-    log = folder / "drive.blf"
-    write_log(frames_of(world.recording.signals), log)
-    diagnosis = diagnose_logs([log], Config())
+    diagnosis, driven = diagnosed(traffic(world.recording), folder)
     assert diagnosis.budget is not None
-    driven = drives_of(log, Config())[0]
     plain = fitted(driven)
     truth = true_shares(world.recording, plain, driven.start)
     parts = {part.cause: part for part in diagnosis.budget.parts}
@@ -179,51 +169,76 @@ def score(world: World, folder: Path) -> dict[str, Any]:
     }
 
 
-def main() -> int:
-    """Print a row for each drive, and the totals."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--drives", type=int, default=24)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for number in track(range(options.drives), "driving", console=Console(stderr=True), transient=True):
-            rows.append(score(draw(number, options.seed, options.minutes), Path(folder)))
-    if options.json:
-        print(json.dumps(rows, indent=2))
-        return 0
-    table = Table(
-        "road", "extra", "its share", "log BF", "named", "wrong", "shares right", "road: truth", "found", "worst share"
-    )
-    for row in rows:
-        truth, share, low, high = row["road"]
-        table.add_row(
-            row["shown"],
-            row["extra"],
-            f"{row['extra_share']:.3f}" if row["extra"] else "",
-            f"{row['extra_log_bayes_factor']:.0f}" if row["extra"] else "",
-            " ".join(row["named"]),
-            " ".join(row["wrong"]),
-            f"{row['within']} of {row['shares']}",
-            f"{truth:.3f}",
-            f"{share:.3f} ({low:.3f} .. {high:.3f})",
-            f"{row['worst'][0]} {row['worst'][1]:+.3f}",
-        )
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
+def totals(rows: list[dict[str, Any]]) -> Figures:
+    """Counts over all drives, each with the number it is out of."""
     seen = [row for row in rows if row["extra"] and row["extra_share"] > MIN_SHARE]
     clear = [row for row in rows if row["extra_log_bayes_factor"] > DETECTABLE]
-    holds = sum(row["road"][2] <= row["road"][0] <= row["road"][3] for row in rows)
-    print(f"shares within {MAX_SHARE_ERROR:.0%}: {sum(r['within'] for r in rows)} of {sum(r['shares'] for r in rows)}")
-    right, large = (sum(row[key] for row in rows) for key in ("within_large", "large"))
-    print(f"of those above {MIN_SHARE:.0%}, true or found: {right} of {large}")
-    print(f"90 % interval of the road's share holds: {holds} of {len(rows)}")
-    print(f"extra effect of more than {MIN_SHARE:.0%} named: {sum(r['extra_named'] for r in seen)} of {len(seen)}")
-    print(f"extra effect visible to the oracle named: {sum(row['extra_named'] for row in clear)} of {len(clear)}")
-    print(f"drives with a wrong name: {sum(bool(r['wrong']) for r in rows)} of {len(rows)}")
-    return 0
 
+    def summed(key: str) -> int:
+        return sum(row[key] for row in rows)
+
+    return {
+        f"shares within {MAX_SHARE_ERROR:.0%}": [summed("within"), summed("shares")],
+        f"of those above {MIN_SHARE:.0%}, true or found": [summed("within_large"), summed("large")],
+        "90 % interval of the road's share holds": [
+            sum(row["road"][2] <= row["road"][0] <= row["road"][3] for row in rows),
+            len(rows),
+        ],
+        f"extra effect of more than {MIN_SHARE:.0%} named": [sum(row["extra_named"] for row in seen), len(seen)],
+        "extra effect visible to the oracle named": [sum(row["extra_named"] for row in clear), len(clear)],
+        "drives with a wrong name": [sum(bool(row["wrong"]) for row in rows), len(rows)],
+    }
+
+
+def measure(options: argparse.Namespace) -> Figures:
+    """Every drive, and the totals."""
+    with tempfile.TemporaryDirectory() as folder:
+        numbers = progress(range(options.drives), "driving")
+        rows = [score(draw(number, options.seed, options.minutes), Path(folder)) for number in numbers]
+    return {"drives": rows, "totals": totals(rows)}
+
+
+def row_of(found: dict[str, Any]) -> list[str]:
+    """A drive as cells of the table."""
+    truth, share, low, high = found["road"]
+    return [
+        found["shown"],
+        found["extra"],
+        f"{found['extra_share']:.3f}" if found["extra"] else "",
+        f"{found['extra_log_bayes_factor']:.0f}" if found["extra"] else "",
+        " ".join(found["named"]),
+        " ".join(found["wrong"]),
+        f"{found['within']} of {found['shares']}",
+        f"{truth:.3f}",
+        f"{share:.3f} ({low:.3f} .. {high:.3f})",
+        f"{found['worst'][0]} {found['worst'][1]:+.3f}",
+    ]
+
+
+def tables(figures: Figures) -> list[Table]:
+    """A row for each drive, and the totals."""
+    columns = (
+        "road",
+        "extra",
+        "its share",
+        "log BF",
+        "named",
+        "wrong",
+        "shares right",
+        "road: truth",
+        "found",
+        "worst",
+    )
+    counts = [[name, f"{hits} of {number}"] for name, (hits, number) in figures["totals"].items()]
+    return [Table("", columns, [row_of(found) for found in figures["drives"]]), Table("", ("", ""), counts)]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the drives."""
+    drive_options(parser, drives=24, minutes=60.0)
+
+
+CHECK = Check(name="budget", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())

@@ -1,16 +1,18 @@
 """Check the diagnosis of any residual on drawn records whose causes are known.
 
-    python tools/residual_check.py [--records 400] [--seed 1]
+    python tools/check_residual.py [--records 400] [--seed 1]
 
 Each record has noise with a memory, five candidate columns, two axes, and a base that is fitted anew. A third of the
 records is clean, a third has one candidate, a sixth two, a sixth something that is no candidate: the square of an axis.
 """
 
 import argparse
+import sys
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from harness.check import Check, Figures, Table, percent, progress
 
 from estimator import Axis, Candidate, diagnose_residual
 from estimator.residual.answer import ResidualDiagnosis
@@ -94,32 +96,47 @@ def counted(record: Drawn, found: ResidualDiagnosis, tally: Counter[str]) -> Non
         tally["with candidates: a wrong name"] += bool(wrong)
 
 
-def main(records: int, seed: int) -> None:
-    """Print the shares."""
+def measure(options: argparse.Namespace) -> Figures:
+    """Counts of outcomes, and the bound on false alarms that is promised."""
     tally: Counter[str] = Counter()
     bound = 0.0
-    for number in range(records):
-        record = drawn(np.random.default_rng([seed, number]))
+    for number in progress(range(options.records), "diagnosing"):
+        record = drawn(np.random.default_rng([options.seed, number]))
         found = diagnose_residual(
             record.residual,
             record.candidates,
             record.t,
-            rng=np.random.default_rng([seed, number, 1]),
+            rng=np.random.default_rng([options.seed, number, 1]),
             base=record.base,
             along=record.axes,
         )
         counted(record, found, tally)
         bound = found.max_false_alarms
-    for name in sorted(tally):
+    return {"counts": {name: int(tally[name]) for name in sorted(tally)}, "bound_on_false_alarms": bound}
+
+
+def tables(figures: Figures) -> list[Table]:
+    """Counts and shares."""
+    tally, rows = figures["counts"], []
+    for name, count in tally.items():
         whole = name.split(":")[0]
-        share = "" if whole == name else f" = {100 * tally[name] / max(tally[whole], 1):.1f} %"
-        print(f"{name}: {tally[name]}{share}")
-    print(f"bound on false alarms: {100 * bound:.1f} %")
+        rows.append([name, str(count), "" if whole == name else percent(count / max(tally[whole], 1))])
+    return [
+        Table(
+            "",
+            ("", "records", "share"),
+            [*rows, ["bound on false alarms", "", percent(figures["bound_on_false_alarms"])]],
+        )
+    ]
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the records."""
     parser.add_argument("--records", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    main(options.records, options.seed)
+
+
+CHECK = Check(name="residual", about=__doc__, measure=measure, tables=tables, options=add_options)
+
+if __name__ == "__main__":
+    sys.exit(CHECK.main())

@@ -20,12 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
+from harness.scores import Score
 from scipy.signal import butter, lfilter
 
 from estimator.preparation.admission import ADMITTED, row_reasons
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission
-from estimator.signals import Floats, Mask
+from estimator.signals import Floats
 
 START = np.array([1800.0, 4.0, 25e3])  # N, N s^2/m^2, kg: initial values for any class-8 truck
 START_SD = np.array([1000.0, 2.0, 10e3])  # N, N s^2/m^2, kg
@@ -47,15 +48,17 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """``theta`` = [A, C, m] after the last row and its standard deviations ``sd``, SI, both (3,)."""
+class Normal:
+    """An estimate after the last row, with its standard deviation ``sd``, SI."""
 
-    theta: Floats
-    sd: Floats
+    mean: float
+    sd: float
 
-    def holds(self, truth: Floats) -> Mask:
-        """Whether the 90 % interval of each parameter holds the ``truth`` (3,)."""
-        return np.abs(truth - self.theta) <= Z90 * self.sd
+    def score(self, truth: float) -> Score:
+        """Compare with the ``truth``."""
+        return Score(
+            self.mean / truth - 1, self.sd / truth, abs(truth - self.mean) <= Z90 * self.sd, Z90 * self.sd / self.mean
+        )
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ def regression(stretch: Stretch, cutoff: float) -> tuple[Floats, Floats]:
     return filtered[:, :3], filtered[:, 3]
 
 
-def recursive_least_squares(data: Sequence[Stretch], settings: Forgetting) -> Estimate:
+def recursive_least_squares(data: Sequence[Stretch], settings: Forgetting) -> dict[str, Normal]:
     """Recursion over all rows in order; the covariance is that of white residuals with their own variance."""
     theta, P = START.copy(), np.diag((START_SD / FORCE_NOISE) ** 2)
     growth = np.array([settings.resistance, settings.resistance, settings.mass]) ** -0.5
@@ -118,7 +121,7 @@ def recursive_least_squares(data: Sequence[Stretch], settings: Forgetting) -> Es
             P = P - np.outer(Px, Px) / spread
             squares += innovation**2 / spread
             count += 1
-    return Estimate(theta, np.sqrt(squares / max(count - 3, 1) * np.diag(P)))
+    return _by_name(theta, np.sqrt(squares / max(count - 3, 1) * np.diag(P)))
 
 
 class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
@@ -154,7 +157,7 @@ class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ha
         self.x = np.maximum(self.x, MIN_STATE)
 
 
-def extended_kalman(data: Sequence[Stretch], settings: ProcessNoise) -> Estimate:
+def extended_kalman(data: Sequence[Stretch], settings: ProcessNoise) -> dict[str, Normal]:
     """Filter over all rows in order."""
     kalman = RoadLoadFilter(settings)
     for stretch in data:
@@ -163,4 +166,9 @@ def extended_kalman(data: Sequence[Stretch], settings: ProcessNoise) -> Estimate
         for speed, power in zip(stretch.speed[1:], between, strict=True):
             kalman.predict(power)
             kalman.see(speed)
-    return Estimate(kalman.x[1:].copy(), np.sqrt(np.diag(kalman.P)[1:]))
+    return _by_name(kalman.x[1:], np.sqrt(np.diag(kalman.P)[1:]))
+
+
+def _by_name(theta: Floats, sd: Floats) -> dict[str, Normal]:
+    """Estimates of A, C, m (3,) by their names."""
+    return {name: Normal(float(x), float(s)) for name, x, s in zip(("A", "C", "mass"), theta, sd, strict=True)}

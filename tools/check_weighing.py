@@ -1,6 +1,6 @@
 """Dynamic on-board weighing: when each load is known first, and how regularly after that, over a hidden road.
 
-    python tools/weighing.py [--drives 10] [--minutes 40] [--seed 1] [--json]
+    python tools/check_weighing.py [--drives 10] [--minutes 40] [--seed 1]
 
 Three loads on three kinds of road, no signal of the road on the bus, J1939 bytes, the streaming estimator. A value is
 fresh when it was computed just now and its 90 % interval is within 5 % of its mean. A drive conforms when the first
@@ -9,34 +9,29 @@ the end of the drive included.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
-from accuracy import METRES_PER_MINUTE, OF_THE_ROAD
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from harness.check import Check, Figures, Table, drive_options, progress
+from harness.drives import METRES_PER_MINUTE, SLOPES, estimates, loaded, traffic, without_road
+from harness.scores import rms
 
-from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config
 from estimator.estimates import Marginal
 from estimator.simulation.recording import record
 from estimator.simulation.route import RoadKind, generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
-from estimator.streaming.pipeline import Pipeline
 
 PERMISSIBLE_MASS = 40e3  # kg, of a combination of five axles in the EU
 LOADS = {"45-55 %": (0.45, 0.55), "65-75 %": (0.65, 0.75), "90-100 %": (0.9, 1.0)}  # of the permissible mass
 ROADS: dict[str, tuple[RoadKind, tuple[float, float]]] = {  # kind, sd of the slopes [1]
     "urban, level": ("urban", (0.0, 0.0)),
-    "regional, hills": ("mixed", (0.004, 0.016)),
-    "highway, hills": ("highway", (0.004, 0.016)),
+    "regional, hills": ("mixed", SLOPES),
+    "highway, hills": ("highway", SLOPES),
 }
 HALF_WIDTH = 0.05  # of the mean, of the 90 % interval of a fresh value
 FIRST, AGAIN = 15 * 60.0, 10 * 60.0  # s, latest times of the first fresh value and of each next one
@@ -86,13 +81,11 @@ def weigh(road: str, load: str, minutes: float, rng: np.random.Generator) -> Wei
     kind, slopes = ROADS[road]
     drawn = draw_truck(rng)
     mass = PERMISSIBLE_MASS * rng.uniform(*LOADS[load])
-    truck = replace(drawn, mass=mass, A=drawn.A * mass / drawn.mass)
     route = generate_route(kind, minutes * METRES_PER_MINUTE, rng, rng.uniform(*slopes))
-    sensors = Sensors(without=frozenset(OF_THE_ROAD))
-    recording = record(truck, route, minutes * 60, rng, sensors=sensors)
-    frames = frames_of(recording.signals)
-    pipeline = Pipeline(Config())
-    updates = [*pipeline.feed(frames), *pipeline.finish()]
+    sensors = Sensors(without=without_road())
+    recording = record(loaded(drawn, mass), route, minutes * 60, rng, sensors=sensors)
+    frames = traffic(recording)
+    updates = estimates(frames, Config())
     moving = recording.truth.t[recording.truth.v > 0]
     off = float(frames.t[0] + moving[0])
     fresh = [(update.t - off, update.mass) for update in updates if update.mass is not None and is_fresh(update.mass)]
@@ -106,7 +99,7 @@ def weigh(road: str, load: str, minutes: float, rng: np.random.Generator) -> Wei
     )
 
 
-def summary(drives: Sequence[Weighed]) -> dict[str, Any]:
+def summary(drives: Sequence[Weighed]) -> Figures:
     """Figures of some drives; times in minutes, errors of the first and of the last fresh value as shares."""
     weighed = [drive for drive in drives if drive.t]
     first = np.array([drive.t[0] for drive in weighed]) / 60
@@ -120,7 +113,7 @@ def summary(drives: Sequence[Weighed]) -> dict[str, Any]:
         "stretches_fresh": int(stretches[:, 0].sum()),
         "stretches": int(stretches[:, 1].sum()),
         "longest_wait_min": max(drive.longest_wait for drive in weighed) / 60 if weighed else None,
-        "rms_error": {name: float(np.sqrt(np.mean(np.square(x)))) for name, x in errors.items() if x},
+        "rms_error": {name: rms(x) for name, x in errors.items() if x},
         "worst_error": {name: float(np.abs(x).max()) for name, x in errors.items() if x},
         "within_5_percent": sum(abs(e) <= HALF_WIDTH for drive in weighed for e in drive.error),
         "values": sum(len(drive.t) for drive in weighed),
@@ -129,7 +122,7 @@ def summary(drives: Sequence[Weighed]) -> dict[str, Any]:
     }
 
 
-def row(figures: dict[str, Any]) -> list[str]:
+def row(figures: Figures) -> list[str]:
     """Figures as cells of the table."""
     if figures["first_min"] is None:
         return [f"0 of {figures['drives']}", *[""] * 6]
@@ -145,26 +138,22 @@ def row(figures: dict[str, Any]) -> list[str]:
     ]
 
 
-def main() -> int:
-    """Print a row for each road and load, and one for all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--drives", type=int, default=10, help="for each road and load")
-    parser.add_argument("--minutes", type=float, default=40.0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", action="store_true", help="figures, and every drive")
-    options = parser.parse_args()
+def measure(options: argparse.Namespace) -> Figures:
+    """Figures of each road and load, and of all drives."""
     cells = list(product(ROADS, LOADS, range(options.drives)))
     drives = []
-    for k, (road, load, _) in enumerate(track(cells, "driving", console=Console(stderr=True), transient=True)):
+    for k, (road, load, _) in enumerate(progress(cells, "driving")):
         drives.append(weigh(road, load, options.minutes, np.random.default_rng([options.seed, k])))
-    groups = {
-        (road, load): [x for x in drives if (x.road, x.load) == (road, load)] for road, load in product(ROADS, LOADS)
-    }
-    if options.json:
-        figures = [{"road": road, "load": load, **summary(group)} for (road, load), group in groups.items()]
-        print(json.dumps({"cells": figures, "all": summary(drives), "drives": [asdict(x) for x in drives]}, indent=1))
-        return 0
-    table = Table(
+    figures = [
+        {"road": road, "load": load, **summary([x for x in drives if (x.road, x.load) == (road, load)])}
+        for road, load in product(ROADS, LOADS)
+    ]
+    return {"cells": figures, "all": summary(drives), "drives": [asdict(x) for x in drives]}
+
+
+def tables(figures: Figures) -> list[Table]:
+    """A row for each road and load, and one for all."""
+    columns = (
         "road",
         "load",
         "conform",
@@ -175,12 +164,16 @@ def main() -> int:
         "last: rms, worst error",
         "interval holds: first, last",
     )
-    for (road, load), group in groups.items():
-        table.add_row(road, load, *row(summary(group)))
-    table.add_row("all", "", *row(summary(drives)))
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
-    return 0
+    rows = [[cell["road"], cell["load"], *row(cell)] for cell in figures["cells"]]
+    return [Table("", columns, [*rows, ["all", "", *row(figures["all"])]])]
 
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the drives."""
+    drive_options(parser, drives=10, minutes=40.0)
+
+
+CHECK = Check(name="weighing", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())

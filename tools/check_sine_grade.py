@@ -1,14 +1,13 @@
 """A truck with two loads over roads whose grade is a sine: its mass, the slopes found, and the share of the road.
 
-python tools/sine_grade.py [--minutes 40] [--seed 1] [--json]
+    python tools/check_sine_grade.py [--drives 24] [--minutes 40] [--seed 1]
 
-Both loads, all of AMPLITUDES and LENGTHS, the road hidden and shown by an altimeter of 0.3 m: 24 drives. The model has
-a random road, whose slopes are forgotten over a length; a sine repeats for ever. "left if known" is the residual
-that `roadload diagnose` promises for a known road, where the plain road load leaves "before".
+Both loads, all of AMPLITUDES and LENGTHS, the road hidden and shown by an altimeter of 0.3 m: 24 drives, or the first.
+The model has a random road, whose slopes are forgotten over a length; a sine repeats for ever. "left if known" is the
+residual that `roadload diagnose` promises for a known road, where the plain road load leaves "before".
 """
 
 import argparse
-import json
 import sys
 import tempfile
 from dataclasses import asdict, dataclass, replace
@@ -17,23 +16,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from accuracy import METRES_PER_MINUTE
-from natural_world import fitted, true_shares
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from check_budget import fitted, true_shares
+from harness.check import Check, Figures, Table, drive_options, percent, progress
+from harness.drives import METRES_PER_MINUTE, diagnosed, estimates, loaded, traffic, without_road
+from harness.scores import Score
 
-from estimator.can_io.j1939_encoder import frames_of
-from estimator.can_io.log_writer import write_log
 from estimator.components.budget import ROAD
 from estimator.config import Config
-from estimator.signals import Role
 from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import GRADE_SPACING, generate_route
 from estimator.simulation.sensors import Sensors
 from estimator.simulation.truck import draw_truck
-from estimator.streaming.drive_extraction import diagnose_logs, drives_of
-from estimator.streaming.pipeline import Pipeline
 
 LOADS = (18e3, 36e3)  # kg, of the whole truck
 AMPLITUDES = (0.01, 0.02, 0.03)  # rise over run
@@ -52,32 +45,27 @@ class World:
 
     def drive(self, minutes: float, rng: np.random.Generator) -> Recording:
         """A drive of ``minutes`` [min] by a truck drawn at random, but for its mass."""
-        drawn = draw_truck(rng)
-        truck = replace(drawn, mass=self.mass, A=drawn.A * self.mass / drawn.mass)
+        truck = loaded(draw_truck(rng), self.mass)
         level = generate_route("mixed", minutes * METRES_PER_MINUTE, rng)
         phase = 2 * np.pi * (GRADE_SPACING * np.arange(len(level.grade)) / self.length + rng.random())
         route = replace(level, grade=self.amplitude * np.sin(phase))
         noise = ALTIMETERS[self.shown]
-        without = {Role.GRADE, Role.LONGITUDINAL_ACCELERATION} | (set() if noise else {Role.ALTITUDE})
-        sensors = Sensors(altitude_noise=noise or 0.0, without=frozenset(without))
+        sensors = Sensors(altitude_noise=noise or 0.0, without=without_road(noise))
         return record(truck, route, 60 * minutes, rng, sensors=sensors)
 
 
 def score(world: World, recording: Recording, folder: Path) -> dict[str, Any]:
     """Estimate and diagnose a drive from its log in ``folder``, and compare with the truth."""
-    log, config = folder / "drive.blf", Config()
-    frames = frames_of(recording.signals)
-    write_log(frames, log)
-    pipeline = Pipeline(config)
-    last = [*pipeline.feed(frames), *pipeline.finish()][-1]
-    diagnosis, driven = diagnose_logs([log], config), drives_of(log, config)[0]
+    frames = traffic(recording)
+    last = estimates(frames, Config())[-1]
+    diagnosis, driven = diagnosed(frames, folder)
     part = None if diagnosis.budget is None else diagnosis.budget.part(ROAD)
-    found = last.mass
+    mass = None if last.mass is None else Score.of(last.mass, world.mass)
     return {
         **asdict(world),
-        "error": None if found is None else found.mean / world.mass - 1,
-        "sd": None if found is None else found.sd / world.mass,
-        "holds": found is not None and found.q05 <= world.mass <= found.q95,
+        "error": None if mass is None else mass.error,
+        "sd": None if mass is None else mass.sd,
+        "holds": mass is not None and mass.holds,
         "reason": last.reason,
         "amplitude_found": None if last.road is None else float(np.sqrt(2)) * last.road.slope_sd,
         "named": [effect.name for effect in diagnosis.effects],
@@ -97,7 +85,7 @@ def row(found: dict[str, Any]) -> list[str]:
         found["shown"],
         found["reason"] if found["error"] is None else f"{100 * found['error']:+.2f} +- {100 * found['sd']:.2f} %",
         "yes" if found["holds"] else "no",
-        "" if found["amplitude_found"] is None else f"{100 * found['amplitude_found']:.2f} %",
+        percent(found["amplitude_found"], 2),
         " + ".join(found["named"]),
         f"{found['share']:.3f}",
         "" if share is None else "{:.3f} ({:.3f} .. {:.3f})".format(*share),
@@ -105,33 +93,43 @@ def row(found: dict[str, Any]) -> list[str]:
     ]
 
 
-def main() -> int:
-    """Print a row for each drive."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=40.0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+def measure(options: argparse.Namespace) -> Figures:
+    """Every drive."""
     worlds = [
         World(mass=mass, amplitude=amplitude, length=length, shown=shown)
         for mass, amplitude, length, shown in product(LOADS, AMPLITUDES, LENGTHS, ALTIMETERS)
     ]
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for k, world in enumerate(track(worlds, "driving", console=Console(stderr=True), transient=True)):
+        for k, world in enumerate(progress(worlds[: options.drives], "driving")):
             rng = np.random.default_rng(options.seed + k)
             rows.append(score(world, world.drive(options.minutes, rng), Path(folder)))
-    if options.json:
-        print(json.dumps(rows, indent=2))
-        return 0
-    table = Table(
-        "t", "grade", "road", "mass", "holds", "amplitude", "named", "road's share", "found", "kW before, left if known"
-    )
-    for found in rows:
-        table.add_row(*row(found))
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
-    return 0
+    return {"drives": rows}
 
+
+def tables(figures: Figures) -> list[Table]:
+    """A row for each drive."""
+    columns = (
+        "t",
+        "grade",
+        "road",
+        "mass",
+        "holds",
+        "amplitude",
+        "named",
+        "road's share",
+        "found",
+        "kW before, left if known",
+    )
+    return [Table("", columns, [row(found) for found in figures["drives"]])]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the drives."""
+    drive_options(parser, drives=24, minutes=40.0)
+
+
+CHECK = Check(name="sine_grade", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())

@@ -1,34 +1,30 @@
 """The road under the vehicle as it is broadcast, against the truth and beside recursive least squares.
 
-    python tools/road_now.py [--drives 12] [--training 3] [--minutes 40] [--seed 1] [--json]
+    python tools/check_road_now.py [--drives 12] [--training 3] [--minutes 40] [--seed 1]
 
-The drives are those of `accuracy.py --hills`, played to the daemon's loop. "At the stride" is the slope at the newest
-stride, given the strides up to it; "as broadcast" the slope where the vehicle is when the message is sent, once a
-second. The peer is the recursion with two forgetting factors of `peers_hills.py`, on roadload's rows, masks and lag. It
-does not see an altimeter. A slope and rolling resistance are one to it: it is told the true A and C of the truck, or
-else those of a usual one. Its settings have the smallest error of the slope on training drives, with A and C told.
-Both are compared at the strides whose force is known, and the peer has the rows up to the end of each. All errors are
-from the first broadcast on, in per cent of slope.
+The drives are those of `check_accuracy.py --hills`, played to the daemon's loop. "At the stride" is the slope at the
+newest stride, given the strides up to it; "as broadcast" the slope where the vehicle is when the message is sent, once
+a second. The peer is the recursion with two forgetting factors of `peers/hills.py`, on roadload's rows, masks and lag.
+It does not see an altimeter. A slope and rolling resistance are one to it: it is told the true A and C of the truck, or
+else those of a usual one. Its settings have the smallest error of the slope on training drives, with A and C told. Both
+are compared at the strides whose force is known, and the peer has the rows up to the end of each. All errors are from
+the first broadcast on, in per cent of slope.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise, product
-from typing import Any
 
 import numpy as np
-from accuracy import ALTIMETERS, hills
+from harness.check import Check, Figures, Table, drive_options, percent, progress
+from harness.drives import ALTIMETERS, hills, numbered, traffic
+from harness.scores import rms
 from numpy.typing import NDArray
-from peers_hills import Known, TwoFactors, slopes_by_two_factors
-from peers_online import START, Z90, Stretch, stretches
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from peers.hills import Known, TwoFactors, slopes_by_two_factors
+from peers.level import START, Z90, Stretch, stretches
 
-from estimator.can_io.j1939_encoder import frames_of
 from estimator.config import Config
 from estimator.estimates import Estimate, Slope
 from estimator.samples import Rows
@@ -52,22 +48,20 @@ class Drive:
     of the newest rows then [s], true slope [%]. ``heights`` (k, 2): error and standard deviation [m].
     """
 
-    altimeter: str
     at_strides: Floats
     broadcast: Floats
     now: Floats
     heights: Floats
     data: list[Stretch]
     known: Known
-    truth: Floats  # (r, 2) time [s] and slope [%]
 
     @classmethod
     def simulate(cls, number: int, seed: int, minutes: float) -> "Drive":
         """Drive, send as CAN frames, and listen."""
         rng = np.random.default_rng([seed, number])
         world = hills(number, rng)
-        recording = world.recorded(minutes, rng)
-        truth, frames = recording.truth, frames_of(recording.signals)
+        recording = world.drive(minutes, rng)
+        truth, frames = recording.truth, traffic(recording)
         begin = float(frames.t[0])
         slope = PERCENT * truth.grade / np.hypot(1.0, truth.grade)
         strides, seconds, heights = dict[float, list[float]](), list[list[float]](), list[list[float]]()
@@ -95,16 +89,13 @@ class Drive:
         worker.close()
         rows = [x for item in RowStream(Config()).feed(frames) if isinstance(item, Block) for x in item.rows]
         evidence, sent = worker.pipeline.estimator.evidence, np.array(seconds).reshape(-1, 5)
-        shown = next(name for name, noise in ALTIMETERS.items() if noise == world.altimeter)
         return cls(
-            altimeter=shown,
             at_strides=np.array(list(strides.values())).reshape(-1, 4),
             broadcast=sent[:, :4],
             now=sent[:, [0, 4, 3]],
             heights=np.array(heights).reshape(-1, 2),
             data=stretches(Rows.concatenate(*rows), Config().admission, 0.0 if evidence is None else evidence.lag),
             known=Known(truth.truck.A, truth.truck.C),
-            truth=np.column_stack([truth.t + begin, slope]),
         )
 
     def beside(self, settings: TwoFactors, known: Known) -> tuple[Floats, Floats]:
@@ -122,19 +113,19 @@ class Drive:
         return np.column_stack([self.at_strides[:, 1], theirs])[near], held
 
 
-def rms(errors: Sequence[Floats]) -> float:
-    """Of the errors of all drives."""
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+def rms_of(errors: Sequence[Floats]) -> float:
+    """Root mean square of the errors of all drives."""
+    return rms(np.concatenate(errors).tolist())
 
 
-def figures_of(drives: Sequence[Drive], settings: TwoFactors) -> dict[str, Any]:
+def figures_of(drives: Sequence[Drive], settings: TwoFactors) -> Figures:
     """Errors and coverage of some drives."""
-    figures: dict[str, Any] = {"drives": len(drives), "hours": sum(len(x.broadcast) for x in drives) / 3600}
+    figures: Figures = {"drives": len(drives), "hours": sum(len(x.broadcast) for x in drives) / 3600}
     for name, parts in (("stride", [x.at_strides for x in drives]), ("broadcast", [x.broadcast for x in drives])):
         within = [float(np.mean(np.abs(part[:, 1]) <= Z90 * part[:, 2])) for part in parts]
         every = np.concatenate(parts)
         figures[name] = {
-            "rms": rms([part[:, 1] for part in parts]),
+            "rms": rms_of([part[:, 1] for part in parts]),
             "sd": float(np.sqrt(np.mean(every[:, 2] ** 2))),
             "holds": float(np.mean(np.abs(every[:, 1]) <= Z90 * every[:, 2])),
             "holds_least": min(within),
@@ -143,68 +134,64 @@ def figures_of(drives: Sequence[Drive], settings: TwoFactors) -> dict[str, Any]:
     told = [x.beside(settings, x.known) for x in drives]
     usual = [x.beside(settings, USUAL) for x in drives]
     figures["beside"] = {
-        "roadload": rms([x[0][:, 0] for x in told]),
-        "peer_told": rms([x[0][:, 1] for x in told]),
-        "peer_usual": rms([x[0][:, 1] for x in usual]),
-        "roadload_about_mean": rms([x[0][:, 0] - x[0][:, 0].mean() for x in told]),
-        "peer_about_mean": rms([x[0][:, 1] - x[0][:, 1].mean() for x in told]),
-        "peer_told_broadcast": rms([x[1] for x in told]),
-        "peer_usual_broadcast": rms([x[1] for x in usual]),
+        "roadload": rms_of([x[0][:, 0] for x in told]),
+        "peer_told": rms_of([x[0][:, 1] for x in told]),
+        "peer_usual": rms_of([x[0][:, 1] for x in usual]),
+        "roadload_about_mean": rms_of([x[0][:, 0] - x[0][:, 0].mean() for x in told]),
+        "peer_about_mean": rms_of([x[0][:, 1] - x[0][:, 1].mean() for x in told]),
+        "peer_told_broadcast": rms_of([x[1] for x in told]),
+        "peer_usual_broadcast": rms_of([x[1] for x in usual]),
     }
     heights = np.concatenate([x.heights for x in drives])
     if np.isfinite(heights).all():
         holds = float(np.mean(np.abs(heights[:, 0]) <= Z90 * heights[:, 1]))
-        figures["height"] = {"rms": rms([x.heights[:, 0] for x in drives]), "holds": holds}
+        figures["height"] = {"rms": rms_of([x.heights[:, 0] for x in drives]), "holds": holds}
     return figures
 
 
-def main() -> int:
-    """Print errors and coverage by what shows the road."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--drives", type=int, default=12, help="of each kind of altimeter")
-    parser.add_argument("--training", type=int, default=3, metavar="DRIVES", help="with a hidden road")
-    parser.add_argument("--minutes", type=float, default=40.0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    console = Console(stderr=True)
+def measure(options: argparse.Namespace) -> Figures:
+    """Tune the peer on training drives; errors and coverage by what shows the road."""
 
     def simulated(seed: int, numbers: Sequence[int], doing: str) -> list[Drive]:
-        shown = track(numbers, doing, console=console, transient=True)
-        drives = [Drive.simulate(number, seed, options.minutes) for number in shown]
+        drives = [Drive.simulate(number, seed, options.minutes) for number in progress(numbers, doing)]
         return [drive for drive in drives if len(drive.broadcast)]
 
-    def numbered(altimeter: int, drives: int) -> list[int]:
-        return [9 * (i // 3) + 3 * altimeter + i % 3 for i in range(drives)]
+    training = simulated(TRAINING_SEED, numbered(options.training, "hidden"), "driving for training")
+    settings = min(TWO_FACTORS, key=lambda x: rms_of([drive.beside(x, drive.known)[0][:, 1] for drive in training]))
+    drives = {name: simulated(options.seed, numbered(options.drives, name), f"driving, {name}") for name in ALTIMETERS}
+    roads = {name: figures_of(driven, settings) for name, driven in drives.items() if driven}
+    return {"settings": asdict(settings), "roads": roads}
 
-    training = simulated(TRAINING_SEED, numbered(0, options.training), "driving for training")
-    settings = min(TWO_FACTORS, key=lambda x: rms([drive.beside(x, drive.known)[0][:, 1] for drive in training]))
-    answers = {}
-    for i, name in enumerate(ALTIMETERS):
-        if drives := simulated(options.seed, numbered(i, options.drives), f"driving, {name}"):
-            answers[name] = figures_of(drives, settings)
-    if options.json:
-        print(json.dumps({"settings": vars(settings), **answers}, indent=2))
-        return 0
-    print(f"peer: {settings}, from {len(training)} training drives")
-    table = Table("road", "drives, h", "slopes, sd", "", "rms", "expected sd", "within 90 %", "least of a drive")
-    for name, x in answers.items():
+
+def tables(figures: Figures) -> list[Table]:
+    """Errors and coverage by what shows the road, and those beside the peer."""
+    rows = []
+    for name, x in figures["roads"].items():
         for key, what in (("stride", "at the stride"), ("broadcast", "as broadcast")):
             found = x[key]
             errors = [f"{found['rms']:.2f} %", f"{found['sd']:.2f} %"]
-            holds = [f"{PERCENT * found['holds']:.0f} %", f"{PERCENT * found['holds_least']:.0f} %"]
-            table.add_row(name, f"{x['drives']}, {x['hours']:.1f}", f"{found['slopes']:.2f} %", what, *errors, *holds)
+            holds = [percent(found["holds"], 0), percent(found["holds_least"], 0)]
+            rows.append([name, f"{x['drives']}, {x['hours']:.1f}", f"{found['slopes']:.2f} %", what, *errors, *holds])
         if "height" in x:
-            found = x["height"]
-            table.add_row(name, "", "", "height", f"{found['rms']:.1f} m", "", f"{PERCENT * found['holds']:.0f} %", "")
-    beside = Table("rms, force known", *(key.replace("_", " ") for key in next(iter(answers.values()))["beside"]))
-    for name, x in answers.items():
-        beside.add_row(name, *(f"{value:.2f} %" for value in x["beside"].values()))
-    output = Console(width=None if sys.stdout.isatty() else 200)
-    output.print(table)
-    output.print(beside)
-    return 0
+            rows.append(
+                [name, "", "", "height", f"{x['height']['rms']:.1f} m", "", percent(x["height"]["holds"], 0), ""]
+            )
+    columns = ("road", "drives, h", "slopes, sd", "", "rms", "expected sd", "within 90 %", "least of a drive")
+    beside = {name: x["beside"] for name, x in figures["roads"].items()}
+    names = list(next(iter(beside.values()), ()))
+    compared = [[name, *(f"{value:.2f} %" for value in x.values())] for name, x in beside.items()]
+    told = ", ".join(f"{key} {value:g}" for key, value in figures["settings"].items())
+    title = f"rms of the slope where the force is known; the peer with {told}"
+    return [Table("", columns, rows), Table(title, ("", *(name.replace("_", " ") for name in names)), compared)]
 
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the drives."""
+    drive_options(parser, drives=12, minutes=40.0)
+    parser.add_argument("--training", type=int, default=3, metavar="DRIVES", help="with a hidden road")
+
+
+CHECK = Check(name="road_now", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())

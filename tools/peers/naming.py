@@ -19,17 +19,17 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
-from pysindy.optimizers import STLSQ
-from rich.table import Table
-from sklearn.linear_model import LassoLarsIC
-
 from blind import seal
 from blind.answer import Run, bare
 from blind.case import Case
 from blind.naming import naming
 from blind.tables import as_row
 from blind.truth import Truth
+from numpy.typing import NDArray
+from pysindy.optimizers import STLSQ
+from rich.table import Table
+from sklearn.linear_model import LassoLarsIC
+
 from estimator.answers.diagnosis import DiagnosisAnswer, Verdict
 from estimator.components.component import Frame
 from estimator.components.drive_state import DriveState
