@@ -39,10 +39,10 @@ class Table:
     rows: list[list[str]]
 
     @classmethod
-    def of(cls, title: str, records: list[dict[str, str]]) -> "Table":
-        """Records of the same keys, which are the columns."""
+    def of(cls, title: str, records: list[dict[str, Any]]) -> "Table":
+        """Records of the same keys, which are the columns; their values as `cell` shows them."""
         columns = tuple(records[0]) if records else ()
-        return cls(title, columns, [list(record.values()) for record in records])
+        return cls(title, columns, [[cell(value) for value in record.values()] for record in records])
 
     def markdown(self) -> str:
         """The table as Markdown, under a heading of its title."""
@@ -150,6 +150,16 @@ def plain(value: Any) -> Any:
 def percent(value: float | None, digits: int = 1, sign: str = "") -> str:
     """A share in per cent; "-" where there is none."""
     return "-" if value is None else f"{100 * value:{sign}.{digits}f} %"
+
+
+def cell(value: Any) -> str:
+    """Text as it is, a number, a value with its sd (2,), or a value with the ends of an interval (3,)."""
+    if isinstance(value, list | tuple):
+        first, *others = (cell(number) for number in value)
+        return f"{first} +- {others[0]}" if len(others) == 1 else f"{first} ({' .. '.join(others)})"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+    return "-" if value is None or value == "" else str(value)
 
 
 def _is_place(value: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Logs from recordings of cars on a chassis dynamometer (Argonne National Laboratory, D3), 10 Hz.
+"""Recordings of cars on a chassis dynamometer (Argonne National Laboratory, D3), 10 Hz.
 
 The rolls are driven with the road load and the inertia of the car on a road; the force there is measured. Losses of the
 tyres on the rolls are outside of it, so A is about 0.
@@ -7,16 +7,11 @@ tyres on the rolls are outside of it, so A is about 0.
 from pathlib import Path
 
 import numpy as np
-from table import Table
-from table_to_log import frames_of_table
 
-from estimator.can_io.binding import load_database
-from estimator.can_io.log_writer import write_log
 from estimator.signals import Floats
+from recordings import write_table
 
-DBC = Path(__file__).with_suffix(".dbc")
-TIME, SPEED, POWER, BRAKE = "s", "mph", "kW", "brake"
-MAP = [f"ROLLS.Speed={SPEED}", f"ROLLS.Power={POWER}", f"ROLLS.Brake={BRAKE}"]
+CONFIG = Path(__file__).with_suffix(".toml")
 MPH = 0.44704  # m/s
 COLUMNS = (0, 4, 5)  # time [s], speed [mph] and force [N] of the rolls, in files with a header and without
 
@@ -30,14 +25,11 @@ def read(path: Path) -> tuple[Floats, Floats, Floats]:
     return t, speed, force
 
 
-def write(path: Path, log: Path) -> None:
-    """A recording as CAN frames of DBC."""
+def write(path: Path, table: Path) -> None:
+    """Write a recording as the table that CONFIG reads; the brake is never told."""
     t, speed, force = read(path)
-    power = force * speed * MPH / 1e3
-    cells = {SPEED: np.maximum(speed, 0.0).tolist(), POWER: power.tolist(), BRAKE: [0.0] * len(t)}
-    table = Table(path, list(range(1, len(t) + 1)), cells)
-    frames, _ = frames_of_table(table, t, load_database([str(DBC)]), MAP)
-    write_log(frames, log)
+    columns = {"t": t, "speed": np.maximum(speed, 0.0), "force": force, "brake": np.zeros(len(t))}
+    write_table(table, columns)
 
 
 def least_squares(path: Path) -> float:

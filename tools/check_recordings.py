@@ -1,57 +1,44 @@
 """Diagnosis of real recordings with signals withheld and then revealed: predicted against measured gap closed.
 
-python tools/real_recordings.py [--only bmw|battery|vt|dynamometer|kenworth|surrogates] [--trip TripA02 ...]
-    [--surrogates N]
+    python tools/check_recordings.py [--only bmw|battery|vt|dynamometer|kenworth|surrogates] [--trip TripA02 ...]
+        [--surrogates N]
 
 * A BMW i3, 29 trips: accelerometer and elevation withheld, so the road's grade is a gap; then each of them revealed.
 * The same trips with the power of the battery: heater and air conditioner, which have signals, are withheld.
-* A class-8 truck at 1 Hz (tools/table_to_log.py): elevation withheld, then revealed, with the mass by either.
-* Two electric cars on a chassis dynamometer (tools/dynamometer.py): the force at the wheels is measured.
+* A class-8 truck at 1 Hz (recordings/truck.py): elevation withheld, then revealed, with the mass by either.
+* Two electric cars on a chassis dynamometer (recordings/dynamometer.py): the force at the wheels is measured.
 * A Kenworth, three drives of 30 s: too short for a diagnosis.
 * Surrogates of the BMW's trips, clean drives with the noise of real ones: every named effect is a false alarm.
 
-The recordings are not part of the project: they are read from `shared/data` beside it or from ROADLOAD_DATA.
+The recordings are not part of the project: they are read from ROADLOAD_DATA.
 """
 
 import argparse
-import json
-import os
-import subprocess
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import can
-import dynamometer
 import numpy as np
-import vt_truck
-from rich.console import Console
-from rich.table import Table
-from scipy.stats import binomtest
-from surrogate_drives import original, write_surrogate
-from table import read_table
+from harness.check import ROOT, Check, Figures, Table
+from harness.drives import data_folder, diagnose, named, roadload
+from harness.intervals import share
+from recordings import dynamometer, truck
+from recordings.surrogates import COLUMNS, original, write_surrogate
 
 from estimator import config
-from estimator.answers.answer import Answer, decode
 from estimator.answers.diagnosis import DiagnosisAnswer, Magnitude
 from estimator.answers.run import Parameter, RunAnswer
 from estimator.can_io.binding import load_database
-from estimator.errors import InputError, RoadloadError
+from estimator.errors import InputError
 
-ROOT = Path(__file__).parents[1]
 MIN_ROWS = 480  # of a recording of the truck, one a second
 SEED = 1  # of the surrogates
 COLD, WARM = 180.0, 600.0  # s at the beginning of a trip, and at its end
-WIDE = 180  # columns, where the output is no terminal
-Answers = TypeVar("Answers", bound=Answer)
-
-
-def named(answer: DiagnosisAnswer) -> tuple[str, ...]:
-    """Names of the effects, in order of adding."""
-    return tuple(effect.name for effect in answer.effects)
+Row = dict[str, Any]  # cells by column: text, or a number in the unit of the column
 
 
 def share_promised(answer: DiagnosisAnswer) -> float | None:
@@ -77,41 +64,6 @@ def share_removed(answer: DiagnosisAnswer, rms: float | None) -> float | None:
     return None if rms is None or not answer.rms_base_kW else 1 - (rms / answer.rms_base_kW) ** 2
 
 
-def data_folder() -> Path:
-    """Folder of the recordings.
-
-    Raises
-    ------
-    InputError
-        The folder does not exist.
-    """
-    folder = Path(os.environ.get("ROADLOAD_DATA", ROOT.parent / "shared" / "data"))
-    if not folder.is_dir():
-        raise InputError(f"no recordings at {folder}; set ROADLOAD_DATA")
-    return folder
-
-
-def roadload(kind: type[Answers], *arguments: str | Path) -> Answers:
-    """The answer of a command of the program.
-
-    Raises
-    ------
-    RoadloadError
-        The command failed; the message is the command's.
-    """
-    command = [sys.executable, "-m", "estimator", *map(str, arguments), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    if done.returncode:
-        lines = done.stderr.strip().splitlines()
-        raise RoadloadError(lines[-1].removeprefix("error: ") if lines else f"exit status {done.returncode}")
-    return decode(done.stdout, kind)
-
-
-def diagnose(*arguments: str | Path) -> DiagnosisAnswer:
-    """The answer of `roadload diagnose` with these arguments."""
-    return roadload(DiagnosisAnswer, "diagnose", *arguments)
-
-
 def without(configuration: str, *roles: str) -> str:
     """A configuration file's text that leaves ``roles`` unbound; without an accelerometer, wheel speed leads."""
     lines = [line for line in configuration.splitlines() if line.partition("=")[0].strip() not in roles]
@@ -120,19 +72,15 @@ def without(configuration: str, *roles: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def share_text(value: float | None) -> str:
-    """A share in per cent, for a table."""
-    return "-" if value is None else f"{100 * value:.0f} %"
-
-
-def _kilowatts(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+def in_percent(value: float | None) -> float | None:
+    """A share [%]."""
+    return None if value is None else 100 * value
 
 
 def _names(answer: DiagnosisAnswer) -> str:
-    if not answer.effects:
-        return answer.verdict
-    return f"{' + '.join(named(answer))} ({share_text(answer.effects[0].probability)})"
+    if not answer.effects or answer.effects[0].probability is None:
+        return " + ".join(named(answer)) or answer.verdict
+    return f"{' + '.join(named(answer))} ({100 * answer.effects[0].probability:.0f} %)"
 
 
 def bmw_logs(folder: Path, trips: list[str]) -> list[Path]:
@@ -150,7 +98,7 @@ def bmw_logs(folder: Path, trips: list[str]) -> list[Path]:
     return [logs[trip] for trip in trips or logs]
 
 
-def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
+def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[Row]:
     """Per trip: effects named without a grade signal, predicted gap closed, and gap closed with two sensors.
 
     The likelihood takes the acceleration from the speed, and the road from the accelerometer.
@@ -173,15 +121,15 @@ def bmw(folder: Path, work: Path, trips: list[str]) -> Iterator[dict[str, str]]:
         yield {
             "trip": log.stem,
             "named, withheld": _names(withheld),
-            "kW before": _kilowatts(withheld.rms_base_kW),
-            "kW promised": _kilowatts(rms_promised(withheld)),
-            "promised": share_text(share_promised(withheld)),
-            "reached": share_text(share_removed(withheld, felt.rms_final_kW)),
+            "kW before": withheld.rms_base_kW,
+            "kW promised": rms_promised(withheld),
+            "promised [%]": in_percent(share_promised(withheld)),
+            "reached [%]": in_percent(share_removed(withheld, felt.rms_final_kW)),
             "named, accelerometer": _names(felt),
-            "kW reached": _kilowatts(felt.rms_final_kW),
-            "kW beside": _kilowatts(rms_promised(felt)),
+            "kW reached": felt.rms_final_kW,
+            "kW beside": rms_promised(felt),
             "named, GPS elevation": _names(elevation),
-            "kW elevation": _kilowatts(elevation.rms_final_kW),
+            "kW elevation": elevation.rms_final_kW,
         }
 
 
@@ -189,7 +137,7 @@ FED = ("HeaterPower", "AirConditionerPower")  # signals of the power [kW] of wha
 FED_BY_BATTERY = ("cabin_heater", "auxiliary_load", "auxiliary_cycling")  # effects
 
 
-def battery(folder: Path, trips: list[str]) -> Iterator[dict[str, str]]:
+def battery(folder: Path, trips: list[str]) -> Iterator[Row]:
     """Per trip: effects named on the battery's power, against the mean power of heater and air conditioner [kW].
 
     That is of the first three minutes, of the last ten, and by how much the first is larger.
@@ -207,9 +155,9 @@ def battery(folder: Path, trips: list[str]) -> Iterator[dict[str, str]]:
         sizes = {each.name: each.magnitude for each in said.effects if each.name in FED_BY_BATTERY}
         yield {
             "trip": log.stem,
-            "kW first": f"{first:.2f}",
-            "kW last": f"{last:.2f}",
-            "kW falls by": f"{first - last:.2f}",
+            "kW first": float(first),
+            "kW last": float(last),
+            "kW falls by": float(first - last),
             "cabin heater [kW]": _size(sizes.get("cabin_heater")),
             "auxiliary load [kW]": _size(sizes.get("auxiliary_load")),
             "auxiliary cycling [kW]": _size(sizes.get("auxiliary_cycling")),
@@ -218,53 +166,57 @@ def battery(folder: Path, trips: list[str]) -> Iterator[dict[str, str]]:
         }
 
 
-def _size(found: Magnitude | None) -> str:
-    return "-" if found is None or found.value is None else f"{found.value / 1e3:.2f} +- {(found.sd or 0.0) / 1e3:.2f}"
+def _size(found: Magnitude | None) -> list[float] | None:
+    """Size [kW] and its standard deviation."""
+    return None if found is None or found.value is None else [found.value / 1e3, (found.sd or 0.0) / 1e3]
 
 
-def _mass(log: Path, *arguments: str | Path) -> str:
+def _interval(found: Parameter, unit: float = 1.0) -> list[float] | str:
+    """Mean and ends of the 90 % interval in a ``unit``, or the status."""
+    if found.mean is None or found.q05 is None or found.q95 is None:
+        return found.status
+    return [found.mean / unit, found.q05 / unit, found.q95 / unit]
+
+
+def _mass(log: Path, *arguments: str | Path) -> list[float] | str:
     """Mass by `roadload estimate` [t] with its 90 % interval, or the reason why there is none."""
-    mass = roadload(RunAnswer, "estimate", log, *arguments).parameters.mass_kg
-    if mass.mean is None or mass.q05 is None or mass.q95 is None:
-        return mass.status
-    return f"{mass.mean / 1e3:.1f} ({mass.q05 / 1e3:.1f} .. {mass.q95 / 1e3:.1f})"
+    return _interval(roadload(RunAnswer, "estimate", log, *arguments).parameters.mass_kg, 1e3)
 
 
-def _tonnes(answer: DiagnosisAnswer) -> str:
+def _tonnes(answer: DiagnosisAnswer) -> list[float] | None:
+    """Mass [t] of the plain model and its standard deviation."""
     base, sd = answer.parameters.base, answer.parameters.base_sd
     if base is None or sd is None or base.mass_kg is None or sd.mass_kg is None:
-        return "-"
-    return f"{base.mass_kg / 1e3:.1f} +- {sd.mass_kg / 1e3:.1f}"
+        return None
+    return [base.mass_kg / 1e3, sd.mass_kg / 1e3]
 
 
-def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
+def vt(folder: Path, work: Path) -> Iterator[Row]:
     """Per recording of the truck: elevation withheld and revealed, with the mass [t] of both.
 
     The first two masses are from the diagnosis, the others from the estimate. Fuel as power includes the engine's
     friction, so a torque offset is in all models.
     """
-    table = read_table(folder / "vt_hd_trucks" / "veh002_all.csv")
-    shown = ROOT / "tools" / "vt_truck.toml"
-    hidden = work / "vt_withheld.toml"
-    hidden.write_text(without(shown.read_text(), "altitude"))
+    hidden = work / "truck_withheld.toml"
+    hidden.write_text(without(truck.CONFIG.read_text(), "altitude"))
     friction = ("--effect", "torque_bias")
-    withheld: tuple[str | Path, ...] = ("--config", hidden, "--dbc", vt_truck.DBC, *friction)
-    revealed: tuple[str | Path, ...] = ("--config", shown, *friction)
-    for name, recording in vt_truck.recordings(table):
-        if len(recording) < MIN_ROWS:
+    withheld: tuple[str | Path, ...] = ("--config", hidden, *friction)
+    revealed: tuple[str | Path, ...] = ("--config", truck.CONFIG, *friction)
+    for name, recording in truck.recordings(truck.read(folder / "vt_hd_trucks" / "veh002_all.csv")):
+        if len(recording["t"]) < MIN_ROWS:
             continue
-        log = work / f"vt_{name}.blf"
-        vt_truck.write(recording, log)
+        log = work / f"truck_{name}.csv"
+        truck.write(recording, log)
         before, after = diagnose(log, *withheld), diagnose(log, *revealed)
         yield {
             "recording": name,
-            "min": f"{len(recording) / 60:.0f}",
+            "min": len(recording["t"]) / 60,
             "named, withheld": _names(before),
-            "kW before": _kilowatts(before.rms_base_kW),
-            "promised": share_text(share_promised(before)),
-            "reached": share_text(share_removed(before, after.rms_final_kW)),
+            "kW before": before.rms_base_kW,
+            "promised [%]": in_percent(share_promised(before)),
+            "reached [%]": in_percent(share_removed(before, after.rms_final_kW)),
             "named, revealed": _names(after),
-            "kW revealed": _kilowatts(after.rms_final_kW),
+            "kW revealed": after.rms_final_kW,
             "t withheld": _tonnes(before),
             "t revealed": _tonnes(diagnose(log, *revealed, "--effect", "grade")),
             "estimate withheld": _mass(log, *withheld),
@@ -272,45 +224,37 @@ def vt(folder: Path, work: Path) -> Iterator[dict[str, str]]:
         }
 
 
-def on_rolls(folder: Path, work: Path) -> Iterator[dict[str, str]]:
+def on_rolls(folder: Path, work: Path) -> Iterator[Row]:
     """Per car and model: mass, A and C with 90 % intervals, beside that of least squares of the measured force."""
-    settings = ROOT / "tools" / "dynamometer.toml"
     for path in sorted((folder / "argonne_d3").glob("*.txt")):
-        log = work / f"{path.stem}.blf"
+        log = work / f"{path.stem}.csv"
         dynamometer.write(path, log)
         for effects in ((), ("viscous_drag",)):
             added = [argument for effect in effects for argument in ("--effect", effect)]
-            found = roadload(RunAnswer, "estimate", log, "--config", settings, *added).parameters
+            found = roadload(RunAnswer, "estimate", log, "--config", dynamometer.CONFIG, *added).parameters
             yield {
                 "recording": path.stem,
                 "effects": " + ".join(effects) or "-",
-                "least squares [kg]": f"{dynamometer.least_squares(path):,.0f}",
-                "mass [kg]": _interval(found.mass_kg, ",.0f"),
-                "A [N]": _interval(found.A_N, ".1f"),
-                "C [N s2/m2]": _interval(found.C_N_s2_m2, ".3f"),
+                "least squares [kg]": dynamometer.least_squares(path),
+                "mass [kg]": _interval(found.mass_kg),
+                "A [N]": _interval(found.A_N),
+                "C [N s2/m2]": _interval(found.C_N_s2_m2),
             }
 
 
-def _interval(found: Parameter, form: str) -> str:
-    """Mean with its 90 % interval, or the status."""
-    if found.mean is None or found.q05 is None or found.q95 is None:
-        return found.status
-    return f"{found.mean:{form}} ({found.q05:{form}} .. {found.q95:{form}})"
-
-
-def kenworth(folder: Path) -> Iterator[dict[str, str]]:
+def kenworth(folder: Path) -> Iterator[Row]:
     """Per drive: the verdict, expected to be "cannot tell", and its reason."""
     for log in sorted((folder / "j1939_trucks" / "kenworth_t270").glob("*.log")):
         said = diagnose(log)
         yield {"drive": log.stem, "verdict": said.verdict, "named": _names(said), "why": said.reason}
 
 
-def surrogates(folder: Path, work: Path, trips: list[str], count: int) -> Iterator[dict[str, str]]:
+def surrogates(folder: Path, work: Path, trips: list[str], count: int) -> Iterator[Row]:
     """Per trip: verdicts on ``count`` clean drives in all, made of its speed and of noise with its spectrum."""
     dbc = folder / "bmw_i3" / "bmw_i3.dbc"
     text = (ROOT / "dbc" / "bmw_i3.toml").read_text()
     withheld, felt = work / "withheld.toml", work / "felt.toml"
-    withheld.write_text(without(text, "longitudinal_acceleration", "altitude", "ambient_temperature"))
+    withheld.write_text(COLUMNS + text[text.index("[gate]") :])
     felt.write_text(without(text, "altitude").replace('"bmw_i3.dbc"', f'"{dbc}"'))
     settings = config.load(felt)
     likes = {log.stem: original(log, settings, np.random.default_rng(SEED)) for log in bmw_logs(folder, trips)}
@@ -319,73 +263,55 @@ def surrogates(folder: Path, work: Path, trips: list[str], count: int) -> Iterat
     for i, (trip, like) in enumerate(usable.items()):
         said: list[DiagnosisAnswer] = []
         for k in range(i, count, len(usable)):
-            log = work / f"surrogate{k}.blf"
-            write_surrogate(like, dbc, log, np.random.default_rng([SEED, k]))
-            said.append(diagnose(log, "--config", withheld, "--dbc", dbc))
+            log = work / f"surrogate{k}.csv"
+            write_surrogate(like, log, np.random.default_rng([SEED, k]))
+            said.append(diagnose(log, "--config", withheld))
             log.unlink()
         verdicts = Counter(answer.verdict.value for answer in said)
         total += verdicts
         yield (
-            {"like": trip, "kW of noise": _kilowatts(like.noise / 1e3)}
+            {"like": trip, "kW of noise": like.noise / 1e3}
             | _counted(verdicts)
-            | {"named": ", ".join(_names(answer) for answer in said if answer.effects) or "-"}
+            | {"named": ", ".join(_names(answer) for answer in said if answer.effects) or "-", "effect [%]": None}
         )
-    alarms, drawn = total["effect"], total.total()
-    interval = binomtest(alarms, drawn).proportion_ci(0.95, method="wilson")
-    alarm, low, high = map(share_text, (alarms / drawn, interval.low, interval.high))
-    yield {"like": "all", "kW of noise": "-"} | _counted(total) | {"named": f"in {alarm} ({low} .. {high})"}
+    alarms = share(total["effect"], total.total())
+    of_all = [in_percent(x) for x in (alarms.value, alarms.low, alarms.high)]
+    yield {"like": "all", "kW of noise": None} | _counted(total) | {"named": "-", "effect [%]": of_all}
 
 
-def _counted(verdicts: Counter[str]) -> dict[str, str]:
-    return {verdict: str(verdicts[verdict]) for verdict in ("no gap", "cannot tell", "unknown effect", "effect")}
+def _counted(verdicts: Counter[str]) -> Row:
+    return {verdict: verdicts[verdict] for verdict in ("no gap", "cannot tell", "unknown effect", "effect")}
 
 
-def print_table(title: str, rows: list[dict[str, str]]) -> None:
-    """Print rows of equal keys."""
-    table = Table(title=title)
-    for name in rows[0] if rows else ():
-        table.add_column(name)
-    for row in rows:
-        table.add_row(*row.values())
-    console = Console()
-    (console if console.is_terminal else Console(width=WIDE)).print(table)
+def measure(options: argparse.Namespace) -> Figures:
+    """Diagnose the chosen recordings, a table for each vehicle."""
+    folder = data_folder()
+    with tempfile.TemporaryDirectory() as temporary:
+        work = Path(temporary)
+        tables = {
+            "bmw": lambda: bmw(folder, work, options.trip),
+            "battery": lambda: battery(folder, options.trip),
+            "vt": lambda: vt(folder, work),
+            "dynamometer": lambda: on_rolls(folder, work),
+            "kenworth": lambda: kenworth(folder),
+            "surrogates": lambda: surrogates(folder, work, options.trip, options.surrogates),
+        }
+        return {name: list(tables[name]()) for name in ([options.only] if options.only else tables)}
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Diagnose the chosen recordings and print a table for each vehicle."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of recordings."""
     parser.add_argument("--only", choices=["bmw", "battery", "vt", "dynamometer", "kenworth", "surrogates"])
     parser.add_argument("--trip", action="append", default=[], metavar="NAME", help="of the BMW; default: all")
     parser.add_argument("--surrogates", type=int, default=54, metavar="N", help="how many in all; default: %(default)s")
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args(arguments)
-    if options.surrogates < 1:
-        parser.error(f"--surrogates: {options.surrogates} is not a positive number")
-    results: dict[str, list[dict[str, str]]] = {}
-    try:
-        folder = data_folder()
-        with tempfile.TemporaryDirectory() as temporary:
-            work = Path(temporary)
-            tables = {
-                "bmw": lambda: bmw(folder, work, options.trip),
-                "battery": lambda: battery(folder, options.trip),
-                "vt": lambda: vt(folder, work),
-                "dynamometer": lambda: on_rolls(folder, work),
-                "kenworth": lambda: kenworth(folder),
-                "surrogates": lambda: surrogates(folder, work, options.trip, options.surrogates),
-            }
-            for name in [options.only] if options.only else tables:
-                results[name] = list(tables[name]())
-    except RoadloadError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_status
-    if options.json:
-        print(json.dumps(results, indent=2))
-    else:
-        for name, rows in results.items():
-            print_table(name, rows)
-    return 0
 
+
+def tables(figures: Figures) -> list[Table]:
+    """A table for each vehicle."""
+    return [Table.of(name, rows) for name, rows in figures.items()]
+
+
+CHECK = Check(name="recordings", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())

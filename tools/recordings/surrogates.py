@@ -14,11 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import savgol_filter, welch
-from table import Table
-from table_to_log import frames_of_table
 
-from estimator.can_io.binding import load_database
-from estimator.can_io.log_writer import write_log
 from estimator.config import Config
 from estimator.estimation.road_fit import RoadFit, fit
 from estimator.estimation.road_likelihood import Likelihood
@@ -29,11 +25,17 @@ from estimator.signals import Floats, Role
 from estimator.streaming.drive_extraction import drives_of
 from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
+from recordings import write_table
 
 SEGMENT = 4096  # samples, 7 min: spectra are means over stretches of this length
 WINDOW = 21  # rows, 2.1 s, of the polynomials that smooth the speed
 TURNING = 10.0  # rad/s, of the motor, below which its torque is taken as zero
-MAP = ["MOTION.VehicleSpeed=m/s*3.6", "MOTOR.MotorTorque=Nm", f"MOTOR.MotorSpeed=rad/s*{30 / np.pi:.6f}"]
+COLUMNS = """
+[table.columns]
+speed = "speed [m/s]"
+engine_torque = "torque [N.m]"
+engine_speed = "motor [rad/s]"
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +64,9 @@ def original(log: Path, config: Config, rng: np.random.Generator) -> Original | 
     if found is None:
         return None
     rows = Rows.concatenate(*drive.pieces)
-    v, a = (savgol_filter(rows.plausible_speed, WINDOW, 3, deriv=n, delta=STEP) for n in (0, 1))
+    known = np.isfinite(rows.plausible_speed)
+    speed = np.interp(rows.t, rows.t[known], rows.plausible_speed[known])
+    v, a = (savgol_filter(speed, WINDOW, 3, deriv=n, delta=STEP) for n in (0, 1))
     felt = a + STANDARD_GRAVITY * np.interp(rows.t, found.strides.t, drawn_slope(drive.strides, found, rng))
     power = design(v, felt) @ found.theta[:3]
     pulling = (row_reasons(rows, config.admission) == ADMITTED) & (power > 0) & np.isfinite(power)
@@ -95,13 +99,10 @@ def surrogate(like: Original, rng: np.random.Generator) -> Floats:
     return noise
 
 
-def write_surrogate(like: Original, dbc: Path, log: Path, rng: np.random.Generator) -> None:
-    """A clean drive as CAN frames of ``dbc``: the measured speed, and the torque of the model plus a surrogate."""
+def write_surrogate(like: Original, table: Path, rng: np.random.Generator) -> None:
+    """A clean drive as the table that COLUMNS reads: the measured speed, and the torque of model plus surrogate."""
     power = like.power + surrogate(like, rng)
     turning = np.isfinite(power) & (like.motor > TURNING)
     torque = np.where(turning, power, 0.0) / np.where(turning, like.motor, 1.0)
-    columns = {"m/s": like.speed, "Nm": torque, "rad/s": like.motor}
-    cells = {name: values.tolist() for name, values in columns.items()}
-    table = Table(log, list(range(1, len(power) + 1)), cells)
-    frames, _ = frames_of_table(table, np.arange(len(power)) * STEP, load_database([str(dbc)]), MAP)
-    write_log(frames, log)
+    t = np.arange(len(power)) * STEP
+    write_table(table, {"t": t, "speed": like.speed, "torque": torque, "motor": like.motor})
