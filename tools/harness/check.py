@@ -98,7 +98,7 @@ class Check:
         elif options.markdown:
             print("\n".join(table.markdown() for table in tables), end="")
         else:
-            console = Console(width=None if sys.stdout.isatty() else WIDE)
+            console = Console(width=None if sys.stdout.isatty() else WIDE, markup=False)
             for table in tables:
                 table.show(console)
         return int(self.fails(record["figures"]))
@@ -158,7 +158,7 @@ def cell(value: Any) -> str:
         first, *others = (cell(number) for number in value)
         return f"{first} +- {others[0]}" if len(others) == 1 else f"{first} ({' .. '.join(others)})"
     if isinstance(value, float):
-        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
     return "-" if value is None or value == "" else str(value)
 
 
