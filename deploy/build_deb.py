@@ -1,4 +1,4 @@
-"""Build a Debian package, and wheels with hashes: python tools/build_deb.py [--output dist] [--compression xz].
+"""Build a Debian package, and wheels with hashes: python deploy/build_deb.py [--output dist] [--compression xz].
 
 The wheels are those of the versions in constraints.txt; their SHA-256 are in ``requirements.txt`` beside them, for:
 
@@ -24,7 +24,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 DEBIAN = Path(__file__).with_name("debian")
-SYSTEMD, PROMETHEUS = ROOT / "tools" / "systemd", ROOT / "tools" / "prometheus"
+SYSTEMD, PROMETHEUS = ROOT / "deploy" / "systemd", ROOT / "deploy" / "prometheus"
 SOURCE = ("pyproject.toml", "README.md", "LICENSE", "estimator", "dbc")  # what the wheel is built from
 PRIVATE = "usr/lib/roadload"
 LAUNCHER = f"""#!/usr/bin/python3 -I
