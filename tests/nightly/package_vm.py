@@ -1,9 +1,9 @@
-"""The Debian package in a virtual machine with systemd: python tools/package_vm.py [--packages FOLDER].
+"""The Debian package in a virtual machine with systemd: python tests/nightly/package_vm.py [--packages FOLDER].
 
 Builds the package and one of a higher version, boots a small Debian system with systemd as its first process, and
 installs, runs, upgrades, removes and purges the package there, on a virtual CAN bus on which a simulated truck drives.
-The checks are in tools/vm/package_trial.py; exit status 1 if one fails. Needs qemu-system-x86_64 and, as root, apt;
-about twelve minutes of two busy cores, so it is no part of the tests.
+The checks are in tests/nightly/vm/package_trial.py; exit status 1 if one fails. Needs qemu-system-x86_64 and, as root,
+apt; about twelve minutes of two busy cores, so it is no part of the tests.
 """
 
 import argparse
@@ -16,7 +16,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import build_deb
 import numpy as np
 from vm.debian import VmError, system
 from vm.machine import EARLY_GATE, QUICK_SAMPLER, require_qemu, run, shown_console
@@ -29,6 +28,7 @@ from estimator.simulation.route import generate_route
 
 DURATION, SEED = 900.0, 3  # s of driving; with this one there is an estimate after 210 s
 PROGRAMS = Path(__file__).parent / "vm"
+BUILD = Path(__file__).parents[2] / "deploy" / "build_deb.py"
 LONGEST = 5400.0  # s of the host
 SETTINGS = f"""
 {QUICK_SAMPLER}
@@ -43,7 +43,7 @@ save_interval_s = 10.0
 def main() -> int:
     """Build, boot, print the checks, return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--package", type=Path, help="the package, where it has been built (tools/build_deb.py)")
+    parser.add_argument("--package", type=Path, help="the package, where it has been built (deploy/build_deb.py)")
     options = parser.parse_args()
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
@@ -77,7 +77,7 @@ def prepare(share: Path, package: Path | None) -> None:
 def share_package(share: Path, package: Path | None) -> None:
     """Put the package, built where there is none, and the programs of the machine into the shared folder."""
     if package is None:
-        build = [sys.executable, build_deb.__file__, "--output", str(share), "--compression", "none"]
+        build = [sys.executable, str(BUILD), "--output", str(share), "--compression", "none"]
         subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
         (package,) = share.glob("*.deb")
     shutil.copyfile(package, share / "old.deb")

@@ -6,10 +6,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
+import full_bus.small_install  # noqa: F401  # isort: skip  (before python-can)
 
-from daemon_bench import loopback
-from daemon_bench.latency import Delays
 from estimator.answers.status import StatusAnswer
 from estimator.can_io.frames import Frames
 from estimator.commands.main import main as roadload
@@ -17,6 +15,8 @@ from estimator.daemon.reception.reader import Batch, SocketReader
 from estimator.daemon.service import status_file
 from estimator.estimates import Estimate
 from estimator.streaming.pipeline import Pipeline
+from full_bus import loopback
+from full_bus.latency import Delays
 
 
 def main(port: str, folder: str, *options: str) -> None:

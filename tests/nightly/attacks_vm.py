@@ -1,11 +1,13 @@
-"""Attacks on a real SocketCAN bus: python tools/attacks_vm.py [--throughout] [--skip N] [--folder FOLDER] [--write].
+"""Attacks on a real SocketCAN bus: python tests/nightly/attacks_vm.py [--throughout] [--skip N] [--folder FOLDER]
+[--write].
 
 A drive with one attack after the other is played on a virtual CAN bus in a machine with systemd, to the service of the
 Debian package, at the speed of driving: the kernel gives the times of the frames. The parameters that the service
 broadcasts are compared with the truth, and the outcome of every attack with that of the same drive in process. With
 ``--throughout`` the attacks that begin with the drive are played instead, on a short drive each. ``--write`` puts the
 table into docs/adversary.md, beside the rows there of attacks that were not played. Exit status 1 if a wrong parameter
-was broadcast. Needs what tools/package_vm.py needs; 48 minutes of driving take half an hour of an idle processor.
+was broadcast. Needs what tests/nightly/package_vm.py needs; 48 minutes of driving take half an hour of an idle
+processor.
 """
 
 import argparse
@@ -33,7 +35,10 @@ from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
 from estimator.commands.demo import TRUCK
 
-BEGIN, BEGIN_THROUGHOUT = "<!-- table: tools/attacks_vm.py -->", "<!-- table: tools/attacks_vm.py --throughout -->"
+BEGIN, BEGIN_THROUGHOUT = (
+    "<!-- table: tests/nightly/attacks_vm.py -->",
+    "<!-- table: tests/nightly/attacks_vm.py --throughout -->",
+)
 LONGEST = 5400.0  # s of the host
 SEED, SEED_THROUGHOUT = 20261123, 20261124  # with these there is an estimate after 345 s and, by EARLY_GATE, 200 s
 # A shorter contest, so that the next attack can begin sooner; values every second, to see when they are withheld.
@@ -79,7 +84,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="attacks whose name contains one")
     parser.add_argument("--skip", type=int, default=0, help="not the first so many of them")
     parser.add_argument("--first", type=int, help="so many attacks only")
-    parser.add_argument("--package", type=Path, help="the package, where it has been built (tools/build_deb.py)")
+    parser.add_argument("--package", type=Path, help="the package, where it has been built (deploy/build_deb.py)")
     parser.add_argument("--folder", type=Path, help="what was heard is kept here; a run that is there is not repeated")
     parser.add_argument("--timeout", type=float, default=LONGEST, help=f"s of the host, default {LONGEST:.0f}")
     parser.add_argument("--write", action="store_true", help="put the table into docs/adversary.md")

@@ -1,4 +1,4 @@
-"""Kill the daemon's loop at random times and check its state file: python tools/power_loss.py --kills 1000.
+"""Kill the daemon's loop at random times and check its state file: python tests/nightly/power_loss.py --kills 1000.
 
 A child process turns the daemon's link, loop and worker on a clock that the traffic of a simulated drive sets, as fast
 as it can, and saves its state every few seconds of driving. It is killed by SIGKILL: every other child at a random

@@ -10,12 +10,12 @@ import numpy as np
 from can.typechecking import CanFilter
 from numpy.typing import NDArray
 
-from daemon_bench.loopback import HOST
 from estimator.can_io.frames import CLASSIC_BYTES, EXTENDED, Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
+from full_bus.loopback import HOST
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the class-8 tractor of Miller, Konan and Duran
 METRES_PER_SECOND = 33.0  # of road, more than any truck drives

@@ -1,6 +1,6 @@
 """The life of the package in a Debian system under systemd: installed, upgraded, removed, purged.
 
-Runs in the machine (`tools/package_vm.py` starts it). Beside it are two packages, the
+Runs in the machine (`tests/nightly/package_vm.py` starts it). Beside it are two packages, the
 second of a higher version, a drive as a log of candump, and settings. Prints one line a check, and writes all of them
 to ``checks.json``.
 """

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from diagnoses import rich, several, unknown
-from made_fleets import made
-from test_fleet_page import page_of
+from made_fleets import made, page_of
 
 from estimator.answers.run import CoverageMap
 from estimator.estimates import Convergence, Coverage, Estimate, Marginal, Status

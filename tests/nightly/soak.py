@@ -1,12 +1,14 @@
-"""A day of traffic through the daemon's link, loop and estimator, on a clock that the traffic sets.
+"""A day of traffic through the daemon's link, loop and estimator, as fast as the machine can: soak.py [--hours 24].
 
-The work of the threads runs in one loop, so that a day takes only its computing time. Every hour is another drive of
-one truck, simulated in its own process; between two drives the bus is silent for a minute. Two sizes of memory are
-shown: what is resident, and what the C library has given out, for which Python uses no allocator of its own. The first
-also holds what was given back to the C library and not to the kernel. NumPy keeps up to seven freed blocks of every
-size below 1 KiB, 3.6 MiB in all; here it has them from the start, so that they do not look like growth.
+The traffic sets the clock, and the work of the threads runs in one loop, so that a day takes only its computing time.
+Every hour is another drive of one truck, simulated in its own process; between two drives the bus is silent for a
+minute. Two sizes of memory are shown: what is resident, and what the C library has given out, for which Python uses no
+allocator of its own. The first also holds what was given back to the C library and not to the kernel. NumPy keeps up to
+seven freed blocks of every size below 1 KiB, 3.6 MiB in all; here it has them from the start, so that they do not look
+like growth. Exit status 1 if a frame was lost, or if memory grew by more than MAX_GROWTH after an hour.
 """
 
+import argparse
 import ctypes
 import gc
 import json
@@ -20,13 +22,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
+import full_bus.small_install  # noqa: F401  # isort: skip  (before python-can)
 import numpy as np
+from full_bus import traffic
 from rich.console import Console
 from rich.table import Table
 from stepped_daemon import PlayedTraffic, link_to, turn
 
-from daemon_bench import traffic
 from estimator.can_io.frames import Frames
 from estimator.checkpoint.store import StateStore
 from estimator.config import Config
@@ -41,9 +43,10 @@ COLUMNS = ("t", "ident", "length", "data")
 ROW = np.dtype([("t", "f8"), ("ident", "u4"), ("length", "u1"), ("data", "u1", 8)])  # of a file of frames
 NOTHING = Frames.from_messages([])
 EPOCH = 1_700_000_000.0  # s, wall time of the start
+WIDE = 140  # columns where standard output is no terminal
 MAX_GROWTH = 5.0  # MiB allocated after the first hour
 CACHED_BYTES, CACHED_BLOCKS = 1024, 7  # NumPy keeps so many freed blocks of each size below the first
-ENVIRONMENT = {"PYTHONMALLOC": "malloc", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
+ENVIRONMENT = {"PYTHONMALLOC": "malloc", "OPENBLAS_NUM_THREADS": "1"}
 
 
 class Day(PlayedTraffic):
@@ -74,7 +77,7 @@ class Day(PlayedTraffic):
 def one_drive(seed: int, folder: Path) -> Iterator[Frames]:
     """An hour of driving in pieces; simulated in another process, so that the memory measured here is the daemon's."""
     path = folder / "drive"
-    command = [sys.executable, "-m", "daemon_bench.soak", "--drive", str(seed), str(path)]
+    command = [sys.executable, __file__, "--drive", str(seed), str(path)]
     subprocess.run(command, env=os.environ | ENVIRONMENT, check=True)
     with path.open("rb") as file:
         for count in np.fromfile(file, np.int64, round(HOUR / PIECE)).tolist():
@@ -166,13 +169,13 @@ def allocated_memory() -> float | None:
     return float(found.uordblks + found.hblkhd) / 2**20
 
 
-def show(console: Console, hours: float) -> int:
+def soak(hours: float) -> int:
     """Run the day in a process of its own, print a line for every hour, and return the exit status."""
-    rows = []
+    console, rows = Console(width=None if sys.stdout.isatty() else WIDE), []
     table = Table(
         "hour", "frames", "lost", "saves", "times real time", "RSS MiB", "allocated MiB", "mass kg", "A N", "C N s2/m2"
     )
-    command = [sys.executable, "-m", "daemon_bench.soak", "--day", str(round(hours))]
+    command = [sys.executable, __file__, "--day", str(round(hours))]
     with subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdout=subprocess.PIPE, text=True) as day:
         assert day.stdout is not None
         for line in day.stdout:
@@ -195,13 +198,21 @@ def show(console: Console, hours: float) -> int:
     return int(day.returncode != 0 or not is_lossless or growth > MAX_GROWTH)
 
 
-def main(what: str, *arguments: str) -> None:
-    """Run the day, or simulate one of its drives."""
-    if what == "--day":
-        run(int(arguments[0]))
+def main() -> int:
+    """Run the test, in a process of its own the day, or in another one of its drives."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hours", type=float, default=24.0, help="of traffic (default: 24)")
+    parser.add_argument("--day", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--drive", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.day:
+        run(options.day)
+    elif options.drive:
+        write_drive(int(options.drive[0]), Path(options.drive[1]))
     else:
-        write_drive(int(arguments[0]), Path(arguments[1]))
+        return soak(options.hours)
+    return 0
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(main())

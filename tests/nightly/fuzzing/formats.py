@@ -28,8 +28,8 @@ from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
-EXAMPLE = Path(__file__).parents[1] / "systemd" / "roadload.toml"
-FIELD_LOGS, MF4S = Path(__file__).parents[2] / "tests" / "field_logs", "mf4_[vz]*.mf4"  # virtual channels; zstd
+EXAMPLE = Path(__file__).parents[3] / "deploy" / "systemd" / "roadload.toml"
+FIELD_LOGS, MF4S = Path(__file__).parents[2] / "field_logs", "mf4_[vz]*.mf4"  # virtual channels; zstd
 KEY = "fuzz"
 FRAMES, STATE_SECONDS = 40, 60.0  # of a small log; of the drive behind a saved state [s]
 DBC = """VERSION "1"

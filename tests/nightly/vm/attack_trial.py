@@ -1,7 +1,8 @@
 """Logs played to the installed service, each to a fresh one: what it broadcasts.
 
-Runs in the machine (`tools/attacks_vm.py` starts it). Beside it are the package, settings, and the logs ``drive*.log``.
-Of ``drive-1.log`` it writes ``broadcast-1.log`` (candump), ``statuses-1`` (a JSON object a line) and ``played-1.json``.
+Runs in the machine (`tests/nightly/attacks_vm.py` starts it). Beside it are the package, settings, and the logs
+``drive*.log``. Of ``drive-1.log`` it writes ``broadcast-1.log`` (candump), ``statuses-1`` (a JSON object a line) and
+``played-1.json``.
 """
 
 import json

@@ -10,6 +10,8 @@ from estimator.estimates import Marginal
 from estimator.fleet.drive_result import DriveResult, FoundEffect, Parameter, Segment
 from estimator.fleet.engine import Serial
 from estimator.fleet.grouping import Drive, Grouped, Rejected
+from estimator.fleet.page import Tables, page
+from estimator.fleet.rows import drive_rows, effect_rows, season_rows, vehicle_rows
 from estimator.fleet.run import Fleet, conclude
 
 DAY = 86_400.0  # s
@@ -89,3 +91,16 @@ def _result(rng: np.random.Generator, rolling: float, drag: float, start: float,
 def _marginal(value: float, relative_sd: float) -> Marginal:
     low, high = (value * (1 + 1.645 * side * relative_sd) for side in (-1, 1))
     return Marginal(mean=value, sd=value * relative_sd, q05=low, q50=value, q95=high)
+
+
+def page_of(fleet: Fleet) -> str:
+    return page(
+        Tables(
+            drives=drive_rows(fleet),
+            vehicles=vehicle_rows(fleet, 0.05),
+            seasons=season_rows(fleet),
+            effects=effect_rows(fleet),
+            road=fleet.road,
+            rate=0.05,
+        )
+    )

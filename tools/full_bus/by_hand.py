@@ -7,12 +7,12 @@ import threading
 import time
 from pathlib import Path
 
-import daemon_bench.small_install  # noqa: F401  # isort: skip  (before python-can)
+import full_bus.small_install  # noqa: F401  # isort: skip  (before python-can)
 import can
 from cantools.database.can import Database
 
-from daemon_bench.latency import Delays
-from daemon_bench.loopback import LoopbackBus
+from full_bus.latency import Delays
+from full_bus.loopback import LoopbackBus
 
 DATABASE = Path(__file__).parents[2] / "dbc" / "j1939.dbc"
 CHUNK = 4096  # delays collected between two additions to the histogram

@@ -1,4 +1,4 @@
-"""Spoilt files and spoilt traffic, for a nightly run: python tools/fuzz.py [--files 10000] [--frames 1000000].
+"""Spoilt files and spoilt traffic, for a nightly run: tests/nightly/fuzz.py [--files 10000] [--frames 1000000].
 
 Sound files of each format are spoilt at random and read. Each is read, or refused in one line, within 10 s and 500 MB;
 whatever else happens is a fault. Files are read in processes of their own, so that a crash or a hang ends one of them
