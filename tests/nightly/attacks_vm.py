@@ -1,13 +1,11 @@
-"""Attacks on a real SocketCAN bus: python tests/nightly/attacks_vm.py [--throughout] [--skip N] [--folder FOLDER]
-[--write].
+"""Attacks on a real SocketCAN bus: attacks_vm.py [--throughout] [--skip N] [--folder FOLDER] [--out].
 
 A drive with one attack after the other is played on a virtual CAN bus in a machine with systemd, to the service of the
 Debian package, at the speed of driving: the kernel gives the times of the frames. The parameters that the service
 broadcasts are compared with the truth, and the outcome of every attack with that of the same drive in process. With
-``--throughout`` the attacks that begin with the drive are played instead, on a short drive each. ``--write`` puts the
-table into docs/adversary.md, beside the rows there of attacks that were not played. Exit status 1 if a wrong parameter
-was broadcast. Needs what tests/nightly/package_vm.py needs; 48 minutes of driving take half an hour of an idle
-processor.
+``--throughout`` the attacks that begin with the drive are played instead, on a short drive each. Attacks that are not
+played keep what results/attacks_socketcan.json has of them. Exit status 1 if a wrong parameter was broadcast. Needs
+what package_vm.py needs; 48 minutes of driving take half an hour of an idle processor.
 """
 
 import argparse
@@ -17,14 +15,16 @@ import tempfile
 from bisect import bisect_right
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import can
-from adversary import PAGE, drive_of, table_on, write_table
 from bus_attacks import sequence
 from bus_attacks.catalogue import Attack
 from bus_attacks.sequence import OWN, Heard, Result, Slot, Values, chosen, duration, looked_up, of_looks, throughout
 from bus_attacks.trial import look_at
 from cantools.typechecking import DecodeResultType
+from check_attacks import TRUCK, VERDICTS, drive_of, seconds
+from harness.check import RESULTS, Check, Figures, Table
 from package_vm import share_package
 from vm.debian import VmError, system
 from vm.machine import CONSOLE, EARLY_GATE, QUICK_SAMPLER, require_qemu, run
@@ -33,12 +33,9 @@ from estimator import config as configuration
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
-from estimator.commands.demo import TRUCK
+from estimator.errors import RoadloadError
 
-BEGIN, BEGIN_THROUGHOUT = (
-    "<!-- table: tests/nightly/attacks_vm.py -->",
-    "<!-- table: tests/nightly/attacks_vm.py --throughout -->",
-)
+NAME, IN_TURN, THROUGHOUT = "attacks_socketcan", "one after the other", "throughout"
 LONGEST = 5400.0  # s of the host
 SEED, SEED_THROUGHOUT = 20261123, 20261124  # with these there is an estimate after 345 s and, by EARLY_GATE, 200 s
 # A shorter contest, so that the next attack can begin sooner; values every second, to see when they are withheld.
@@ -54,7 +51,7 @@ value_period_s = 1.0
 SETTINGS_THROUGHOUT = f"{SETTINGS}{EARLY_GATE}"
 STALE = 5.0  # s without a broadcast value, five of its periods, after which a receiver has none
 WIDTH_SD = 3.29  # from the 5 % to the 95 % quantile of a normal distribution, in standard deviations
-Row = tuple[str, ...]  # attack, outcome, withheld after, back after, largest deviation, in process
+Row = dict[str, Any]  # what became of an attack, on the bus and in process
 MESSAGES = {"RoadloadMass": "mass", "RoadloadA": "A", "RoadloadC": "C"}
 
 
@@ -77,18 +74,8 @@ class Play:
         return float(self.frames.t[-1])
 
 
-def main() -> int:
-    """Play, compare, print the table, return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--throughout", action="store_true", help="the attacks that begin with the drive")
-    parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="attacks whose name contains one")
-    parser.add_argument("--skip", type=int, default=0, help="not the first so many of them")
-    parser.add_argument("--first", type=int, help="so many attacks only")
-    parser.add_argument("--package", type=Path, help="the package, where it has been built (deploy/build_deb.py)")
-    parser.add_argument("--folder", type=Path, help="what was heard is kept here; a run that is there is not repeated")
-    parser.add_argument("--timeout", type=float, default=LONGEST, help=f"s of the host, default {LONGEST:.0f}")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/adversary.md")
-    options = parser.parse_args()
+def measure(options: argparse.Namespace) -> Figures:
+    """Play, and compare."""
     attacks = throughout() if options.throughout else chosen()
     order = [attack for attack in attacks if any(text in attack.name for text in options.only)]
     order = order[options.skip :][: options.first]
@@ -100,23 +87,28 @@ def main() -> int:
             try:
                 play_all(plays, settings, share, options.package, options.timeout)
             except VmError as error:
-                print(f"error: {error}", file=sys.stderr)
-                return 1
+                raise RoadloadError(str(error)) from error
         plays = [one for one in plays if has_ended(share, one) or not options.throughout]
         config = configuration.load(share / "settings.toml")
         judged = results_of_drives if options.throughout else results
         found, said = judged(plays, [heard_in(share, one) for one in plays]), summary(share, plays)
     rows = rows_of(found, judged(plays, [of_looks(look_at(one.frames, config)) for one in plays]))
-    print(table(rows, [said]))
-    if options.write:
-        begin = BEGIN_THROUGHOUT if options.throughout else BEGIN
-        write_table(
-            begin,
-            with_earlier(
-                rows, said, table_on(PAGE.read_text(encoding="utf-8"), begin), [name_of(one.name) for one in attacks]
-            ),
-        )
-    return int(any(one.is_wrong for one in found))
+    kept = RESULTS / f"{NAME}.json"
+    earlier: Figures = json.loads(kept.read_bytes())["figures"] if kept.exists() else {}
+    name = THROUGHOUT if options.throughout else IN_TURN
+    told = {"wrong": any(one.is_wrong for one in found)}
+    return earlier | {name: with_earlier(rows, said, earlier.get(name), [name_of(one.name) for one in attacks])} | told
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of attacks and the machine."""
+    parser.add_argument("--throughout", action="store_true", help="the attacks that begin with the drive")
+    parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="attacks whose name contains one")
+    parser.add_argument("--skip", type=int, default=0, help="not the first so many of them")
+    parser.add_argument("--first", type=int, help="so many attacks only")
+    parser.add_argument("--package", type=Path, help="the package, where it has been built (deploy/build_deb.py)")
+    parser.add_argument("--folder", type=Path, help="what was heard is kept here; a run that is there is not repeated")
+    parser.add_argument("--timeout", type=float, default=LONGEST, help=f"s of the host, default {LONGEST:.0f}")
 
 
 def one_drive(order: list[Attack]) -> list[Play]:
@@ -224,35 +216,50 @@ def name_of(attack: str) -> str:
 def rows_of(found: list[Result], expected: list[Result]) -> list[Row]:
     """The outcomes in the machine, and those in process."""
     return [
-        (name_of(one.slot.name), one.verdict, *_figures(one), ", ".join((other.verdict, *_figures(other))))
+        {"attack": name_of(one.slot.name), **_figures(one), "in_process": _figures(other)}
         for one, other in zip(found, expected, strict=False)
     ]
 
 
-def with_earlier(rows: list[Row], said: str, earlier: str, order: list[str]) -> str:
-    """The table with the rows of an ``earlier`` one of other attacks, and with what that one said of its runs."""
-    lines = earlier.strip().splitlines()
-    kept = [tuple(line.strip("| ").split(" | ")) for line in lines if line.startswith("| ")]
-    played = {row[0] for row in rows}
-    both = [row for row in kept if row[0] in order and row[0] not in played] + rows
-    runs = [line for line in lines[1:] if line and not line.startswith("|")] if len(both) > len(rows) else []
-    return table(sorted(both, key=lambda row: order.index(row[0])), [*runs, said])
+def with_earlier(rows: list[Row], said: str, earlier: Figures | None, order: list[str]) -> Figures:
+    """The rows with ``earlier`` ones of other attacks, and with what was said of those runs."""
+    played = {row["attack"] for row in rows}
+    kept = [row for row in (earlier or {}).get("attacks", []) if row["attack"] in order and row["attack"] not in played]
+    runs = earlier["runs"] if earlier and kept else []
+    return {"runs": [*runs, said], "attacks": sorted([*kept, *rows], key=lambda row: order.index(row["attack"]))}
 
 
-def table(rows: list[Row], said: list[str]) -> str:
+def tables(figures: Figures) -> list[Table]:
+    """A table of the attacks in turn, and one of those throughout."""
+    return [table(name, figures[name]) for name in (IN_TURN, THROUGHOUT) if name in figures]
+
+
+def table(name: str, figures: Figures) -> Table:
     """The counts of the outcomes, what is said of the runs, and the rows."""
-    verdicts = [row[1] for row in rows]
-    counts = ", ".join(f"{kind} {verdicts.count(kind)}" for kind in ("unharmed", "withheld", "silently biased"))
-    same = sum(row[1] == row[-1].split(",")[0] for row in rows)
-    worst = max((float(row[4].removesuffix(" sd")) for row in rows if row[4].endswith(" sd")), default=0.0)
-    head = [("attack", "outcome", "withheld after", "back after", "largest deviation", "in process"), ("---",) * 6]
-    lines = [
-        f"{len(rows)} attacks: {counts}; largest deviation {worst:.1f} sd. The outcome of {same} is that in process.",
-        *said,
-        "",
-        *(f"| {' | '.join(cells)} |" for cells in (*head, *rows)),
-    ]
-    return "\n".join(lines)
+    rows = figures["attacks"]
+    counts = ", ".join(f"{kind} {sum(row['outcome'] == kind for row in rows)}" for kind in VERDICTS)
+    same = sum(row["outcome"] == row["in_process"]["outcome"] for row in rows)
+    worst = max((row["worst_sd"] or 0.0 for row in rows), default=0.0)
+    title = (
+        f"{name}: {len(rows)} attacks: {counts}; largest deviation {worst:.1f} sd. The outcome of {same} is that in "
+        f"process. {' '.join(figures['runs'])}"
+    )
+    columns = ("attack", "outcome", "withheld after", "back after", "largest deviation", "in process")
+    return Table(title, columns, [[row["attack"], *_words(row), ", ".join(_words(row["in_process"]))] for row in rows])
+
+
+def _figures(one: Result) -> Row:
+    return {
+        "outcome": one.verdict,
+        "withheld_after_s": one.withheld_after,
+        "back_after_s": one.back_after,
+        "worst_sd": one.worst_sd,
+    }
+
+
+def _words(row: Row) -> tuple[str, str, str, str]:
+    deviation = "no estimate" if row["worst_sd"] is None else f"{row['worst_sd']:.1f} sd"
+    return row["outcome"], seconds(row["withheld_after_s"]), seconds(row["back_after_s"]), deviation
 
 
 def summary(share: Path, plays: list[Play]) -> str:
@@ -272,14 +279,14 @@ def summary(share: Path, plays: list[Play]) -> str:
     return f"{lost} of {frames:,} received frames were lost; {restarts} restarts of the service.{early}"
 
 
-def _figures(one: Result) -> tuple[str, str, str]:
-    deviation = "no estimate" if one.worst_sd is None else f"{one.worst_sd:.1f} sd"
-    return _s(one.withheld_after), _s(one.back_after), deviation
-
-
-def _s(seconds: float | None) -> str:
-    return "-" if seconds is None else f"{seconds:.0f} s"
-
+CHECK = Check(
+    name=NAME,
+    about=__doc__,
+    measure=measure,
+    tables=tables,
+    options=add_options,
+    fails=lambda figures: bool(figures["wrong"]),
+)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())

@@ -10,7 +10,7 @@ power; so a coefficient of 1 would explain all of it. Each method names the effe
 or "no gap"; no method has the verdicts "unknown effect" or "cannot tell".
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -23,11 +23,9 @@ from blind import seal
 from blind.answer import Run, bare
 from blind.case import Case
 from blind.naming import naming
-from blind.tables import as_row
 from blind.truth import Truth
 from numpy.typing import NDArray
 from pysindy.optimizers import STLSQ
-from rich.table import Table
 from sklearn.linear_model import LassoLarsIC
 
 from estimator.answers.diagnosis import DiagnosisAnswer, Verdict
@@ -130,30 +128,16 @@ def answer_of(library: Library | None, choose: Choose) -> DiagnosisAnswer:
     return msgspec.structs.replace(nothing, verdict=Verdict.EFFECT if named else Verdict.NO_GAP, effects=named)
 
 
-def compare(truths: dict[str, Truth], folder: Path, workers: int) -> dict[str, list[Case]]:
-    """Cases by method."""
+def compare(truths: dict[str, Truth], folder: Path, workers: int) -> dict[str, list[dict[str, Any]]]:
+    """Measures of naming by method."""
     with ProcessPoolExecutor(workers) as pool:
         libraries = list(pool.map(library_of, [seal.log_of(folder, drive) for drive in truths]))
-    found: dict[str, list[Case]] = {}
+    found = {}
     for name, choose in METHODS.items():
         given = map(partial(answer_of, choose=choose), libraries)
-        found[name] = [
+        cases = [
             Case(truth, Run(truth.drive, 0.0, 0.0, 0.0, said))
             for truth, said in zip(truths.values(), given, strict=True)
         ]
+        found[name] = [asdict(measure) for measure in naming(cases)]
     return found
-
-
-def as_json(found: dict[str, list[Case]]) -> dict[str, Any]:
-    """Measures of naming by method."""
-    return {name: [asdict(measure) for measure in naming(cases)] for name, cases in found.items()}
-
-
-def table(found: dict[str, list[Case]]) -> Table:
-    """Measures of naming, one column a method."""
-    shown = Table("measure", "goal", *found)
-    rows: Sequence[Sequence[Any]] = list(zip(*(naming(cases) for cases in found.values()), strict=True))
-    for measures in rows:
-        cells = [as_row(measure) for measure in measures]
-        shown.add_row(cells[0][0], cells[0][1], *(f"{cell[2]} ({cell[3]})" for cell in cells))
-    return shown

@@ -1,8 +1,8 @@
 """How well the prior odds of the diagnosis suit drives whose truth is known, and which odds would suit them best.
 
-    python tools/fit_priors.py out/blind [out/other ...]
+    python tools/check_priors.py out/blind [out/other ...]
 
-Folders are those of `blind_check.py`, generated and diagnosed. With the odds of all effects and processes times a
+Folders are those of `check_blind.py`, generated and diagnosed. With the odds of all effects and processes times a
 factor r, the probability p that nothing acts on a drive becomes p / (p + r (1 - p)), as for sets of one cause: drives
 with two effects are left out. An effect that the oracle does not see counts as nothing. The score is the sum of the
 logarithms of the probability that each answer gives to the truth, "nothing" or "something" (Good 1952). The odds are
@@ -19,11 +19,10 @@ import numpy as np
 from blind import answer, diagnose, score, seal
 from blind.case import Case
 from blind.quality import nothing_acts
-from rich.console import Console
-from rich.table import Table
+from harness.check import Check, Figures, Table
 from scipy.optimize import minimize_scalar
 
-from estimator.errors import RoadloadError
+from estimator.errors import InputError
 from estimator.signals import Floats, Mask
 
 FACTORS = (0.1, 0.3, 0.5, 1.0, 2.0, 3.0, 10.0)
@@ -60,33 +59,32 @@ def answers(cases: Sequence[Case]) -> tuple[Floats, Mask]:
     return np.clip([p for p, _ in found], LEAST, 1.0), np.array([is_none for _, is_none in found], dtype=np.bool_)
 
 
-def main() -> int:
-    """Print the score by factor and the best one."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, metavar="OUT")
-    options = parser.parse_args()
-    try:
-        cases = [
-            case for folder in options.folders for case in score.pair(seal.unseal(folder), diagnose.answers(folder))
-        ]
-    except (seal.SealError, RoadloadError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+def measure(options: argparse.Namespace) -> Figures:
+    """The score by factor, and the best one."""
+    cases = [case for folder in options.folders for case in score.pair(seal.unseal(folder), diagnose.answers(folder))]
     none, is_none = answers(cases)
     if is_none.all() or not is_none.any():
-        print("error: drives on which something acts and on which nothing does are needed", file=sys.stderr)
-        return 2
-    best = best_factor(none, is_none)
-    table = Table("prior odds times", "score", "mean P(nothing) where nothing acts", "where something does")
+        raise InputError("drives on which something acts and on which nothing does are needed")
+    best, rows = best_factor(none, is_none), []
     for factor in sorted({*FACTORS, best}):
         p = with_factor(none, factor)
-        means = f"{p[is_none].mean():.3f}", f"{p[~is_none].mean():.3f}"
-        table.add_row(f"{factor:.2g}", f"{log_score(none, is_none, factor):.2f}", *means)
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(table)
-    console.print(f"{len(none)} drives, on {is_none.sum()} of them nothing; best factor {best:.2g}")
-    return 0
+        means = {"nothing acts": float(p[is_none].mean()), "something does": float(p[~is_none].mean())}
+        rows.append({"prior odds times": factor, "score": log_score(none, is_none, factor), **means})
+    return {"drives": len(none), "on_which_nothing_acts": int(is_none.sum()), "best_factor": best, "factors": rows}
 
+
+def tables(figures: Figures) -> list[Table]:
+    """A row for each factor."""
+    of = f"{figures['drives']} drives, on {figures['on_which_nothing_acts']} of them nothing"
+    return [Table.of(f"{of}; mean P(nothing) where", figures["factors"])]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the folders."""
+    parser.add_argument("folders", nargs="+", type=Path, metavar="OUT")
+
+
+CHECK = Check(name="priors", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())
