@@ -11,10 +11,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
 import can
-from attacks_vm import Play, Row, has_ended, heard_in, rows_of, summary, table, with_earlier
-from bus_attacks.catalogue import attacks
-from bus_attacks.forging import announcements
-from bus_attacks.sequence import (
+from attack_sequence import (
     HELD,
     LEAD,
     SLOT,
@@ -28,6 +25,9 @@ from bus_attacks.sequence import (
     results,
     throughout,
 )
+from attacks_vm import Play, Row, has_ended, heard_in, rows_of, summary, table, with_earlier
+from bus_attacks.catalogue import attacks
+from bus_attacks.forging import announcements
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of

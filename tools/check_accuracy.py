@@ -127,7 +127,7 @@ def tables(figures: Figures) -> list[Table]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add what is drawn, or the world of all drives."""
-    drive_options(parser, drives=20, minutes=60.0, seed=1000)
+    drive_options(drives=20, minutes=60.0, seed=1000)(parser)
     parser.add_argument("--hills", action="store_true", help="a road and sensors of its own for every drive")
     parser.add_argument("--first", type=int, default=0, help="number of the first drive over hills")
     parser.add_argument("--route", choices=KINDS, default="mixed")

@@ -77,7 +77,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     steps = parser.add_subparsers(required=True, metavar="generate|diagnose|score|peers")
     generated = steps.add_parser("generate", help="draw drives, write their logs, seal the truth")
-    drive_options(generated, drives=600, minutes=75.0)
+    drive_options(drives=600, minutes=75.0)(generated)
     hilly = "share of drives in hills, with the grade in the configuration"
     generated.add_argument("--hilly", type=float, default=0.0, help=hilly)
     generated.add_argument("--only", choices=list(draw.MIX), help="drives of one kind")

@@ -1,6 +1,6 @@
 """Drive the experiments that the diagnosis advises, and count how many settle what was open.
 
-    python tools/deciding_experiments.py [--drives 60] [--seed 1]
+    python tools/check_experiments.py [--drives 60] [--seed 1]
 
 Each drive has one weak effect. Where the diagnosis advises an experiment, the same truck is simulated with it appended
 to the drive, and once more with ordinary driving for as long instead. A question is settled if the longer log names the
@@ -10,29 +10,29 @@ counted as not driven.
 
 import argparse
 import re
+import sys
 import tempfile
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from harness.check import Check, Figures, Table, progress
+from harness.drives import KINDS, diagnosed, traffic
 
-from estimator import diagnose_logs, load_config
 from estimator.answers.diagnosis import Verdict
-from estimator.can_io.j1939_encoder import frames_of
-from estimator.can_io.log_writer import write_log
 from estimator.diagnosis.result import Diagnosis, Experiment
 from estimator.report.wording import is_worthwhile
 from estimator.simulation.effects.catalogue import kind_of
 from estimator.simulation.effects.effect import Effect
 from estimator.simulation.itinerary import place_at, plan_route, shaped
 from estimator.simulation.recording import record
-from estimator.simulation.route import KMH, RoadKind, Route
+from estimator.simulation.route import KMH, Route
 from estimator.simulation.truck import Truck, draw_truck
 
 DURATION = 900.0  # s, of the drive that leaves a question open
 EFFECTS = ("auxiliary_load", "torque_bias", "headwind", "warm_up", "viscous_drag", "rotating_inertia", "sensor_drift")
-ROADS: tuple[RoadKind, ...] = ("urban", "mixed", "highway")
 STEADY, SPACE, DWELL = 140.0, 400.0, 5.0  # s at a speed, m between starts, s at rest before each
 SPARE = 1.3  # more time than planned, for gaining speed and braking
 
@@ -55,7 +55,7 @@ def drawn(seed: int, number: int) -> Case:
         float(rng.choice([-1, 1])) if kind.signed else 1.0
     )
     name = next(name for name in EFFECTS if kind_of(name) is kind)
-    road = plan_route(ROADS[int(rng.integers(3))], 4 * DURATION, rng)
+    road = plan_route(KINDS[int(rng.integers(3))], 4 * DURATION, rng)
     return Case(truck=draw_truck(rng), road=road, effect=Effect(name=name, magnitude=size), seed=(seed, number))
 
 
@@ -92,12 +92,10 @@ def _after(road: Route, end: float, start: np.ndarray, speed: np.ndarray, stop: 
     )
 
 
-def diagnosed(case: Case, road: Route, duration: float, folder: Path) -> Diagnosis:
-    """The diagnosis of the log of a drive on ``road``."""
-    log = folder / "drive.blf"
+def driven(case: Case, road: Route, duration: float, folder: Path) -> Diagnosis:
+    """The diagnosis of the log of a drive on ``road`` of ``duration`` [s]."""
     recording = record(case.truck, road, duration, np.random.default_rng(case.seed), effects=[case.effect])
-    write_log(frames_of(recording.signals), log)
-    return diagnose_logs([log], load_config())
+    return diagnosed(traffic(recording), folder)[0]
 
 
 def is_right(case: Case, found: Diagnosis) -> bool:
@@ -112,41 +110,59 @@ def is_settled(case: Case, found: Diagnosis, asked: Experiment) -> bool:
     return is_right(case, found) and not {asked.a, asked.b} <= {found.effects[0].name, *found.effects[0].equivalent}
 
 
-def main(drives: int, seed: int) -> None:
-    """Print a line for each experiment, and the shares."""
-    tally: Counter[str] = Counter()
+def outcome(case: Case, folder: Path) -> dict[str, Any]:
+    """What the diagnosis says, the experiment that it advises, and whether driving it settles the question."""
+    found = driven(case, case.road, DURATION, folder)
+    advised = next((one for one in found.experiments if is_worthwhile(found, one)), None)
+    told: dict[str, Any] = {
+        "effect": case.effect.name,
+        "magnitude": case.effect.magnitude,
+        "verdict": found.verdict.value,
+        "right_at_once": is_right(case, found),
+    }
+    if advised is None:
+        return told
+    told |= {"advised": advised.what, "between": [advised.a, advised.b or "nothing"]}
+    longer = with_experiment(case.road, advised)
+    if longer is None:
+        return told
+    duration = DURATION + SPARE * 60 * advised.minutes
+    settled, anyway = (is_settled(case, driven(case, road, duration, folder), advised) for road in (longer, case.road))
+    return told | {"expected": advised.expected, "settled": settled, "settled_by_driving_on": anyway}
+
+
+def measure(options: argparse.Namespace) -> Figures:
+    """Every drive, and how many questions were settled."""
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(drives):
-            case = drawn(seed, number)
-            found = diagnosed(case, case.road, DURATION, Path(folder))
-            advised = [one for one in found.experiments if is_worthwhile(found, one)]
-            tally["right at once"] += is_right(case, found)
-            tally[found.verdict.value] += 1
-            if not advised:
-                continue
-            tally["advised"] += 1
-            longer = with_experiment(case.road, advised[0])
-            if longer is None:
-                tally["advised, not driven"] += 1
-                continue
-            duration = DURATION + SPARE * 60 * advised[0].minutes
-            settled, anyway = (
-                is_settled(case, diagnosed(case, road, duration, Path(folder)), advised[0])
-                for road in (longer, case.road)
-            )
-            tally["driven"] += 1
-            tally["driven: settled"] += settled
-            tally["driven: settled by driving on as long"] += anyway
-            told = f"{case.effect.name} {case.effect.magnitude:.3g}: {advised[0].a} or {advised[0].b or 'nothing'}"
-            expected = f"expected {advised[0].expected:.1f}, of the drive {advised[0].now:.1f}"
-            print(f"{told}; {advised[0].what}, {expected}: {settled}, driving on {anyway}", flush=True)
-    for name, count in sorted(tally.items()):
-        print(f"{name}: {count}")
+        numbers = progress(range(options.drives), "driving")
+        drives = [outcome(drawn(options.seed, number), Path(folder)) for number in numbers]
+    tally = Counter(drive["verdict"] for drive in drives)
+    counts = {
+        "right at once": sum(drive["right_at_once"] for drive in drives),
+        "advised": sum("advised" in drive for drive in drives),
+        "driven": sum("settled" in drive for drive in drives),
+        "settled": sum(drive.get("settled", False) for drive in drives),
+        "settled by driving on as long": sum(drive.get("settled_by_driving_on", False) for drive in drives),
+    }
+    return {"counts": {**dict(sorted(tally.items())), **counts}, "drives": drives}
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def tables(figures: Figures) -> list[Table]:
+    """The counts, and a row for each experiment that was driven."""
+    driven = [drive for drive in figures["drives"] if "settled" in drive]
+    return [
+        Table.of("", [figures["counts"]]),
+        Table.of("Experiments", [{**x, "between": " or ".join(x["between"])} for x in driven]),
+    ]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the drives."""
     parser.add_argument("--drives", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    main(options.drives, options.seed)
+
+
+CHECK = Check(name="experiments", about=__doc__, measure=measure, tables=tables, options=add_options)
+
+if __name__ == "__main__":
+    sys.exit(CHECK.main())

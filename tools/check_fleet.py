@@ -1,18 +1,16 @@
 """A synthetic fleet through `roadload fleet`: whether its intervals hold the truth and its outliers are found.
 
-    python tools/check_fleet.py OUT [--vehicles 8] [--drives 3] [--minutes 10] [--seed 1] [--workers 1] [--costs]
+    python tools/check_fleet.py OUT [--vehicles 8] [--drives 3] [--minutes 10] [--seed 1] [--workers 1]
 
 Every vehicle drives several times (its C differs between drives, as wind and weather make it). The command reads the
-logs in OUT, and its tables are compared with the truth. ``--costs`` adds times and memory, which differ by machine.
+logs in OUT, and its tables are compared with the truth.
 """
 
 import argparse
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from resource import RUSAGE_CHILDREN, getrusage
 from typing import Any
 
 import numpy as np
@@ -25,13 +23,6 @@ from estimator.answers.fleet import FleetAnswer
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
-from estimator.can_io.logs import open_log
-from estimator.config import Config
-from estimator.fleet.cache import Cache
-from estimator.fleet.engine import Serial
-from estimator.fleet.output import CACHE
-from estimator.fleet.run import conclude, run_fleet
-from estimator.fleet.sources import find_logs
 from estimator.simulation.recording import simulate
 from estimator.simulation.truck import Truck
 
@@ -74,26 +65,6 @@ def make(folder: Path, vehicles: int, drives: int, minutes: float, seed: int) ->
     return Made(truth, masses)
 
 
-def costs(command: list[str], logs: Path, out: Path) -> Figures:
-    """Times [s] of the command, by the clock and of the processor, its memory, and the processor time of joint fits."""
-    began, before = time.perf_counter(), getrusage(RUSAGE_CHILDREN)
-    subprocess.run([*command, "-o", str(out / "again")], capture_output=True, check=True)
-    wall, after = time.perf_counter() - began, getrusage(RUSAGE_CHILDREN)
-    paths, config = sorted(logs.rglob("*.blf")), Config()
-    found = run_fleet(find_logs([str(logs)]), config, Serial(), cache=Cache.of(out / CACHE, config, False))
-    began = time.process_time()
-    conclude(found.grouped, found.results, config, Serial())
-    return {
-        "logs": len(paths),
-        "frames": sum(len(frames) for path in paths for frames in open_log(path)),
-        "MiB": sum(path.stat().st_size for path in paths) / 2**20,
-        "clock_s": wall,
-        "processor_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
-        "largest_process_MiB": getrusage(RUSAGE_CHILDREN).ru_maxrss / 1024,
-        "joint_fits_s": time.process_time() - began,
-    }
-
-
 def compared(rows: list[dict[str, Any]], name: str, truth: list[float]) -> Figures:
     """Errors of a column of a table, and how many of its 90 % intervals hold the truth (n,)."""
     known = [(row, t) for row, t in zip(rows, truth, strict=True) if row[f"{name}_mean"] is not None]
@@ -128,12 +99,11 @@ def measure(options: argparse.Namespace) -> Figures:
         },
         "outliers_made": sorted(name for name in OUTLIERS if name in made.vehicles),
         "outliers_found": sorted(decode(done.stdout, FleetAnswer).outliers),
-        **({"costs": costs(command, logs, out)} if options.costs else {}),
     }
 
 
 def tables(figures: Figures) -> list[Table]:
-    """A row for each parameter, the outliers, and costs."""
+    """A row for each parameter, and the outliers."""
     rows = [
         {
             "": name,
@@ -146,17 +116,15 @@ def tables(figures: Figures) -> list[Table]:
         if x["estimated"]
     ]
     outliers = [{name: ", ".join(figures[f"outliers_{name}"]) for name in ("made", "found")}]
-    costly = [Table.of("Costs", [figures["costs"]])] if "costs" in figures else []
-    return [Table.of("", rows), Table.of("Outliers", outliers), *costly]
+    return [Table.of("", rows), Table.of("Outliers", outliers)]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the fleet."""
     parser.add_argument("folder", type=Path, metavar="OUT")
     parser.add_argument("--vehicles", type=int, default=8)
-    drive_options(parser, drives=3, minutes=10.0)
+    drive_options(drives=3, minutes=10.0)(parser)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--costs", action="store_true", help="measure times and memory too")
 
 
 CHECK = Check(name="fleet", about=__doc__, measure=measure, tables=tables, options=add_options)

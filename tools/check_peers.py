@@ -165,7 +165,7 @@ def tables(figures: Figures) -> list[Table]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the drives and the world of the level ones."""
-    drive_options(parser, drives=20, minutes=60.0, seed=1000)
+    drive_options(drives=20, minutes=60.0, seed=1000)(parser)
     parser.add_argument("--training", type=int, default=6, metavar="DRIVES")
     parser.add_argument("--hills", action="store_true", help="roads with slopes that no signal shows")
     parser.add_argument("--route", choices=KINDS, default="mixed", help="of level roads")

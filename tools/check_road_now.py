@@ -187,7 +187,7 @@ def tables(figures: Figures) -> list[Table]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the drives."""
-    drive_options(parser, drives=12, minutes=40.0)
+    drive_options(drives=12, minutes=40.0)(parser)
     parser.add_argument("--training", type=int, default=3, metavar="DRIVES", help="with a hidden road")
 
 

@@ -124,12 +124,9 @@ def tables(figures: Figures) -> list[Table]:
     return [Table("", columns, [row(found) for found in figures["drives"]])]
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the drives."""
-    drive_options(parser, drives=24, minutes=40.0)
-
-
-CHECK = Check(name="sine_grade", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    name="sine_grade", about=__doc__, measure=measure, tables=tables, options=drive_options(drives=24, minutes=40.0)
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

@@ -168,12 +168,9 @@ def tables(figures: Figures) -> list[Table]:
     return [Table("", columns, [*rows, ["all", "", *row(figures["all"])]])]
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the drives."""
-    drive_options(parser, drives=10, minutes=40.0)
-
-
-CHECK = Check(name="weighing", about=__doc__, measure=measure, tables=tables, options=add_options)
+CHECK = Check(
+    name="weighing", about=__doc__, measure=measure, tables=tables, options=drive_options(drives=10, minutes=40.0)
+)
 
 if __name__ == "__main__":
     sys.exit(CHECK.main())

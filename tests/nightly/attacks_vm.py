@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import attack_sequence as sequence
 import can
-from bus_attacks import sequence
+from attack_sequence import OWN, Heard, Result, Slot, Values, chosen, duration, looked_up, of_looks, throughout
 from bus_attacks.catalogue import Attack
-from bus_attacks.sequence import OWN, Heard, Result, Slot, Values, chosen, duration, looked_up, of_looks, throughout
 from bus_attacks.trial import look_at
 from cantools.typechecking import DecodeResultType
 from check_attacks import TRUCK, VERDICTS, drive_of, seconds

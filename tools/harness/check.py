@@ -121,13 +121,15 @@ class Check:
         parser.add_argument("--date", help="is written beside the figures")
 
 
-def drive_options(
-    parser: argparse.ArgumentParser, drives: int, minutes: float, seed: int = 1, what: str = "drives"
-) -> None:
-    """Add options for the number of drives, their length and the seed."""
-    parser.add_argument(f"--{what}", type=int, default=drives, help="default: %(default)s")
-    parser.add_argument("--minutes", type=float, default=minutes, help="of each drive; default: %(default)g")
-    parser.add_argument("--seed", type=int, default=seed, help="default: %(default)s")
+def drive_options(drives: int, minutes: float, seed: int = 1) -> Callable[[argparse.ArgumentParser], None]:
+    """What adds options for the number of drives, their length and the seed."""
+
+    def add(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--drives", type=int, default=drives, help="default: %(default)s")
+        parser.add_argument("--minutes", type=float, default=minutes, help="of each drive; default: %(default)g")
+        parser.add_argument("--seed", type=int, default=seed, help="default: %(default)s")
+
+    return add
 
 
 def progress(items: Iterable[Item], doing: str, total: int | None = None) -> Iterable[Item]:

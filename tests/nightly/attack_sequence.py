@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-
 from bus_attacks.catalogue import Attack, attacks
 from bus_attacks.trial import BIASED_SD, PIECE, Look
+
 from estimator.can_io.frames import Frames
 from estimator.simulation.truck import Truck
 
