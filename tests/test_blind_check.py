@@ -287,7 +287,7 @@ def test_credible_sets_hold_what_they_promise():
 
 
 def test_calibration_error_of_the_sure_and_always_wrong_is_one():
-    from harness.intervals import calibration_error
+    from harness.scores import calibration_error
 
     assert calibration_error(np.ones(10), np.zeros(10)) == 1.0
     assert calibration_error(np.full(10, 0.5), np.arange(10) % 2.0) == pytest.approx(0.0)

@@ -435,9 +435,9 @@ def test_what_a_drive_promises_is_tried_on_another(tools, tmp_path, monkeypatch)
     monkeypatch.setattr(tools.drives, "roadload", roadload)
     monkeypatch.setattr(tools.pair, "roadload", roadload)
     pair = tools.pair.simulate_pair("grade", 30, 7, tmp_path)
-    row = tools.pair.row("grade", pair)
+    row = tools.pair.row("grade", *pair)
     assert asked[1][-8:] == ("--mass", "20000.0", "--A", "1500.0", "--C", "3.5", "--seed", "8")
-    assert asked[-2] == ("diagnose", str(pair.second), "--effect", "grade")  # what has times cannot be configured
+    assert asked[-2] == ("diagnose", str(pair[1]), "--effect", "grade")  # what has times cannot be configured
     assert row["promised [%]"][0] == pytest.approx(90)
     assert row["reached on drive 2 [%]"] == pytest.approx(100 * (1 - (13**2 - 25) / (40**2 - 25)))
     assert (row["kW before"], row["kW after"], row["named beside it on drive 2"]) == (40.0, 13.0, "no gap")

@@ -1,6 +1,6 @@
 """Errors and interval coverage of estimates from simulated drives of different trucks, read through CAN bytes.
 
-    python tools/check_accuracy.py [--drives 20] [--minutes 60] [--route mixed] [--grade-sd 0.01] [--altimeter none]
+    python tools/check_accuracy.py [--drives 20] [--minutes 60] [--seed 1000]
     python tools/check_accuracy.py --hills [--drives 162] [--first 0] [--minutes 40] [--seed 1]
 
 With ``--hills`` every drive has a road of its own: kind of road, altimeter, noise of the speed and steps of the torque
@@ -34,6 +34,7 @@ from estimator.config import Config, from_dict
 from estimator.simulation.recording import Recording
 
 LIMITS = (0.02, 0.015, 0.005)  # errors of the mass below which drives are counted
+LEVEL = World(kind="mixed", slopes=0.0, altimeter=None, speed_noise=0.01, torque_steps=0.00125, lag=0.03)
 Found = dict[str, Any]
 
 
@@ -81,16 +82,8 @@ def measure(options: argparse.Namespace) -> Figures:
             drives.append((world, estimated(world.drive(options.minutes, rng), from_dict(RARELY))))
         each = [{"world": asdict(world), **found} for world, found in drives]
         return {"groups": {name: figures_of(found) for name, found in groups(drives)}, "each": each}
-    world = World(
-        kind=options.route,
-        slopes=options.grade_sd,
-        altimeter=None if options.altimeter == "none" else float(options.altimeter),
-        speed_noise=options.speed_noise,
-        torque_steps=options.torque_resolution,
-        lag=options.torque_lag,
-    )
     seeds = progress(range(options.seed, options.seed + options.drives), "driving")
-    each = [estimated(world.drive(options.minutes, np.random.default_rng(seed)), Config()) for seed in seeds]
+    each = [estimated(LEVEL.drive(options.minutes, np.random.default_rng(seed)), Config()) for seed in seeds]
     return {"groups": {"all": figures_of(each)}, "each": each}
 
 
@@ -130,12 +123,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     drive_options(drives=20, minutes=60.0, seed=1000)(parser)
     parser.add_argument("--hills", action="store_true", help="a road and sensors of its own for every drive")
     parser.add_argument("--first", type=int, default=0, help="number of the first drive over hills")
-    parser.add_argument("--route", choices=KINDS, default="mixed")
-    parser.add_argument("--speed-noise", type=float, default=0.01, metavar="m/s")
-    parser.add_argument("--torque-resolution", type=float, default=0.00125, metavar="FRACTION")
-    parser.add_argument("--torque-lag", type=float, default=0.03, metavar="s")
-    parser.add_argument("--grade-sd", type=float, default=0.0, metavar="1", help="of the slopes, rise over run")
-    parser.add_argument("--altimeter", default="none", metavar="m", help="sd of its error, or none: a hidden road")
 
 
 CHECK = Check(name="accuracy", about=__doc__, measure=measure, tables=tables, options=add_options)

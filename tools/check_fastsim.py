@@ -29,6 +29,7 @@ from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.units import STANDARD_GRAVITY
 
+SPEED_NOISE = 0.01  # m/s
 EFFECTS = frozenset({"grade", "torque_gain", "auxiliary_load", "rotating_inertia"})  # of fastsim, beyond the road load
 
 
@@ -87,7 +88,7 @@ def diagnosed(route: str, options: argparse.Namespace, tables: Path, folder: Pat
         log = folder / f"{route}-{grade}.blf"
         # The same noise with and without grade: nothing else differs between the two logs.
         noise = np.random.default_rng([options.seed, list(ROUTES).index(route), 1])
-        signals = signals_of(drive, noise, grade == "shown", options.speed_noise, options.torque_resolution)
+        signals = signals_of(drive, noise, grade == "shown", SPEED_NOISE, FINE)
         write_log(frames_of(signals), log)
         rows.append({"route": route} | judge(truth, grade, diagnose(log)))
         if grade == "shown":
@@ -119,8 +120,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--folder", type=Path, help="logs and truths are kept here")
     parser.add_argument("--route", action="append", choices=sorted(ROUTES), help="default: all")
     parser.add_argument("--grade", choices=["shown", "withheld", "both"], default="both")
-    parser.add_argument("--speed-noise", type=float, default=0.01, metavar="m/s")
-    parser.add_argument("--torque-resolution", type=float, default=FINE, metavar="FRACTION")
     parser.add_argument("--seed", type=int, default=1)
 
 

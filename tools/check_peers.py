@@ -1,6 +1,6 @@
 """roadload beside online estimators of the literature, on the same simulated drives, rows, masks and lag.
 
-    python tools/check_peers.py [--drives 20] [--training 6] [--minutes 60] [--route mixed] [--seed 1000]
+    python tools/check_peers.py [--drives 20] [--training 6] [--minutes 60] [--seed 1000]
     python tools/check_peers.py --hills [--drives 54] [--training 18] [--minutes 40] [--seed 1]
 
 On level roads, mass, A and C of the recursion and of the filter in `peers/level.py`. With ``--hills`` the mass by those
@@ -75,9 +75,9 @@ def level_drive(seed: int, options: argparse.Namespace) -> Drive:
     """The drive of one truck on level roads."""
     rng = np.random.default_rng(seed)
     truck = draw_truck(rng)
-    route = generate_route(options.route, options.minutes * METRES_PER_MINUTE, rng)
-    recording = record(truck, route, options.minutes * 60, rng, sensors=Sensors(speed_noise=options.speed_noise))
-    return Drive.of(recording, options.route, ("A", "C", "mass"), Config())
+    route = generate_route("mixed", options.minutes * METRES_PER_MINUTE, rng)
+    recording = record(truck, route, options.minutes * 60, rng, sensors=Sensors(speed_noise=0.01))
+    return Drive.of(recording, "mixed", ("A", "C", "mass"), Config())
 
 
 def hidden_drive(seed: int, number: int, options: argparse.Namespace) -> Drive:
@@ -168,8 +168,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     drive_options(drives=20, minutes=60.0, seed=1000)(parser)
     parser.add_argument("--training", type=int, default=6, metavar="DRIVES")
     parser.add_argument("--hills", action="store_true", help="roads with slopes that no signal shows")
-    parser.add_argument("--route", choices=KINDS, default="mixed", help="of level roads")
-    parser.add_argument("--speed-noise", type=float, default=0.01, metavar="m/s", help="on level roads")
 
 
 CHECK = Check(name="peers", about=__doc__, measure=measure, tables=tables, options=add_options)

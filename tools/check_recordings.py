@@ -25,7 +25,7 @@ import can
 import numpy as np
 from harness.check import ROOT, Check, Figures, Table
 from harness.drives import data_folder, diagnose, named, roadload
-from harness.intervals import share
+from harness.scores import share
 from recordings import dynamometer, truck
 from recordings.surrogates import COLUMNS, original, write_surrogate
 

@@ -10,7 +10,6 @@ gives the measured share. Then both are diagnosed jointly.
 import argparse
 import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,31 +24,23 @@ from estimator.model.effects import BY_NAME
 EFFECTS = ("grade", "headwind", "warm_up", "load_loss", "torque_bias", "auxiliary_load", "cornering", "sensor_drift")
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Two drives of one truck with one effect."""
-
-    first: Path
-    second: Path
-
-
-def simulate_pair(effect: str, minutes: float, seed: int, folder: Path) -> Pair:
+def simulate_pair(effect: str, minutes: float, seed: int, folder: Path) -> tuple[Path, Path]:
     """Write two logs of identical trucks."""
-    pair = Pair(folder / f"{effect}-1.blf", folder / f"{effect}-2.blf")
+    first, second = folder / f"{effect}-1.blf", folder / f"{effect}-2.blf"
     common = ["--minutes", str(minutes), "--effect", effect]
-    truth = roadload(SimulationAnswer, "simulate", pair.first, *common, "--seed", str(seed)).truth
+    truth = roadload(SimulationAnswer, "simulate", first, *common, "--seed", str(seed)).truth
     same = ["--mass", str(truth.mass_kg), "--A", str(truth.A_N), "--C", str(truth.C_N_s2_m2)]
-    roadload(SimulationAnswer, "simulate", pair.second, *common, *same, "--seed", str(seed + 1))
-    return pair
+    roadload(SimulationAnswer, "simulate", second, *common, *same, "--seed", str(seed + 1))
+    return first, second
 
 
-def row(effect: str, pair: Pair) -> dict[str, Any]:
+def row(effect: str, first: Path, second: Path) -> dict[str, Any]:
     """Predicted share of the first drive and measured share of the second, for the effects named on the first."""
-    promise = diagnose(pair.first)
+    promise = diagnose(first)
     able = [name for name in named(promise) if name in BY_NAME and BY_NAME[name].is_streaming]
-    plain = diagnose(pair.second)
-    extended = diagnose(pair.second, *(word for name in able for word in ("--effect", name))) if able else plain
-    together = diagnose(pair.first, pair.second)
+    plain = diagnose(second)
+    extended = diagnose(second, *(word for name in able for word in ("--effect", name))) if able else plain
+    together = diagnose(first, second)
     closed = [effect.gap_closed for effect in promise.effects if effect.name in able and effect.gap_closed]
     promised = [
         100 * min(sum(getattr(each, bound) or 0.0 for each in closed), 1.0) for bound in ("fraction", "q05", "q95")
@@ -83,7 +74,7 @@ def measure(options: argparse.Namespace) -> Figures:
             (effect, simulate_pair(effect, options.minutes, options.seed + 2 * effects.index(effect), Path(folder)))
             for effect in progress(effects, "driving")
         )
-        return {"effects": [row(effect, pair) for effect, pair in pairs]}
+        return {"effects": [row(effect, *pair) for effect, pair in pairs]}
 
 
 def tables(figures: Figures) -> list[Table]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from harness.intervals import Estimate, share
+from harness.scores import Estimate, share
 
 from blind import answer
 from blind.answer import Run

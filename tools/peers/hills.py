@@ -25,7 +25,7 @@ from scipy.signal import butter, lfilter
 from estimator.samples import STEP
 from estimator.signals import Floats
 from estimator.units import STANDARD_GRAVITY
-from peers.level import FORCE_NOISE, MIN_STATE, START, START_SD, Normal, Stretch, regression
+from peers.level import FORCE_NOISE, MIN_STATE, START, START_SD, Normal, Stretch, pass_all, regression
 
 SLOPE_SD = 0.02  # of the slope's sine at the start
 SLOPE_TIME = 30.0  # s in which the slope of the filter returns to zero
@@ -141,12 +141,7 @@ class SlopeFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has n
 def kalman_with_slope(data: Sequence[Stretch], settings: SlopeNoise, known: Known) -> Normal:
     """Filter over all rows in order; A and C are known."""
     kalman = SlopeFilter(settings, known)
-    for stretch in data:
-        kalman.begin(stretch.speed[0])
-        between = (stretch.power[1:] + stretch.power[:-1]) / 2
-        for speed, power in zip(stretch.speed[1:], between, strict=True):
-            kalman.predict(power)
-            kalman.see(speed)
+    pass_all(kalman, data)
     return Normal(float(kalman.x[1]), float(np.sqrt(kalman.P[1, 1])))
 
 

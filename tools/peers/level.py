@@ -17,6 +17,7 @@ Both need only the present row, a few states and a covariance.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -160,13 +161,18 @@ class RoadLoadFilter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ha
 def extended_kalman(data: Sequence[Stretch], settings: ProcessNoise) -> dict[str, Normal]:
     """Filter over all rows in order."""
     kalman = RoadLoadFilter(settings)
+    pass_all(kalman, data)
+    return _by_name(kalman.x[1:], np.sqrt(np.diag(kalman.P)[1:]))
+
+
+def pass_all(kalman: Any, data: Sequence[Stretch]) -> None:
+    """Take all rows in order: the power between two rows, then the speed of the second."""
     for stretch in data:
         kalman.begin(stretch.speed[0])
         between = (stretch.power[1:] + stretch.power[:-1]) / 2
         for speed, power in zip(stretch.speed[1:], between, strict=True):
             kalman.predict(power)
             kalman.see(speed)
-    return _by_name(kalman.x[1:], np.sqrt(np.diag(kalman.P)[1:]))
 
 
 def _by_name(theta: Floats, sd: Floats) -> dict[str, Normal]:

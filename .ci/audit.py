@@ -1,4 +1,4 @@
-"""Known vulnerabilities of the pinned versions: python tools/audit.py PIP_AUDIT (the program, of a venv of its own).
+"""Known vulnerabilities of the pinned versions: python .ci/audit.py PIP_AUDIT (the program, of a venv of its own).
 
 Exit status 1 if there is one. Where the database is out of reach nothing is known, which is said; that is no failure.
 """
