@@ -1,6 +1,6 @@
 """A stand-in for a Kuksa databroker: kuksa.val.v2 for some signals, with the newest value of each and nothing else.
 
-python tools/kuksa_stand_in.py PORT
+python tests/support/kuksa_stand_in.py PORT
 """
 
 import sys
