@@ -19,7 +19,7 @@ from rich.progress import track
 from rich.table import Table as Printed
 
 from estimator import __version__
-from estimator.errors import RoadloadError
+from estimator.errors import InputError, RoadloadError
 from estimator.output_files import whole
 
 ROOT = Path(__file__).parents[2]
@@ -83,13 +83,13 @@ class Check:
         self._shared_options(parser)
         options = parser.parse_args(arguments)
         try:
-            record = json.loads(options.read.read_bytes()) if options.read else self.record(options)
+            record = read_record(options.read) if options.read else self.record(options)
             text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
             if options.out:
                 options.out.parent.mkdir(parents=True, exist_ok=True)
                 with whole(options.out) as file:
                     file.write(text.encode())
-        except (RoadloadError, OSError, ValueError) as error:
+        except (RoadloadError, OSError) as error:
             print(f"error: {error}", file=sys.stderr)
             return error.exit_status if isinstance(error, RoadloadError) else 2
         tables = self.tables(record["figures"])
@@ -119,6 +119,23 @@ class Check:
         parser.add_argument("--out", type=Path, nargs="?", const=place, metavar="FILE", help=written)
         parser.add_argument("--read", type=Path, metavar="FILE", help="measure nothing: show these figures")
         parser.add_argument("--date", help="is written beside the figures")
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """What a check wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, or holds no figures.
+    """
+    try:
+        record: dict[str, Any] = json.loads(path.read_bytes())
+        return record | {"figures": record["figures"]}
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; check the path") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: holds no figures of a check; give a file that --out has written") from error
 
 
 def drive_options(drives: int, minutes: float, seed: int = 1) -> Callable[[argparse.ArgumentParser], None]:
