@@ -17,7 +17,7 @@ from fuzzing.bus import spoilt_traffic
 from fuzzing.files import Found, fuzz_format
 from fuzzing.formats import FORMATS
 
-CORPUS = Path(__file__).resolve().parents[1] / "tests" / "fuzz_corpus"
+CORPUS = Path(__file__).resolve().parents[1] / "fuzz_corpus"
 
 
 def main() -> int:
