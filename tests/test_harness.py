@@ -1,12 +1,13 @@
 """A check's figures are written whole and the same each time, and its tables are made of them alone."""
 
+import ast
 import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from harness.check import Check, Figures, Table, cell
+from harness.check import RESULTS, Check, Figures, Table, cell
 from harness.scores import Score, bootstrap, share, summary
 
 from estimator import __version__
@@ -104,3 +105,27 @@ def test_intervals_of_shares_and_medians() -> None:
     sample = np.random.default_rng(1).normal(2.0, 1.0, 400)
     found = bootstrap(lambda x: float(np.mean(x)), sample)
     assert found.high - found.low == pytest.approx(2 * 1.96 * sample.std() / 20, rel=0.1)
+
+
+def test_what_is_kept_names_its_check_version_and_options() -> None:
+    kept = sorted(RESULTS.glob("*.json"))
+    assert len(kept) >= 3
+    for path in kept:
+        record = json.loads(path.read_bytes())
+        assert [key for key in record if key != "date"] == ["check", "version", "options", "figures"]
+        assert record["check"] == path.stem
+        assert record["figures"]
+
+
+def test_no_test_module_imports_another() -> None:
+    """What several of them need is in tests/support."""
+    imported = [
+        f"{path.name}: {name}"
+        for path in Path(__file__).parent.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in [getattr(node, "module", None) or "", *(alias.name for alias in node.names)]
+        if isinstance(node, ast.Import) or name == node.module
+        if name.startswith("test_")
+    ]
+    assert imported == []
