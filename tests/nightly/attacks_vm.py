@@ -23,7 +23,7 @@ from attack_sequence import OWN, Heard, Result, Slot, Values, chosen, duration, 
 from bus_attacks.catalogue import Attack
 from bus_attacks.trial import look_at
 from cantools.typechecking import DecodeResultType
-from check_attacks import TRUCK, VERDICTS, drive_of, seconds
+from check_attacks import VERDICTS, drive_of, seconds
 from harness.check import RESULTS, Check, Figures, Table
 from package_vm import share_package
 from vm.debian import VmError, system
@@ -33,6 +33,7 @@ from estimator import config as configuration
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
 from estimator.can_io.publisher import output_database
+from estimator.commands.demo import TRUCK
 from estimator.errors import RoadloadError
 
 NAME, IN_TURN, THROUGHOUT = "attacks_socketcan", "one after the other", "throughout"
