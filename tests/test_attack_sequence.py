@@ -11,10 +11,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
 import can
-from attacks_vm import Play, has_ended, heard_in, rows_of, summary, table, with_earlier
-from bus_attacks.catalogue import attacks
-from bus_attacks.forging import announcements
-from bus_attacks.sequence import (
+from attack_sequence import (
     HELD,
     LEAD,
     SLOT,
@@ -28,6 +25,9 @@ from bus_attacks.sequence import (
     results,
     throughout,
 )
+from attacks_vm import Play, Row, has_ended, heard_in, rows_of, summary, table, with_earlier
+from bus_attacks.catalogue import attacks
+from bus_attacks.forging import announcements
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of
@@ -195,21 +195,29 @@ def test_a_service_that_falls_silent_is_heard_as_withheld_to_the_end_of_the_driv
 def test_the_table_counts_outcomes_and_those_that_differ() -> None:
     one = results(heard(withheld=(110, 150)), SLOTS, TRUCK)
     other = results(heard(), SLOTS, TRUCK)
-    text = table(rows_of([*one, *other], [*one, *one]), [""])
-    assert "2 attacks: unharmed 1, withheld 1, silently biased 0" in text
-    assert "The outcome of 1 is that in process." in text
+    title = table("in turn", {"runs": ["so many frames."], "attacks": rows_of([*one, *other], [*one, *one])}).title
+    assert "2 attacks: unharmed 1, withheld 1, silently biased 0" in title
+    assert "The outcome of 1 is that in process. so many frames." in title
+
+
+def row(attack: str, outcome: str, worst: float | None, in_process: str) -> Row:
+    return {"attack": attack, **became(outcome, worst), "in_process": became(in_process)}
+
+
+def became(outcome: str, worst: float | None = None) -> Row:
+    return {"outcome": outcome, "withheld_after_s": None, "back_after_s": None, "worst_sd": worst}
 
 
 def test_a_table_keeps_the_rows_of_attacks_that_were_not_played_again() -> None:
-    old = [("a", "withheld", "5 s", "-", "3.0 sd", "unharmed, -"), ("c", "unharmed", "-", "-", "9.0 sd", "unharmed, -")]
-    new = [
-        ("b", "unharmed", "-", "-", "1.0 sd", "unharmed, -"),
-        ("c", "withheld", "-", "-", "no estimate", "withheld, -"),
-    ]
-    text = with_earlier(new, "second run.", f"\n\n{table(old, ['first run.'])}\n\n", ["a", "b", "c"])
-    assert text == table([old[0], *new], ["first run.", "second run."])
-    assert "3 attacks: unharmed 1, withheld 2, silently biased 0; largest deviation 3.0 sd. The outcome of 2" in text
-    assert with_earlier([*new, old[0]], "second run.", text, ["a", "b", "c"]) == table([old[0], *new], ["second run."])
+    a, c = row("a", "withheld", 3.0, "unharmed"), row("c", "unharmed", 9.0, "unharmed")
+    new = [row("b", "unharmed", 1.0, "unharmed"), row("c", "withheld", None, "withheld")]
+    first = {"runs": ["first run."], "attacks": [a, c]}
+    both = with_earlier(new, "second run.", first, ["a", "b", "c"])
+    assert both == {"runs": ["first run.", "second run."], "attacks": [a, *new]}
+    title = table("in turn", both).title
+    assert "3 attacks: unharmed 1, withheld 2, silently biased 0; largest deviation 3.0 sd. The outcome of 2" in title
+    again = with_earlier([*new, a], "second run.", both, ["a", "b", "c"])
+    assert again == {"runs": ["second run."], "attacks": [a, *new]}
 
 
 def test_real_and_forged_broadcasts_of_the_reference_torque_do_not_overlap() -> None:

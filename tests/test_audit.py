@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-TOOL = Path(__file__).parents[1] / "tools" / "audit.py"
+TOOL = Path(__file__).parents[1] / ".ci" / "audit.py"
 CLEAN = '{"name": "numpy", "version": "2.4.6", "vulns": []}'
 FLAWED = '{"name": "numpy", "version": "2.4.6", "vulns": [{"id": "PYSEC-1", "fix_versions": ["2.4.7"]}]}'
 UNKNOWN = '{"name": "numpy", "skip_reason": "not found"}'

@@ -1,6 +1,7 @@
 """The blind check judges what it claims to judge; and a fixed set of drives is diagnosed as well as promised."""
 
 import dataclasses
+import json
 import os
 import sys
 from pathlib import Path
@@ -286,7 +287,7 @@ def test_credible_sets_hold_what_they_promise():
 
 
 def test_calibration_error_of_the_sure_and_always_wrong_is_one():
-    from blind.intervals import calibration_error
+    from harness.scores import calibration_error
 
     assert calibration_error(np.ones(10), np.zeros(10)) == 1.0
     assert calibration_error(np.full(10, 0.5), np.arange(10) % 2.0) == pytest.approx(0.0)
@@ -372,37 +373,37 @@ def test_the_sealed_drag_is_that_of_the_air_at_the_start_where_no_signal_shows_h
 
 
 def test_scores_of_nothing_are_refused_in_one_line(tmp_path, capsys):
-    import blind_check
+    import check_blind
 
-    assert blind_check.main(["score", str(tmp_path)]) == 2
+    assert check_blind.main(["score", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith(f"error: {tmp_path}")
 
 
 def test_prior_odds_are_best_where_probabilities_are_frequencies():
-    import fit_priors
+    import check_priors
 
     # Nothing acts on 30 of 40 drives whose answers say 0.5, and on 9 of 10 that say 0.75: a third of the odds is right.
     none = np.repeat([0.5, 0.75], [40, 10])
     is_none = np.concatenate([np.arange(40) < 30, np.arange(10) < 9])
-    assert fit_priors.best_factor(none, is_none) == pytest.approx(1 / 3, rel=1e-3)
-    assert fit_priors.with_factor(none, 1 / 3)[[0, -1]] == pytest.approx([0.75, 0.9])
+    assert check_priors.best_factor(none, is_none) == pytest.approx(1 / 3, rel=1e-3)
+    assert check_priors.with_factor(none, 1 / 3)[[0, -1]] == pytest.approx([0.75, 0.9])
     expected = 30 * np.log(0.75) + 10 * np.log(0.25) + 9 * np.log(0.9) + np.log(0.1)
-    assert fit_priors.log_score(none, is_none, 1 / 3) == pytest.approx(expected)
+    assert check_priors.log_score(none, is_none, 1 / 3) == pytest.approx(expected)
 
 
 def test_pages_and_json_show_every_measure():
-    import json
-
     from blind import tables
     from blind.case import Case
     from blind.score import score
+    from harness.check import plain
 
     result = score(
         [Case(truth_of(), run_of("effect", "grade")), Case(truth_of(kind="clean", names=()), run_of("no gap"))]
     )
-    page, content = tables.as_markdown(result), json.dumps(tables.as_json(result), allow_nan=False)
+    figures = json.loads(json.dumps(plain(dataclasses.asdict(result)), allow_nan=False))
+    page = "\n".join(table.markdown() for table in tables.tables(figures))
 
-    assert all(measure.name in page and measure.name in content for measure in result.measures)
+    assert all(measure.name in page for measure in result.measures)
     assert "| named first, or its class: oracle > 10 | >= 95 % | 100.0 % |" in page
     assert "| clean | no gap |" in page
 

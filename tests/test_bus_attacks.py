@@ -1,5 +1,6 @@
 """Other nodes that lie, copy or replace the vehicle's: the estimate is unharmed or withheld, and comes back."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -9,7 +10,6 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 
-from adversary import PAGE, names_on
 from bus_attacks.catalogue import Attack, attacks
 from bus_attacks.trial import Look, attempt, deviations, look_at
 
@@ -127,10 +127,10 @@ def test_a_receiver_reads_not_available_while_an_input_is_contested(drive: Frame
     assert after[-1] == pytest.approx(TRUCK.mass, rel=0.03)
 
 
-def test_the_page_shows_every_attack_and_no_wrong_estimate():
-    page = PAGE.read_text(encoding="utf-8")
-    assert names_on(page) == list(ATTACKS)
-    assert "silently biased" not in page.split("\n## ")[1]
+def test_what_is_kept_has_every_attack_and_no_wrong_estimate():
+    kept = json.loads((Path(__file__).parents[1] / "results" / "attacks.json").read_bytes())["figures"]["attacks"]
+    assert [one["attack"] for one in kept] == list(ATTACKS)
+    assert {one["outcome"] for one in kept} == {"unharmed", "withheld"}
 
 
 def test_the_same_attack_gives_the_same_contests_however_frames_arrive(drive: Frames):

@@ -6,12 +6,12 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
+from failures import Cli, fails
 
 from estimator.can_io.frames import EXTENDED, Frames
 from estimator.can_io.j1939_encoder import frames_of
@@ -22,9 +22,6 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 
-Outcome = tuple[int, str, str]
-Cli = Callable[..., Outcome]
-
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -34,16 +31,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("cli") / "drive.blf"
     write_log(frames_of(record(truck, generate_route("urban", 5e3, rng), 120.0, rng).signals), path)
     return path
-
-
-def fails(outcome: Outcome, *fragments: str) -> None:
-    status, out, err = outcome
-    assert status == 2
-    assert out == ""
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    for fragment in fragments:
-        assert fragment in err
 
 
 JSON_KEYS = {

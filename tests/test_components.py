@@ -5,15 +5,16 @@ from itertools import product
 
 import numpy as np
 import pytest
+from driven_on_hills import SEED, A, C, M, driven
+from driven_on_level_road import driven as on_level_road
 from hypothesis import given
 from hypothesis import strategies as st
-from made_strides import made_strides, past_speeds
+from made_strides import made_strides
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 from scipy.stats import multivariate_normal
-from test_diagnosis_evidence import driven as on_level_road
 
 from estimator.components import edges, exchange, switching
 from estimator.components.budget import NOISE, ROAD, budget
@@ -51,25 +52,8 @@ from estimator.model.term import USUAL_SDS, Term
 from estimator.samples import STEP
 from estimator.signals import Quantity
 
-M, A, C = 25e3, 1600.0, 3.5
-SEED = 3
 ELAPSED = frozenset({Quantity.ELAPSED, Quantity.ENGINE_SPEED})
 QUIET = 1e-4  # m/s^2 of torque noise: the correction for it is next to nothing
-
-
-def driven(n=400, seed=SEED, power=None):
-    """A drive by the model's own equation on a hilly road; ``power`` [W] (n,) is taken besides."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(n) + 0.5
-    speed = 16 + 5 * np.sin(2 * np.pi * np.arange(n + 1) / 90) + np.cumsum(rng.normal(0, 0.02, n + 1))
-    v0, v1 = speed[:-1], speed[1:]
-    v, a = 0.5 * (v0 + v1), v1 - v0
-    s = np.concatenate([[0.0], np.cumsum(v)])
-    slope = 0.008 * np.sin(2 * np.pi * s[:-1] / 700 + 1.0) + 0.004 * np.sin(2 * np.pi * s[:-1] / 260)
-    taken = np.zeros(n) if power is None else power
-    force = M * a + A + C * v**2 + M * 9.80665 * slope + taken / v + M * rng.normal(0, 6e-3, n)
-    context = {Quantity.ELAPSED: t, Quantity.ENGINE_SPEED: 8.0 * v, Quantity.STOPS: np.zeros(n), **past_speeds(v)}
-    return made_strides(speed, force, context)
 
 
 @pytest.fixture(scope="module")

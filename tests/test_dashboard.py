@@ -18,7 +18,7 @@ from estimator.answers.published import PublishedAnswer
 from estimator.daemon.outputs.output import Output, OutputError, Trouble
 from estimator.daemon.service.worker import Knowledge
 
-DASHBOARD = Path(__file__).parents[1] / "tools" / "prometheus" / "roadload.dashboard.json"
+DASHBOARD = Path(__file__).parents[1] / "deploy" / "prometheus" / "roadload.dashboard.json"
 OF_NODE_EXPORTER = {"node_textfile_mtime_seconds"}
 FILE = '{instance="a",file="/run/roadload/roadload.prom"}'
 

@@ -26,7 +26,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("dpkg-deb") is None:
         pytest.skip("no dpkg-deb here")
     folder = tmp_path_factory.mktemp("dist")
-    command = [sys.executable, str(ROOT / "tools" / "build_deb.py"), "--output", str(folder), "--compression", "gzip"]
+    command = [sys.executable, str(ROOT / "deploy" / "build_deb.py"), "--output", str(folder), "--compression", "gzip"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST)
     if done.returncode and ("No module named pip" in done.stderr or "No matching distribution" in done.stderr):
         pytest.skip(f"the wheels cannot be had: {done.stderr.strip().splitlines()[-1]}")
@@ -80,7 +80,7 @@ def test_the_checksums_are_those_of_the_files(tree: Path) -> None:
 
 
 def test_the_unit_of_the_package_calls_the_program_of_the_package(tree: Path) -> None:
-    shipped = (ROOT / "tools" / "systemd" / "roadload.service").read_text()
+    shipped = (ROOT / "deploy" / "systemd" / "roadload.service").read_text()
     unit = (tree / "usr/lib/systemd/system/roadload.service").read_text()
     assert re.search(r"^ExecStart=/usr/bin/roadload run .*--config /etc/roadload/roadload.toml$", unit, re.MULTILINE)
     assert unit == shipped.replace("/opt/roadload/bin/roadload", "/usr/bin/roadload")
@@ -109,7 +109,7 @@ def test_it_runs_with_nothing_but_itself(tree: Path, tmp_path: Path) -> None:
 
 
 def test_the_man_page_has_every_command_and_no_error(tree: Path) -> None:
-    page = ROOT / "tools" / "debian" / "roadload.1"
+    page = ROOT / "deploy" / "debian" / "roadload.1"
     commands = page.read_text().split(".SH COMMANDS")[1].split(".SH EXIT")[0]
     assert sorted(re.findall(r"^\.B (\w+)$", commands, re.MULTILINE)) == sorted(COMMANDS)
     if shutil.which("groff") is None:

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_strides import made_strides
+from driven_on_level_road import THETA, driven
 from scipy.stats import false_discovery_control
 
-from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
 from estimator.diagnosis import localisation
 from estimator.diagnosis.described import described
@@ -17,7 +16,6 @@ from estimator.estimation.long_run import long_run_variance
 from estimator.false_discovery import false_discovery_rates
 from estimator.signals import Floats, Quantity
 
-THETA = np.array([1739.0, 3.74, 27_190.0])  # A [N], C [N s^2/m^2], m [kg]
 NOISE = 1e3  # W, sd of the power of a row of 2 s
 STEP = 2.0  # s of a row
 
@@ -130,22 +128,6 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
 
 
 # A formula for what has no name
-
-
-def driven(extra: Floats | float = 0.0, minutes: float = 40.0) -> DriveState:
-    """Strides on a level road; the engine gives ``extra`` [W] besides."""
-    rng = np.random.default_rng(2)
-    n = round(60 * minutes)
-    ends = np.arange(n + 1.0)
-    speed = 18 + 6 * np.sin(2 * np.pi * ends / 190) + 2 * np.sin(2 * np.pi * ends / 47)
-    v0, v1 = speed[:-1], speed[1:]
-    v, a = 0.5 * (v0 + v1), v1 - v0
-    force = THETA[0] + THETA[1] * v**2 + THETA[2] * a + extra / v + rng.normal(0, 60.0, n)
-    context = {Quantity.ELAPSED: ends[:-1], Quantity.STOPS: np.zeros(n)}
-    strides = made_strides(speed, force, context)
-    found = DriveState.of(strides, is_level=True)
-    assert found is not None
-    return found
 
 
 def test_a_power_outside_the_catalogue_is_described() -> None:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from driven_on_hills import A, C, M, driven
 from numpy.testing import assert_allclose
-from test_components import A, C, M, driven
 
 from estimator.components.component import Frame, of_effect
 from estimator.components.drive_state import DriveState, Form

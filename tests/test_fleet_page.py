@@ -9,30 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_fleets import FIRST, WINTER_DRAG, Case, made
+from made_fleets import FIRST, WINTER_DRAG, Case, made, page_of
 
 from estimator.config import Config
 from estimator.fleet.engine import Serial
-from estimator.fleet.page import Tables, _changes, _in_per_cent, page
-from estimator.fleet.rows import drive_rows, effect_rows, season_rows, vehicle_rows
-from estimator.fleet.run import Fleet, conclude
+from estimator.fleet.page import _changes, _in_per_cent
+from estimator.fleet.rows import effect_rows
+from estimator.fleet.run import conclude
 from estimator.fleet.seasons import SEASONS, season_of
 from estimator.report.page.plot import DateAxis
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-
-def page_of(fleet: Fleet) -> str:
-    return page(
-        Tables(
-            drives=drive_rows(fleet),
-            vehicles=vehicle_rows(fleet, 0.05),
-            seasons=season_rows(fleet),
-            effects=effect_rows(fleet),
-            road=fleet.road,
-            rate=0.05,
-        )
-    )
 
 
 @pytest.fixture(scope="module")

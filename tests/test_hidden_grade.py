@@ -44,9 +44,9 @@ def test_a_good_altimeter_names_the_hills_itself(diagnose):
 def test_a_load_taken_on_is_found_beside_hills_that_a_poor_altimeter_shows(tmp_path, monkeypatch):
     """To the search on a level road the altimeter, which wanders by 3 m, shows no grade; the road's own slope does."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
-    import natural_world
+    import check_budget
 
-    world = natural_world.draw(7, seed=20261122, minutes=40.0)
+    world = check_budget.draw(7, seed=20261122, minutes=40.0)
     assert (world.shown, world.extra) == ("poor", "mass_step")
     answer = ask("diagnose", written(world.recording, tmp_path / "log.blf"))
     grade, load = answer["effects"][:2]

@@ -20,7 +20,7 @@ from estimator.can_io.trouble_codes import DM1, codes_of
 from estimator.daemon.service import metrics
 from estimator.daemon.service.worker import Knowledge
 
-PROMETHEUS = Path(__file__).parents[1] / "tools" / "prometheus"
+PROMETHEUS = Path(__file__).parents[1] / "deploy" / "prometheus"
 RULES, RULE_TESTS = PROMETHEUS / "roadload.rules.yml", PROMETHEUS / "roadload.rules.test.yml"
 LINKTYPE_CAN_SOCKETCAN = 227
 FIELDS = ("j1939.priority", "j1939.pgn", "j1939.src_addr", "j1939.dst_addr", "can.len", "j1939.data", "_ws.malformed")

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from driven_on_level_road import driven
 from simulated_logs import ask, drive, written
-from test_diagnosis_evidence import driven
 
 from estimator.components.component import Frame
 from estimator.components.processes import RING, processes, ringing

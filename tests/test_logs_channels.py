@@ -9,8 +9,8 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from test_commands import Cli, fails
-from test_logs import message_of, write
+from failures import Cli, fails
+from written_logs import message_of, write
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.j1939_encoder import frames_of

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_logs import FD_LENGTHS, assert_read_or_refused, message_of, recorded, write
+from written_logs import FD_LENGTHS, assert_read_or_refused, message_of, recorded, write
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.logs import open_log

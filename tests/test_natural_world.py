@@ -20,9 +20,9 @@ START = 1000.0  # s, of the drive in its log
 @pytest.fixture
 def tool(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
-    import natural_world
+    import check_budget
 
-    return natural_world
+    return check_budget
 
 
 def driven(force: Any = np.zeros_like, n: int = 900) -> DriveState:

@@ -9,7 +9,7 @@ import pytest
 from simulated_logs import drive, written
 from without_posix import ABSENT, TRIMMED, missing_names
 
-PROGRAM = Path(__file__).with_name("without_posix.py")
+PROGRAM = Path(__file__).parent / "support" / "without_posix.py"
 VAN = Path(__file__).parents[1] / "examples" / "own_vehicle" / "van.dbc"
 ON_A_BUS = ("-i", "virtual", "-c", "elsewhere")
 

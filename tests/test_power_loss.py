@@ -18,7 +18,7 @@ from estimator.streaming.pipeline import Pipeline
 
 pytestmark = pytest.mark.slow
 
-TOOL = Path(__file__).parents[1] / "tools" / "power_loss.py"
+TOOL = Path(__file__).parent / "nightly" / "power_loss.py"
 KILLS = 24
 
 

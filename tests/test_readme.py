@@ -145,7 +145,7 @@ def test_commands_on_a_bus_or_a_fleet_are_understood(
     service = next(line for line in PAGES["docs/gateway.md"].splitlines() if line.endswith("# all settings in force"))
     words = shlex.split(service, comments=True)[1:]
     at = words.index("/etc/roadload/roadload.toml")
-    words[at] = str(ROOT / "tools" / "systemd" / "roadload.toml")
+    words[at] = str(ROOT / "deploy" / "systemd" / "roadload.toml")
     assert main(words) == 0
     assert isinstance(from_dict(tomllib.loads(capsys.readouterr().out)), Config)
 

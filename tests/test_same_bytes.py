@@ -17,7 +17,7 @@ def start(seed: int, home: Path) -> "subprocess.Popen[str]":
     kept = {name: value for name, value in os.environ.items() if name in ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH")}
     places = dict.fromkeys(("HOME", "MPLCONFIGDIR", "XDG_CACHE_HOME"), str(home))
     return subprocess.Popen(
-        [sys.executable, HERE / "made_outputs.py", home],
+        [sys.executable, HERE / "support" / "made_outputs.py", home],
         env={**kept, **places, "PYTHONHASHSEED": str(seed)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -20,10 +20,10 @@ STOPS = 14
 def tool():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(Path(__file__).parents[1] / "tools")
-        import short_stops
+        import check_short_stops
 
-        yield short_stops
-    for name in ("short_stops", "accuracy"):
+        yield check_short_stops
+    for name in ("check_short_stops",):
         sys.modules.pop(name, None)
 
 

@@ -11,10 +11,10 @@ import pytest
 def tool():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(Path(__file__).parents[1] / "tools")
-        import sine_grade
+        import check_sine_grade
 
-        yield sine_grade
-    for name in ("sine_grade", "natural_world", "accuracy"):
+        yield check_sine_grade
+    for name in ("check_sine_grade", "check_budget"):
         sys.modules.pop(name, None)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_decoder import LARGE, SPEED, TORQUE, TRUCK, announced, broadcast, cut, pack
+from truck_frames import LARGE, SPEED, TORQUE, TRUCK, announced, broadcast, cut, pack
 
 from estimator.can_io.binding import bind, load_database
 from estimator.can_io.contest import Contest

@@ -10,7 +10,7 @@ import pytest
 from estimator.commands.main import main
 from estimator.config import load
 
-FOLDER = Path(__file__).parents[1] / "tools" / "systemd"
+FOLDER = Path(__file__).parents[1] / "deploy" / "systemd"
 UNIT = FOLDER / "roadload.service"
 NETWORK = FOLDER / "network.conf"
 EXPOSURE = 2.0  # of 10, the most that is allowed

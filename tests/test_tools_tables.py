@@ -1,13 +1,11 @@
-"""Tables become logs that say the same; another simulator's drives and real recordings are judged as they should be."""
+"""Another simulator's drives and real recordings are judged as they should be."""
 
+import csv
 import dataclasses
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
-import can
-import cantools
 import numpy as np
 import pytest
 from diagnoses import finding
@@ -19,8 +17,7 @@ from estimator import config
 from estimator.answers.diagnosis import Part, Verdict
 from estimator.answers.run import RunAnswer
 from estimator.answers.simulation import SimulationAnswer, Truth
-from estimator.can_io.binding import load_database
-from estimator.can_io.j1939_encoder import EPOCH, frames_of
+from estimator.can_io.j1939_encoder import frames_of
 from estimator.can_io.log_writer import write_log
 from estimator.diagnosis.result import Diagnosis, GapClosed
 from estimator.errors import RoadloadError
@@ -32,171 +29,34 @@ from estimator.streaming.replay import estimate_logs
 from estimator.units import STANDARD_GRAVITY
 
 TOOLS = Path(__file__).parents[1] / "tools"
-ROOMS = (
-    "table", "table_to_log", "vt_truck", "surrogate_drives", "real_recordings", "check_fastsim", "check_transfer",
-    "dynamometer", "fastsim_world",
-)  # fmt: skip
-CAR = """VERSION ""
-NS_ :
-BS_:
-BU_:
-BO_ 256 MOTION: 3 Vector__XXX
- SG_ Speed : 7|16@0+ (0.01,0) [0|300] "km/h" Vector__XXX
- SG_ Mode : 16|4@1+ (1,0) [0|15] "" Vector__XXX
-BO_ 257 MOTOR: 8 Vector__XXX
- SG_ Torque : 0|16@1- (0.5,0) [-400|400] "Nm" Vector__XXX
-"""
-TABLE = "t,v km/h,torque,car\n0.0,36,100,1\n1.0,,-20.5,1\n2.0,54.25,900,1\n3.0,60,0,2\n"
 
 
 @pytest.fixture
 def tools(monkeypatch):
     monkeypatch.syspath_prepend(TOOLS)
     import check_fastsim
+    import check_recordings
     import check_transfer
-    import dynamometer
     import fastsim_world.bus
     import fastsim_world.roads
     import fastsim_world.truck
-    import real_recordings
-    import surrogate_drives
-    import table
-    import table_to_log
-    import vt_truck
+    import harness.drives
+    import recordings.dynamometer
+    import recordings.surrogates
+    import recordings.truck
 
-    world = fastsim_world
-    yield SimpleNamespace(
-        table=table,
-        to_log=table_to_log,
-        vt=vt_truck,
-        rolls=dynamometer,
-        recordings=real_recordings,
+    return SimpleNamespace(
+        vt=recordings.truck,
+        rolls=recordings.dynamometer,
+        surrogates=recordings.surrogates,
+        recordings=check_recordings,
         second=check_fastsim,
         pair=check_transfer,
-        surrogates=surrogate_drives,
-        roads=world.roads,
-        truck=world.truck,
-        bus=world.bus,
+        roads=fastsim_world.roads,
+        truck=fastsim_world.truck,
+        bus=fastsim_world.bus,
+        drives=harness.drives,
     )
-    for name in [name for name in sys.modules if name.partition(".")[0] in ROOMS]:
-        del sys.modules[name]
-
-
-@pytest.fixture
-def files(tmp_path):
-    (tmp_path / "car.dbc").write_text(CAR)
-    (tmp_path / "drive.csv").write_text(TABLE)
-    return tmp_path
-
-
-def run(tools, files, *arguments, table="drive.csv", log="drive.log"):
-    command = [str(files / table), str(files / log), "--dbc", str(files / "car.dbc"), *arguments]
-    return tools.to_log.main(command)
-
-
-def messages(path):
-    """Frames of a log as (time since EPOCH, id, payload), by python-can's own reader."""
-    with can.LogReader(path) as log:
-        return [(m.timestamp - EPOCH, m.arbitration_id, bytes(m.data)) for m in log]
-
-
-def test_another_decoder_reads_the_table_back(tools, files, capsys):
-    mapped = ("--map", "MOTION.Speed=v km/h", "--map", "MOTOR.Torque=torque", "--time", "t")
-    assert run(tools, files, *mapped) == 0
-    car = cantools.database.load_file(files / "car.dbc")
-    seen = {"MOTION": {}, "MOTOR": {}}
-    for t, ident, data in messages(files / "drive.log"):
-        message = car.get_message_by_frame_id(ident)
-        seen[message.name][round(t, 3)] = message.decode(data)
-    # What is empty or out of range cannot be said by these messages, so the frame is not there.
-    assert {t: content["Speed"] for t, content in seen["MOTION"].items()} == {0.0: 36.0, 2.0: 54.25, 3.0: 60.0}
-    assert {t: content["Torque"] for t, content in seen["MOTOR"].items()} == {0.0: 100.0, 1.0: -20.5, 3.0: 0.0}
-    said = capsys.readouterr().out
-    assert "MOTION.Speed: 1 empty, 0 out of range: frame left out" in said
-    assert "MOTOR.Torque: 0 empty, 1 out of range: frame left out" in said
-    assert "nothing is mapped to Mode" in said
-
-
-def test_j1939_says_not_available_and_keeps_the_rest_of_the_frame(tools, files):
-    (files / "drive.csv").write_text("n,T,v\n1000,50,40\n1200,,50\n99999,60,\n")
-    log = files / "drive.blf"
-    table = tools.table.read_table(files / "drive.csv")
-    mapping = ["EEC1.EngSpeed=n", "EEC1.ActualEngPercentTorque=T", "CCVS1.WheelBasedVehicleSpeed=v"]
-    count, span, remarks = tools.to_log.convert(table, log, [], mapping, None, 10.0, [])
-    assert (count, round(span, 6)) == (5, 0.2)
-    engine = [data for _, ident, data in messages(log) if ident >> 8 & 0xFFFF == 0xF004]
-    raw = [(int.from_bytes(data[3:5], "little"), data[2]) for data in engine]
-    assert raw == [(8000, 175), (9600, 0xFF), (0xFFFF, 185)]
-    assert all(data[0] == data[1] == data[7] == 0xFF for data in engine)
-    assert remarks == [
-        "EEC1.EngSpeed: 0 empty, 1 out of range: not available",
-        "EEC1.ActualEngPercentTorque: 1 empty, 0 out of range: not available",
-        "CCVS1.WheelBasedVehicleSpeed: 1 empty, 0 out of range: not available",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("expression", "expected"),
-    [("a", 3.0), ("a*2", 6.0), ("a*-2.5e1", -75.0), ("a+1", 4.0), ("a*2-0.5", 5.5), ("a-1", 7.0), ("b (x/y)*2", 10.0)],
-)
-def test_columns_are_scaled(tools, tmp_path, expression, expected):
-    (tmp_path / "x.csv").write_text("a,a-1,b (x/y)\n3,7,5\n")
-    assert tools.table.read_table(tmp_path / "x.csv").scaled(expression).tolist() == [expected]
-
-
-def test_rows_are_selected_and_keep_their_times(tools, files):
-    assert run(tools, files, "--map", "MOTION.Speed=v km/h", "--rate", "2", "--select", "car=2.0") == 0
-    assert [round(t, 6) for t, _, _ in messages(files / "drive.log")] == [1.5]
-
-
-@pytest.mark.parametrize(
-    ("table", "arguments", "words"),
-    [
-        ("t,v\n0,1\n1,fast\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 3, column 'v': 'fast' is not a number"),
-        ("t,v\n0,1\n2,1\n1,2\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 4: time 1 after 2"),
-        ("t,v\n0,1\n,1\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 3: time nan"),
-        ("t,v\n0,1\n1\n", ["--time", "t", "--map", "MOTION.Speed=v"], "row 3 has 1 cells, the header has 2"),
-        ("v,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=v"], "two columns are called 'v'"),
-        ("t,v\n", ["--rate", "1", "--map", "MOTION.Speed=v"], "holds no rows"),
-        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=w"], "no column 'w'; the columns are 't', 'v'"),
-        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Velocity=v"], "no such signal; it has Speed, Mode"),
-        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOVE.Speed=v"], "no such message; it has MOTION, MOTOR"),
-        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION=v"], "is not of the form"),
-        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=v", "--map", "MOTION.Speed=t"], "is mapped twice"),
-        ("t,v\n0,1\n", ["--rate", "1", "--map", "MOTION.Speed=v", "--select", "v=2"], "'v' holds 1"),
-        ("t,v\n0,-1\n", ["--rate", "1", "--map", "MOTION.Speed=v"], "no frame is left; MOTION.Speed: 0 empty, 1 out"),
-    ],
-)
-def test_bad_tables_are_one_line_and_no_log(tools, files, capsys, table, arguments, words):
-    (files / "drive.csv").write_text(table)
-    assert run(tools, files, *arguments) == 2
-    assert not (files / "drive.log").exists()
-    complaint = capsys.readouterr().err
-    assert complaint.count("\n") == 1
-    assert words in complaint
-
-
-def test_a_message_of_many_frames_is_refused(tools, files):
-    table = tools.table.read_table(files / "drive.csv")
-    with pytest.raises(RoadloadError, match="39 bytes do not fit into one frame"):
-        tools.to_log.frames_of_table(table, np.arange(4.0), load_database([]), ["EC1.EngReferenceTorque=torque"])
-
-
-def test_parquet_reads_like_csv(tools, files):
-    pyarrow = pytest.importorskip("pyarrow", reason="Parquet tables need pyarrow")
-    from pyarrow import csv, parquet
-
-    parquet.write_table(csv.read_csv(files / "drive.csv"), files / "drive.parquet")
-    assert pyarrow is not None
-    mapped = ("--map", "MOTION.Speed=v km/h", "--time", "t")
-    assert run(tools, files, *mapped) == run(tools, files, *mapped, table="drive.parquet", log="other.log") == 0
-    assert (files / "drive.log").read_text() == (files / "other.log").read_text()
-
-
-@pytest.mark.skipif(find_spec("pyarrow") is not None, reason="pyarrow is installed")
-def test_parquet_without_its_library_says_what_to_install(tools, files):
-    with pytest.raises(RoadloadError, match="pip install pyarrow"):
-        tools.table.read_table(files / "drive.parquet")
 
 
 @pytest.mark.slow
@@ -208,23 +68,20 @@ def test_a_table_at_one_hertz_is_enough_for_the_estimator(tools, tmp_path):
     truth = np.array([1500.0, 3.5, 22_000.0])
     noise = np.random.default_rng(1).normal(0.0, 3e3, len(t))
     power = np.maximum(design(v, a) @ truth + noise, 0.0) / 1e3
-    rows = zip((v / 0.44704).tolist(), power.tolist(), strict=True)
-    (tmp_path / "truck.csv").write_text("mph,kW\n" + "\n".join(f"{x:.4f},{y:.4f}" for x, y in rows))
-    table = tools.table.read_table(tmp_path / "truck.csv")
-    mapping = ["MOTION.Speed=mph", "ENGINE.Power=kW"]
-    tools.to_log.convert(table, tmp_path / "truck.blf", [str(TOOLS / "vt_truck.dbc")], mapping, None, 1.0, [])
-    final = estimate_logs([tmp_path / "truck.blf"], config.load(TOOLS / "vt_truck.toml"), lambda share: None).final
+    columns = {"t": t, "vel (mph)": v / 0.44704, "fuel (g/s)": power / 17.976, "engine (rpm)": 0 * t + 1200}
+    log = tmp_path / "truck.csv"
+    tools.vt.write(columns | {"elevation (m)": 0 * t}, log)
+    text = tools.recordings.without(tools.vt.CONFIG.read_text(), "altitude")
+    (tmp_path / "truck.toml").write_text(text)
+    final = estimate_logs([log], config.load(tmp_path / "truck.toml"), lambda share: None).final
     assert final.mass.mean == pytest.approx(truth[2], rel=0.02)
     assert final.A.mean == pytest.approx(truth[0], rel=0.1)
     assert final.C.mean == pytest.approx(truth[1], rel=0.1)
 
 
-def truck_table(tools, phase, speed, elevation):
+def truck_table(phase, speed, elevation):
     columns = {"vel (mph)": speed, "fuel (g/s)": 0 * speed + 5, "engine (rpm)": 0 * speed + 1200}
-    cells = columns | {"elevation (m)": elevation, "phase_num": phase}
-    return tools.table.Table(
-        Path("truck.csv"), list(range(2, len(speed) + 2)), {k: v.tolist() for k, v in cells.items()}
-    )
+    return columns | {"elevation (m)": elevation, "phase_num": phase}
 
 
 def test_recordings_of_a_table_are_taken_apart(tools):
@@ -232,10 +89,10 @@ def test_recordings_of_a_table_are_taken_apart(tools):
     speed, elevation = np.full(400, 50.0), np.arange(400.0) / 10
     elevation[80:] += 40.0  # rows are missing here, and a few moments later again
     speed[100:] += 10.0
-    found = dict(tools.vt.recordings(truck_table(tools, phase, speed, elevation)))
+    found = dict(tools.vt.recordings(truck_table(phase, speed, elevation)))
     assert list(found) == ["1a", "2a", "1b"]
-    assert [len(rows) for rows in found.values()] == [180, 100, 100]  # 20 rows between two jumps are no drive
-    t, height = found["1a"].numbers("s"), found["1a"].numbers("elevation (m)")
+    assert [len(rows["t"]) for rows in found.values()] == [180, 100, 100]  # 20 rows between two jumps are no drive
+    t, height = found["1a"]["t"], found["1a"]["elevation (m)"]
     assert np.flatnonzero(np.diff(t) > 1).tolist() == [79]
     assert t[80] - t[79] > 100
     assert np.allclose(height[:80], elevation[:80])
@@ -244,12 +101,14 @@ def test_recordings_of_a_table_are_taken_apart(tools):
 
 def test_without_fuel_the_power_of_the_truck_is_not_known(tools, tmp_path):
     t = np.arange(100.0)
-    table = truck_table(tools, 0 * t + 1, 0 * t + 50, 0 * t)
-    table.cells["fuel (g/s)"][40:60] = [0.0] * 20
+    table = truck_table(0 * t + 1, 0 * t + 50, 0 * t)
+    table["fuel (g/s)"][40:60] = 0.0
     ((_, recording),) = tools.vt.recordings(table)
-    tools.vt.write(recording, tmp_path / "truck.blf")
-    ids = [message.arbitration_id for message in can.LogReader(tmp_path / "truck.blf")]
-    assert (ids.count(256), ids.count(257), ids.count(258)) == (100, 80, 100)
+    tools.vt.write(recording, tmp_path / "truck.csv")
+    with (tmp_path / "truck.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [i for i, row in enumerate(rows) if row["power"] == "nan"] == list(range(40, 60))
+    assert {float(row["speed"]) for row in rows} == {50.0}
 
 
 @pytest.mark.slow
@@ -258,9 +117,9 @@ def test_a_car_on_rolls_has_the_mass_that_the_rolls_give_it(tools, recordings, t
 
     A is about 0 there, which is not an estimate.
     """
-    log = tmp_path / "car.blf"
+    log = tmp_path / "car.csv"
     tools.rolls.write(recordings / "argonne_d3" / "61506048.txt", log)
-    found = tools.recordings.roadload(RunAnswer, "estimate", log, "--config", TOOLS / "dynamometer.toml").parameters
+    found = tools.recordings.roadload(RunAnswer, "estimate", log, "--config", tools.rolls.CONFIG).parameters
     assert found.mass_kg.mean == pytest.approx(1675, rel=0.01)
     assert found.mass_kg.sd < 0.01 * found.mass_kg.mean
     assert (found.A_N.status, found.A_N.mean) == ("unestimated", None)
@@ -272,11 +131,11 @@ def test_a_real_truck_is_weighed_on_a_road_that_no_signal_shows(tools, recording
 
     The mean is 35.8 t; it is 34.7 t where lone readings of the torque are mended, which is not done at 1 Hz.
     """
-    table = tools.table.read_table(recordings / "vt_hd_trucks" / "veh002_all.csv")
-    log, hidden = tmp_path / "truck.blf", tmp_path / "hidden.toml"
-    hidden.write_text(tools.recordings.without((TOOLS / "vt_truck.toml").read_text(), "altitude"))
+    table = tools.vt.read(recordings / "vt_hd_trucks" / "veh002_all.csv")
+    log, hidden = tmp_path / "truck.csv", tmp_path / "hidden.toml"
+    hidden.write_text(tools.recordings.without(tools.vt.CONFIG.read_text(), "altitude"))
     tools.vt.write(next(rows for name, rows in tools.vt.recordings(table) if name == "1d"), log)
-    settings = ("--config", hidden, "--dbc", tools.vt.DBC, "--effect", "torque_bias")
+    settings = ("--config", hidden, "--effect", "torque_bias")
     mass = tools.recordings.roadload(RunAnswer, "estimate", log, *settings).parameters.mass_kg
     assert mass.status == "estimated"
     assert 29e3 < mass.mean < 37e3
@@ -372,7 +231,7 @@ def test_torque_that_a_bus_cannot_say_is_an_error(tools, truck, hilly):
 
 
 def test_fastsim_obeys_the_truth_that_is_written(tools, truck, hilly):
-    pytest.importorskip("fastsim", reason="fastsim has an environment of its own: tools/check_fastsim.txt")
+    pytest.importorskip("fastsim", reason="fastsim has an environment of its own: tools/fastsim_world/requirements.txt")
     drive = tools.truck.simulate(truck, tools.truck.followed(truck, hilly))
     seen = tools.second.truth_of(truck, drive)["at_crank"]
     v, a = (drive.v[1:] + drive.v[:-1]) / 2, np.diff(drive.v) / tools.roads.STEP
@@ -384,7 +243,7 @@ def test_fastsim_obeys_the_truth_that_is_written(tools, truck, hilly):
 
 @pytest.mark.skipif(find_spec("fastsim") is not None, reason="fastsim is installed")
 def test_without_fastsim_the_second_world_says_what_to_install(tools, truck, hilly):
-    with pytest.raises(RoadloadError, match=r"pip install -r tools/check_fastsim.txt"):
+    with pytest.raises(RoadloadError, match=r"pip install -r tools/fastsim_world/requirements.txt"):
         tools.truck.simulate(truck, hilly)
 
 
@@ -478,41 +337,26 @@ def test_promised_and_reached_stand_side_by_side(tools, tmp_path, monkeypatch):
             return answer("headwind", final=38.0)
         return replace(answer("grade", final=38.0), budget=(part("road", 0.75, 38.0), part("sensor noise", 0.25)))
 
-    monkeypatch.setattr(tools.recordings, "roadload", roadload)
+    monkeypatch.setattr(tools.drives, "roadload", roadload)
     (row,) = tools.recordings.bmw(tmp_path, tmp_path, [])
     assert row == {
         "trip": "TripA02",
         "named, withheld": "grade (99 %)",
-        "kW before": "40.00",
-        "kW promised": "20.00",
-        "promised": "75 %",
-        "reached": "91 %",
+        "kW before": 40.0,
+        "kW promised": pytest.approx(20.0),
+        "promised [%]": pytest.approx(75.0),
+        "reached [%]": pytest.approx(91.0),
         "named, accelerometer": "grade (99 %)",
-        "kW reached": "12.00",
-        "kW beside": "8.00",
+        "kW reached": 12.0,
+        "kW beside": pytest.approx(8.0),
         "named, GPS elevation": "headwind (99 %)",
-        "kW elevation": "38.00",
+        "kW elevation": 38.0,
     }
     with pytest.raises(RoadloadError, match="no such trip; there are TripA02"):
         list(tools.recordings.bmw(tmp_path, tmp_path, ["TripZ99"]))
 
 
-MOTOR_CAR = """VERSION ""
-NS_ :
-BS_:
-BU_:
-BO_ 256 MOTION: 8 CAR
- SG_ VehicleSpeed : 0|16@1+ (0.01,0) [0|655] "km/h" Vector__XXX
-BO_ 257 MOTOR: 8 CAR
- SG_ MotorTorque : 0|16@1- (0.1,0) [-3000|3000] "N.m" Vector__XXX
- SG_ MotorSpeed : 16|16@1+ (1,0) [0|65535] "rpm" Vector__XXX
-"""
-MOTOR_BINDING = """[bus]
-dbc = ["motor.dbc"]
-[signals]
-speed = "MOTION.VehicleSpeed"
-engine_torque = "MOTOR.MotorTorque"
-engine_speed = "MOTOR.MotorSpeed"
+PRIOR = """
 [prior]
 mass_kg = [500, 5000]
 """
@@ -567,11 +411,10 @@ def test_errors_of_an_accelerometer_are_not_in_the_noise_beside_the_road(tools):
 
 @pytest.mark.slow
 def test_a_surrogate_drive_obeys_the_road_load(tools, original, tmp_path):
-    (tmp_path / "motor.dbc").write_text(MOTOR_CAR)
     # The residual that was drawn is one of the power, beside a speed without any noise: as the paper sees it.
-    (tmp_path / "motor.toml").write_text(MOTOR_BINDING + '[sampler]\nlikelihood = "paper"\n')
-    log = tmp_path / "drive.blf"
-    tools.surrogates.write_surrogate(original, tmp_path / "motor.dbc", log, np.random.default_rng(6))
+    (tmp_path / "motor.toml").write_text(tools.surrogates.COLUMNS + PRIOR + '[sampler]\nlikelihood = "paper"\n')
+    log = tmp_path / "drive.csv"
+    tools.surrogates.write_surrogate(original, log, np.random.default_rng(6))
     final = estimate_logs([log], config.load(tmp_path / "motor.toml"), lambda share: None).final
     assert final.mass.mean == pytest.approx(1600.0, abs=4 * final.mass.sd)
     assert final.mass.sd < 40
@@ -589,21 +432,21 @@ def test_what_a_drive_promises_is_tried_on_another(tools, tmp_path, monkeypatch)
         extended = "--effect" in arguments
         return answer(verdict="no gap", base=13.0, final=13.0) if extended else answer("grade", "mass_step")
 
-    monkeypatch.setattr(tools.recordings, "roadload", roadload)
+    monkeypatch.setattr(tools.drives, "roadload", roadload)
     monkeypatch.setattr(tools.pair, "roadload", roadload)
     pair = tools.pair.simulate_pair("grade", 30, 7, tmp_path)
-    row = tools.pair.row("grade", pair)
+    row = tools.pair.row("grade", *pair)
     assert asked[1][-8:] == ("--mass", "20000.0", "--A", "1500.0", "--C", "3.5", "--seed", "8")
-    assert asked[-2] == ("diagnose", str(pair.second), "--effect", "grade")  # what has times cannot be configured
-    assert row["promised"] == "90 %"
-    assert row["reached on drive 2"] == f"{100 * (1 - (13**2 - 25) / (40**2 - 25)):.0f} %"
-    assert (row["kW before"], row["kW after"], row["named beside it on drive 2"]) == ("40.00", "13.00", "no gap")
+    assert asked[-2] == ("diagnose", str(pair[1]), "--effect", "grade")  # what has times cannot be configured
+    assert row["promised [%]"][0] == pytest.approx(90)
+    assert row["reached on drive 2 [%]"] == pytest.approx(100 * (1 - (13**2 - 25) / (40**2 - 25)))
+    assert (row["kW before"], row["kW after"], row["named beside it on drive 2"]) == (40.0, 13.0, "no gap")
 
 
 def test_without_recordings_there_is_one_line(tools, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("ROADLOAD_DATA", str(tmp_path / "nowhere"))
-    assert tools.recordings.main(["--json"]) == 2
-    assert tools.second.main([str(tmp_path / "out")]) == 2
+    assert tools.recordings.CHECK.main(["--json"]) == 2
+    assert tools.second.CHECK.main(["--folder", str(tmp_path / "out")]) == 2
     complaints = capsys.readouterr().err.splitlines()
     assert len(complaints) == 2
     assert all("set ROADLOAD_DATA" in line for line in complaints)

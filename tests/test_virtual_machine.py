@@ -15,7 +15,7 @@ from vm import initramfs
 from vm.debian import Parts, VmError
 from vm.machine import CONSOLE, shown_console
 
-TOOLS = Path(__file__).parents[1] / "tools"
+NIGHTLY = Path(__file__).parent / "nightly"
 CONTROL = "Package: small\nVersion: 1.2\nArchitecture: all\nMaintainer: nobody <n@localhost>\nDescription: small\n"
 
 
@@ -37,7 +37,7 @@ def test_a_system_of_its_own_is_unpacked_and_started(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("program", ["package_trial", "attack_trial"])
 def test_programs_in_the_machine_need_nothing_but_python(program: str) -> None:
-    code = f"import sys; sys.path.insert(0, {str(TOOLS)!r}); import vm.{program}"
+    code = f"import sys; sys.path.insert(0, {str(NIGHTLY)!r}); import vm.{program}"
     done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -1,10 +1,10 @@
 """CPU time, memory, delays and lost frames of the daemon on a full bus, beside a plain python-can program.
 
     python tools/bench_daemon.py [--seconds 60] [--loss-seconds 600] [--output-seconds 60]
-                                 [--soak-hours 24] [--warm-minutes 60]
+                                 [--warm-minutes 60]
 
 A second process sends simulated driving, padded with unknown messages to the load of a full bus, at the pace of the
-bus, over a stand-in for SocketCAN (`daemon_bench/loopback.py`). "Filtered": only frames that pass the daemon's kernel
+bus, over a stand-in for SocketCAN (`full_bus/loopback.py`). "Filtered": only frames that pass the daemon's kernel
 filters are sent. The daemon starts with the state of an hour's driving, so its window is full and the sampler has its
 full work; its gate is checked every ten seconds instead of every minute. CPU is that of one core while traffic flows,
 start not counted; "peak" is the memory of the whole process, as installed without extras. Delays are those until a
@@ -13,9 +13,6 @@ frame is handed to the pipeline, which decodes in blocks of five seconds of traf
 A further table has the daemon on a full bus of 500 kbit/s without outputs, with an MQTT broker (mosquitto), with a
 Kuksa databroker (`kuksa_stand_in.py`), and with both. Each gets a new conclusion every ten seconds, and the same one
 again after five.
-
-The soak is another run: a day of traffic, as fast as the machine can, through the daemon's link, loop and estimator on
-a clock that the traffic sets. Exit status 1 if it lost a frame, or if memory grew by more than 5 MiB after an hour.
 """
 
 import argparse
@@ -33,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from daemon_bench import soak, traffic
-from daemon_bench.loopback import HOST
+from full_bus import traffic
+from full_bus.loopback import HOST
 from rich.console import Console
 from rich.table import Table
 
@@ -47,8 +44,9 @@ from estimator.daemon.service.worker import Worker
 from estimator.streaming.pipeline import Pipeline
 
 TOOLS = Path(__file__).parent
+KUKSA = TOOLS.parent / "tests" / "support" / "kuksa_stand_in.py"
 SETTINGS = "[gate]\ninterval_s = 10.0\n[service]\nstate_directory = '{folder}'\nruntime_directory = '{folder}'\n"
-PROGRAMS = {"by hand": "daemon_bench.by_hand", "roadload": "daemon_bench.ours"}
+PROGRAMS = {"by hand": "full_bus.by_hand", "roadload": "full_bus.ours"}
 WIDE = 140  # columns where standard output is no terminal
 START = 60.0  # s in which a program has to open its socket
 TICKS = os.sysconf("SC_CLK_TCK")  # per second, of CPU times in /proc
@@ -117,7 +115,7 @@ def measure(
             try:
                 wait_until_bound(port, subject, folder)
                 before = cpu_seconds(subject.pid)
-                sender = [sys.executable, "-m", "daemon_bench.traffic", str(folder / "load.npz"), str(port)]
+                sender = [sys.executable, "-m", "full_bus.traffic", str(folder / "load.npz"), str(port)]
                 done = subprocess.run(sender, env=environment, check=True, capture_output=True, text=True)
                 sent = json.loads(done.stdout)
                 used = cpu_seconds(subject.pid) - before
@@ -171,7 +169,7 @@ def show_outputs(console: Console, seconds: float, warm_minutes: float) -> None:
         "kuksa": f"[kuksa]\nhost = '{HOST}'\nport = {kuksa}\nperiod_s = 5.0\n",
     }
     runs = {"none": "", **tables, "mqtt and kuksa": "".join(tables.values())}
-    programs = [["mosquitto", "-p", str(mqtt)], [sys.executable, str(TOOLS / "kuksa_stand_in.py"), str(kuksa)]]
+    programs = [["mosquitto", "-p", str(mqtt)], [sys.executable, str(KUKSA), str(kuksa)]]
     with ExitStack() as others:
         for command in programs:
             process = others.enter_context(subprocess.Popen(command, stderr=subprocess.DEVNULL))
@@ -199,14 +197,13 @@ def main() -> int:
     parser.add_argument("--loss-seconds", type=float, default=600.0, help="of full load; 0: none (default 600)")
     parser.add_argument("--output-seconds", type=float, default=60.0, help="of each output; 0: none (default 60)")
     parser.add_argument("--warm-minutes", type=float, default=60.0, help="of driving known at the start (default 60)")
-    parser.add_argument("--soak-hours", type=float, default=24.0, help="of traffic; 0: none (default 24)")
     options = parser.parse_args()
     console = Console() if sys.stdout.isatty() else Console(width=WIDE)
     if options.seconds or options.loss_seconds:
         show(console, options)
     if options.output_seconds:
         show_outputs(console, options.output_seconds, options.warm_minutes)
-    return soak.show(console, options.soak_hours) if options.soak_hours else 0
+    return 0
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ The best of the repeats counts; docs/readers.md has a table.
 
 import argparse
 import importlib.util
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from pathlib import Path
 import can
 import numpy as np
 from cantools.database import Message
-from mdf_files import Recorded, Style, mdf
+from harness.check import ROOT, Check, Figures, Table
 
 from estimator.can_io.binding import BoundMessage, bind, load_database
 from estimator.can_io.decoder import Decoder
@@ -29,10 +30,13 @@ from estimator.config import Config
 from estimator.simulation.recording import simulate
 from estimator.simulation.truck import Truck
 
+sys.path.append(str(ROOT / "tests" / "support"))
+from mdf_files import Recorded, Style, mdf
+
 LOGGER = "logger.mf4"  # unsorted and never closed, as loggers write it; the others are of python-can's writers
 FORMATS = (".blf", ".asc", ".log", ".csv", ".trc", ".mf4", LOGGER)
 MF4 = (".mf4", LOGGER)
-DBC = Path(__file__).resolve().parents[1] / "dbc" / "j1939.dbc"
+DBC = ROOT / "dbc" / "j1939.dbc"
 EXTENDED_PGN = 0x3FFFF00  # bits of an id that hold the PGN of a broadcast message
 Reader = Callable[[Path], int]  # gives the number of frames
 
@@ -183,22 +187,31 @@ def measure(minutes: float, repeats: int, formats: list[str]) -> tuple[int, dict
     return len(frames), rates
 
 
-def main() -> int:
-    """Measure and print a table: million frames a second, and how many times that of python-can."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def figures_of(options: argparse.Namespace) -> Figures:
+    """Number of frames, and rates [1/s] by reader and format."""
+    frames, rates = measure(options.minutes, options.repeats, options.only)
+    return {"frames": frames, "rates": rates}
+
+
+def tables(figures: Figures) -> list[Table]:
+    """Million frames a second, and how many times that of python-can."""
+    base = figures["rates"]["python-can: read"]
+    rows = [
+        [name, *(f"{found[s] / 1e6:.2f} ({found[s] / base[s]:.1f})" if s in found else "" for s in base)]
+        for name, found in figures["rates"].items()
+    ]
+    title = f"{figures['frames']:,} frames; million frames a second of processor time (times python-can)"
+    return [Table(title, ("reader", *base), rows)]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the length of the drive and the formats."""
     parser.add_argument("--minutes", type=float, default=10.0, help="length of the drive (default: 10)")
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--only", nargs="+", choices=FORMATS, default=list(FORMATS))
-    options = parser.parse_args()
-    frames, rates = measure(options.minutes, options.repeats, options.only)
-    print(f"{frames:,} frames; million frames a second of processor time (times python-can)\n")
-    print("| reader |", " | ".join(options.only), "|\n|---|" + "---|" * len(options.only))
-    base = rates["python-can: read"]
-    for name, found in rates.items():
-        cells = [f"{found[s] / 1e6:.2f} ({found[s] / base[s]:.1f})" if s in found else "" for s in options.only]
-        print(f"| {name} |", " | ".join(cells), "|")
-    return 0
 
+
+CHECK = Check(name="bench_readers", about=__doc__, measure=figures_of, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(CHECK.main())

@@ -17,8 +17,7 @@ from pathlib import Path
 
 import can
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from harness.check import Check, Figures, Table
 
 from estimator.can_io.binding import bind, load_database
 from estimator.can_io.decoder import Decoder
@@ -80,7 +79,7 @@ def write(path: Path, count: int) -> None:
     write_log(frames_of(record(draw_truck(rng), route, duration, rng).signals)[:count], path)
 
 
-def measure(name: str, path: Path) -> None:
+def run(name: str, path: Path) -> None:
     """Run one row in this process and print its time and memory."""
     start = time.perf_counter()
     count = ROWS[name](path)
@@ -89,33 +88,38 @@ def measure(name: str, path: Path) -> None:
     print(json.dumps({"frames": count, "seconds": seconds, "peak_MiB": peak}))
 
 
-def main() -> int:
-    """Write the log, measure every row in a process of its own, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--row", metavar="NAME", help=argparse.SUPPRESS)
-    parser.add_argument("--log", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.log is not None:
-        measure(options.row, options.log) if options.row else write(options.log, options.frames)
-        return 0
-    # A child's peak starts at its parent's, so the log is written in a process of its own too.
-    command = [sys.executable, __file__, "--frames", str(options.frames)]
-    table = Table("", "frames", "lost", "frames/s", "ratio", "peak MiB")
+def measure(options: argparse.Namespace) -> Figures:
+    """Write the log, and measure every row in a process of its own: a child's peak starts at its parent's."""
     with tempfile.TemporaryDirectory() as folder:
-        log = ["--log", f"{folder}/long.blf"]
-        subprocess.run([*command, *log], check=True)
-        reference = None
-        for name in ROWS:
-            done = subprocess.run([*command, *log, "--row", name], check=True, capture_output=True, text=True)
-            row = json.loads(done.stdout)
-            rate = row["frames"] / row["seconds"]
-            reference = reference or rate
-            counts = [f"{row['frames']:,}", f"{options.frames - row['frames']:,}"]
-            table.add_row(name, *counts, f"{rate:,.0f}", f"{rate / reference:.2f}", f"{row['peak_MiB']:.0f}")
-    Console().print(table)
-    return 0
+        child = [sys.executable, __file__, f"{folder}/long.blf"]
+        subprocess.run([*child, str(options.frames)], check=True)
+        done = {name: subprocess.run([*child, name], check=True, capture_output=True, text=True) for name in ROWS}
+    rows = {name: json.loads(process.stdout) for name, process in done.items()}
+    return {name: {**row, "lost": options.frames - row["frames"]} for name, row in rows.items()}
 
+
+def tables(figures: Figures) -> list[Table]:
+    """A row for each program, with its rate beside that of the plain libraries."""
+    rates = {name: row["frames"] / row["seconds"] for name, row in figures.items()}
+    base = next(iter(rates.values()))
+    rows = [
+        {"": name, "frames": row["frames"], "lost": row["lost"], "frames/s": rates[name], "ratio": rates[name] / base}
+        | {"peak MiB": row["peak_MiB"]}
+        for name, row in figures.items()
+    ]
+    return [Table.of("", rows)]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the length of the log."""
+    parser.add_argument("--frames", type=int, default=1_000_000)
+
+
+CHECK = Check(name="bench_replay", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    if len(sys.argv) == 3 and Path(sys.argv[1]).suffix == ".blf":  # a child
+        log, what = Path(sys.argv[1]), sys.argv[2]
+        run(what, log) if what in ROWS else write(log, int(what))
+        sys.exit()
+    sys.exit(CHECK.main())

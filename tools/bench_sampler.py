@@ -2,11 +2,11 @@
 
     python tools/bench_sampler.py [--samples 1000 10000 100000]
 
-The others are installed by ``tools/peers.txt``; those that are missing are named and left out. Counted is the CPU
-time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Steps that
+The others are installed by ``tools/peers/samplers.txt``; those that are missing are named and left out. Counted is the
+CPU time of this process on one thread, burn-in included, and the smallest bulk ESS (ArviZ) over A, C and m. Steps that
 run once are not counted for any: fit, compilation, and for NUTS (to its advantage) the warm-up. Means and standard
-deviations are printed, so that it can be checked that all rows sample the same posterior. The last rows are the cost
-of roadload's own fit: from all samples, and update by update of a full window.
+deviations are printed, so that it can be checked that all rows sample the same posterior. The last rows are the cost of
+roadload's own fit: from all samples, and update by update of a full window.
 """
 
 import argparse
@@ -15,12 +15,12 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from arviz_stats.base.array import array_stats
-from rich.console import Console
-from rich.table import Table
-from sampler_peers import BOX, Problem, blackjax_nuts, emcee_stretch, paper, pymcmcstat_dram, samples
+from harness.check import Check, Figures, Table
+from peers.samplers import BOX, Problem, blackjax_nuts, emcee_stretch, paper, pymcmcstat_dram, samples
 
 from estimator.config import Config
 from estimator.sampling.clipped import ClippedGaussianTarget
@@ -53,6 +53,7 @@ def floor(q: Problem) -> Floats:
     return draws[: len(draws) // 256 * 256].reshape(256, -1, 3)
 
 
+PARAMETERS = ("A [N]", "C [N s²/m²]", "m [kg]")
 FLOOR = "floor: cut Gaussian, not exact"
 ROWS: dict[str, Callable[[Problem], Floats]] = {
     "roadload, independence": lambda q: ours(q, "independence", 5, 100, 31),
@@ -65,26 +66,21 @@ ROWS: dict[str, Callable[[Problem], Floats]] = {
 }
 
 
-def compare(n: int, table: Table) -> None:
-    """Add the rows for ``n`` samples."""
+def compare(n: int) -> Figures:
+    """Rates of ESS [1/s] and moments of the draws by sampler, from ``n`` samples; text where one is left out."""
     X, P = samples(n, np.random.default_rng(n))
-    target = ClippedGaussianTarget(X, P, *BOX)
-    rates, moments = {}, {}
+    target, found = ClippedGaussianTarget(X, P, *BOX), dict[str, Any]()
     for name, work in ROWS.items():
         problem = Problem(X=X, P=P, target=target, rng=np.random.default_rng(1))
         try:
             draws = work(problem)
         except ModuleNotFoundError as error:
-            table.add_row(f"{n:,}", name, f"left out: {error}")
+            found[name] = f"left out: {error}"
             continue
         sizes = [float(array_stats.ess(draws[:, :, i])) for i in range(3)]  # type: ignore[no-untyped-call]
-        rates[name] = min(sizes) / problem.seconds
-        moments[name] = [f"{x.mean():.5g} ± {x.std():.2g}" for x in draws.reshape(-1, 3).T]
-    peers = [rate for name, rate in rates.items() if "roadload" not in name and name != FLOOR]
-    for name, rate in rates.items():
-        ratios = f"{rate / max(peers):,.2f}", f"{rate / rates[FLOOR]:.2g}"
-        table.add_row(f"{n:,}", name, f"{rate:,.0f}", *ratios, *moments[name])
-    table.add_section()
+        moments = [[float(x.mean()), float(x.std())] for x in draws.reshape(-1, 3).T]
+        found[name] = {"ess_per_s": min(sizes) / problem.seconds, "moments": moments}
+    return found
 
 
 def whole_answer(n: int) -> str:
@@ -103,20 +99,35 @@ def whole_answer(n: int) -> str:
     )
 
 
-def main() -> int:
-    """Measure every row, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, nargs="+", default=[1_000, 10_000, 100_000])
-    options = parser.parse_args()
-    if not ONE_THREAD.items() <= os.environ.items():
-        os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | ONE_THREAD)
+def measure(options: argparse.Namespace) -> Figures:
+    """Measure every row, on one thread."""
     warnings.simplefilter("ignore")  # of the other libraries
-    table = Table("samples", "sampler", "ESS/s", "/ best peer", "/ floor", "A [N]", "C [N s²/m²]", "m [kg]")
-    for n in options.samples:
-        compare(n, table)
-    Console(width=160).print(table, whole_answer(36_000), sep="\n")
-    return 0
+    return {"samples": {str(n): compare(n) for n in options.samples}, "whole_answer": whole_answer(36_000)}
 
+
+def tables(figures: Figures) -> list[Table]:
+    """A row for each sampler and number of samples."""
+    rows = []
+    for n, found in figures["samples"].items():
+        rates = {name: x["ess_per_s"] for name, x in found.items() if not isinstance(x, str)}
+        best = max((rate for name, rate in rates.items() if "roadload" not in name and name != FLOOR), default=np.nan)
+        for name, x in found.items():
+            row = {"samples": n, "sampler": name, "ESS/s": rates.get(name, x)}
+            for other, base in (("best peer", best), ("floor", rates[FLOOR])):
+                row[f"/ {other}"] = rates[name] / base if name in rates else None
+            moments = x["moments"] if name in rates else [None] * 3
+            rows.append(row | dict(zip(PARAMETERS, moments, strict=True)))
+    return [Table.of(figures["whole_answer"], rows)]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the numbers of samples."""
+    parser.add_argument("--samples", type=int, nargs="+", default=[1_000, 10_000, 100_000])
+
+
+CHECK = Check(name="bench_sampler", about=__doc__, measure=measure, tables=tables, options=add_options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    if not ONE_THREAD.items() <= os.environ.items():
+        os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | ONE_THREAD)
+    sys.exit(CHECK.main())

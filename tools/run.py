@@ -18,8 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 BIN = ENVIRONMENT / ("Scripts" if os.name == "nt" else "bin")
-HELPERS = sorted(str(path) for path in Path(ROOT, "tests").glob("*.py") if not path.name.startswith("test_"))
-TYPES = [["mypy"], ["mypy", *HELPERS], ["mypy", "tests/socketcan/conftest.py"]]  # one module of a name in each
+IMPORTED = [str(ROOT / folder) for folder in ("tools", "tests/nightly", "tests/support")]  # by tools
+TYPES = [["mypy"], ["mypy", "tests/conftest.py"], ["mypy", "tests/socketcan/conftest.py"]]  # one conftest in each
 LINT = [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["lint-imports"]]
 TESTS = ["pytest", "-n", "auto", "--no-loadscope-reorder"]  # a worker a core
 TASKS = {
@@ -58,7 +58,9 @@ def main() -> int:
         return 2
     task = sys.argv[1]
     extras, steps = TASKS[task]
-    beside = None
+    beside, environment = None, {**os.environ}
+    if task == "python":
+        environment["PYTHONPATH"] = os.pathsep.join(IMPORTED)
     try:
         install(extras)
         if task in BESIDE:
@@ -67,7 +69,7 @@ def main() -> int:
             name, *arguments = step
             print(f"> {' '.join(step)}", flush=True)
             command = [program(name), *arguments, *(sys.argv[2:] if step is steps[-1] else [])]
-            subprocess.run(command, cwd=ROOT, check=True)
+            subprocess.run(command, cwd=ROOT, check=True, env=environment)
     except subprocess.CalledProcessError as error:
         return error.returncode
     finally:

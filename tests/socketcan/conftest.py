@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 from _pytest.runner import runtestprotocol
 
-sys.path.append(str(Path(__file__).parents[2] / "tools"))
+sys.path.append(str(Path(__file__).parents[1] / "nightly"))
 
 from vm.debian import VmError
 from vm.machine import CONSOLE, has_vcan, run

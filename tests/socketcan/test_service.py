@@ -22,7 +22,7 @@ from vm.guest import FULL_BUS, send_full_bus
 pytestmark = pytest.mark.slow
 
 PROJECT = Path(__file__).parents[2]
-UNIT = PROJECT / "tools" / "systemd" / "roadload.service"
+UNIT = PROJECT / "deploy" / "systemd" / "roadload.service"
 SYSCTL = UNIT.with_name("60-roadload.conf")
 RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 SHOWN = 20  # lines of the daemon's log, when something went wrong

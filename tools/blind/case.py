@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from harness.scores import Estimate, share
+
 from blind import answer
 from blind.answer import Run
-from blind.intervals import Estimate, share
 from blind.truth import DETECTABLE, Truth
 
 

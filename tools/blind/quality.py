@@ -1,12 +1,13 @@
 """Measures beyond the name: probabilities, gap closed, times, parameters and cost."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
+from harness.scores import Floats, bootstrap, calibration_error, share
 
 from blind import answer
 from blind.case import Case, Measure, is_visible, share_of
-from blind.intervals import Floats, bootstrap, calibration_error, share
 from blind.truth import HIDDEN, key_of
 from estimator.answers.diagnosis import Finding
 
@@ -32,18 +33,8 @@ def probabilities(cases: Sequence[Case]) -> list[Measure]:
         right.append(float(_right(case, chosen[0])))
     return [
         share_of("90 % credible set covers", "88..95 %", judged, lambda c: covered[c.truth.drive]),
-        Measure(
-            name="median size of the credible set, oracle > 10",
-            goal="<= 2",
-            estimate=bootstrap(_median, _array(sizes)),
-            unit="",
-        ),
-        Measure(
-            name="expected calibration error",
-            goal="<= 0.05",
-            estimate=bootstrap(calibration_error, _array(confidence), _array(right)),
-            unit="",
-        ),
+        statistic("median size of the credible set, oracle > 10", "<= 2", "", _median, sizes),
+        statistic("expected calibration error", "<= 0.05", "", calibration_error, confidence, right),
     ]
 
 
@@ -89,18 +80,8 @@ def gap_closed_and_times(cases: Sequence[Case]) -> list[Measure]:
     return [
         share_of("gap closed within 3 points of the oracle", ">= 95 %", judged, lambda c: errors[c.truth.drive]),
         share_of("its 90 % interval covers the oracle", "85..95 %", single, lambda c: inside[c.truth.drive]),
-        Measure(
-            name="median error of the gap closed",
-            goal="small",
-            estimate=bootstrap(_median, 100 * _array([error for _, error in promised])),
-            unit="points",
-        ),
-        Measure(
-            name="localisation of bounded effects: median IoU",
-            goal=">= 0.9",
-            estimate=bootstrap(_median, _array(located)),
-            unit="",
-        ),
+        statistic("median error of the gap closed", "small", "points", _median, [100 * error for _, error in promised]),
+        statistic("localisation of bounded effects: median IoU", ">= 0.9", "", _median, located),
     ]
 
 
@@ -117,26 +98,13 @@ def parameters(cases: Sequence[Case]) -> list[Measure]:
             said = case.run.answer.parameters
             value, sd = (None if part is None else getattr(part, key) for part in (said.final, said.sd))
             if value is not None:
-                errors.append(value / case.truth.parameters[key] - 1.0)
+                errors.append(100 * (value / case.truth.parameters[key] - 1.0))
             if value is not None and sd is not None:
                 held[case.truth.drive] = abs(value - case.truth.parameters[key]) < SDS_OF_90_PERCENT * sd
-        x = 100 * _array(errors)
-        lines.append(
-            Measure(
-                name=f"{label} with the right effects: median error",
-                goal="0 %",
-                estimate=bootstrap(_median, x),
-                unit="per cent",
-            )
-        )
-        lines.append(
-            Measure(
-                name=f"{label} with the right effects: rms error",
-                goal="small",
-                estimate=bootstrap(_rms, x),
-                unit="per cent",
-            )
-        )
+        lines += [
+            statistic(f"{label} with the right effects: {name} error", goal, "per cent", measure, errors)
+            for name, goal, measure in (("median", "0 %", _median), ("rms", "small", _rms))
+        ]
         with_sd = [case.truth.drive for case in good if case.truth.drive in held]
         failures = tuple(drive for drive in with_sd if not held[drive])
         line = share(len(with_sd) - len(failures), len(with_sd))
@@ -148,28 +116,20 @@ def parameters(cases: Sequence[Case]) -> list[Measure]:
 
 def cost(cases: Sequence[Case]) -> list[Measure]:
     """Time and memory of a diagnosis."""
-    seconds = _array([case.run.processor_seconds for case in cases])
-    peak = _array([case.run.peak_MB for case in cases])
+    seconds = [case.run.processor_seconds for case in cases]
+    peak = [case.run.peak_MB for case in cases if np.isfinite(case.run.peak_MB)]
     slow = tuple(case.truth.drive for case in cases if case.run.processor_seconds > MAX_SECONDS)
     return [
-        Measure(
-            name="processor time for a log, median",
-            goal="<= 10 s",
-            estimate=bootstrap(_median, seconds),
-            unit="s",
-            failures=slow,
-        ),
-        Measure(
-            name="processor time for a log, 95 % quantile", goal="<= 10 s", estimate=bootstrap(_high, seconds), unit="s"
-        ),
-        Measure(
-            name="peak memory, largest", goal="-", estimate=bootstrap(_largest, peak[np.isfinite(peak)]), unit="MB"
-        ),
+        replace(statistic("processor time for a log, median", "<= 10 s", "s", _median, seconds), failures=slow),
+        statistic("processor time for a log, 95 % quantile", "<= 10 s", "s", _high, seconds),
+        statistic("peak memory, largest", "-", "MB", _largest, peak),
     ]
 
 
-def _array(values: Sequence[float]) -> Floats:
-    return np.array(values, dtype=np.float64)
+def statistic(name: str, goal: str, unit: str, measure: Callable[..., float], *columns: Sequence[float]) -> Measure:
+    """A measure of columns (n,) that is not a share."""
+    estimate = bootstrap(measure, *(np.array(column, dtype=np.float64) for column in columns))
+    return Measure(name=name, goal=goal, estimate=estimate, unit=unit)
 
 
 def _median(x: Floats) -> float:

@@ -14,11 +14,12 @@ from pathlib import Path
 import msgspec
 
 from blind.truth import Truth
+from estimator.errors import InputError
 
 MANIFEST = "manifest.json"
 
 
-class SealError(Exception):
+class SealError(InputError):
     """A log or truth is missing or is not the one that was sealed, e.g. edited after the answers were known."""
 
 

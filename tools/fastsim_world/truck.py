@@ -89,7 +89,7 @@ def simulate(vehicle: Vehicle, road: Road) -> Drive:
     try:
         import fastsim
     except ImportError as error:
-        raise RoadloadError("fastsim is missing: pip install -r tools/check_fastsim.txt") from error
+        raise RoadloadError("fastsim is missing: pip install -r tools/fastsim_world/requirements.txt") from error
     car = fastsim.Vehicle.from_resource("2012_Ford_Fusion.yaml").to_dict()
     engine, gearbox = car["pt_type"]["Conv"]["fc"], car["pt_type"]["Conv"]["transmission"]
     engine |= {"pwr_out_max_watts": vehicle.rated_power, "pwr_out_max_init_watts": vehicle.rated_power}

@@ -1,17 +1,16 @@
 """The paper's drive cycles at 1 Hz: HWFET from a table, COMMUT from its description, HHDDTNC from recorded tables."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from harness.drives import data_folder
 from scipy.optimize import brentq
 
 from estimator.signals import Floats
 from paper.vehicles import MPH
 
 SHIPPED = Path(__file__).parents[1] / "cycles"
-RECORDED = Path(os.environ.get("ROADLOAD_DATA", Path(__file__).parents[3] / "shared" / "data")) / "drive_cycles" / "csv"
 HHDDT_MODES = ("EPA_Ph2_transient", "hhddt_cruise3")  # transient and cruise; the paper leaves out creep ("NC")
 
 COMMUT_IDLE, COMMUT_LAUNCH, COMMUT_CRUISE, COMMUT_BRAKE = 20.0, 90.0, 188.0, 12.0  # s; idle at both ends
@@ -89,17 +88,13 @@ def all_parts() -> dict[str, tuple[Floats, ...]]:
 
     Raises
     ------
-    FileNotFoundError
-        A table of the Heavy Heavy-Duty Diesel Truck schedule is missing.
+    InputError, FileNotFoundError
+        The folder of recordings, or a table of the Heavy Heavy-Duty Diesel Truck schedule, is missing.
     """
-    return shipped_parts() | {"HHDDTNC": tuple(_table(RECORDED / f"{mode}.csv") for mode in HHDDT_MODES)}
+    recorded = data_folder() / "drive_cycles" / "csv"
+    return shipped_parts() | {"HHDDTNC": tuple(_table(recorded / f"{mode}.csv") for mode in HHDDT_MODES)}
 
 
 def cycles_of(parts: dict[str, tuple[Floats, ...]]) -> dict[str, Cycle]:
     """Cycles by name, with central differences as acceleration."""
     return {name: Cycle.of(name, *speeds) for name, speeds in parts.items()}
-
-
-def tabulated_commut() -> Floats:
-    """COMMUT as a published table [m/s] (n,), to compare with."""
-    return _table(RECORDED / "sae_j1376_commut.csv")

@@ -107,11 +107,3 @@ def duration_and_error(cycle: Cycle) -> DurationStudy:
         kept = [Drive.of(piece, DUMMY, NOISE, (11, i)).positive() for i in range(DURATION_REPEATS)]
         errors.append(np.sqrt(np.mean([_errors(k, (12, i)) ** 2 for i, k in enumerate(kept)], axis=0)))
     return DurationStudy(np.array([piece.duration for piece in pieces], dtype=float), np.array(errors))
-
-
-def exact_copies(cycle: Cycle) -> tuple[Floats, Floats]:
-    """Ratios (3,) of the mean and of the posterior sd from 8 identical copies, noise included, to those from one."""
-    once = Drive.of(cycle, DUMMY, NOISE, (11, 0)).positive()
-    copies = Drive(*(np.tile(x, COPIES[-1]) for x in (once.v, once.a, once.P)))
-    one, many = (estimate(kept, (12, 0), "independence") for kept in (once, copies))
-    return many.mean / one.mean, many.sd / one.sd

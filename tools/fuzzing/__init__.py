@@ -1,1 +1,0 @@
-"""Parts of tools/fuzz.py: spoilt files and spoilt traffic, and what the program makes of them."""

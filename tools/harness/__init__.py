@@ -1,0 +1,1 @@
+"""What the checks share: drives and their logs, scores, the command line, figures as data and as tables."""

@@ -1,0 +1,1 @@
+"""Methods of the literature and of other libraries, on the same drives, rows and posteriors."""
