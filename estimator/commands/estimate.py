@@ -23,7 +23,7 @@ from estimator.commands.tables import print_run
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.errors import RoadloadError
 from estimator.extras import how_to_install
-from estimator.report import estimate_page, export, summary
+from estimator.report import export, summary
 from estimator.report.estimate_view import EstimateView, evidence_of, view_of
 from estimator.streaming import replay
 from estimator.streaming.replay import Run
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """Estimate, write the files asked for, and print the answer."""
     outputs: dict[Path | None, tuple[str, ...]] = {options.draws: export.FORMATS}
     if options.plot is not None:
-        outputs[options.plot] = (*estimate_page.FORMATS, *_picture_formats(options.plot))
+        outputs[options.plot] = (*_page().FORMATS, *_picture_formats(options.plot))
     check_outputs(options.log, outputs)
     if options.draws is not None and options.draws.suffix.lower() == ".nc":
         export.require_arviz()
@@ -74,16 +74,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_plot(view: EstimateView, path: Path) -> None:
-    if path.suffix.lower() in estimate_page.FORMATS:
-        estimate_page.write_page(view, path)
+    if path.suffix.lower() in _page().FORMATS:
+        _page().write_page(view, path)
     else:
         _plots().write_plot(view, path)
 
 
 def _picture_formats(path: Path) -> tuple[str, ...]:
     """Suffixes of pictures; none for a page, which needs no matplotlib."""
-    formats: tuple[str, ...] = () if path.suffix.lower() in estimate_page.FORMATS else _plots().FORMATS
+    formats: tuple[str, ...] = () if path.suffix.lower() in _page().FORMATS else _plots().FORMATS
     return formats
+
+
+def _page() -> ModuleType:
+    """Import the module that writes a page, for ``--plot`` only: its tables are those of a diagnosis, and import it."""
+    return importlib.import_module("estimator.report.estimate_page")
 
 
 def _plots() -> ModuleType:
