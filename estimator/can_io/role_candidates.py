@@ -35,6 +35,7 @@ USUAL_UNIT = {  # where the DBC gives none
     "N.m": "Nm",
     "rad/s": "rpm",
     "1": "%",
+    "kg": "kg",
     "m": "m",
     "m/s^2": "m/s^2",
     "rad": "deg",

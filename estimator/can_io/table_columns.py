@@ -13,7 +13,7 @@ from cantools.database.conversion import BaseConversion
 
 from estimator.can_io.frames import EXTENDED
 from estimator.errors import ConfigError
-from estimator.roles import DIMENSION, STATE, Role
+from estimator.roles import DIMENSION, GRADES, STATE, Role
 from estimator.settings import Table
 from estimator.units import conversion_of, spellings_of
 
@@ -93,7 +93,7 @@ def _misfit(key: str, role: Role, unit: str | None) -> str:
     if unit is None:
         return f'has no unit; write it in brackets, as in {key} = "COLUMN [{spellings_of(dimension)[0]}]"'
     if conversion is None or (
-        conversion.dimension != dimension and (role, conversion.dimension) != (Role.GRADE, "rad")
+        conversion.dimension != dimension and not (role in GRADES and conversion.dimension == "rad")
     ):
         return f"needs one of the units {' '.join(spellings_of(dimension))}"
     return ""

@@ -116,7 +116,7 @@ class RoadNow:
         self._t, self._travelled = self._t[-kept:], self._travelled[-kept:]
 
     def finish(self) -> None:
-        """Use the rows that wait, before a gap or at the end of a log; the vehicle's place is kept until rows follow."""
+        """Use the rows that wait, before a gap or at the end of a log; the place is kept until rows follow."""
         if self._strider is not None:
             self._add(self._strider.finish(Counter()))
             self._strider.pause()
