@@ -137,7 +137,7 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
     ("columns", "arguments", "said"),
     [
         (steady(t=[0.1 * (i % 150) for i in range(200)]), MAP, "row 151: time steps back from 14.9 to 0 s; sort"),
-        (steady(t=[float(i // 2) for i in range(200)]), MAP, "rows 1 and 2 have one time, 0 s"),
+        (steady(t=[float(i // 2) for i in range(200)]), MAP, "rows 1 and 2 have one time, and so have half"),
         (steady(t=[10.0 * i for i in range(200)]), MAP, "has a row every 10 s; the mass follows from"),
         (steady(v=["72"] * 20 + ["fast"] + ["72"] * 179), MAP, "row 21, column 'v': 'fast' is no number"),
         (steady(t=["0.1"] * 5 + [""] + ["0.2"] * 194), MAP, "row 6: has no time; fill it in, or delete the row"),
