@@ -13,6 +13,7 @@ from cantools.database.conversion import BaseConversion
 
 from estimator.can_io.frames import EXTENDED
 from estimator.errors import ConfigError
+from estimator.near_names import did_you_mean
 from estimator.roles import DIMENSION, GRADES, STATE, Role
 from estimator.settings import Table
 from estimator.units import conversion_of, spellings_of
@@ -64,7 +65,8 @@ def columns_of(table: Table) -> list[Column]:
     names = {role.value for role in Role} - {Role.WHEEL_SPEEDS.value} | {POWER, FORCE}
     for key, text in table.columns.items():
         if key not in names:
-            raise ConfigError(f"table.columns.{key}: no such role; the roles are {', '.join(sorted(names))}")
+            guess = did_you_mean(key, sorted(names)) or f"; the roles are {', '.join(sorted(names))}"
+            raise ConfigError(f"table.columns.{key}: no such role{guess}")
         name, unit = split_unit(text)
         role = Role.ENGINE_POWER if key in (POWER, FORCE) else Role(key)
         if not name:
