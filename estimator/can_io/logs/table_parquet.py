@@ -8,7 +8,7 @@ from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
 from estimator.errors import LogError
 from estimator.extras import how_to_install
 
-MAX_CHUNK = 1 << 29  # bytes of a column of a row group, unpacked: pages of it are unpacked as a whole
+MAX_CHUNK = 1 << 28  # bytes of a column of a row group, unpacked: pages of it are unpacked as a whole
 
 
 def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
