@@ -12,18 +12,20 @@ import sys
 from typing import Any
 
 import numpy as np
-from accuracy import METRES_PER_MINUTE, estimated
+from harness.drives import METRES_PER_MINUTE
 from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
 from estimator import config
+from estimator.can_io.frames import Frames
 from estimator.can_io.obd2_encoder import frames_of
 from estimator.config import Config
 from estimator.simulation.polling import polled
 from estimator.simulation.recording import Recording, record
 from estimator.simulation.route import generate_route
-from estimator.simulation.truck import draw_car
+from estimator.simulation.truck import Truck, draw_car
+from estimator.streaming.pipeline import Pipeline
 
 PERIODS = {0.25: False, 0.5: False, 1.0: True, 2.0: True}  # s a PID, and whether there are fewer drives of it
 ROADS = {"level": 0.0, "hilly": 0.012}  # sd of the slopes, rise over run
@@ -41,6 +43,19 @@ def settings() -> Config:
     """The shipped configuration, with estimates that are far apart."""
     shipped = config.load("obd2")
     return config.replace(shipped, gate=replace(shipped.gate, interval_s=RARELY))
+
+
+def estimated(truck: Truck, frames: Frames, chosen: Config) -> dict[str, Any]:
+    """Relative error and sd of mass and A as last estimated, and whether the 90 % interval holds the truth."""
+    pipeline = Pipeline(chosen)
+    last = [*pipeline.feed(frames), *pipeline.finish()][-1]
+    found = {}
+    for name in ("mass", "A"):
+        marginal, truth = getattr(last, name), getattr(truck, name)
+        if marginal is not None:
+            holds = marginal.q05 <= truth <= marginal.q95
+            found[name] = {"error": marginal.mean / truth - 1, "sd": marginal.sd / truth, "holds": holds}
+    return found
 
 
 def summary(road: str, period: float, results: list[dict[str, Any]]) -> dict[str, Any]:
