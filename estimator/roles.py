@@ -39,6 +39,13 @@ class Role(StrEnum):
     BATTERY_CURRENT = "battery_current"
     LATITUDE = "latitude"
     LONGITUDE = "longitude"
+    MASS_REFERENCE = "mass_reference"
+    GRADE_REFERENCE = "grade_reference"
+
+
+# Estimates of other control units: shown beside the estimate, which does not depend on them.
+REFERENCES = frozenset({Role.MASS_REFERENCE, Role.GRADE_REFERENCE})
+GRADES = frozenset({Role.GRADE, Role.GRADE_REFERENCE})  # rise over run; an angle does as well
 
 
 class Quantity(StrEnum):
@@ -91,6 +98,7 @@ _DIMENSIONS: dict[str, tuple[Role, ...]] = {
         Role.BRAKE_PEDAL,
         Role.RETARDER_FRACTION,
         Role.GRADE,
+        Role.GRADE_REFERENCE,
     ),
     STATE: (
         Role.GEAR,
@@ -100,6 +108,7 @@ _DIMENSIONS: dict[str, tuple[Role, ...]] = {
         Role.DRIVELINE_ENGAGED,
         Role.PARK_BRAKE,
     ),
+    "kg": (Role.MASS_REFERENCE,),
     "m": (Role.ALTITUDE,),
     "m/s^2": (Role.LONGITUDINAL_ACCELERATION, Role.LATERAL_ACCELERATION),
     "rad": (Role.HEADING, Role.LATITUDE, Role.LONGITUDE),

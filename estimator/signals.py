@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.roles import DIMENSION as DIMENSION
+from estimator.roles import REFERENCES as REFERENCES
 from estimator.roles import STATE as STATE
 from estimator.roles import Quantity as Quantity
 from estimator.roles import Role as Role

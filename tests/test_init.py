@@ -14,6 +14,7 @@ from estimator.settings_comments import comments_of
 from estimator.signals import Role
 
 CASES = Path(__file__).parent / "databases"
+EXAMPLE = Path(__file__).parent.parent / "examples" / "own_vehicle"
 
 Cli = Callable[..., tuple[int, str, str]]
 CAR = """VERSION ""
@@ -81,6 +82,74 @@ def test_what_is_proposed_is_a_configuration_that_fits(tmp_path: Path, cli: Cli)
     text = output.read_text()
     assert '# park_brake = "PEDALS.ParkBrake"' in text
     assert '# gear = "PEDALS.Gear"' in text
+
+
+def proposed(text: str, folder: Path, cli: Cli) -> dict[str, object]:
+    """The signals of the configuration that is proposed for a database."""
+    database, output = folder / "some.dbc", folder / "some.toml"
+    database.write_text(f'VERSION ""\n{text}')
+    assert cli("init", database, "-o", output)[0] == 0
+    return dict(load(output).signals)
+
+
+def test_the_example_of_an_own_vehicle_is_bound_as_by_hand(tmp_path: Path, cli: Cli) -> None:
+    """Its DRIVE.Speed is named by its message and its unit alone."""
+    output = tmp_path / "van.toml"
+    assert cli("init", EXAMPLE / "van.dbc", "-o", output)[0] == 0
+    found, by_hand = load(output).signals, load(EXAMPLE / "van.toml").signals
+    assert found == {**by_hand, "wheel_speeds": found["wheel_speeds"]}
+    assert sorted(found["wheel_speeds"]) == sorted(by_hand["wheel_speeds"])
+
+
+@pytest.mark.parametrize(
+    ("other", "why"),
+    [
+        (
+            'BO_ 101 EPS_STATUS: 8 X\n SG_ MotorTorque : 0|16@1- (1,0) [-900|900] "Nm" X\n',
+            "the message is of the steering",
+        ),
+        ('BO_ 101 B: 8 X\n SG_ Torque : 0|16@1- (1,0) [-9|9] "Nm" X\n', "its range is that of a small motor"),
+        ('BO_ 101 B: 8 X\n SG_ EngTorqueLost : 0|16@1- (1,0) [-900|900] "Nm" X\n', "it is a loss"),
+        (
+            'BO_ 101 B: 8 X\n SG_ EngineTorque : 0|5@1- (10,0) [0|0] "" X\n'
+            f"VAL_ 101 EngineTorque {' '.join(f'{i} {chr(34)}s{i}{chr(34)}' for i in range(16))} ;\n",
+            "its values are states",
+        ),
+    ],
+)
+def test_name_message_range_and_values_all_count(other: str, why: str, tmp_path: Path, cli: Cli) -> None:
+    right = """BO_ 102 MOTOR: 8 X
+ SG_ TqFeedback : 0|16@1- (1,0) [-900|900] "Nm" X
+ SG_ Rpm : 16|16@1+ (1,0) [0|9000] "rpm" X
+"""
+    assert proposed(other + right, tmp_path, cli)["engine_torque"] == "MOTOR.TqFeedback", why
+
+
+def test_power_is_taken_from_signals_that_belong_together(tmp_path: Path, cli: Cli) -> None:
+    """Voltage and current of one message, and no power of one axle of two."""
+    text = """BO_ 101 FRONT: 8 X
+ SG_ FrontMotorPower : 0|16@1- (0.1,0) [-300|300] "kW" X
+BO_ 102 REAR: 8 X
+ SG_ RearMotorPower : 0|16@1- (0.1,0) [-300|300] "kW" X
+BO_ 103 A: 8 X
+ SG_ BatteryVoltage : 0|16@1+ (0.1,0) [0|500] "V" X
+BO_ 104 HV: 8 X
+ SG_ PackVoltage2 : 0|16@1+ (0.1,0) [0|500] "V" X
+ SG_ PackCurrent2 : 16|16@1- (0.1,0) [-500|500] "A" X
+"""
+    assert proposed(text, tmp_path, cli) == {"battery_voltage": "HV.PackVoltage2", "battery_current": "HV.PackCurrent2"}
+
+
+def test_estimates_of_others_are_references_and_no_inputs(tmp_path: Path, cli: Cli) -> None:
+    text = """BO_ 615 DI_vehicleEstimates: 8 X
+ SG_ DI_mass : 0|10@1+ (5,1900) [1900|7010] "kg" X
+ SG_ DI_gradeEst : 10|7@1- (1,0) [-40|40] "%" X
+"""
+    found = proposed(text, tmp_path, cli)
+    assert found == {
+        "mass_reference": "DI_vehicleEstimates.DI_mass",
+        "grade_reference": "DI_vehicleEstimates.DI_gradeEst",
+    }
 
 
 def test_the_same_goes_to_standard_output(tmp_path: Path, cli: Cli) -> None:

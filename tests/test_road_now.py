@@ -174,8 +174,10 @@ def test_behind_a_gap_it_waits_for_a_new_stride(frames):
     worker.offer(frames[frames.t < EPOCH + 600.0])
     assert worker.road_now is not None
     later = replace(frames, t=frames.t + 100.0)
-    worker.offer(later[(later.t > EPOCH + 700.0) & (later.t < EPOCH + 705.0)])
-    assert worker.road_now is None
+    for seconds in (705.0, 708.0):
+        worker.offer(later[(later.t > EPOCH + seconds - 5.0) & (later.t < EPOCH + seconds)])
+        ahead = worker.road_now
+        assert ahead is None or ahead.at(EPOCH + seconds) is None
 
 
 def test_it_does_not_depend_on_how_the_frames_come(frames, sent):
@@ -224,6 +226,9 @@ def test_a_replay_records_the_road_and_tells_it_at_each_update(frames, sent, tmp
         recorded = heard([message for message in reader if message.arbitration_id >> 8 & 0xFFFF == ROAD])
     there = np.flatnonzero(np.isfinite(recorded.grade))
     assert len(there) > 0.6 * SECONDS
+    assert there[-1] == len(recorded.t) - 1  # also when the log has ended
+    assert recorded.status[-1] == "estimated"
+    assert abs(recorded.grade[-1] - recorded.grade[there[-2]]) < 1.0
     updates = [update for update in summary.of_run(run).updates if update.road_now is not UNSET]
     assert len(updates) > 5
     for update in updates:

@@ -133,3 +133,24 @@ def test_layout_of_the_fan_drive():
         ("FanDriveState", 8, 4, 1),
         ("FanSpeed", 16, 16, 0.125),
     }
+
+
+@pytest.mark.parametrize(("zone", "hours"), [("", 0.0), ("+02:00", 2.0)])
+def test_a_drive_begins_when_it_is_told_to(zone: str, hours: float, tmp_path: Path) -> None:
+    path = tmp_path / "x.blf"
+    assert main(["simulate", str(path), "--minutes", "0.5", "--start", f"2026-03-01T06:00{zone}"]) == 0
+    with can.LogReader(path) as log:
+        first = next(iter(log)).timestamp
+    assert first == pytest.approx(1_772_344_800.0 - 3600 * hours, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("start", "said"),
+    [("tomorrow", "is no date and time as in 2026-03-01T06:00"), ("0900-01-01", "is not in the years 1971 to 2099")],
+)
+def test_a_start_that_is_none_is_refused(
+    start: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["simulate", str(tmp_path / "x.blf"), "--start", start])
+    assert said in capsys.readouterr().err

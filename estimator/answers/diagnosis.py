@@ -5,6 +5,7 @@ from enum import StrEnum
 from msgspec import Struct, field
 
 from estimator.answers.answer import Answer
+from estimator.answers.reference import References
 
 
 class Verdict(StrEnum):
@@ -202,3 +203,4 @@ class DiagnosisAnswer(Answer, frozen=True, kw_only=True):
     p_value: float | None = None
     logs: tuple[str, ...]
     doubts: tuple[str, ...] = ()
+    references: References = References()

@@ -3,6 +3,7 @@
 from msgspec import UNSET, Struct, UnsetType
 
 from estimator.answers.answer import Answer
+from estimator.answers.reference import References
 from estimator.estimates import Marginal, Status
 
 
@@ -187,3 +188,4 @@ class RunAnswer(Answer, frozen=True, kw_only=True):
     updates: tuple[Update, ...]
     coefficients: Coefficients | None = None
     coverage_map: CoverageMap | None = None
+    references: References = References()

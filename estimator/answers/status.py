@@ -6,6 +6,7 @@ from typing import Literal
 from msgspec import UNSET, Struct, UnsetType, field
 
 from estimator.answers.answer import Answer
+from estimator.answers.reference import References
 from estimator.answers.run import (
     Coefficients,
     Convergence,
@@ -157,6 +158,7 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
     outputs: dict[str, Output] = field(default_factory=dict)
     progress: Progress | None = None
     road_now: RoadNow | None = None
+    references: References = References()
 
 
 class NotRunningAnswer(Answer, frozen=True, kw_only=True):

@@ -20,6 +20,7 @@ from estimator.can_io.switch_states import SWITCHES, States, configured, states_
 from estimator.config import Config
 from estimator.errors import ConfigError, DatabaseError
 from estimator.near_names import did_you_mean, nearest
+from estimator.roles import GRADES
 from estimator.signals import DIMENSION, STATE, Role
 from estimator.units import Conversion, conversion_of, spellings_of
 
@@ -214,7 +215,7 @@ def _conversion(role: Role, unit: str | None) -> tuple[Conversion, bool] | str:
         return (
             f"has no unit ({accepted})" if not (unit or "").strip() else f"has the unknown unit {unit!r} ({accepted})"
         )
-    tangent = role == Role.GRADE and conversion.dimension == "rad"
+    tangent = role in GRADES and conversion.dimension == "rad"
     if conversion.dimension != dimension and not tangent:
         return f"has the unit {unit!r}, which does not fit ({accepted})"
     return conversion, tangent

@@ -1,4 +1,4 @@
-"""Signals of a database that may have a role in the estimate, by name, comment, unit, size and value table.
+"""Signals of a database that may have a role: by their name and that of the message, unit, range, comment, values.
 
 A score has no unit: it orders the candidates of a role. A signal below `MIN_SCORE` is no candidate. Words are those of
 public DBC files, English and German.
@@ -6,16 +6,18 @@ public DBC files, English and German.
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 from cantools.database.can import Database, Message, Signal
 
 from estimator.can_io.switch_states import SWITCHES, states_of
+from estimator.roles import GRADES
 from estimator.signals import DIMENSION, STATE, Role
-from estimator.units import conversion_of
+from estimator.units import Conversion, conversion_of
 
 MIN_SCORE = 3.0
-NAMED, MENTIONED, UNLIKE = 4.0, 1.0, -4.0  # points for the name, for the comment or the message, for a foreign word
+NAMED, MENTIONED, UNLIKE = 4.0, 1.0, -4.0  # points for the names, for the comment, for a foreign word in the names
 RIGHT_UNIT, NO_UNIT, STRANGE_UNIT = 2.0, -1.5, -2.0
 MAX_STATE_BITS = 4  # of a switch
 MAX_CANDIDATES = 6  # of a role; each wheel may have as many
@@ -27,6 +29,7 @@ LEAST_REACH = {  # [SI] that a signal must be able to say, or it is of something
     Role.ENGINE_POWER: 5e3,
     Role.BATTERY_VOLTAGE: 60.0,
     Role.BATTERY_CURRENT: 20.0,
+    Role.MASS_REFERENCE: 1000.0,
 }
 NOT_OF_ONE_WHEEL = (Role.SPEED, Role.ENGINE_SPEED, Role.ENGINE_TORQUE, Role.ALTITUDE)
 USUAL_UNIT = {  # where the DBC gives none
@@ -35,6 +38,7 @@ USUAL_UNIT = {  # where the DBC gives none
     "N.m": "Nm",
     "rad/s": "rpm",
     "1": "%",
+    "kg": "kg",
     "m": "m",
     "m/s^2": "m/s^2",
     "rad": "deg",
@@ -50,9 +54,14 @@ _CORNER = (
 )
 _COMMAND = (
     r"(command|commanded|cmd|request|requested|req|rq|target|tgt|set ?point|desired|limit|limiting|"
-    r"max|min|maximum|minimum|charge|available|allowed|demand|"
+    r"max|min|maximum|minimum|mx|mn|lim|charge|chrg|dchrg|available|allowed|demand|set|rated|rating|rel|relative|"
+    r"assist|lka|lkas|wish|wunsch\w*|"
     r"demanded|error|fault|diag|counter|checksum|crc|valid|quality|accuracy|status|enable|mode|offset|calibration|"
-    r"soll|wunsch|cruise|acc|lead|obj|object|radar|hud|display|dash|raw|delta|slip|trailer|steer|steering|eps|driver)"
+    r"soll\w*|cruise|acc|lead|obj|object|radar|hud|display|dash|raw|delta|slip|trailer|steer|steering|eps|driver)"
+)
+_ELSEWHERE = (  # names of messages about other things than the vehicle and its drive
+    r"(steer\w*|eps|epas|pscm|mdps|lka\w*|hca|scc|fca|aeb|tsr|radar|srr|track|object|obj|camera|"
+    r"dcdc|charg\w*|compressor|klima|hvac|seat|door|trailer|twelve|rating|limits?|commands?|requests?)"
 )
 
 
@@ -66,11 +75,12 @@ class _Words:
 _WORDS = [
     _Words(
         Role.SPEED,
-        r"(vehicle ?speed|veh ?spd|veh(icle)? ?v(el)?|vehicle velocity|v ?ego|v ?veh|speed vehicle|"
+        r"(wheel ?based ?vehicle ?speed|vehicle ?speed|vitesse ?vehicule( roues)?|"
+        r"veh ?spd|veh(icle)? ?v(el)?|vehicle velocity|v ?ego|v ?veh|speed vehicle|"
         r"ground ?speed|car ?speed|"
         r"xmission ?speed|speed|spd|geschwindigkeit|fahrgeschw|velocity)",
         rf"({_WHEEL}|engine|motor|rpm|fan|wind|wiper|gps|sat|turbine|shaft|yaw|angular|input|output|pump|"
-        rf"mean|av|idle|inv|"
+        rf"mean|av|idle|inv|axle|trap|sign|tsr|navi|wind|"
         r"inverter|angle|lateral|lat|long|rad s)",
     ),
     _Words(
@@ -82,18 +92,20 @@ _WORDS = [
         Role.ENGINE_POWER,
         r"((motor|engine|eng|inv|drive|wheel|traction|mech|shaft) ?(power|pwr|leistung)|power)",
         r"(steering|heater|aircond|air conditioner|ac|hvac|dcdc|dc dc|charg|brake|window|reactive|supply|"
-        r"key|battery|lv|aux|generator|compressor|light)",
+        r"key|battery|lv|aux|generator|compressor|light|heat|waste|optimal|ideal|consumption|clima|climate)",
     ),
     _Words(
         Role.ENGINE_TORQUE,
-        r"((engine|eng|motor|mot|inv|drive|fast)? ?(torque|trq|tq|moment|drehmoment)( ?feedback| ?actual|"
-        r" ?act| ?estimate| ?est)?)",
-        r"(brake|wheel|friction|loss|gradient|shudder|reference|converter|regen|adjustment|clutch|"
+        r"((engine|eng|motor|mot|mo|inv|drive|fast|effective|mg)? ?"
+        r"(mom(ent)? ?ist( summe)?|istmoment|(torque|trq|tq|moment|drehmoment)"
+        r"( ?feedback| ?actual| ?act( out)?| ?estimate| ?est)?))",
+        r"(brake|brk|brems\w*|wheel|whl|rad|lenk\w*|friction|loss|lost|lss|verlust\w*|verbraucher|hv|acn|wank|gradient|shudder|reference|converter|regen|adjustment|clutch|"
         r"percent|pct|fraction|stnd|std|4 wd|wd|tqc)",
     ),
     _Words(
         Role.ENGINE_SPEED,
-        r"((engine|eng|motor|mot|inv|drive) ?(speed|spd|rpm|n)|rpm|n ?mot|^n$|motordrehzahl|drehzahl)",
+        r"((engine|eng|motor|mot|inv|drive|mg)( ?output)? ?(speed|spd|rpm|n(?![a-z])|rev\w*)|rpm|n ?(mot|eng)|^n$|"
+        r"axle ?speed|motordrehzahl|drehzahl)",
         rf"({_WHEEL}|fan|turbine|compressor|pump|idle|output|input|shaft|mean|blower)",
     ),
     _Words(
@@ -112,7 +124,7 @@ _WORDS = [
         r"brk ?(sw|act|on)|bls|bremse ?betaetigt|bremslicht|(?<![a-z])brake(?![a-z])|"
         r"driver ?brake ?apply)",
         r"(park|pbrake|p brake|epb|hand|pressure|press$|temp|fuse|channel|hold|regen|abs|fluid|pad|wear|"
-        r"auto|emergency|aeb|fcw|while|power brake)",
+        r"auto|emergency|aeb|fcw|while|warning|power brake)",
     ),
     _Words(
         Role.BRAKE_PEDAL,
@@ -134,7 +146,18 @@ _WORDS = [
     _Words(
         Role.GRADE,
         r"(grade|slope|incline|inclination|road ?gradient|steigung)",
-        r"(fuel|torque|tq|pressure|colou?r|offset|oil)",
+        r"(fuel|torque|tq|pressure|colou?r|offset|oil|est\w*)",
+    ),
+    _Words(
+        Role.GRADE_REFERENCE,
+        r"((grade|slope|inclination|road ?gradient) ?est\w*|est\w* ?(road ?)?(grade|slope|inclination|gradient))",
+        r"(fuel|torque|tq|pressure|internal)",
+    ),
+    _Words(
+        Role.MASS_REFERENCE,
+        r"((est\w* )?(vehicle|veh|gross|gross ?vehicle|gross ?combination( ?vehicle)?|total|car|truck)? ?"
+        r"(mass|weight)( ?est\w*)?|fahrzeugmasse|(?<![a-z])masse)",
+        r"(air|luft|flow|fuel|kraftstoff|soot|ash|axle|seat|occupant|passenger|confidence|cell|gradient|trailer)",
     ),
     _Words(
         Role.LONGITUDINAL_ACCELERATION,
@@ -170,15 +193,17 @@ _WORDS = [
     _Words(Role.RETARDER_FRACTION, r"(retarder.*(torque|percent)|actual ?retarder)", r"(reference|selection)"),
     _Words(
         Role.BATTERY_VOLTAGE,
-        r"((hv|pack|traction|bat(t(ery)?)?|dc ?bus|bus|shunt|ivt|bms).*(volt(age)?|(?<![a-z])u(?![a-z])|"
+        r"((?<![a-z])[uv] ?bat(t(ery)?)?|(hv|lb|pack|traction|trac|bat(t(ery)?)?|dc ?bus|bus|shunt|ivt|bms)"
+        r".*(volt(age)?|(?<![a-z])u(?![a-z])|"
         r"(?<![a-z])v(?![a-z]))|dc ?bus ?voltage)",
-        r"(cell|12v|lv|low|aux|motor|phase|charger|sensor|ref)",
+        r"(cell|12 ?v|lv|lo|ulo|low|aux|motor|phase|charger|sensor|snsr|ref|hist|wave)",
     ),
     _Words(
         Role.BATTERY_CURRENT,
-        r"((hv|pack|traction|bat(t(ery)?)?|dc ?bus|bus|shunt|ivt|bms).*(current|curr|amps?|"
+        r"((?<![a-z])i ?bat(t(ery)?)?|(hv|lb|pack|traction|trac|bat(t(ery)?)?|dc ?bus|bus|shunt|ivt|bms)"
+        r".*(current|curr|amps?|"
         r"(?<![a-z])i(?![a-z]))|dc ?bus ?current)",
-        r"(cell|12v|lv|low|aux|motor|phase|charger|brake|light|channel|fan|pump)",
+        r"(cell|12 ?v|v ?12|lv|lo|ulo|low|aux|motor|phase|charger|brake|light|channel|fan|pump|snsr|hist|integrated)",
     ),
 ]
 
@@ -212,7 +237,7 @@ class Candidate:
 def candidates(database: Database) -> dict[Role, list[Candidate]]:
     """Candidates by role, the best first; only roles with candidates."""
     signals = [
-        (message, signal, *_texts(message, signal)) for message in database.messages for signal in message.signals
+        (message, signal, _Texts.of(message, signal)) for message in database.messages for signal in message.signals
     ]
     out: dict[Role, list[Candidate]] = {}
     for words in _WORDS:
@@ -227,6 +252,17 @@ def corner(signal: Signal) -> str:
     """Wheel in the name of a signal, such as "fl"; empty if there is none."""
     match = re.search(_CORNER, spaced(signal.name))
     return "" if match is None else match[0]
+
+
+def is_one_of_two(candidate: Candidate, fit: Iterable[Candidate]) -> bool:
+    """Whether another candidate has the name of this one, for the other axle."""
+    name = _without_digits(candidate.signal)
+    others = {name.replace("front", "rear"), name.replace("rear", "front")} - {name}
+    return any(_without_digits(other.signal) in others for other in fit)
+
+
+def _without_digits(signal: Signal) -> str:
+    return re.sub(r"\d+", "", spaced(signal.name))
 
 
 def wheels(fit: Iterable[Candidate]) -> list[Candidate]:
@@ -247,11 +283,21 @@ def spaced(name: str) -> str:
     return " ".join(parts).lower()
 
 
-def _texts(message: Message, signal: Signal) -> tuple[str, str]:
-    return spaced(signal.name), f"{spaced(message.name)} {(signal.comment or '').lower()}"
+@dataclass(frozen=True, slots=True)
+class _Texts:
+    """Words about a signal, in lower case: its ``name``, that of its ``message``, and its ``comment``."""
+
+    name: str
+    message: str
+    comment: str
+
+    @classmethod
+    def of(cls, message: Message, signal: Signal) -> "_Texts":
+        """The texts of a signal."""
+        return cls(spaced(signal.name), spaced(message.name), (signal.comment or "").lower())
 
 
-def _candidate(words: _Words, message: Message, signal: Signal, name: str, about: str) -> Candidate | None:
+def _candidate(words: _Words, message: Message, signal: Signal, texts: _Texts) -> Candidate | None:
     """Candidate of a signal for a role, with its score; None if it cannot have the role."""
     dimension, unit = DIMENSION[words.role], None
     score = 0.0
@@ -264,9 +310,9 @@ def _candidate(words: _Words, message: Message, signal: Signal, name: str, about
             score += RIGHT_UNIT
     else:
         conversion = conversion_of(signal.unit)
-        if conversion is not None and conversion.dimension == dimension:
+        if conversion is not None and (conversion.dimension == dimension or _is_slope(words.role, conversion)):
             score += RIGHT_UNIT
-        elif conversion is not None or signal.length <= MAX_STATE_BITS:
+        elif conversion is not None or signal.length <= MAX_STATE_BITS or _is_enumeration(signal):
             return None
         else:
             is_blank = not (signal.unit or "").strip()
@@ -274,28 +320,55 @@ def _candidate(words: _Words, message: Message, signal: Signal, name: str, about
         if _reach(signal, unit or signal.unit) < LEAST_REACH.get(words.role, 0.0):
             return None
     if words.role == Role.WHEEL_SPEEDS and corner(signal) and unit is None:
-        name = f"wheel speed {name}"  # a speed of a corner of the vehicle has no other
-    if (match := re.search(rf"(?<![a-z]){words.like}", name)) is not None:
-        score += NAMED + len(match[0]) / max(len(name), 1)  # a name that says nothing else is the better one
-    elif re.search(rf"(?<![a-z]){words.like}", about):
-        score += MENTIONED
-    else:
-        return None
-    rest = name if match is None else name.replace(match[0], " ")
-    score += UNLIKE * len(set(re.findall(rf"(?<![a-z])(?:{words.unlike}|{_COMMAND})(?![a-z])", rest)))
+        texts = replace(texts, name=f"wheel speed {texts.name}")  # a speed of a corner of the vehicle has no other
+    score += _points(words, texts)
     if score < MIN_SCORE:
         return None
     return Candidate(role=words.role, message=message, signal=signal, score=score, unit=unit)
 
 
+def _points(words: _Words, texts: _Texts) -> float:
+    """Points for the words about a signal."""
+    like, joined = rf"(?<![a-z]){words.like}", f"{texts.message} {texts.name}"
+    in_name = re.search(like, texts.name)
+    if in_name is not None:
+        points = NAMED + len(in_name[0]) / max(len(texts.name), 1)  # a name that says nothing else is the better one
+    elif any(match.end() > len(texts.message) for match in re.finditer(like, joined)):
+        points = NAMED  # a speed in the message of the drive
+    elif re.search(like, f"{texts.message} {texts.comment}"):
+        points = MENTIONED
+    else:
+        return -np.inf
+    rest = texts.name if in_name is None else texts.name.replace(in_name[0], " ")
+    foreign = {*_words_in(f"{words.unlike}|{_COMMAND}", rest), *_words_in(_ELSEWHERE, texts.message)}
+    return points + UNLIKE * len(foreign)
+
+
+def _words_in(words: str, text: str) -> list[str]:
+    """The whole words of a pattern in a text."""
+    return [match[0] for match in re.finditer(rf"(?<![a-z])(?:{words})(?![a-z])", text)]
+
+
+def _is_slope(role: Role, conversion: Conversion) -> bool:
+    return role in GRADES and conversion.dimension == "rad"
+
+
+def _is_enumeration(signal: Signal) -> bool:
+    """Whether at least half of the values have names: a state, and no quantity."""
+    return bool(len(signal.choices or {}) >= 2 ** (signal.length - 1))
+
+
 def _reach(signal: Signal, unit: str | None) -> float:
-    """Largest size [SI] that the bits of a signal can encode, without the offset of its unit."""
+    """The largest size that a signal can have by its bits and its stated range [SI], but for an offset of the unit."""
     conversion = conversion_of(unit)
     if signal.is_float or conversion is None:
         return float("inf")
     scale, offset = float(signal.scale), float(signal.offset)
     low, high = (-(2 ** (signal.length - 1)), 2 ** (signal.length - 1)) if signal.is_signed else (0, 2**signal.length)
-    return float(conversion.scale * max(abs(low * scale + offset), abs(high * scale + offset)))
+    by_bits = max(abs(low * scale + offset), abs(high * scale + offset))
+    stated = max(abs(float(signal.minimum or 0)), abs(float(signal.maximum or 0)))
+    reach = min(by_bits, stated) if stated > 1 else by_bits
+    return float(conversion.scale * reach)  # [0|1] and [0|0] are left blank
 
 
 def _may_be_state(role: Role, signal: Signal) -> bool:

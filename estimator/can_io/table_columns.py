@@ -13,7 +13,8 @@ from cantools.database.conversion import BaseConversion
 
 from estimator.can_io.frames import EXTENDED
 from estimator.errors import ConfigError
-from estimator.roles import DIMENSION, STATE, Role
+from estimator.near_names import did_you_mean
+from estimator.roles import DIMENSION, GRADES, STATE, Role
 from estimator.settings import Table
 from estimator.units import conversion_of, spellings_of
 
@@ -64,7 +65,8 @@ def columns_of(table: Table) -> list[Column]:
     names = {role.value for role in Role} - {Role.WHEEL_SPEEDS.value} | {POWER, FORCE}
     for key, text in table.columns.items():
         if key not in names:
-            raise ConfigError(f"table.columns.{key}: no such role; the roles are {', '.join(sorted(names))}")
+            guess = did_you_mean(key, sorted(names)) or f"; the roles are {', '.join(sorted(names))}"
+            raise ConfigError(f"table.columns.{key}: no such role{guess}")
         name, unit = split_unit(text)
         role = Role.ENGINE_POWER if key in (POWER, FORCE) else Role(key)
         if not name:
@@ -93,7 +95,7 @@ def _misfit(key: str, role: Role, unit: str | None) -> str:
     if unit is None:
         return f'has no unit; write it in brackets, as in {key} = "COLUMN [{spellings_of(dimension)[0]}]"'
     if conversion is None or (
-        conversion.dimension != dimension and (role, conversion.dimension) != (Role.GRADE, "rad")
+        conversion.dimension != dimension and not (role in GRADES and conversion.dimension == "rad")
     ):
         return f"needs one of the units {' '.join(spellings_of(dimension))}"
     return ""

@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 
@@ -55,3 +56,14 @@ def whole_number(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number that is not negative")
     return int(text)
+
+
+def moment(text: str) -> float:
+    """A date and time of the years 1971 to 2099 as seconds since 1970 [s]."""
+    try:
+        given = datetime.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no date and time as in 2026-03-01T06:00") from None
+    if not 1970 < given.year < 2100:
+        raise argparse.ArgumentTypeError(f"{text!r} is not in the years 1971 to 2099")
+    return (given if given.tzinfo else given.replace(tzinfo=UTC)).timestamp()

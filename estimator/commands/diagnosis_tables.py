@@ -10,7 +10,7 @@ from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import Budget
 from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Shift
 from estimator.printable import printable
-from estimator.report import usual_units, wording
+from estimator.report import parameter_text, usual_units, wording
 
 RANKING_ROWS, PLACE_ROWS, NAMES_IN_LINE = 6, 5, 4  # rows of the ranking, of the places, names in a line
 STYLES = {Verdict.EFFECT: "cyan", Verdict.NO_GAP: "green", Verdict.UNKNOWN: "magenta", Verdict.CANNOT_TELL: "yellow"}
@@ -44,6 +44,8 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
     if d.effects and d.base is not None and d.final is not None:
         change = Shift(d.final.mass - d.base.mass, d.final.A - d.base.A, d.final.C - d.base.C)
         yield "shift", wording.shift(change, d.deviation)
+    for line in parameter_text.references(d.references):
+        yield "others", line
     if steps:
         strength = wording.bayes(d.remaining_log_bayes_factor)
         yield "left", f"{d.remaining_verdict.value}, log Bayes factor {strength}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.can_io import j1939_encoder, obd2_encoder
 from estimator.can_io.log_writer import WRITABLE, write_log
-from estimator.commands.arguments import MINUTES, add_output, not_negative, number, whole_number
+from estimator.commands.arguments import MINUTES, add_output, moment, not_negative, number, whole_number
 from estimator.commands.log_options import check_outputs
 from estimator.commands.terminal import print_json
 from estimator.errors import InputError
@@ -43,6 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", type=allowed, metavar=unit, help=f"{what}, instead of the drawn one")
     poll = "a car that answers a logger on its OBD-II socket, each PID once in this time, instead of a truck on J1939"
     parser.add_argument("--poll", type=number(0.05, 10.0, "a time from 0.05 to 10 s"), metavar="s", help=poll)
+    start = "date and time of the first moment, as in 2026-03-01T06:00; UTC unless it names a zone"
+    parser.add_argument("--start", type=moment, metavar="TIME", help=f"{start} (default: 2023-11-14T22:13:20)")
     noise = "sd of the wheel speed's noise (default: 0.01)"
     parser.add_argument("--speed-noise", type=not_negative, default=0.01, metavar="m/s", help=noise)
     steps = "of the reference torque, in which torque is sent: 0.125 (default) or 1"
@@ -92,6 +94,8 @@ def run(options: argparse.Namespace) -> int:
         frames = j1939_encoder.frames_of(recording.signals)
     else:
         frames = obd2_encoder.frames_of(polled(recording.signals, options.poll, rng))
+    if options.start is not None:
+        frames = dataclasses.replace(frames, t=frames.t - j1939_encoder.EPOCH + options.start)
     write_log(frames, options.output)
     answer = of_recording(recording, str(options.output), len(frames), duration)
     if options.json:

@@ -10,7 +10,7 @@ from estimator.commands.terminal import say
 from estimator.estimates import Status
 from estimator.printable import printable
 from estimator.report import wanted_driving
-from estimator.report.parameter_text import ROWS, clock, road
+from estimator.report.parameter_text import ROWS, clock, references, road
 
 COLOURS = {
     State.WAITING: "yellow",
@@ -45,6 +45,8 @@ def print_status(console: Console, status: StatusAnswer) -> None:
     _print_estimate(console, status)
     if status.road_now is not None:
         say(console, f"road now  {_told(status.road_now)}")
+    for line in references(status.references):
+        say(console, f"others    {line}")
     if status.failed_updates:
         say(console, f"failed    {status.failed_updates:,} updates, numerically")
     worker = status.estimator

@@ -34,6 +34,8 @@ def print_run(console: Console, run: Run, truth: dict[str, float] | None = None)
         print_estimate(console, summary.parameters(final), summary.coefficients(final), truth)
     for key, reason in final.withheld.items():
         say(console, f"{key:9} unestimated: {reason}")
+    for line in parameter_text.references(summary.references(run.pipeline, final)):
+        say(console, f"others    {line}")
     _print_fit(console, run)
     _print_traffic(console, run)
     if run.broadcast:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from estimator.answers.diagnosis import Verdict
+from estimator.answers.reference import References
 from estimator.columns import EVIDENCE, Column, Row, columns
 from estimator.components.budget import Budget
 from estimator.signals import Floats
@@ -231,6 +232,7 @@ class Diagnosis:
     gap_map: GapMap | None = None
     traces: Traces | None = None
     logs: tuple[str, ...] = field(default=())
+    references: References = field(default_factory=References)  # estimates of other control units, in the last log
     doubts: tuple[str, ...] = ()  # why the logs may not be of one vehicle
     mixed_channels: Mapping[str, int] = field(default_factory=dict)  # frames by channel, if several are read as one bus
 

@@ -95,7 +95,8 @@ class RoadNow:
         self._halt()
 
     def _halt(self) -> None:
-        """The vehicle's place is lost."""
+        """Discard the vehicle's place: rows follow that are not joined to those before."""
+        self._is_at_gap = False
         self._t, self._travelled = np.zeros((2, 0))  # [s] and [m] (n,) of the newest rows
         self._speed, self._heard = 0.0, -np.inf  # [m/s], [s] of the newest speed
         self._middle: float | None = None  # [m] of the newest stride
@@ -105,6 +106,8 @@ class RoadNow:
         self._start = float(rows.t[0]) if self._start is None else self._start
         if wanted is None or not self._is_followed:
             return
+        if self._is_at_gap:
+            self._halt()
         if self._strider is None:
             self._strider = Strider(self._admission, wanted, self._start)
         self._move(rows)
@@ -113,11 +116,11 @@ class RoadNow:
         self._t, self._travelled = self._t[-kept:], self._travelled[-kept:]
 
     def finish(self) -> None:
-        """Use the rows that wait, before a gap or at the end of a log: where the vehicle is from then on is unknown."""
+        """Use the rows that wait, before a gap or at the end of a log; the place is kept until rows follow."""
         if self._strider is not None:
             self._add(self._strider.finish(Counter()))
             self._strider.pause()
-        self._halt()
+        self._is_at_gap = True
 
     def conclude(self, fit: tuple[RoadFit, Strides] | None) -> None:
         """Take a new fit and its strides, None where there is no fit to use from now on."""

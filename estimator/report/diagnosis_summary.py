@@ -42,6 +42,7 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
         p_value=d.p_value,
         logs=d.logs,
         doubts=d.doubts,
+        references=d.references,
     )
 
 

@@ -1,10 +1,13 @@
 """An estimate in words and numbers for people; light, for `roadload status` imports no numerical package."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
+from estimator.answers.reference import Reference, References
 from estimator.answers.run import CoastDown, Coefficients, Coverage, Parameter, Parameters, Road
 from estimator.estimates import Status
 
+OLD = 10.0  # s, from which the age of a reading is told
 MIN_SLOPE_SD = 1e-3  # sd of slopes below which a road counts as flat
 
 
@@ -124,6 +127,26 @@ def road(slopes: Road) -> str:
     climbed = "" if slopes.climbed_m is None else f"; {slopes.climbed_m:,.0f} m climbed"
     words = f"slopes with a standard deviation of {100 * slopes.slope_sd:.1f} %"
     return f"{words} over {slopes.length_m:,.0f} m, {shown}{climbed}"
+
+
+def references(found: References) -> Iterator[str]:
+    """A line for each estimate of another control unit."""
+    if (mass := found.mass_kg) is not None:
+        where = "above" if (mass.difference or 0.0) > 0 else "below"
+        beside = "" if mass.difference is None else f", {abs(mass.difference):,.0f} kg {where} ours"
+        span = f"{mass.lowest:,.0f} .. {mass.highest:,.0f} kg in the last hour"
+        yield f"mass {mass.newest:,.0f} kg by {mass.signal}{_heard(mass)}{beside}; {span}"
+    if (grade := found.grade_percent) is not None:
+        beside = ""
+        if grade.difference is not None:
+            beside = (
+                f"; against our road {grade.difference:+.2f} % with a standard deviation of {grade.difference_sd:.2f} %"
+            )
+        yield f"grade {grade.newest:+.2f} % by {grade.signal}{_heard(grade)}{beside}"
+
+
+def _heard(found: Reference) -> str:
+    return f", heard {clock(found.age_s)} ago" if found.age_s > OLD else ""
 
 
 def clock(seconds: float) -> str:

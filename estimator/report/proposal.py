@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
-from estimator.can_io.role_candidates import Candidate, corner, wheels
+from estimator.can_io.role_candidates import MENTIONED, Candidate, corner, is_one_of_two, wheels
 from estimator.can_io.switch_states import SWITCHES
 from estimator.signals import DIMENSION, STATE, Role
 from estimator.streaming.survey import Presence, Survey
@@ -93,12 +94,30 @@ def _bound(ranked: Mapping[Role, list[Candidate]], found: Survey | None) -> dict
     if Role.SPEED in best and Role.WHEEL_SPEEDS in best:
         speed, wheel = best[Role.SPEED][0], best[Role.WHEEL_SPEEDS][0]
         del best[Role.WHEEL_SPEEDS if _score(speed, found) >= _score(wheel, found) - 1.0 else Role.SPEED]
+    for role in OF_POWER & best.keys():
+        if is_one_of_two(best[role][0], ranked[role]):
+            del best[role]  # a half of the power
     whole = [way for way in POWER_WAYS if set(way) <= best.keys()]
     ways = [way for way in whole if all(best[role][0].score >= GOOD for role in way)] + whole
     almost = [way[:2] for way in POWER_WAYS if way[-1] == Role.REFERENCE_TORQUE and set(way[:2]) <= best.keys()]
     chosen = next(iter([*ways, *almost]), ())
+    if len(chosen) > 1:
+        best |= _together(chosen[:2], there, found)
     extra = {Role.FRICTION_FRACTION, Role.TORQUE_FRACTION_FINE} if Role.TORQUE_FRACTION in chosen else set()
     return {role: fit for role, fit in best.items() if role not in OF_POWER or role in {*chosen, *extra}}
+
+
+def _together(
+    roles: Sequence[Role], there: Mapping[Role, list[Candidate]], found: Survey | None
+) -> dict[Role, list[Candidate]]:
+    """The best of two roles whose product is the power: those of one message count as said by it."""
+
+    def score(pair: tuple[Candidate, ...]) -> float:
+        is_one_message = pair[0].message is pair[1].message
+        return sum(_score(candidate, found) for candidate in pair) + MENTIONED * is_one_message
+
+    best = max(product(*(there[role] for role in roles)), key=score)
+    return {role: [candidate] for role, candidate in zip(roles, best, strict=True)}
 
 
 def _is_there(candidate: Candidate, found: Survey | None) -> bool:

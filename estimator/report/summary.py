@@ -8,6 +8,7 @@ from msgspec import UNSET
 
 from estimator.answers import run as answer
 from estimator.answers import status
+from estimator.answers.reference import References
 from estimator.answers.run import RunAnswer
 from estimator.estimates import Estimate, Marginal, Slope, drag_area
 from estimator.estimation.window import ACCELERATION_CELLS, MIN_ACCELERATION, Window
@@ -48,6 +49,7 @@ def of_run(run: Run) -> RunAnswer:
         updates=tuple(_update(update, run) for update in run.updates),
         coefficients=coefficients(final),
         coverage_map=coverage_map(pipeline.estimator.window, pipeline.config.gate, final),
+        references=references(pipeline, final),
     )
 
 
@@ -55,6 +57,13 @@ def warnings(run: Run) -> tuple[str, ...]:
     """What widens the estimate or was left out of it, and what may be wrong in the DBC, a line each."""
     traffic = run.pipeline.traffic
     return (*traffic.remarks, *warnings_of(run.pipeline.config, traffic.errors))
+
+
+def references(pipeline: Pipeline, estimate: Estimate | None) -> References:
+    """What other control units say as of the newest frame, compared with an estimate."""
+    traffic, evidence = pipeline.traffic, pipeline.estimator.evidence
+    mass = None if estimate is None or estimate.mass is None else (estimate.mass.mean, estimate.mass.sd)
+    return traffic.references.answer(traffic.until, mass, None if evidence is None else evidence.fit)
 
 
 def parameters(estimate: Estimate) -> answer.Parameters:

@@ -10,6 +10,7 @@ USUAL = {  # by dimension: the unit, and its spelling in `units`
     "N.m": ("N m", "n.m"),
     "rad/s": ("rpm", "rpm"),
     "1": ("%", "%"),
+    "kg": ("kg", "kg"),
     "m": ("m", "m"),
     "m/s^2": ("m/s²", "m/s^2"),
     "rad": ("°", "deg"),

@@ -19,6 +19,7 @@ from estimator.model.effects import CATALOGUE, Effect, named
 from estimator.preparation.drive import Drive
 from estimator.samples import Rows
 from estimator.streaming.log_frames import LogFrames, Progress, as_paths, no_progress
+from estimator.streaming.references import References
 from estimator.streaming.row_stream import Block, RowStream
 
 READING_SHARE = 0.9  # of the work
@@ -52,20 +53,27 @@ def diagnose_logs(
     mixed: Counter[str] = Counter()
     given_paths = as_paths(paths)
     _require_different(given_paths)
-    torques = list[float | None]()
+    torques, references = list[float | None](), list[References]()
     for i, path in enumerate(given_paths):
         logs = LogFrames([path], config, partial(_report_share, progress, i, len(given_paths)))
         stream = RowStream(config)
         in_log = [Drive.of(pieces, config) for pieces in rows_of(logs, stream, str(path))]
         torques.append(stream.reference_torque)
+        references.append(stream.references)
         mixed.update(logs.mixed)
         drives += [replace(drive, log=i, log_start=in_log[0].start) for drive in in_log]
     result = diagnose(
         drives, given, np.random.default_rng(config.sampler.seed), (*CATALOGUE, *further), surrogates=surrogates
     )
     progress(1.0)
+    final, deviation = result.final, result.deviation
+    mass = None if final is None or deviation is None else (final.mass, deviation.mass)
     return replace(
-        result, logs=tuple(map(str, given_paths)), doubts=tuple(_other_engines(torques)), mixed_channels=dict(mixed)
+        result,
+        logs=tuple(map(str, given_paths)),
+        references=references[-1].answer(None, mass, None),
+        doubts=tuple(_other_engines(torques)),
+        mixed_channels=dict(mixed),
     )
 
 

@@ -23,10 +23,11 @@ from estimator.config import Config
 from estimator.errors import MissingInputsError
 from estimator.road_map import RoadMap
 from estimator.samples import STEP, Rows
-from estimator.signals import Floats, Role
+from estimator.signals import REFERENCES, Floats, Role
 from estimator.streaming.alignment import MAX_LINE, SPEEDS, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
 from estimator.streaming.missing_inputs import needed, pids_of, remedy, too_seldom
+from estimator.streaming.references import References
 from estimator.streaming.remarks import SwitchUse, dropped_values
 from estimator.streaming.resampling import block_bounds
 
@@ -109,6 +110,8 @@ class RowStream:
         Times without speed or power, from and to [s].
     replacements : int
         Number of senders replaced by others; window and vehicle are discarded at each.
+    references : References
+        Estimates of other control units, which the rows do not have.
     """
 
     def __init__(self, config: Config) -> None:
@@ -128,6 +131,7 @@ class RowStream:
         self.newest: dict[Role, float] = {}
         self.gaps: deque[tuple[float, float]] = deque(maxlen=MAX_GAPS)
         self.replacements = 0
+        self.references = References(self._names)
         self._lines = LINES & frozenset(self._names)
         self._first: dict[Role, Floats] = {}  # times [s] of the first readings
         self._switches = SwitchUse()
@@ -144,7 +148,7 @@ class RowStream:
         config = self._config
         speeds = [s for m in self._messages for s in m.signals if s.role in SPEEDS and not s.signal.is_float]
         step = max((abs(s.signal.scale * s.conversion.scale) for s in speeds), default=0.0)
-        aligner = Aligner(config.vehicle, frozenset(self._names), config.kinematics.despike, step)
+        aligner = Aligner(config.vehicle, frozenset(self._names) - REFERENCES, config.kinematics.despike, step)
         return Decoder(self._messages, config.bus), aligner
 
     @property
@@ -356,7 +360,7 @@ class RowStream:
             if self._decoder.replaced:
                 yield self._replace(float(decoded.ends[0]))
             self._block_end = float(decoded.ends[-1]) + BLOCK
-            parts = self._aligner.feed_blocks(decoded.readings, decoded.ends)
+            parts = self._aligner.feed_blocks(self.references.take(decoded.readings), decoded.ends)
             rows = [None if part is None else self._with_grade(part) for part in parts]
             silences = self._silences(rows)
             self._count([part for part in rows if part is not None])

@@ -1,21 +1,24 @@
-"""Table of measurements as a log: CSV or Parquet, with a column of times and one for each role.
+"""A table of measurements as a log: a row at a time, a column of times and one for each role.
 
 Times are seconds (or another unit in brackets), an epoch, or dates in ISO 8601, in UTC without a zone. Empty cells,
 ``nan`` and ``null`` have no value. Times must ascend, and be frequent enough for accelerations.
 """
 
-import csv
-import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from estimator.can_io.frames import CLASSIC_BYTES, Frames
+from estimator.can_io.logs import table_activity, table_mf4, table_parquet, table_text
 from estimator.can_io.logs.log import Log
-from estimator.can_io.logs.source import Source
+from estimator.can_io.logs.table_piece import ROWS as ROWS
+from estimator.can_io.logs.table_piece import Piece, Wanted
+from estimator.can_io.logs.table_text import is_number
 from estimator.can_io.table_columns import (
     FORCE_UNITS,
     NUMBER_BYTES,
@@ -26,18 +29,26 @@ from estimator.can_io.table_columns import (
     split_unit,
 )
 from estimator.errors import LogError
-from estimator.extras import how_to_install
 from estimator.settings import Table
-from estimator.signals import Floats, Role
+from estimator.signals import Floats, Mask, Role
 from estimator.units import conversion_of
 
-SUFFIXES = (".csv", ".csv.gz", ".tsv", ".txt", ".parquet")
+Reader = Callable[[Path, Wanted], Iterator[Piece]]
+BINARY: dict[str, Reader] = {
+    ".parquet": table_parquet.read,
+    ".mf4": table_mf4.read,
+    ".fit": table_activity.read_fit,
+    ".fit.gz": table_activity.read_fit,
+    ".tcx": table_activity.read_tcx,
+    ".tcx.gz": table_activity.read_tcx,
+}
+TEXT = (".csv", ".csv.gz", ".tsv", ".txt")
+SUFFIXES = (*TEXT, *BINARY)
 TIMES = ("time", "t", "timestamp", "seconds", "secs", "elapsed", "time_s", "t_s", "date", "datetime")
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
-ROWS = 1 << 14  # at once
-MAX_FIELD = 1 << 16  # characters of a cell: a longer one is none of a table
 MAX_STEP = 2.0  # s between rows in the median: slower ones show no change of speed that a force made
-DELIMITERS = ",;\t|"
+STEPS_SEEN = 1 << 20  # rows whose steps are kept for the median
+SAME_TIME = "row at the time of the one before"
 
 
 class TableLog(Log):
@@ -52,59 +63,16 @@ class TableLog(Log):
             raise LogError(f"{path}: is no table that can be read ({', '.join(SUFFIXES)}); take the table [table] out")
 
     def _read(self) -> Iterator[Frames]:
-        pieces = self._parquet() if self.path.suffix.lower() == ".parquet" else self._text()
-        for frames in table_frames(str(self.path), self._table, pieces):
+        for frames in table_frames(str(self.path), self._table, self._cells(), self.skipped):
             yield self.channels.keep(frames, np.zeros(len(frames), np.uint16), str)
 
-    def _text(self) -> Iterator[Mapping[str, Sequence[str]]]:
-        csv.field_size_limit(MAX_FIELD)
-        with Source(self.path) as source:
-            text = io.TextIOWrapper(source.stream, encoding="utf-8-sig", errors="replace", newline="")
-            try:
-                head = text.readline(MAX_FIELD)
-                delimiter = max(DELIMITERS, key=head.count)
-                heading = [name.strip() for name in next(csv.reader([head], delimiter=delimiter), [])]
-                _check_heading(self.path, heading)
-                reader = csv.reader(text, delimiter=delimiter)
-                while rows := [row for _, row in zip(range(ROWS), reader, strict=False)]:
-                    self.progress = source.consumed
-                    cells = [[row[i] if i < len(row) else "" for row in rows] for i in range(len(heading))]
-                    yield dict(zip(heading, cells, strict=True))
-            except csv.Error as error:
-                raise LogError(f"{self.path}: is no table of text ({error}); give a CSV file") from error
-
-    def _parquet(self) -> Iterator[Mapping[str, Any]]:
-        try:
-            from pyarrow import ArrowException
-            from pyarrow.parquet import ParquetFile
-        except ImportError as error:
-            raise LogError(f"{self.path}: Parquet needs pyarrow: {how_to_install('fleet')}") from error
-        try:
-            with ParquetFile(self.path) as file:
-                names, total = file.schema_arrow.names, max(file.metadata.num_rows, 1)
-                done = 0
-                wanted = [name for name in names if name in _named(self._table, names)]
-                for batch in file.iter_batches(ROWS, columns=wanted, use_threads=False):
-                    done += batch.num_rows
-                    self.progress = done / total
-                    yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in wanted}
-        except (ArrowException, OSError) as error:
-            reason = " ".join(str(error).split())
-            raise LogError(f"{self.path}: cannot be read as Parquet ({reason}); copy it anew") from error
-
-
-def _check_heading(path: Path, heading: list[str]) -> None:
-    """Refuse a first line without names of columns."""
-    if len(heading) < 2 or all(_is_number(name) for name in heading):
-        raise LogError(f"{path}: line 1 names no columns ({', '.join(heading)[:60]!r}); put a line of names first")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    def _cells(self) -> Iterator[Mapping[str, Any]]:
+        name = self.path.name.lower()
+        reader = next((reader for suffix, reader in BINARY.items() if name.endswith(suffix)), None)
+        pieces = table_text.read(self.path) if reader is None else reader(self.path, partial(_named, self._table))
+        for piece in pieces:
+            self.progress = piece.progress
+            yield piece.cells
 
 
 def _named(table: Table, there: Iterable[str]) -> set[str]:
@@ -113,8 +81,12 @@ def _named(table: Table, there: Iterable[str]) -> set[str]:
     return {column.name for column in columns_of(table)} | times
 
 
-def table_frames(source: str, table: Table, pieces: Iterable[Mapping[str, Any]]) -> Iterator[Frames]:
+def table_frames(
+    source: str, table: Table, pieces: Iterable[Mapping[str, Any]], skipped: Counter[str] | None = None
+) -> Iterator[Frames]:
     """Yield frames of a table from pieces of rows, each a mapping of column names to cells (n,).
+
+    A row at the time of the one before, as between two laps, is left out and counted in ``skipped``.
 
     Raises
     ------
@@ -122,15 +94,26 @@ def table_frames(source: str, table: Table, pieces: Iterable[Mapping[str, Any]])
         A column is missing, a cell is not a number, or times do not ascend or are too far apart; it names the row.
     """
     columns = columns_of(table)
-    previous, row, steps = -np.inf, 1, list[Floats]()
+    previous, row, steps, repeated, first = -np.inf, 1, list[Floats](), 0, 0
     for piece in pieces:
         t = _times(source, table, piece, row)
-        _check_forward(source, t, previous, row)
-        steps.append(np.diff(t, prepend=t[:1] if not np.isfinite(previous) else previous))
-        if len(t):
-            previous = float(t[-1])
-        yield _frames(t, _values(source, columns, piece, row))
-        row += len(t)
+        is_later = _check_forward(source, t, previous, row)
+        if not is_later.all():
+            first = first or row + int(np.argmin(is_later))
+            repeated += int(np.count_nonzero(~is_later))
+        values = _values(source, columns, piece, row)[is_later]
+        row, t = row + len(t), t[is_later]
+        if row <= STEPS_SEEN:
+            steps.append(np.diff(t, prepend=t[:1] if not np.isfinite(previous) else previous))
+        previous = float(t[-1]) if len(t) else previous
+        yield _frames(t, values)
+    if skipped is not None and repeated:
+        skipped[SAME_TIME] += repeated
+    if 2 * repeated >= row - 1 > 0:
+        raise LogError(
+            f"{source}: rows {first - 1} and {first} have one time, and so have half of the rows; give a column with "
+            "fractions of seconds"
+        )
     step = float(np.median(np.concatenate([np.empty(0), *steps]))) if row > 2 else 0.0
     if step > MAX_STEP:
         raise LogError(
@@ -153,7 +136,7 @@ def _times(source: str, table: Table, piece: Mapping[str, Any], row: int) -> Flo
     cells = np.asarray(piece[name])
     if cells.dtype.kind == "M":
         return cells.astype("datetime64[ns]").astype(np.int64) / 1e9
-    if cells.dtype.kind in "OUS" and len(cells) and not _is_number(str(cells[0])):
+    if cells.dtype.kind in "OUS" and len(cells) and not is_number(str(cells[0])):
         return np.array([_date(source, str(cell), row + i) for i, cell in enumerate(cells.tolist())])
     return factor * _numbers(source, name, cells, row)
 
@@ -166,8 +149,8 @@ def _date(source: str, text: str, row: int) -> float:
     return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
-def _check_forward(source: str, t: Floats, previous: float, row: int) -> None:
-    """Refuse rows without a time, and rows that are not later than the previous one."""
+def _check_forward(source: str, t: Floats, previous: float, row: int) -> Mask:
+    """Which rows (n,) are later than the one before; refuses rows without a time, and those that are earlier."""
     steps = np.diff(t, prepend=previous)
     if wrong := np.flatnonzero(~np.isfinite(t)).tolist():
         raise LogError(f"{source}: row {row + wrong[0]}: has no time; fill it in, or delete the row")
@@ -178,11 +161,8 @@ def _check_forward(source: str, t: Floats, previous: float, row: int) -> None:
             f"{source}: row {row + i}: time steps back from {last:.10g} to {t[i]:.10g} s; sort the rows, or give each "
             "drive as a table of its own"
         )
-    if same := np.flatnonzero(steps == 0).tolist():
-        raise LogError(
-            f"{source}: rows {row + same[0] - 1} and {row + same[0]} have one time, {t[same[0]]:.10g} s; give a column "
-            "with fractions of seconds"
-        )
+    is_later: Mask = steps > 0
+    return is_later
 
 
 def _values(source: str, columns: Sequence[Column], piece: Mapping[str, Any], row: int) -> Floats:
@@ -210,7 +190,7 @@ def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
     try:
         return np.array([np.nan if text.lower() in NOTHING else float(text) for text in texts])
     except ValueError:
-        i = next(i for i, text in enumerate(texts) if text.lower() not in NOTHING and not _is_number(text))
+        i = next(i for i, text in enumerate(texts) if text.lower() not in NOTHING and not is_number(text))
         raise LogError(f"{source}: row {row + i}, column {name!r}: {texts[i][:40]!r} is no number") from None
 
 

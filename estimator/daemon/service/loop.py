@@ -200,6 +200,7 @@ class Daemon:
             progress=knowledge.progress,
             outputs={name: output.status() for name, output in self._outputs.items()},
             road_now=status.of_road(self.listener.slope(t)),
+            references=status.of_references(knowledge, t),
         )
 
     def is_healthy(self, now: float) -> bool:

@@ -3,8 +3,11 @@
 import dataclasses
 from math import isfinite
 
+from msgspec.structs import replace
+
 from estimator.answers import status as answer
 from estimator.answers.published import PublishedAnswer, Usability
+from estimator.answers.reference import Reference, References
 from estimator.answers.run import RoadNow
 from estimator.daemon.reception.link import Link
 from estimator.daemon.service.worker import Knowledge, Worker
@@ -72,6 +75,17 @@ def published(
 def of_road(slope: Slope | None) -> RoadNow | None:
     """The road under the vehicle, where it is known."""
     return None if slope is None else summary.road_now(slope)
+
+
+def of_references(knowledge: Knowledge, t: float) -> References:
+    """What other control units say, with their age at message time ``t`` [s]."""
+    known = knowledge.references
+    passed = 0.0 if knowledge.t is None else max(t - knowledge.t, 0.0)
+    return References(mass_kg=_aged(known.mass_kg, passed), grade_percent=_aged(known.grade_percent, passed))
+
+
+def _aged(known: Reference | None, passed: float) -> Reference | None:
+    return None if known is None else replace(known, age_s=round(known.age_s + passed, 3))
 
 
 def of_worker(worker: Worker, now: float) -> answer.Estimator:

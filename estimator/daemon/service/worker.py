@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from estimator.answers.reference import References
 from estimator.answers.status import Progress
 from estimator.can_io.frames import Frames
 from estimator.daemon.reception.inbox import Inbox
@@ -57,6 +58,7 @@ class Knowledge:
     contested: Mapping[str, str] = field(default_factory=dict)  # reason, by message and signal
     replacements: int = 0  # senders given up for others
     progress: Progress | None = None  # of the driving; None before the first frame
+    references: References = field(default_factory=References)  # with their age at t
 
 
 class Worker:
@@ -250,4 +252,5 @@ class Worker:
             contested=pipeline.traffic.contested,
             replacements=pipeline.traffic.replacements,
             progress=summary.progress(pipeline, self._history.points),
+            references=summary.references(pipeline, pipeline.latest),
         )

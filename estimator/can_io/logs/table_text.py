@@ -1,0 +1,64 @@
+"""Tables of text: a first line of names, then a line of cells a row, in CSV or with another delimiter."""
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from estimator.can_io.logs.source import Source
+from estimator.can_io.logs.table_piece import ROWS, Piece
+from estimator.errors import LogError
+
+MAX_FIELD = 1 << 16  # characters of a cell, and of a line: a longer one is none of a table
+DELIMITERS = ",;\t|"
+
+
+def read(path: Path) -> Iterator[Piece]:
+    """Pieces of a table of text.
+
+    Raises
+    ------
+    LogError
+        It has no line of names, or a line or cell that is too long.
+    """
+    csv.field_size_limit(MAX_FIELD)
+    with Source(path) as source:
+        text = io.TextIOWrapper(source.stream, encoding="utf-8-sig", errors="replace", newline="")
+        try:
+            head = text.readline(MAX_FIELD)
+            delimiter = max(DELIMITERS, key=head.count)
+            heading = [name.strip() for name in next(csv.reader([head], delimiter=delimiter), [])]
+            _check_heading(path, heading)
+            reader = csv.reader(_lines(path, text), delimiter=delimiter)
+            while rows := [row for _, row in zip(range(ROWS), reader, strict=False)]:
+                yield Piece(_columns(heading, rows), source.consumed)
+        except csv.Error as error:
+            raise LogError(f"{path}: is no table of text ({error}); give a CSV file") from error
+
+
+def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
+    """The lines, none of them longer than MAX_FIELD."""
+    while line := text.readline(MAX_FIELD):
+        if len(line) == MAX_FIELD:
+            raise LogError(f"{path}: has a line of over {MAX_FIELD} characters; give a CSV file")
+        yield line
+
+
+def _columns(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> Mapping[str, Sequence[str]]:
+    cells = [[row[i] if i < len(row) else "" for row in rows] for i in range(len(heading))]
+    return dict(zip(heading, cells, strict=True))
+
+
+def _check_heading(path: Path, heading: list[str]) -> None:
+    """Refuse a first line without names of columns."""
+    if len(heading) < 2 or all(is_number(name) for name in heading):
+        raise LogError(f"{path}: line 1 names no columns ({', '.join(heading)[:60]!r}); put a line of names first")
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
