@@ -98,7 +98,7 @@ def lay_out(tree: Path, wheels: Path, maintainer: str) -> None:
     write(documents / "copyright", (ROOT / "LICENSE").read_text())
     write(documents / "changelog.gz", zipped(changelog(maintainer).encode()))
     write(tree / "usr/share/lintian/overrides/roadload", (DEBIAN / "lintian-overrides").read_text())
-    for page in (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))):
+    for page in (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))):
         write(documents / page.relative_to(ROOT), page.read_text(encoding="utf-8"))
     write(documents / "examples/roadload.rules.yml", (PROMETHEUS / "roadload.rules.yml").read_text())
     dashboard = (PROMETHEUS / "roadload.dashboard.json").read_text(encoding="utf-8")

@@ -23,7 +23,7 @@ from estimator.roles import Role
 from estimator.samples import Rows
 
 ROOT = Path(__file__).parents[1]
-PATHS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PATHS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in PATHS}
 PAGE = PAGES["README.md"]
 RUN = ["README.md", "docs/logs.md", "docs/diagnosis.md"]  # pages whose commands on logs are run
@@ -168,8 +168,8 @@ def test_files_that_a_page_names_exist(name: str) -> None:
 
 
 def test_the_index_names_every_page() -> None:
-    linked = set(re.findall(r"\]\((\w+\.md)\)", PAGES["docs/README.md"]))
-    assert linked == {path.name for path in PATHS[1:]} - {"README.md"}
+    linked = set(re.findall(r"\]\(([\w/]+\.md)\)", PAGES["docs/README.md"]))
+    assert linked == {path.relative_to(ROOT / "docs").as_posix() for path in PATHS[1:]} - {"README.md"}
 
 
 def test_settings_that_the_pages_name_exist() -> None:

@@ -25,25 +25,20 @@ candidates of the diagnosis and the terms of the streaming model (`effects = ["g
 ## Power of each effect
 
 `v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1; SI units. "Usual" is the sd of the
-size's prior in the diagnosis, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²); in `estimate` it is three times that.
-What is larger than "largest" is something else to the diagnosis.
+size's prior in the diagnosis, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²). In `estimate` it is three times that.
+A size above "largest" is something else to the diagnosis.
 
 {equations}
 
 ## Signals and identifiability
 
-* "Signals": the effect is tested only if these are on the bus. "None": power and speed are enough.
-* "Equivalent": to first order both effects have the same trace in power and speed on any drive. Further pairs can be
-  equivalent on a single drive; the diagnosis lists them.
-* "Evidence": a measurement or a manoeuvre that identifies the effect.
-* "Streams": the effect can be a term of the streaming model. Effects with unknown times are diagnosed only. Some are
-  absorbed by the fit: A, C and m absorb any size of them, and the alignment of power and speed absorbs a lag, which the
-  diagnosis reports.
-* With `warm_up` in the model, A is that of tyres as warm as at a steady 80 km/h, where rolling resistance is tested
-  (ISO 28580); without it, A is the mean of the drive. v_tau is the speed through a low-pass of the time constant tau; a
-  vehicle whose bus is silent stands, and one whose log begins has stood for long. `oil_warm_up` warms likewise.
-* With `air_density` in the model, C is that of the air at the start of the drive; without it, of the air in the mean.
-  Where temperature and pressure are known, the density is applied to C, and the diagnosis looks for no drift.
+* "Signals": the effect is tested only if these are on the bus. "Equivalent": both effects have the same trace in power
+  and speed on any drive. "Evidence": what identifies the effect.
+* "Streams": the effect can be a term of the streaming model. Effects with unknown times are diagnosed only. Others are
+  absorbed by A, C and m, or by the alignment of power and speed.
+* With `warm_up` in the model, A is that of tyres as warm as at a steady 80 km/h (ISO 28580). Without it, A is the mean
+  of the drive. The speed v_tau is that through a low-pass of the time constant tau.
+* With `air_density` in the model, C is that of the air at the start; without it, of the air in the mean.
 
 {signals}
 
@@ -53,8 +48,7 @@ What is larger than "largest" is something else to the diagnosis.
 
 ## How to add an effect
 
-An effect is one object. After this is added to `CATALOGUE`, the diagnosis ranks it, the configuration accepts it and
-it appears in the tables above:
+An effect is one object. Add it to `CATALOGUE`:
 
 ```python
 Effect(
@@ -69,11 +63,9 @@ Effect(
 )
 ```
 
-`power` is called with a `View` of the strides, and again with the measured force disturbed, so it must read all
-quantities from its argument. Required quantities are declared in `needs`, or in `shapes` where one of several sources
-is enough; an effect without its signals is reported as not testable. Set `is_noisy=True` where `power` uses `view.P` or
-`view.a`, or the noise of force or acceleration counts as evidence. `positive=False` allows either sign, `largest`
-bounds the size, `timing` and `dwells` say when an effect acts that no signal shows.
+`power` must read all quantities from its `View`. Required quantities are declared in `needs`, or in `shapes` where one
+of several sources is enough. Set `is_noisy=True` where `power` uses `view.P` or `view.a`. `positive=False` allows
+either sign, `largest` bounds the size, `timing` and `dwells` say when an effect acts that no signal shows.
 """
 
 
@@ -104,9 +96,8 @@ def sized(effect: Effect, value: float) -> str:
 
 def table(*rows: tuple[str, ...]) -> str:
     """Markdown; the first row is the heading."""
-    heading, *rest = rows
-    lines = [heading, ("---",) * len(heading), *rest]
-    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
+    heading, *lines = (f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in rows)
+    return "\n".join([heading, f"|{'---|' * len(rows[0])}", *lines])
 
 
 def page() -> str:
