@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|types|check|test|python``.
+"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|types|check|test|nightly|python``.
 
-``check`` is the fast loop, ``test`` is everything, ``python`` runs a tool; further options are passed on to the last
-step.
+``check`` is the fast loop, ``test`` is everything but what is ``nightly``, ``python`` runs a tool; further options are
+passed on to the last step.
 
 Needs Python >= 3.11 and nothing else. The virtual environment `.venv` is made once and renewed when the pinned
 dependencies change.
@@ -22,11 +22,13 @@ IMPORTED = [str(ROOT / folder) for folder in ("tools", "tests/nightly", "tests/s
 TYPES = [["mypy"], ["mypy", "tests/conftest.py"], ["mypy", "tests/socketcan/conftest.py"]]  # one conftest in each
 LINT = [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["lint-imports"]]
 TESTS = ["pytest", "-n", "auto", "--no-loadscope-reorder"]  # a worker a core
+BY_DAY = [*TESTS, "--durations", "20", "-m", "not nightly"]
 TASKS = {
     "demo": ("", [["roadload", "demo"]]),
     "types": ("[dev]", TYPES),
-    "check": ("[dev]", [*LINT, *TYPES, [*TESTS, "-m", "not slow"]]),
-    "test": ("[dev]", [*LINT, TESTS]),
+    "check": ("[dev]", [*LINT, *TYPES, [*TESTS, "-m", "not (slow or nightly)"]]),
+    "test": ("[dev]", [*LINT, BY_DAY]),
+    "nightly": ("[dev]", [[*TESTS, "-m", "nightly"]]),
     "python": ("[dev]", [["python"]]),
 }
 BESIDE = {"test": "types"}  # which takes a minute of one processor

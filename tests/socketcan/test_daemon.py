@@ -37,7 +37,7 @@ from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
 
 # python-can leaves the socket of an attempt that failed to the garbage collector.
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")]
+pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")]
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 KNOWN, PLAYED = 400.0, 90.0  # s of driving: before the daemon starts, and at most while it runs

@@ -14,7 +14,7 @@ from estimator.can_io.transport_sender import TransportSender
 from estimator.can_io.trouble_codes import CONFIRM_S, DM1, DM2, TroubleCode, TroubleMemory, codes_of
 from estimator.settings import Publish
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 PGN_MASS = 0xFF61
 

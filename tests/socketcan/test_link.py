@@ -21,7 +21,7 @@ from estimator.errors import ConfigError
 from estimator.settings import Reception
 
 # python-can leaves the socket of an attempt that failed to the garbage collector.
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")]
+pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")]
 
 LONGEST = 20.0  # s for anything here to happen; the machine is slow
 CCVS1 = 0x18FEF100

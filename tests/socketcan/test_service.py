@@ -19,7 +19,7 @@ import can
 import pytest
 from vm.guest import FULL_BUS, send_full_bus
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 PROJECT = Path(__file__).parents[2]
 UNIT = PROJECT / "deploy" / "systemd" / "roadload.service"
