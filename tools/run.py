@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Set up what a task needs inside the clone, then run it: ``python3 tools/run.py demo|types|check|test|nightly|python``.
+"""Set up what a task needs inside the clone, then run it: ``tools/run.py demo|types|check|test|nightly|python``.
 
 ``check`` is the fast loop, ``test`` is everything but what is ``nightly``, ``python`` runs a tool; further options are
 passed on to the last step.
