@@ -55,6 +55,7 @@ REBUILT = {  # what traffic or the configuration shows again
         "_same_clock",
         "newest",
         "order",
+        "references",
         "start",
         "unusable",
     },

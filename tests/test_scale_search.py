@@ -59,24 +59,6 @@ def test_from_elsewhere_the_same_mode_is_reached():
         assert_allclose(np.log(scales), np.log(modes[0][0]), atol=0.1)
 
 
-def test_a_search_that_cannot_reach_what_is_needed_ends_early_with_less_and_any_other_ends_at_the_same_mode(
-    monkeypatch,
-):
-    found = likelihood(("altitude",))
-    free, start = range(len(found.model.scales)), scales_of(found.model, 1)
-    mode, value = most_probable(found, start, free)
-    again, same = most_probable(found, start, free, needed=value)
-    assert np.array_equal(again, mode)
-    assert same == value
-    evaluated = []
-    monkeypatch.setattr(found, "score", lambda scales, score=found.score: evaluated.append(scales) or score(scales))
-    most_probable(found, start, free)
-    steps = len(evaluated)
-    _, short = most_probable(found, start, free, needed=value + 10)
-    assert short < value + 10
-    assert len(evaluated) - steps < steps
-
-
 @pytest.mark.parametrize("factor", [1 / 30, 30])
 def test_from_far_away_where_steps_meet_bounds_the_same_mode_is_reached(factor):
     found = likelihood(("altitude",))

@@ -190,7 +190,7 @@ class Search:
 
     def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float]:
         """The ``scales``, or the most probable of ``other`` orders where these have more evidence."""
-        varied, found = self._improved(self._start(other), evidence)
+        varied, found = self._improved(self._start(other))
         if found > evidence:
             scales, evidence, varied, found = varied, found, scales, evidence
         if np.isfinite(found):
@@ -227,10 +227,10 @@ class Search:
             for likelihood, other in zip(likelihoods, others, strict=True)
         ]
 
-    def _improved(self, scales: RoadScales, needed: float = -np.inf) -> tuple[RoadScales, float]:
-        """The most probable scales from those given; less probable ones if log evidence ``needed`` is out of reach."""
+    def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
+        """The most probable scales from those given."""
         likelihood = self.likelihood(scales)
-        values, evidence = most_probable(likelihood, scales.values, scales.free, needed + scales.price)
+        values, evidence = most_probable(likelihood, scales.values, scales.free)
         return replace(scales, values=values), evidence - scales.price
 
     def _lagged(self, scales: RoadScales) -> tuple[RoadScales, float]:
