@@ -20,6 +20,7 @@ from estimator.commands.log_options import (
 from estimator.commands.terminal import print_json, progress_bar, standard_output
 from estimator.report import diagnosis_page, traces_file
 from estimator.report.diagnosis_summary import of_diagnosis
+from estimator.report.page import document
 from estimator.streaming.drive_extraction import diagnose_logs
 
 
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Diagnose, write the page asked for, and print the answer."""
-    check_outputs(options.log, {options.report: diagnosis_page.FORMATS, options.traces: traces_file.FORMATS})
+    check_outputs(options.log, {options.report: document.FORMATS, options.traces: traces_file.FORMATS})
     with progress_bar("diagnose") as progress:
         diagnosis = diagnose_logs(options.log, settings(options), progress, surrogates=options.exact)
     if options.report is not None:

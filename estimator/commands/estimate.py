@@ -25,6 +25,7 @@ from estimator.errors import RoadloadError
 from estimator.extras import how_to_install
 from estimator.report import export, summary
 from estimator.report.estimate_view import EstimateView, evidence_of, view_of
+from estimator.report.page import document
 from estimator.streaming import replay
 from estimator.streaming.replay import Run
 
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     """Estimate, write the files asked for, and print the answer."""
     outputs: dict[Path | None, tuple[str, ...]] = {options.draws: export.FORMATS}
     if options.plot is not None:
-        outputs[options.plot] = (*_page().FORMATS, *_picture_formats(options.plot))
+        outputs[options.plot] = (*document.FORMATS, *_picture_formats(options.plot))
     check_outputs(options.log, outputs)
     if options.draws is not None and options.draws.suffix.lower() == ".nc":
         export.require_arviz()
@@ -74,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_plot(view: EstimateView, path: Path) -> None:
-    if path.suffix.lower() in _page().FORMATS:
+    if path.suffix.lower() in document.FORMATS:
         _page().write_page(view, path)
     else:
         _plots().write_plot(view, path)
@@ -82,7 +83,7 @@ def _write_plot(view: EstimateView, path: Path) -> None:
 
 def _picture_formats(path: Path) -> tuple[str, ...]:
     """Suffixes of pictures; none for a page, which needs no matplotlib."""
-    formats: tuple[str, ...] = () if path.suffix.lower() in _page().FORMATS else _plots().FORMATS
+    formats: tuple[str, ...] = () if path.suffix.lower() in document.FORMATS else _plots().FORMATS
     return formats
 
 

@@ -9,12 +9,10 @@ import numpy as np
 from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.result import Diagnosis, Traces
 from estimator.diagnosis.thresholds import Thresholds
-from estimator.output_files import check_suffix, whole
 from estimator.report import wording
 from estimator.report.page import figures, tables
-from estimator.report.page.document import Section, document
+from estimator.report.page.document import Section, document, write_document
 
-FORMATS = (".html",)
 REMAINDER_SENTENCES = {
     Verdict.NO_GAP: "Nothing beyond noise is left.",
     Verdict.EFFECT: "Another effect of the catalogue may still act, but not clearly enough to be added.",
@@ -24,19 +22,8 @@ REMAINDER_SENTENCES = {
 
 
 def write_page(diagnosis: Diagnosis, path: Path) -> None:
-    """Write the page to ``path``, whole or not at all.
-
-    Raises
-    ------
-    ConfigError
-        The name does not end in ``.html``, or its folder is missing.
-    RoadloadError
-        The file cannot be written.
-    """
-    check_suffix(path, FORMATS)
-    with whole(path) as file:
-        # File names may hold bytes that are no text; they become question marks.
-        file.write(page(diagnosis).encode("utf-8", "replace"))
+    """Write the page to ``path``; errors as of `write_document`."""
+    write_document(page(diagnosis), path)
 
 
 def page(d: Diagnosis) -> str:

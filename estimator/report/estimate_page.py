@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from estimator.estimates import Status
-from estimator.output_files import check_suffix, whole
 from estimator.report import parameter_text, summary, wanted_driving
 from estimator.report.estimate_view import Curve, EstimateView, PowerTrace
 from estimator.report.number_format import MINUS, signed
-from estimator.report.page.document import Section, document
+from estimator.report.page.document import Section, document, write_document
 from estimator.report.page.plot import Axis, ClockAxis, axis, band, bar, cell, dots, line, plot
 from estimator.report.page.series import BLOCKS, binned
 from estimator.report.page.tables import table
@@ -20,7 +19,6 @@ from estimator.report.wanted_driving import BEGUN, OCCUPIED, WANTED
 from estimator.signals import Floats
 from estimator.units import KMH
 
-FORMATS = (".html",)
 CLOCK = "time since the first frame [h:mm]"
 ACROSS = 5  # ticks of one of three plots side by side
 NBSP = "\N{NO-BREAK SPACE}"
@@ -41,19 +39,8 @@ TERMS = (
 
 
 def write_page(view: EstimateView, path: Path) -> None:
-    """Write the page to ``path``, whole or not at all.
-
-    Raises
-    ------
-    ConfigError
-        The name does not end in ``.html``, or its folder is missing.
-    RoadloadError
-        The file cannot be written.
-    """
-    check_suffix(path, FORMATS)
-    with whole(path) as file:
-        # File names may hold bytes that are no text; they become question marks.
-        file.write(page(view).encode("utf-8", "replace"))
+    """Write the page to ``path``; errors as of `write_document`."""
+    write_document(page(view), path)
 
 
 def page(view: EstimateView) -> str:
@@ -177,7 +164,9 @@ def _coverage(view: EstimateView) -> str:
     counts = {kind: sum(state == k for state in states.values()) for k, kind in KINDS.items()}
     legend = "".join(f'<li><b class="{kind}"></b>{kind} <span>{count}</span></li>' for kind, count in counts.items())
     occupied, available = coverage.occupied, coverage.available
-    share = f"{occupied} of the {available} cells within reach are occupied, {100 * coverage.fraction:.0f} %."
+    beyond = counts[KINDS[OCCUPIED]] - occupied
+    more = f"; so are {beyond} beyond it" if beyond > 0 else ""
+    share = f"{occupied} of the {available} cells within reach are occupied, {100 * coverage.fraction:.0f} %{more}."
     sentences = [share] if available else []
     if wanted := wanted_driving.wanted(cells):
         sentences.append(f"Still wanted: {wanted}.")

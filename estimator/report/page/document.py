@@ -3,8 +3,12 @@
 import html
 from collections.abc import Sequence
 from importlib import resources
+from pathlib import Path
 from typing import NamedTuple
 
+from estimator.output_files import check_suffix, whole
+
+FORMATS = (".html",)
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"  # the page may not load anything, whatever a log is called
 
 
@@ -29,3 +33,19 @@ def document(title: str, header: str, sections: Sequence[Section]) -> str:
         f'content="light dark"><title>{html.escape(title)}</title><style>{style}</style></head>'
         f"<body><main>{header}<nav aria-label='Sections'>{links}</nav>{content}</main></body></html>\n"
     )
+
+
+def write_document(text: str, path: Path) -> None:
+    """Write a document to ``path``, whole or not at all.
+
+    Raises
+    ------
+    ConfigError
+        The name does not end in ``.html``, or its folder is missing.
+    RoadloadError
+        The file cannot be written.
+    """
+    check_suffix(path, FORMATS)
+    with whole(path) as file:
+        # File names may hold bytes that are no text; they become question marks.
+        file.write(text.encode("utf-8", "replace"))
