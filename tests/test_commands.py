@@ -37,6 +37,7 @@ JSON_KEYS = {
     "schema",
     "status",
     "reason",
+    "references",
     "advice",
     "warnings",
     "parameters",

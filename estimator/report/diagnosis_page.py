@@ -48,7 +48,7 @@ def _verdict(d: Diagnosis) -> str:
 
 def _sections(d: Diagnosis) -> list[Section]:
     return [
-        Section("budget", "What is the gap made of?", _budget(d)),
+        Section("budget", "What is the residual made of?", _budget(d)),
         Section("how-far", "How far does the gap shrink?" if d.effects else "How large is the gap?", _how_far(d)),
         Section("power", "Power, measured and modelled", _power(d)),
         Section("where", "Where does it lie?", _where(d)),
@@ -68,7 +68,8 @@ def _budget(d: Diagnosis) -> str:
     meaning = (
         '<p class="soft">Mean square of the plain model&#x27;s residual over means of 2 s, '
         f"{wording.kilowatts(d.budget.total)} in all, with 90 % intervals. Left once added: on held-out stretches, "
-        "with the signals there are. Left if it were known: as a signal of its own would show it.</p>"
+        "with the signals there are. Left if it were known: as a signal of its own would show it. The gap is all but "
+        "the noise of the sensors.</p>"
     )
     return figures.budget(d.budget) + tables.budget(d.budget) + meaning
 

@@ -55,7 +55,7 @@ def budget(d: Diagnosis) -> Figure:
     names = [wording.label(part.cause) for part in parts]
     errors = np.abs(ends.T - shares) if len(parts) else None
     axes.barh(names, shares, xerr=errors, color=WITH_EFFECTS, ecolor=MEASURED)
-    axes.set_xlabel("share of the gap [%]")
+    axes.set_xlabel("share of the residual [%]")
     return figure
 
 

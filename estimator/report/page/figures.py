@@ -88,7 +88,7 @@ def in_time(traces: Traces, d: Diagnosis, better: Improved | None) -> str:
     if _has_several_logs(traces):
         label = "driving time [min], log after log"
     note = '<p class="soft">Shaded: when an effect acts.</p>' if len(spans) else ""
-    return note + _residuals(clock / 60, traces, better, label, spans / 60)
+    return note + _residuals(clock / 60, traces, better, label, spans / 60) + _speed(clock / 60, traces, label)
 
 
 def along_the_road(traces: Traces, better: Improved | None) -> str:
@@ -137,6 +137,15 @@ def _residuals(position: Floats, traces: Traces, better: Improved | None, label:
         )
         panels.append(plot(shapes, x, y, words, name, "strip"))
     return "".join(panels)
+
+
+def _speed(position: Floats, traces: Traces, label: str) -> str:
+    """Speed over the same axis as the residuals."""
+    speed = KMH * traces.speed
+    x, y = axis(position.tolist(), label), axis(speed.tolist(), "km/h", zero=True, margin=0.1)
+    centre, _, _, mean = binned(x, position, speed, BLOCKS)
+    words = f"Speed over {label}: block means up to {np.nanmax(mean):.0f} km/h"
+    return plot(line(x, y, centre, mean, "line measured"), x, y, words, "speed", "strip")
 
 
 def power(traces: Traces, better: Improved | None) -> str:

@@ -8,7 +8,7 @@ from estimator.components.budget import Budget
 from estimator.diagnosis.result import Diagnosis, Finding, GapClosed, Invisible, Isolability, NotTestable, Place
 from estimator.report import number_format, usual_units, wording
 
-MAX_ROWS = 8  # candidates; the others are folded away
+MAX_ROWS = 8  # of a long table; the others are folded away
 
 
 def ranking(candidates: Sequence[Finding], several: bool) -> str:
@@ -26,11 +26,7 @@ def ranking(candidates: Sequence[Finding], several: bool) -> str:
         )
         for f in candidates
     ]
-    first, rest = table(headings, rows[:MAX_ROWS], "ranking"), rows[MAX_ROWS:]
-    if not rest:
-        return first
-    folded = f"<summary>{len(rest)} less probable</summary>{table(headings, rest, 'ranking')}"
-    return f"{first}<details>{folded}</details>"
+    return _folded(headings, rows, "ranking", "less probable")
 
 
 def chosen(d: Diagnosis) -> str:
@@ -67,8 +63,8 @@ def parameters(d: Diagnosis) -> str:
 
 
 def budget(whole: Budget) -> str:
-    """Every part of the gap: share, size, and what would be left."""
-    headings = ("cause", "share of the gap", "of its own", "left once added", "left if it were known")
+    """Every part of the residual: share, size, and what would be left."""
+    headings = ("cause", "share of the residual", "of its own", "left once added", "left if it were known")
     rows = [
         (
             html.escape(wording.label(part.cause)),
@@ -93,7 +89,7 @@ def where(places: Sequence[Place]) -> str:
         )
         for p in places
     ]
-    return table(headings, rows, "where")
+    return _folded(headings, rows, "where", "smaller")
 
 
 def not_testable(effects: Sequence[NotTestable]) -> str:
@@ -141,7 +137,7 @@ def isolability(of: Isolability) -> str:
         if abs(of.correlation[i, j]) >= wording.THRESHOLDS.min_class_correlation
     ]
     words = f"Cannot be told apart: {'; '.join(pairs)}." if pairs else "No two effects look alike on this log."
-    return f"{matrix}<p>{html.escape(words)}</p>"
+    return f"<p>{html.escape(words)}</p><details><summary>Correlations of all effects</summary>{matrix}</details>"
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> str:
@@ -159,6 +155,14 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str) -> 
         for row in rows
     )
     return f'<table class="data {kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def _folded(headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str, rest: str) -> str:
+    """A table whose rows after the first MAX_ROWS are folded away, under their number and the words ``rest``."""
+    first, others = table(headings, rows[:MAX_ROWS], kind), rows[MAX_ROWS:]
+    if not others:
+        return first
+    return f"{first}<details><summary>{len(others)} {rest}</summary>{table(headings, others, kind)}</details>"
 
 
 def _correlation(of: Isolability, i: int, j: int) -> str:
