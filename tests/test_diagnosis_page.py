@@ -374,7 +374,7 @@ def test_page_opens_in_a_browser(browser: object, tmp_path: Path, name: str, wid
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
     assert tab.locator("h1").inner_text() == wording.headline(d)
     plots = tab.locator(".plot").all()
-    assert len(plots) == {"rich": 7, "several": 7, "unknown": 4, "empty": 0}[name]
+    assert len(plots) == {"rich": 8, "several": 8, "unknown": 5, "empty": 0}[name]
     for plot in plots:
         box = plot.locator("svg").bounding_box()
         assert box["width"] > 250
