@@ -210,6 +210,7 @@ def part(recording: Recording, first: float, last: float, roles: tuple[Role, ...
     return replace(recording, signals={role: s for role, s in kept.items() if len(s.t)})
 
 
+@pytest.mark.nightly
 def test_air_that_grows_denser_where_no_signal_shows_it(diagnose, denser_air):
     hidden = diagnose(part(denser_air, 0, 0, THERMOMETER))
     near(only(hidden, "air_density"), 20 / 288, 0.15)
@@ -318,6 +319,7 @@ def test_the_loop_closes(hills):
     assert left["rms_base_kW"] < 0.4 * promised["rms_base_kW"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("truth", "route", "shape"),
     [
@@ -365,6 +367,7 @@ def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
 # Two at once
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("seed", "large", "small"),
     [
@@ -400,6 +403,7 @@ def test_a_filter_whose_lag_is_hardly_unusual_is_known_by_what_it_does_besides(d
     assert unknown["probability"] < 0.1
 
 
+@pytest.mark.nightly
 def test_what_has_no_name_is_seen_beside_a_filter(diagnose):
     puncture = Effect(name="slow_puncture", magnitude=0.4)
     answer = diagnose(drive("mixed", 40, 3, Effect(name="speed_filter", magnitude=0.5), puncture))
@@ -439,6 +443,7 @@ def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):
     assert any("in the next lower gear (log Bayes factor +" in line for line in answer["advice"])
 
 
+@pytest.mark.nightly
 def test_noise_alone_gives_the_evidence_of_a_wind_to_none_of_its_records(diagnose):
     wind = diagnose(drive("mixed", 20, 77, Effect(name="headwind", magnitude=5.0)), "--exact", "4")
     assert (named(wind), wind["p_value"]) == (["headwind"], pytest.approx(0.2))
@@ -478,6 +483,7 @@ def test_a_tyre_that_loses_air_is_no_air_that_grows_denser(diagnose):
     assert answer["candidates"][0]["detail"] == "force over time"
 
 
+@pytest.mark.nightly
 def test_a_snow_plough_is_not_taken_for_a_fan(diagnose):
     """A force that comes and goes, but not as that of anything with a name; a brake where there are a few launches."""
     answer = diagnose(drive("mixed", 19, 2, Effect(name="snow_plough", magnitude=5000.0)))

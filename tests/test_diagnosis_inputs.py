@@ -226,6 +226,7 @@ def test_logs_with_engines_of_different_torque_may_be_of_two_vehicles(urban, log
     assert f"note: {doubt}" in captured.err
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_hills_of_a_shorter_drive_are_hills_beside_a_longer_flat_one(tmp_path):
     flat = written(drive("highway", 26, 11), tmp_path / "flat.blf")

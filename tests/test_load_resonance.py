@@ -66,6 +66,7 @@ def test_a_load_that_swings_is_seen_with_its_period(period):
     assert tried == pytest.approx(period, rel=0.15)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_sloshing_tank_is_an_unknown_effect(tmp_path):
     recording = drive("mixed", 25, 3, Effect(name="liquid_surge", magnitude=0.3), speed_noise=0.008)

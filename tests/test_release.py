@@ -134,7 +134,7 @@ def test_the_version_has_one_home() -> None:
 def test_extras_that_messages_name_exist() -> None:
     modules = [path.read_text(encoding="utf-8") for path in (ROOT / "estimator").rglob("*.py")]
     named = {extra for text in modules for extra in re.findall(r"how_to_install\(['\"](\w+)['\"]\)", text)}
-    assert named == set(PROJECT["project"]["optional-dependencies"]) - {"dev"}
+    assert named == set(PROJECT["project"]["optional-dependencies"]) - {"dev", "docs"}
     assert not [text for text in modules if "pip install 'roadload" in text]
 
 
