@@ -82,11 +82,13 @@ def test_loads_without_a_set_clock_are_in_no_season() -> None:
 
 def test_the_page_says_what_the_tables_do(year: Case) -> None:
     document = page_of(year.fleet)
-    assert "<h1>6 vehicles, 144 drives, 144 h</h1>" in document
+    (more,) = re.findall(r"<h1>truck-05 has (\d+) % more drag</h1>", document)
+    assert '<p class="reason">6 vehicles, 144 drives, 144 h. ' in document
     assert '<p class="verdict">1 vehicle out of line</p>' in document
     (outlier,) = re.findall(r'<table class="data outliers">.*?</table>', document)
     assert "truck-05" in outlier
-    assert 25 < float(re.findall(r"\+(\d+) %", outlier)[0]) < 50
+    assert re.findall(r"\+(\d+) %", outlier) == [more]
+    assert 25 < float(more) < 50
     assert document.count('<li class="out">') == 1
     assert document.count('<li class="in">') == 11  # A/m of six vehicles, and C of the five others
     assert document.count("h0") >= 144  # a dot a load

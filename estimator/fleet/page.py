@@ -27,6 +27,7 @@ from estimator.streaming.row_stream import MIN_SET_CLOCK
 from estimator.units import STANDARD_DENSITY
 
 MAX_ROWS = 40  # of a list; the others are folded away
+MAX_NAMED = 3  # deviations in the headline
 HOUR = 60.0  # min
 SHORT = 10  # h of driving, given in minutes below
 STRONG_CHANGE = 10.0  # %, shown in the full colour
@@ -77,6 +78,16 @@ def page(of: Tables) -> str:
 
 
 def _headline(of: Tables) -> str:
+    """The vehicles that are out of line; the extent of the fleet where there are none."""
+    deviations = sorted(_deviations(of), key=lambda deviation: -abs(deviation.share))
+    if not deviations:
+        return _extent(of)
+    told = ", ".join(f"{one.row['vehicle']} {one.words}" for one in deviations[:MAX_NAMED])
+    rest = len(deviations) - MAX_NAMED
+    return told + (f"; and {rest} more" if rest > 0 else "")
+
+
+def _extent(of: Tables) -> str:
     drives = len({row["source"] for row in of.drives if row["status"] not in UNUSED})
     minutes = sum(row["minutes"] for row in of.vehicles)
     driven = f"{minutes / HOUR:,.0f} h" if minutes >= SHORT * HOUR else f"{minutes:.0f} min"
@@ -89,13 +100,15 @@ def _header(of: Tables) -> str:
     pill = f"{counted(len(named), 'vehicle')} out of line" if named else none
     estimated = sum(row["status"] == "estimated" for row in of.drives)
     with_drag = sum("C_N_s2_m2_mean" in row for row in of.vehicles)
-    words = f"The mass is known of {estimated:,} loads, C of {with_drag:,} of {counted(len(of.vehicles), 'vehicle')}. "
+    words = f"{_extent(of)}. " if named else ""
+    words += f"The mass is known of {estimated:,} loads, C of {with_drag:,} of {counted(len(of.vehicles), 'vehicle')}. "
     others = Counter(row["status"] for row in of.drives if row["status"] != "estimated")
     words += "; ".join(f"{count:,} {status}" for status, count in others.most_common()) + ("." if others else "")
     kind = "unknown-effect" if named else "no-gap"
     return (
         f'<header class="{kind}"><p class="logs">Fleet <span>{_days(of.drives)}</span></p>'
-        f'<p class="verdict">{pill}</p><h1>{_headline(of)}</h1><p class="reason">{html.escape(words)}</p></header>'
+        f'<p class="verdict">{pill}</p><h1>{html.escape(_headline(of))}</h1>'
+        f'<p class="reason">{html.escape(words)}</p></header>'
     )
 
 
@@ -107,19 +120,46 @@ def _days(rows: Sequence[Row]) -> str:
     return f"{first:%Y-%m-%d} to {last:%Y-%m-%d}"
 
 
-def _outliers(of: Tables) -> str:
-    rows = [
-        (
-            html.escape(row["vehicle"]),
-            short,
-            with_sd(row[f"{name}_mean"], row[f"{name}_sd"], unit),
-            signed(f"{100 * (row[f'{name}_mean'] / middle - 1):+.0f} %"),
-            f"{row[q]:.2g}",
-        )
+@dataclass(frozen=True)
+class _Deviation:
+    """A parameter, by its column and short name, of the vehicle in a ``row`` that is out of line by a ``share``."""
+
+    row: Row
+    name: str
+    short: str
+    unit: str
+    share: float  # of the median of all vehicles
+    q: float
+
+    @property
+    def words(self) -> str:
+        """``rolls 28 % harder`` or ``has 23 % more drag``."""
+        size = f"{100 * abs(self.share):.0f} %"
+        if self.short == "C":
+            return f"has {size} {'more' if self.share > 0 else 'less'} drag"
+        return f"rolls {size} {'harder' if self.share > 0 else 'more easily'}"
+
+
+def _deviations(of: Tables) -> list[_Deviation]:
+    return [
+        _Deviation(row, name, short, unit, row[f"{name}_mean"] / middle - 1, row[q])
         for (name, short, unit), q in zip(PARAMETERS, ("A_per_mass_q_value", "C_q_value"), strict=True)
         for middle in [_median(of.vehicles, name)]
         for row in of.vehicles
         if f"{name}_mean" in row and row[q] <= of.rate
+    ]
+
+
+def _outliers(of: Tables) -> str:
+    rows = [
+        (
+            html.escape(one.row["vehicle"]),
+            one.short,
+            with_sd(one.row[f"{one.name}_mean"], one.row[f"{one.name}_sd"], one.unit),
+            signed(f"{100 * one.share:+.0f} %"),
+            f"{one.q:.2g}",
+        )
+        for one in _deviations(of)
     ]
     if rows:
         headings = ("vehicle", "parameter", "value", "against the median", "q value")
