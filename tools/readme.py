@@ -51,7 +51,7 @@ def hills(folder: Path) -> str:
     output_of(["-m", "estimator", *drive], folder)
     lines = output_of(["-m", "estimator", *diagnosis], folder)
     effect, budget, where = (
-        next(i for i, line in enumerate(lines) if line.startswith(head)) for head in ("effect ", "gap ", "where ")
+        next(i for i, line in enumerate(lines) if line.startswith(head)) for head in ("effect ", "residual  ", "where ")
     )
     return "\n".join([*lines[:effect], "...", *lines[budget:where]])
 
