@@ -131,17 +131,20 @@ def _formed(view: EstimateView, row: Row) -> str:
     if not known.any():
         return ""
     x, y = _clock(np.array([0.0, 1.02 * curve.t[-1]])), axis(curve.range, row.unit, margin=0.06)
-    last = slice(int(np.flatnonzero(known)[-1]), int(np.flatnonzero(known)[-1]) + 1)
+    answer = curve.answer
     shapes = band(x, y, curve.t, curve.low, curve.high, "band after") + line(x, y, curve.t, curve.mean, "line after")
-    shapes += dots(x, y, curve.t[last], curve.mean[last], "answer")
-    words = f"{row.name} over time: {_ends(curve, row, last)}"
-    return plot(shapes, x, y, words, f"{row.name} {row.value(float(curve.mean[last][0]))}", "strip", ACROSS)
+    shapes += dots(x, y, curve.t[answer], curve.mean[answer], "answer")
+    told = "".join(row.value(mean) for mean in curve.mean[answer].tolist()) or "unestimated"
+    return plot(shapes, x, y, f"{row.name} over time: {_ends(curve, row)}", f"{row.name} {told}", "strip", ACROSS)
 
 
-def _ends(curve: Curve, row: Row, last: slice) -> str:
-    first = int(np.flatnonzero(np.isfinite(curve.mean))[0])
-    begun, ended = (row.interval(float(curve.low[i]), float(curve.high[i])) for i in (first, last.start))
-    return f"interval {begun} at {parameter_text.clock(float(curve.t[first]))}, {ended} at the end"
+def _ends(curve: Curve, row: Row) -> str:
+    known = np.flatnonzero(np.isfinite(curve.mean))[[0, -1]].tolist()
+    told = (
+        f"{row.interval(float(curve.low[i]), float(curve.high[i]))} at {parameter_text.clock(float(curve.t[i]))}"
+        for i in known
+    )
+    return f"interval {', '.join(told)}"
 
 
 def _coverage(view: EstimateView) -> str:

@@ -30,6 +30,11 @@ class Curve:
     high: Floats
 
     @property
+    def answer(self) -> slice:
+        """The newest point if the last update has a value, else none: an older value is no answer."""
+        return slice(len(self.t) - 1, len(self.t) if np.isfinite(self.mean[-1]) else len(self.t) - 1)
+
+    @property
     def range(self) -> tuple[float, float]:
         """Least and greatest end of the intervals up to WIDEST times the newest; NaN where none is known."""
         known = np.flatnonzero(np.isfinite(self.mean))

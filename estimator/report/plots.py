@@ -100,9 +100,8 @@ def _formed(axes: Axes, view: EstimateView, row: Row) -> None:
     curve = view.curve(row)
     axes.fill_between(curve.t, curve.low, curve.high, color=FADED, alpha=0.5, lw=0)
     axes.plot(curve.t, curve.mean, color=INK, lw=1.2)
-    known = np.flatnonzero(np.isfinite(curve.mean))[-1:]
-    axes.plot(curve.t[known], curve.mean[known], "o", color=MARK, ms=5)
-    if len(known):
+    axes.plot(curve.t[curve.answer], curve.mean[curve.answer], "o", color=MARK, ms=5)
+    if np.isfinite(curve.mean).any():
         low, high = curve.range
         axes.set_ylim(low - 0.06 * (high - low), high + 0.06 * (high - low))
     Clock(0.0, 1.02 * max(float(curve.t[-1]), 1.0)).on(axes)

@@ -106,7 +106,9 @@ def line(x: Axis, y: Axis, xs: Floats, ys: Floats, kind: str) -> str:
 
 
 def dots(x: Axis, y: Axis, xs: Floats, ys: Floats, kind: str) -> str:
-    """Round dots at ``xs``, ``ys`` (n,) of CSS class ``kind``."""
+    """Round dots at ``xs``, ``ys`` (n,) of CSS class ``kind``; empty without any."""
+    if not len(xs):
+        return ""
     places = zip(x.at(xs).tolist(), (SIDE - y.at(ys)).tolist(), strict=True)
     return f'<path class="dots {kind}" d="{"".join(f"M{a:.1f} {b:.1f}h0" for a, b in places)}"/>'
 
