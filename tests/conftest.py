@@ -51,6 +51,15 @@ def recordings() -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A Chromium; tests with it are skipped where there is none."""
+    from browser_page import running  # not in the machine of tests/socketcan
+
+    with running() as chromium:
+        yield chromium
+
+
 @pytest.fixture
 def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Runs a command of the program: exit status, standard output, standard error."""

@@ -5,13 +5,12 @@ import html
 import io
 import json
 import re
-import shutil
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from browser_page import opened
 from diagnoses import empty, finding, rich, several, unknown
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -39,7 +38,6 @@ from estimator.report.diagnosis_page import page, terms, write_page
 from estimator.report.diagnosis_summary import of_diagnosis
 
 DIAGNOSES = {"rich": rich, "several": several, "unknown": unknown, "empty": empty}
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FINDING_KEYS = {
     "name", "probability", "log_bayes_factor", "equivalent", "magnitude", "gap_closed", "rms_before_kW",
     "rms_after_kW", "parameter_shift",
@@ -345,49 +343,23 @@ def test_headline_and_reason_come_first(name: str) -> None:
 # in a browser
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[object]:
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium: apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        running = driver.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-background-networking"]
-        )
-        yield running
-        running.close()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 400])
 @pytest.mark.parametrize("name", DIAGNOSES)
 def test_page_opens_in_a_browser(browser: object, tmp_path: Path, name: str, width: int) -> None:
-    d, path, said, asked = DIAGNOSES[name](), tmp_path / "report.html", [], []
+    d, path = DIAGNOSES[name](), tmp_path / "report.html"
     write_page(d, path)
-    tab = browser.new_page(viewport={"width": width, "height": 900})
-    tab.on("console", lambda message: said.append(message.text))
-    tab.on("pageerror", lambda error: said.append(str(error)))
-    tab.on("request", lambda request: asked.append(request.url))
-    tab.goto(path.as_uri())
-    assert said == []
-    assert asked == [path.as_uri()]
-    assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    assert tab.locator("h1").inner_text() == wording.headline(d)
-    plots = tab.locator(".plot").all()
-    assert len(plots) == {"rich": 8, "several": 8, "unknown": 5, "empty": 0}[name]
-    for plot in plots:
-        box = plot.locator("svg").bounding_box()
-        assert box["width"] > 250
-        assert box["height"] > 150
-        assert plot.get_by_role("img").get_attribute("aria-label")
-        assert plot.locator(".area span").count() >= 4
-    # Every drawn line has an extent, and no text is too small to read or runs out of its box.
-    assert tab.evaluate("[...document.querySelectorAll('.line')].every(l => l.getBoundingClientRect().width > 50)")
-    tiny = "[...document.querySelectorAll('p, td, li, dd, .area span')].filter(e => e.innerText && "
-    assert tab.evaluate(tiny + "parseFloat(getComputedStyle(e).fontSize) < 10.5).map(e => e.innerText)") == []
-    outside = "[...document.querySelectorAll('main *')].filter(e => !e.closest('.scroll, thead, svg') && "
-    assert tab.evaluate(outside + f"e.getBoundingClientRect().right > {width}).map(e => e.className)") == []
-    tab.close()
+    with opened(browser, path, width) as tab:
+        assert tab.locator("h1").inner_text() == wording.headline(d)
+        plots = tab.locator(".plot").all()
+        assert len(plots) == {"rich": 8, "several": 8, "unknown": 5, "empty": 0}[name]
+        for plot in plots:
+            box = plot.locator("svg").bounding_box()
+            assert box["width"] > 250
+            assert box["height"] > 150
+            assert plot.get_by_role("img").get_attribute("aria-label")
+            assert plot.locator(".area span").count() >= 4
+        assert tab.evaluate("[...document.querySelectorAll('.line')].every(l => l.getBoundingClientRect().width > 50)")
 
 
 # terminal

@@ -1,14 +1,13 @@
 """The page of a fleet, and its seasons: the truth of made fleets is in them, whatever logs and vehicles are called."""
 
 import re
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser_page import opened
 from made_fleets import FIRST, WINTER_DRAG, Case, made, page_of
 
 from estimator.config import Config
@@ -18,8 +17,6 @@ from estimator.fleet.rows import effect_rows
 from estimator.fleet.run import conclude
 from estimator.fleet.seasons import SEASONS, season_of
 from estimator.report.page.plot import DateAxis
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 @pytest.fixture(scope="module")
@@ -161,31 +158,12 @@ def test_days_are_labelled_as_dates(days: float, labels: list[str]) -> None:
     assert [x.text(tick) for tick in x.ticks(8).tolist()] == labels
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium: apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        running = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield running
-        running.close()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1100, 400])
 def test_the_page_opens_in_a_browser(browser: Any, year: Case, tmp_path: Path, width: int) -> None:
-    path, said, asked = tmp_path / "fleet.html", [], []
+    path = tmp_path / "fleet.html"
     path.write_text(page_of(year.fleet), "utf-8")
-    tab = browser.new_page(viewport={"width": width, "height": 900})
-    tab.on("console", lambda message: said.append(message.text))
-    tab.on("request", lambda request: asked.append(request.url))
-    tab.goto(path.as_uri())
-    assert said == []
-    assert asked == [path.as_uri()]
-    outside = "[...document.querySelectorAll('main *')].filter(e => !e.closest('.scroll, thead, svg') && "
-    assert tab.evaluate(outside + f"e.getBoundingClientRect().right > {width}).map(e => e.className)") == []
-    assert tab.evaluate("[...document.querySelectorAll('.track')].every(e => e.getBoundingClientRect().width > 100)")
-    tiny = "[...document.querySelectorAll('p, td, li, dd, .area span')].filter(e => e.innerText && "
-    assert tab.evaluate(tiny + "parseFloat(getComputedStyle(e).fontSize) < 10.5).map(e => e.innerText)") == []
-    tab.close()
+    with opened(browser, path, width) as tab:
+        assert tab.evaluate(
+            "[...document.querySelectorAll('.track')].every(e => e.getBoundingClientRect().width > 100)"
+        )
