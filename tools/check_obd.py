@@ -1,21 +1,21 @@
 """Masses of simulated cars that a logger asks by OBD-II, by its period and by the road: bias and coverage.
 
-python tools/check_obd.py [--drives 20] [--slow 10] [--minutes 45] [--seed 1] [--json]
+    python tools/check_obd.py [--drives 20] [--slow 10] [--minutes 45] [--seed 1]
 
 Speed comes in whole km/h and torque in whole per cent, each once in a period. The road is level or hilly, and no signal
 shows it; the car of a drive is the same at all periods.
 """
 
 import argparse
-import json
 import sys
+from itertools import product
 from typing import Any
 
 import numpy as np
+from harness.check import Check, Figures, Table, drive_options, percent, progress
 from harness.drives import METRES_PER_MINUTE
+from harness.scores import rms
 from msgspec.structs import replace
-from rich.console import Console
-from rich.table import Table
 
 from estimator import config
 from estimator.can_io.frames import Frames
@@ -58,63 +58,61 @@ def estimated(truck: Truck, frames: Frames, chosen: Config) -> dict[str, Any]:
     return found
 
 
-def summary(road: str, period: float, results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Figures of the mass: relative errors, and how many 90 % intervals hold it."""
+def summary(road: str, period: float, results: list[dict[str, Any]]) -> Figures:
+    """Figures of the mass, errors as shares of the truth, and how many 90 % intervals hold mass and A."""
     masses = [result["mass"] for result in results if "mass" in result]
-    error = np.array([mass["error"] for mass in masses])
+    error = [mass["error"] for mass in masses]
     return {
         "road": road,
         "period_s": period,
         "drives": len(results),
         "estimated": len(masses),
-        "bias": float(error.mean()) if len(error) else None,
-        "rms": float(np.sqrt(np.mean(error**2))) if len(error) else None,
+        "bias": float(np.mean(error)) if error else None,
+        "rms": rms(error) if error else None,
         "sd": float(np.mean([mass["sd"] for mass in masses])) if masses else None,
         "holds": int(sum(mass["holds"] for mass in masses)),
         "A_holds": [sum(result["A"]["holds"] for result in results if "A" in result), sum("A" in r for r in results)],
     }
 
 
-def table_of(rows: list[dict[str, Any]]) -> Table:
-    """The figures as a table."""
-    table = Table("road", "s a PID", "estimated", "mass: bias", "rms error", "sd", "90 % intervals hold", "A: hold")
-    for row in rows:
-        shares = ["" if row[key] is None else f"{100 * row[key]:+.1f} %" for key in ("bias", "rms", "sd")]
-        counts = f"{row['estimated']} of {row['drives']}", f"{row['holds']} of {row['estimated']}"
-        table.add_row(
-            row["road"], f"{row['period_s']:g}", counts[0], *shares, counts[1], "{} of {}".format(*row["A_holds"])
-        )
-    return table
+def measure(options: argparse.Namespace) -> Figures:
+    """Figures of each road and period."""
+    found: dict[tuple[str, float], list[dict[str, Any]]] = {cell: [] for cell in product(ROADS, PERIODS)}
+    drives = list(product(ROADS, range(max(options.drives, options.slow))))
+    for road, number in progress(drives, "driving"):
+        recording = driven(number, ROADS[road], options.minutes, options.seed)
+        for period, is_slow in PERIODS.items():
+            if number < (options.slow if is_slow else options.drives):
+                rng = np.random.default_rng([options.seed, number, round(1000 * period)])
+                frames = frames_of(polled(recording.signals, period, rng))
+                found[road, period].append(estimated(recording.truth.truck, frames, settings()))
+    return {"cells": [summary(road, period, results) for (road, period), results in found.items()]}
 
 
-def main() -> int:
-    """Drive, ask, estimate, and print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--drives", type=int, default=20, help="of each road, at short periods")
-    parser.add_argument("--slow", type=int, default=10, help="of each road, at long periods")
-    parser.add_argument("--minutes", type=float, default=45.0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    rows = []
-    for road, slopes in ROADS.items():
-        found: dict[float, list[dict[str, Any]]] = {period: [] for period in PERIODS}
-        for number in range(max(options.drives, options.slow)):
-            recording = driven(number, slopes, options.minutes, options.seed)
-            for period, is_slow in PERIODS.items():
-                if number < (options.slow if is_slow else options.drives):
-                    rng = np.random.default_rng([options.seed, number, round(1000 * period)])
-                    frames = frames_of(polled(recording.signals, period, rng))
-                    found[period].append(estimated(recording.truth.truck, frames, settings()))
-            rows_of_road = [summary(road, period, results) for period, results in found.items()]
-            print(json.dumps(rows_of_road), file=sys.stderr)  # so far
-        rows += rows_of_road
-    if options.json:
-        print(json.dumps(rows, indent=2))
-    else:
-        Console(width=None if sys.stdout.isatty() else 200).print(table_of(rows))
-    return 0
+def tables(figures: Figures) -> list[Table]:
+    """A row for each road and period."""
+    columns = ("road", "s a PID", "estimated", "mass: bias", "rms error", "sd", "90 % intervals hold", "A: hold")
+    rows = [
+        [
+            cell["road"],
+            f"{cell['period_s']:g}",
+            f"{cell['estimated']} of {cell['drives']}",
+            *(percent(cell[key], sign="+") for key in ("bias", "rms", "sd")),
+            f"{cell['holds']} of {cell['estimated']}",
+            "{} of {}".format(*cell["A_holds"]),
+        ]
+        for cell in figures["cells"]
+    ]
+    return [Table("", columns, rows)]
 
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Number of drives at short and at long periods, their length and the seed."""
+    drive_options(drives=20, minutes=45.0)(parser)
+    parser.add_argument("--slow", type=int, default=10, help="drives of a road at long periods; default: %(default)s")
+
+
+CHECK = Check(name="obd", about=__doc__, measure=measure, tables=tables, options=options)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(CHECK.main())
