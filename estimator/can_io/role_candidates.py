@@ -1,7 +1,6 @@
 """Signals of a database that may have a role: by their name and that of the message, unit, range, comment, values.
 
-A score has no unit: it orders the candidates of a role. A signal below `MIN_SCORE` is no candidate. Words are those of
-public DBC files, English and German.
+A score has no unit: it orders the candidates of a role. A signal below `MIN_SCORE` is no candidate.
 """
 
 import re
@@ -11,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from cantools.database.can import Database, Message, Signal
 
+from estimator.can_io.role_words import COMMAND, CORNER, ELSEWHERE, WORDS, Words
 from estimator.can_io.switch_states import SWITCHES, states_of
 from estimator.roles import GRADES
 from estimator.signals import DIMENSION, STATE, Role
@@ -47,165 +47,6 @@ USUAL_UNIT = {  # where the DBC gives none
     "V": "V",
     "A": "A",
 }
-_WHEEL = r"(wheel|whl|wss|rad(?=geschw|drehz|[vh][lr]|_0)|(?<![a-z])(fl|fr|rl|rr|lf|rf|lr)(?![a-z]))"
-_CORNER = (
-    r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr|vl|vr|hl|hr|front left|front right|rear left|rear right|"
-    r"left front|right front|left rear|right rear)(?![a-z])"
-)
-_COMMAND = (
-    r"(command|commanded|cmd|request|requested|req|rq|target|tgt|set ?point|desired|limit|limiting|"
-    r"max|min|maximum|minimum|mx|mn|lim|charge|chrg|dchrg|available|allowed|demand|set|rated|rating|rel|relative|"
-    r"assist|lka|lkas|wish|wunsch\w*|"
-    r"demanded|error|fault|diag|counter|checksum|crc|valid|quality|accuracy|status|enable|mode|offset|calibration|"
-    r"soll\w*|cruise|acc|lead|obj|object|radar|hud|display|dash|raw|delta|slip|trailer|steer|steering|eps|driver)"
-)
-_ELSEWHERE = (  # names of messages about other things than the vehicle and its drive
-    r"(steer\w*|eps|epas|pscm|mdps|lka\w*|hca|scc|fca|aeb|tsr|radar|srr|track|object|obj|camera|"
-    r"dcdc|charg\w*|compressor|klima|hvac|seat|door|trailer|twelve|rating|limits?|commands?|requests?)"
-)
-
-
-@dataclass(frozen=True, slots=True)
-class _Words:
-    role: Role
-    like: str  # any of them names the role
-    unlike: str  # any of them is of something else
-
-
-_WORDS = [
-    _Words(
-        Role.SPEED,
-        r"(wheel ?based ?vehicle ?speed|vehicle ?speed|vitesse ?vehicule( roues)?|"
-        r"veh ?spd|veh(icle)? ?v(el)?|vehicle velocity|v ?ego|v ?veh|speed vehicle|"
-        r"ground ?speed|car ?speed|"
-        r"xmission ?speed|speed|spd|geschwindigkeit|fahrgeschw|velocity)",
-        rf"({_WHEEL}|engine|motor|rpm|fan|wind|wiper|gps|sat|turbine|shaft|yaw|angular|input|output|pump|"
-        rf"mean|av|idle|inv|axle|trap|sign|tsr|navi|wind|"
-        r"inverter|angle|lateral|lat|long|rad s)",
-    ),
-    _Words(
-        Role.WHEEL_SPEEDS,
-        rf"({_WHEEL}.*(speed|spd|vel|kph|geschw|drehz)|(speed|spd|vel).*{_WHEEL})",
-        r"(motor|inv|rpm|mean|rad s)",
-    ),
-    _Words(
-        Role.ENGINE_POWER,
-        r"((motor|engine|eng|inv|drive|wheel|traction|mech|shaft) ?(power|pwr|leistung)|power)",
-        r"(steering|heater|aircond|air conditioner|ac|hvac|dcdc|dc dc|charg|brake|window|reactive|supply|"
-        r"key|battery|lv|aux|generator|compressor|light|heat|waste|optimal|ideal|consumption|clima|climate)",
-    ),
-    _Words(
-        Role.ENGINE_TORQUE,
-        r"((engine|eng|motor|mot|mo|inv|drive|fast|effective|mg)? ?"
-        r"(mom(ent)? ?ist( summe)?|istmoment|(torque|trq|tq|moment|drehmoment)"
-        r"( ?feedback| ?actual| ?act( out)?| ?estimate| ?est)?))",
-        r"(brake|brk|brems\w*|wheel|whl|rad|lenk\w*|friction|loss|lost|lss|verlust\w*|verbraucher|hv|acn|wank|gradient|shudder|reference|converter|regen|adjustment|clutch|"
-        r"percent|pct|fraction|stnd|std|4 wd|wd|tqc)",
-    ),
-    _Words(
-        Role.ENGINE_SPEED,
-        r"((engine|eng|motor|mot|inv|drive|mg)( ?output)? ?(speed|spd|rpm|n(?![a-z])|rev\w*)|rpm|n ?(mot|eng)|^n$|"
-        r"axle ?speed|motordrehzahl|drehzahl)",
-        rf"({_WHEEL}|fan|turbine|compressor|pump|idle|output|input|shaft|mean|blower)",
-    ),
-    _Words(
-        Role.TORQUE_FRACTION,
-        r"(actual ?eng(ine)? ?percent ?torque|(torque|tq ?i?|trq).*(percent|pct|fraction)|(percent|"
-        r"pct).*(torque|trq)|tqi)",
-        r"(friction|loss|fractional|reference|retarder|nominal)",
-    ),
-    _Words(
-        Role.FRICTION_FRACTION, r"(friction.*(percent|pct)?.*(torque|tq)|tqfr|tq ?fr)", r"(brake|clutch|coefficient)"
-    ),
-    _Words(Role.REFERENCE_TORQUE, r"(reference ?torque|torque ?ref(erence)?|tq ?stn?d|tqn)", r"(percent)"),
-    _Words(
-        Role.BRAKE_SWITCH,
-        r"(brake ?(pedal)? ?(switch|pressed|applied|act(ive)?|light ?switch|on|state|lamp|lights|status)|"
-        r"brk ?(sw|act|on)|bls|bremse ?betaetigt|bremslicht|(?<![a-z])brake(?![a-z])|"
-        r"driver ?brake ?apply)",
-        r"(park|pbrake|p brake|epb|hand|pressure|press$|temp|fuse|channel|hold|regen|abs|fluid|pad|wear|"
-        r"auto|emergency|aeb|fcw|while|warning|power brake)",
-    ),
-    _Words(
-        Role.BRAKE_PEDAL,
-        r"(brake ?(pedal)? ?(position|pos|percent|travel|pct|way)|brk ?ped ?(pos|pct))",
-        r"(park|pressure|regen)",
-    ),
-    _Words(
-        Role.GEAR,
-        r"(current ?gear|act(ual)? ?gear|gear ?(actual|act|engaged|number|pos)?|trans ?gear|gang)",
-        r"(shift|lever|selector|shifter|target|reverse|ratio|steering|knob|display|park)",
-    ),
-    _Words(
-        Role.CLUTCH_SWITCH,
-        r"(clutch ?(switch|pedal|pressed|depressed|sw|act)?|kupplung)",
-        r"(torque|lock|temp|fan|pressure|air ?cond|ac|slip)",
-    ),
-    _Words(Role.PARK_BRAKE, r"((park(ing)?|hand|e?p) ?brake|epb|handbremse)", r"(temp|force|clamp|voltage)"),
-    _Words(Role.ALTITUDE, r"(altitude|elevation|hoehe|msl)", r"(suspension|chassis|ride|headlight|seat|air ?spring)"),
-    _Words(
-        Role.GRADE,
-        r"(grade|slope|incline|inclination|road ?gradient|steigung)",
-        r"(fuel|torque|tq|pressure|colou?r|offset|oil|est\w*)",
-    ),
-    _Words(
-        Role.GRADE_REFERENCE,
-        r"((grade|slope|inclination|road ?gradient) ?est\w*|est\w* ?(road ?)?(grade|slope|inclination|gradient))",
-        r"(fuel|torque|tq|pressure|internal)",
-    ),
-    _Words(
-        Role.MASS_REFERENCE,
-        r"((est\w* )?(vehicle|veh|gross|gross ?vehicle|gross ?combination( ?vehicle)?|total|car|truck)? ?"
-        r"(mass|weight)( ?est\w*)?|fahrzeugmasse|(?<![a-z])masse)",
-        r"(air|luft|flow|fuel|kraftstoff|soot|ash|axle|seat|occupant|passenger|confidence|cell|gradient|trailer)",
-    ),
-    _Words(
-        Role.LONGITUDINAL_ACCELERATION,
-        r"(long(itudinal|it|l)? ?(acc(el(eration)?)?)|accel(eration)? ?(x|long)|acc ?x|ax|laengsbeschl)",
-        r"(lat|cruise|pedal|limit)",
-    ),
-    _Words(
-        Role.LATERAL_ACCELERATION,
-        r"(lat(eral)? ?(acc(el(eration)?)?)|accel(eration)? ?(y|lat)|acc ?y|querbeschl)",
-        r"(long)",
-    ),
-    _Words(Role.YAW_RATE, r"(yaw ?(rate|rt|vel|speed)?|gierrate)", r"(angle|accel|torque)"),
-    _Words(Role.HEADING, r"(heading|compass ?bearing|course|bearing)", r"(error|warning)"),
-    _Words(Role.GPS_SPEED, r"((gps|gnss|sat|nav(igation)?).*(speed|velocity|vel))", r"(vertical|up|north|east|down)"),
-    _Words(Role.LATITUDE, r"latitude", r"(minutes|direction|hemisphere|north)"),
-    _Words(Role.LONGITUDE, r"longitude", r"(minutes|direction|hemisphere|east)"),
-    _Words(
-        Role.AMBIENT_TEMPERATURE,
-        r"((ambient|outside|outdoor|external|exterior|out|amb).*(temp|temperature|tmp|te)|aussentemp)",
-        r"(battery|coolant|cabin|seat|cell)",
-    ),
-    _Words(
-        Role.AIR_PRESSURE,
-        r"(baro(metric)? ?(pressure|press)?|ambient ?(air)? ?press(ure)?|atmospheric|luftdruck)",
-        r"(tire|tyre|boost)",
-    ),
-    _Words(
-        Role.COOLANT_TEMPERATURE,
-        r"(coolant ?(temp)?|eng(ine)? ?(coolant|cool)? ?temp(erature)?|kuehlmittel)",
-        r"(battery|inverter|heater|cabin|oil)",
-    ),
-    _Words(Role.FAN_SPEED, r"((radiator|cooling|engine)? ?fan ?(speed|spd|rpm))", r"(cabin|blower|hvac|seat)"),
-    _Words(Role.RETARDER_FRACTION, r"(retarder.*(torque|percent)|actual ?retarder)", r"(reference|selection)"),
-    _Words(
-        Role.BATTERY_VOLTAGE,
-        r"((?<![a-z])[uv] ?bat(t(ery)?)?|(hv|lb|pack|traction|trac|bat(t(ery)?)?|dc ?bus|bus|shunt|ivt|bms)"
-        r".*(volt(age)?|(?<![a-z])u(?![a-z])|"
-        r"(?<![a-z])v(?![a-z]))|dc ?bus ?voltage)",
-        r"(cell|12 ?v|lv|lo|ulo|low|aux|motor|phase|charger|sensor|snsr|ref|hist|wave)",
-    ),
-    _Words(
-        Role.BATTERY_CURRENT,
-        r"((?<![a-z])i ?bat(t(ery)?)?|(hv|lb|pack|traction|trac|bat(t(ery)?)?|dc ?bus|bus|shunt|ivt|bms)"
-        r".*(current|curr|amps?|"
-        r"(?<![a-z])i(?![a-z]))|dc ?bus ?current)",
-        r"(cell|12 ?v|v ?12|lv|lo|ulo|low|aux|motor|phase|charger|brake|light|channel|fan|pump|snsr|hist|integrated)",
-    ),
-]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,7 +81,7 @@ def candidates(database: Database) -> dict[Role, list[Candidate]]:
         (message, signal, _Texts.of(message, signal)) for message in database.messages for signal in message.signals
     ]
     out: dict[Role, list[Candidate]] = {}
-    for words in _WORDS:
+    for words in WORDS:
         fit = [candidate for texts in signals if (candidate := _candidate(words, *texts)) is not None]
         fit.sort(key=lambda candidate: -candidate.score)
         if fit:
@@ -250,7 +91,7 @@ def candidates(database: Database) -> dict[Role, list[Candidate]]:
 
 def corner(signal: Signal) -> str:
     """Wheel in the name of a signal, such as "fl"; empty if there is none."""
-    match = re.search(_CORNER, spaced(signal.name))
+    match = re.search(CORNER, spaced(signal.name))
     return "" if match is None else match[0]
 
 
@@ -270,7 +111,7 @@ def wheels(fit: Iterable[Candidate]) -> list[Candidate]:
     groups: dict[tuple[str, str], dict[str, Candidate]] = {}
     for candidate in fit:
         if wheel := corner(candidate.signal):
-            like = re.sub(_CORNER, "", spaced(candidate.signal.name))
+            like = re.sub(CORNER, "", spaced(candidate.signal.name))
             for message in (candidate.message.name, ""):
                 groups.setdefault((message, like), {}).setdefault(wheel, candidate)
     best = max(groups.items(), key=lambda item: (len(item[1]), bool(item[0][0])), default=None)
@@ -297,7 +138,7 @@ class _Texts:
         return cls(spaced(signal.name), spaced(message.name), (signal.comment or "").lower())
 
 
-def _candidate(words: _Words, message: Message, signal: Signal, texts: _Texts) -> Candidate | None:
+def _candidate(words: Words, message: Message, signal: Signal, texts: _Texts) -> Candidate | None:
     """Candidate of a signal for a role, with its score; None if it cannot have the role."""
     dimension, unit = DIMENSION[words.role], None
     score = 0.0
@@ -327,7 +168,7 @@ def _candidate(words: _Words, message: Message, signal: Signal, texts: _Texts) -
     return Candidate(role=words.role, message=message, signal=signal, score=score, unit=unit)
 
 
-def _points(words: _Words, texts: _Texts) -> float:
+def _points(words: Words, texts: _Texts) -> float:
     """Points for the words about a signal."""
     like, joined = rf"(?<![a-z]){words.like}", f"{texts.message} {texts.name}"
     in_name = re.search(like, texts.name)
@@ -340,7 +181,7 @@ def _points(words: _Words, texts: _Texts) -> float:
     else:
         return -np.inf
     rest = texts.name if in_name is None else texts.name.replace(in_name[0], " ")
-    foreign = {*_words_in(f"{words.unlike}|{_COMMAND}", rest), *_words_in(_ELSEWHERE, texts.message)}
+    foreign = {*_words_in(f"{words.unlike}|{COMMAND}", rest), *_words_in(ELSEWHERE, texts.message)}
     return points + UNLIKE * len(foreign)
 
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from estimator.can_io.logs.table import ROWS, table_frames
+from estimator.can_io.logs.table import table_frames
+from estimator.can_io.logs.table_piece import ROWS
 from estimator.config import Config, replace
 from estimator.errors import InputError
 from estimator.preparation.drive import Drive

@@ -16,7 +16,6 @@ import numpy as np
 from estimator.can_io.frames import CLASSIC_BYTES, Frames
 from estimator.can_io.logs import table_activity, table_mf4, table_parquet, table_text
 from estimator.can_io.logs.log import Log
-from estimator.can_io.logs.table_piece import ROWS as ROWS
 from estimator.can_io.logs.table_piece import Piece, Wanted
 from estimator.can_io.logs.table_text import is_number
 from estimator.can_io.table_columns import (
