@@ -120,7 +120,7 @@ def _days(rows: Sequence[Row]) -> str:
     return f"{first:%Y-%m-%d} to {last:%Y-%m-%d}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Deviation:
     """A parameter, by its column and short name, of the vehicle in a ``row`` that is out of line by a ``share``."""
 
@@ -142,7 +142,7 @@ class _Deviation:
 
 def _deviations(of: Tables) -> list[_Deviation]:
     return [
-        _Deviation(row, name, short, unit, row[f"{name}_mean"] / middle - 1, row[q])
+        _Deviation(row=row, name=name, short=short, unit=unit, share=row[f"{name}_mean"] / middle - 1, q=row[q])
         for (name, short, unit), q in zip(PARAMETERS, ("A_per_mass_q_value", "C_q_value"), strict=True)
         for middle in [_median(of.vehicles, name)]
         for row in of.vehicles
