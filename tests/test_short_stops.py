@@ -44,6 +44,18 @@ def test_every_way_has_a_mass_of_its_own(tool, bus):
     assert sum(found[i].q05 <= truth[i] <= found[i].q95 for i in known) >= 0.8 * len(known)
 
 
+def test_each_way_ends_with_an_estimate_of_its_own_mass_however_seldom_updates_are(tool, bus):
+    frames, ways = bus
+    pipeline = Pipeline(from_dict({**tool.SHORT_STOPS, "gate": {"interval_s": 1e9}}))
+    updates = [*pipeline.feed(frames), *pipeline.finish()]
+    assert len(updates) == STOPS
+    departures = [way.start for way in ways[1:]]
+    assert [update.t for update in updates[:-1]] == pytest.approx(departures, rel=0, abs=5.0)
+    held = [u.mass.q05 <= way.mass <= u.mass.q95 for way, u in zip(ways, updates, strict=True) if u.mass is not None]
+    assert len(held) >= STOPS - 4
+    assert sum(held) >= 0.8 * len(held)
+
+
 def test_without_the_option_the_load_counts_as_one(tool, bus):
     frames, ways = bus
     found = tool.masses(frames, ways, from_dict({"gate": tool.SHORT_STOPS["gate"]}))

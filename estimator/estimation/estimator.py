@@ -1,4 +1,4 @@
-"""The streaming estimator: rows in, an estimate at regular intervals of message time.
+"""The streaming estimator: rows in, an estimate at regular intervals of message time and at the end of each load.
 
 Its only state is the window and the conclusions from it: no clock, no bus, no thread. The same rows give the same
 estimates.
@@ -169,7 +169,10 @@ class Estimator:
 
     def _take(self, piece: Piece) -> Iterator[Estimate]:
         if piece.departs:
-            self._start_segment(float(piece.rows.t[0]))
+            departure = float(piece.rows.t[0])
+            if self._has_news:
+                yield self._conclude(departure)
+            self._start_segment(departure)
         self._scale.add(piece.rows)
         self.window.add(piece.strides)
         if not len(piece.rows):
@@ -180,8 +183,12 @@ class Estimator:
             self._due = int(piece.rows.index[0]) + interval
         if newest >= self._due:
             self._due += interval * ((newest - self._due) // interval + 1)
-            if has_news(self._config.gate, self.window.added, self._at_last, len(self.window)):
+            if self._has_news:
                 yield self._conclude(newest * STEP)
+
+    @property
+    def _has_news(self) -> bool:
+        return has_news(self._config.gate, self.window.added, self._at_last, len(self.window))
 
     def _start_segment(self, departure: float | None = None) -> None:
         """Begin a load segment at ``departure`` [s] from a stop: discard the mass, keep A / m and C."""

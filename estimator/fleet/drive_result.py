@@ -4,6 +4,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from estimator.answers.diagnosis import Verdict
@@ -17,6 +18,7 @@ from estimator.fleet.grouping import Drive
 from estimator.fleet.passes import Passes, Places, passes_of
 from estimator.fleet.sources import local_copy
 from estimator.freed_memory import keep_freed_memory
+from estimator.settings import MAX_VALUE
 from estimator.streaming.log_frames import LogFrames
 from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import Block, Interruption
@@ -167,7 +169,9 @@ class _Loads:
 
 
 def _segments(paths: list[Path], config: Config) -> tuple[tuple[Segment, ...], Passes]:
-    pipeline = Pipeline(config)
+    """Estimate each load once, at its end: earlier updates of it are not in the result."""
+    gate = msgspec.structs.replace(config.gate, interval_s=MAX_VALUE)
+    pipeline = Pipeline(msgspec.structs.replace(config, gate=gate))
     loads, places, passes = _Loads(pipeline), Places(), list[Passes]()
     learns_road = config.road.map is None  # what is found with a map holds what the map knew
     for item in pipeline.traffic.feed_all(LogFrames(paths, config)):
