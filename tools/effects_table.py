@@ -3,52 +3,45 @@
 python tools/effects_table.py > docs/effects.md
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from estimator.model.effects import CATALOGUE, SOURCES, Effect, Timing
 from estimator.signals import Floats, Quantity
 
 TRUCK: Floats = np.array([1740.0, 3.74, 27_000.0])  # A [N], C [N s^2/m^2], m [kg] of a loaded tractor and semi-trailer
-WHEN = {
-    Timing.ALWAYS: "always",
-    Timing.WINDOW: "once, for a while",
-    Timing.SWITCHING: "on and off",
-    Timing.STEP: "from a standstill on",
-}
 PAGE = """\
 # Effects
 
-Effects that the plain road load `P = A v + C v³ + m v dv/dt` leaves out and that `roadload diagnose` tests.
-`tools/effects_table.py` prints this page from the objects in `estimator/model/effects/`. The same objects are the
-candidates of the diagnosis and the terms of the streaming model (`effects = ["grade"]`, `--effect grade`).
+`roadload diagnose` tests these effects, which the plain road load `P = A v + C v³ + m v dv/dt` leaves out. `estimate`
+adds those of `effects = ["grade"]` or `--effect grade` to its model. `tools/effects_table.py` writes this page from the
+objects in `estimator/model/effects/`.
 
 ## Power of each effect
 
-`v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1; SI units. "Usual" is the sd of the
-size's prior in the diagnosis, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²). In `estimate` it is three times that.
-A size above "largest" is something else to the diagnosis.
+`v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1 at unknown times; SI units. "Usual"
+is the standard deviation of the size's prior in the diagnosis, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²). In
+`estimate` it is three times that. The diagnosis does not name an effect above its "largest" size.
 
 {equations}
 
-## Signals and identifiability
+## Causes, signals, evidence
 
-* "Signals": the effect is tested only if these are on the bus. "Equivalent": both effects have the same trace in power
-  and speed on any drive. "Evidence": what identifies the effect.
-* "Streams": the effect can be a term of the streaming model. Effects with unknown times are diagnosed only. Others are
-  absorbed by A, C and m, or by the alignment of power and speed.
-* With `warm_up` in the model, A is that of tyres as warm as at a steady 80 km/h (ISO 28580). Without it, A is the mean
-  of the drive. The speed v_tau is that through a low-pass of the time constant tau.
-* With `air_density` in the model, C is that of the air at the start; without it, of the air in the mean.
+An effect is tested only if its signals are on the bus. "Evidence" is the signal or manoeuvre that identifies it.
 
-{signals}
+{causes}
 
-## Sources
-
-{sources}
+* **Equivalent** effects have the same trace in power and speed on any drive: {equivalent}.
+* **Diagnosed only**, because their times are unknown: {timed}. In `estimate`, {switched} needs its signal.
+* **Diagnosed only**, because A, C and m or the alignment of power and speed absorb them: {absorbed}.
+* With `warm_up` in the model, A is that of tyres as warm as at a steady 80 km/h (ISO 28580); without it, the mean of
+  the drive. `v_tau` is the speed through a low-pass of the time constant tau.
+* With `air_density` in the model, C is that of the air at the start; without it, of the mean air.
 
 ## How to add an effect
 
-An effect is one object. Add it to `CATALOGUE`:
+An effect is one object, added to `CATALOGUE`:
 
 ```python
 Effect(
@@ -63,9 +56,8 @@ Effect(
 )
 ```
 
-`power` must read all quantities from its `View`. Required quantities are declared in `needs`, or in `shapes` where one
-of several sources is enough. Set `is_noisy=True` where `power` uses `view.P` or `view.a`. `positive=False` allows
-either sign, `largest` bounds the size, `timing` and `dwells` say when an effect acts that no signal shows.
+[The class](python_api.md#docstrings) describes all fields. A program passes an effect of its own instead:
+`examples/own_effect.py`.
 """
 
 
@@ -106,27 +98,23 @@ def page() -> str:
         (
             *(f"`{e.name}`", f"`{e.equation}`", f"{e.symbol} [{e.unit}]"),
             *(sized(e, e.usual(TRUCK)), sized(e, e.limit(TRUCK))),
-            WHEN[e.timing],
         )
         for e in CATALOGUE
     ]
-    shown = [
-        (f"`{e.name}`", signals(e), ", ".join(f"`{n}`" for n in e.equivalent) or "-", e.breaks, _streams(e))
-        for e in CATALOGUE
-    ]
+    causes = [(f"`{e.name}`", e.source, signals(e), e.breaks) for e in CATALOGUE]
+    pairs = {" and ".join(f"`{name}`" for name in sorted({e.name, *e.equivalent})) for e in CATALOGUE if e.equivalent}
     return PAGE.format(
-        equations=table(("effect", "power added [W]", "size", "usual", "largest", "when"), *equations),
-        signals=table(("effect", "signals", "equivalent", "evidence", "streams"), *shown),
-        sources="\n".join(f"* `{e.name}`: {e.source}" for e in CATALOGUE),
+        equations=table(("effect", "power added [W]", "size", "usual", "largest"), *equations),
+        causes=table(("effect", "cause", "signals", "evidence"), *causes),
+        equivalent="; ".join(sorted(pairs)),
+        timed=_names(e for e in CATALOGUE if not (e.absorbed or e.is_streaming)),
+        switched=_names(e for e in CATALOGUE if e.is_streaming and e.timing is not Timing.ALWAYS),
+        absorbed=_names(e for e in CATALOGUE if e.absorbed),
     )
 
 
-def _streams(effect: Effect) -> str:
-    if effect.absorbed:
-        return "no: absorbed by the fit"
-    if not effect.is_streaming:
-        return "no: its times are unknown"
-    return "yes" if effect.timing is Timing.ALWAYS else "with its signal"
+def _names(effects: Iterable[Effect]) -> str:
+    return ", ".join(f"`{effect.name}`" for effect in effects)
 
 
 if __name__ == "__main__":

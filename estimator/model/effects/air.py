@@ -40,7 +40,7 @@ def _finer_winds(wind: Shape, speed: float) -> tuple[Shape, ...]:
 HEADWIND = Effect(
     name="headwind",
     equation="C ((1 + k yaw^2) u (v + w cos d) - v^2) v, u^2 = (v + w cos d)^2 + (w sin d)^2",
-    source="drag along the road of the air that meets the vehicle, of its speed and yaw (SAE J1263)",
+    source="drag of the air that meets the vehicle, by its speed and yaw (SAE J1263)",
     symbol="wind",
     unit="m/s",
     power=_wind,
@@ -56,7 +56,7 @@ HEADWIND = Effect(
 AIR_DENSITY = Effect(
     name="air_density",
     equation="C d t v^3",
-    source="ideal gas, 10 K are 3.5 %; C is that at the start; applied, not fitted, with temperature and pressure",
+    source="ideal gas: 10 K change C by 3.5 %; not fitted where temperature and pressure are known",
     symbol="drift of density per hour",
     unit="1/h",
     power=lambda view, shape: view.C * view.v**3 * view.context[Quantity.ELAPSED] / HOUR,
@@ -70,7 +70,7 @@ AIR_DENSITY = Effect(
 DRAFTING = Effect(
     name="drafting",
     equation="-dC v^3 u(t)",
-    source="drag in the wake of a vehicle ahead (platooning studies, NREL)",
+    source="less drag in the wake of a vehicle ahead (NREL, platooning)",
     symbol="share of C",
     unit="1",
     power=lambda view, shape: -view.C * view.density * view.v**3,

@@ -48,7 +48,7 @@ MASS_STEP = Effect(
 WARM_UP = Effect(
     name="warm_up",
     equation="A al (exp(k x) - 1) / (exp(k) - 1) v, x = 1 - v_tau / 80 km/h",
-    source="rolling resistance of tyres falls as they warm (ISO 28580; Nielsen and Sandberg, SAE 2002-01-1200)",
+    source="rolling resistance falls as tyres warm (ISO 28580; Nielsen and Sandberg, SAE 2002-01-1200)",
     symbol="cold excess of A",
     unit="1",
     power=lambda view, shape: view.A * view.v * excess(cold_by_speed(view, shape[0]), shape[1]),
@@ -88,7 +88,7 @@ CORNERING = Effect(
 BRAKE_USE = Effect(
     name="brake_use",
     equation="F v u(t) while the engine pulls",
-    source="a service brake that drags, or is held against the engine, without a brake switch",
+    source="a service brake that drags, or is held against the engine",
     symbol="brake force",
     unit="N",
     power=lambda view, shape: view.v,
