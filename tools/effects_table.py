@@ -22,7 +22,7 @@ objects in `estimator/model/effects/`.
 
 `v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1 at unknown times; SI units. "Usual"
 is the standard deviation of the size's prior in the diagnosis, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²). In
-`estimate` it is three times that. The diagnosis does not name an effect above its "largest" size.
+`estimate` it is three times that. The diagnosis names no effect above its `largest` size, often four times the usual.
 
 {equations}
 
@@ -97,14 +97,14 @@ def page() -> str:
     equations = [
         (
             *(f"`{e.name}`", f"`{e.equation}`", f"{e.symbol} [{e.unit}]"),
-            *(sized(e, e.usual(TRUCK)), sized(e, e.limit(TRUCK))),
+            sized(e, e.usual(TRUCK)),
         )
         for e in CATALOGUE
     ]
     causes = [(f"`{e.name}`", e.source, signals(e), e.breaks) for e in CATALOGUE]
     pairs = {" and ".join(f"`{name}`" for name in sorted({e.name, *e.equivalent})) for e in CATALOGUE if e.equivalent}
     return PAGE.format(
-        equations=table(("effect", "power added [W]", "size", "usual", "largest"), *equations),
+        equations=table(("effect", "power added [W]", "size", "usual"), *equations),
         causes=table(("effect", "cause", "signals", "evidence"), *causes),
         equivalent="; ".join(sorted(pairs)),
         timed=_names(e for e in CATALOGUE if not (e.absorbed or e.is_streaming)),

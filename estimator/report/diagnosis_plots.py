@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from estimator.diagnosis.result import Diagnosis
 from estimator.report import wording
+from estimator.report.notebook_figure import NotebookFigure
 from estimator.report.number_format import MINUS
 from estimator.report.page.figures import improved
 
@@ -63,7 +64,7 @@ KINDS: dict[str, Callable[[Diagnosis], Figure]] = {"power": power, "gap": gap, "
 
 
 def _figure(rows: int) -> tuple[Figure, list]:  # type: ignore[type-arg]  # of matplotlib's axes
-    figure = Figure(figsize=(10, 3 * rows + 0.5), layout="tight")
+    figure = NotebookFigure(figsize=(10, 3 * rows + 0.5), layout="tight")
     panels = list(np.atleast_1d(figure.subplots(rows, 1, sharex=True)))
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)

@@ -18,6 +18,7 @@ from estimator.output_files import check_suffix, whole
 from estimator.printable import printable
 from estimator.report import parameter_text, summary, wanted_driving
 from estimator.report.estimate_view import EstimateView, PowerTrace
+from estimator.report.notebook_figure import NotebookFigure
 from estimator.report.number_format import MINUS
 from estimator.report.page.plot import ClockAxis
 from estimator.report.parameter_text import ROWS, Row
@@ -67,7 +68,7 @@ def draw(view: EstimateView) -> Figure:
     # The solver of the layout "constrained" goes by the addresses of its variables, so its last bits are not the same
     # in two drawings.
     heights = [1.0, 1.0, 0.6, 1.1, 0.8] if view.evidence is not None else [1.0, 1.0]
-    figure = Figure(figsize=(11, 3 * sum(heights) + 0.8), layout="tight")
+    figure = NotebookFigure(figsize=(11, 3 * sum(heights) + 0.8), layout="tight")
     FigureCanvasAgg(figure)
     figure.suptitle(_title(view), color=INK, parse_math=False)  # names of files may have dollar signs
     grid = GridSpec(len(heights), 3, figure=figure, height_ratios=heights)
