@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = {path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
 TUTORIALS = ["tutorials/first_estimate.md", "tutorials/residual.md", "tutorials/fleet.md", "how_it_decides.md"]
-MAX_WORDS, MAX_WORDS_OF_A_SENTENCE = 25_000, 30
+MAX_WORDS, MAX_WORDS_OF_A_SENTENCE = 20_000, 30
 SAMPLED = 0.02  # relative difference of sampled numbers between machines
 EXAMPLE = re.compile(r"```(sh|python)\n(.*?)```(?:\n\n```\n(.*?)```)?", re.DOTALL)  # language, code, printed text
 PROSE_ENDS = re.compile(r"(?<=[.!?])[)\"*]*\s+(?=[^a-z])")
