@@ -22,7 +22,7 @@ objects in `estimator/model/effects/`.
 
 `v` speed, `a` acceleration, `w` engine speed, `F = P / v`, `t` time, `u(t)` 0 or 1 at unknown times; SI units. "Usual"
 is the standard deviation of the size's prior in the diagnosis, for a truck of 27 t (A 1,740 N, C 3.74 N s²/m²). In
-`estimate` it is three times that. The diagnosis names no effect above its `largest` size, often four times the usual.
+`estimate` it is three times that. The diagnosis names no effect above its largest size, often four times the usual.
 
 {equations}
 
