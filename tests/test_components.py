@@ -128,7 +128,7 @@ def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, qui
     joint = joint_of(strides, quiet)
     wandering = next(c for c in processes(joint.frame) if c.name == "force over speed")
     own = [replace(component, cost=0.1 * i) for i, component in enumerate([*joint.components, wandering])]
-    own += [replace(own[0], largest=1e-3), replace(own[1], positive=not own[1].positive)]
+    own += [replace(own[0], max_size=1e-3), replace(own[1], positive=not own[1].positive)]
     joint = joint_likelihood(strides, quiet, own, np.random.default_rng(2))
     for chosen in ([], [0], [1, 3], [len(joint.components) - 3, 2]):
         others = [i for i in range(len(own)) if i not in chosen]
@@ -337,7 +337,7 @@ def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
     effect, t = BY_NAME["auxiliary_cycling"], np.arange(400) + 0.5
     truth = ((100.4, 140.9), (250.2, 301.7))
     joint = DriveState.of(driven(power=40e3 * covered(t, 1.0, truth))).joint
-    sd = effect.usual(joint.frame.road_load)
+    sd = effect.usual_magnitude(joint.frame.road_load)
 
     def evidence(spans):
         G, s = joint.projected([], joint.frame.column(Term(effect, None, spans))[:, None])
@@ -381,7 +381,7 @@ def test_hats_are_a_partition_of_one():
 @pytest.mark.slow
 def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     n = 2400
-    effects = [effect for effect in CATALOGUE if not effect.absorbed and not effect.is_gravity]
+    effects = [effect for effect in CATALOGUE if not effect.is_absorbed and not effect.is_gravity]
     for power, named in ((np.zeros(n), []), (np.full(n, 15e3), ["auxiliary_load"])):
         state = DriveState.of(driven(n, power=power), (AtRest(power=float(power[0]), sd=800.0, engine_speed=60.0),))
         found = Search((state,), effects).explained()
@@ -540,7 +540,7 @@ def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
     plain = DriveState.of(driven(n, power=power), (AtRest(power=15e3, sd=800.0, engine_speed=60.0),))
     fan = of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans))
     state = plain.having((fan,))
-    assert state.joint.posterior([0]).mean[-1] > 2 * fan.largest
+    assert state.joint.posterior([0]).mean[-1] > 2 * fan.max_size
     assert [choice.name for choice in Search((state,), [BY_NAME["auxiliary_load"]]).explained().choices] == [
         "auxiliary_load"
     ]
@@ -730,7 +730,7 @@ def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
     disturbed = frame.disturbed(np.full(len(strides), 500.0))
     components: list[Component] = list(processes(frame))
     for effect in CATALOGUE:
-        if not effect.absorbed and not effect.is_gravity:
+        if not effect.is_absorbed and not effect.is_gravity:
             components += of_effect(frame, effect, frozenset(strides.context))[:1]
     for component in components:
         changed = not np.allclose(component.columns(frame), component.columns(disturbed))
@@ -796,6 +796,6 @@ def test_a_load_step_accelerates_with_what_other_effects_leave_of_the_force():
         state = state.having((of_term(frame, Term(BY_NAME["auxiliary_cycling"], None, spans)), loaded))
     found_fan, found_share = state.fit.theta[LAG + 1 :]
     assert found_fan == pytest.approx(fan, rel=0.02)
-    assert BY_NAME["mass_step"].sized(found_share) == pytest.approx(step, rel=0.02)
+    assert BY_NAME["mass_step"].magnitude_from_coefficient(found_share) == pytest.approx(step, rel=0.02)
     assert state.fit.theta[2] == pytest.approx(M, rel=0.01)
     assert_allclose(state.fit.taken, state.fit.theta[LAG + 1] * on / v, rtol=1e-6, atol=1.0)

@@ -141,7 +141,7 @@ def named(text: str) -> Diagnosis:
         where=(dataclasses.replace(places[0], axis=text, unit=text),),
         isolability=Isolability((text, text), np.ones((2, 2)), np.ones(2)),
         not_testable=(NotTestable(text, text),),
-        invisible=(dataclasses.replace(d.invisible[0], name=text, breaks=text),),
+        invisible=(dataclasses.replace(d.invisible[0], name=text, shown_by=text),),
         advice=(Advice(text, text),),
         streaming_effects=(text,),
         traces=None,

@@ -157,7 +157,7 @@ def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monk
         candidates = Candidates([loss, brake, fan], [()], forms)
         return {(one.cause, one.form) for one in candidates.on(0, plain, with_processes=False, with_stretches=False)}
 
-    finer = {(loss.name, str(time)) for time in loss.finer(shape, float(before.sizes[1]))}
+    finer = {(loss.name, str(time)) for time in loss.finer_shapes(shape, float(before.sizes[1]))}
     on_the_grid = {(loss.name, str(time)) for time in loss.shapes}
     assert tried(found) - tried(FoundForms()) == {(brake.name, own), (fan.name, own)} | finer - on_the_grid
 
@@ -187,7 +187,7 @@ def test_a_rival_of_what_was_chosen_has_shapes_between_those_of_the_grid_too():
     assert size == pytest.approx(plain.joint_with(both).posterior([0, 1]).mean[-1])
 
     found.shape(number, term, size)
-    near = {str(time) for time in loss.finer(term.shape, size)}
+    near = {str(time) for time in loss.finer_shapes(term.shape, size)}
     assert set(forms(joined())) == {str(time) for time in loss.shapes} | near
 
 
@@ -211,7 +211,7 @@ def test_a_search_makes_the_shapes_of_rivals_finer(monkeypatch):
     (found,) = Search((start,), [loss, BY_NAME["viscous_drag"]]).alone
     assert [component.name for component in found.chosen] == ["viscous_drag"]
     assert tried[0] == {str(time) for time in loss.shapes}
-    assert any(tried[-1] >= {str(time) for time in loss.finer(shape, 0.0)} for shape in loss.shapes)
+    assert any(tried[-1] >= {str(time) for time in loss.finer_shapes(shape, 0.0)} for shape in loss.shapes)
 
 
 # Rivals

@@ -31,11 +31,11 @@ OIL = replace(  # that warms with the time, which is simpler to compute a drive 
     power=lambda view, shape: view.v**2 * excess(cold_by_time(view, shape[0]), shape[1]),
     needs=(Quantity.ELAPSED,),
     shapes=excesses((600.0, 960.0, 1500.0, 2400.0)),
-    finer=finer_excesses,
+    finer_shapes=finer_excesses,
 )
 COLD = [Term(OIL, shape) for shape in OIL.shapes]
 WINDS = [Term(WIND, shape) for shape in WIND.shapes]
-STEADY_WIND = replace(WIND, finer=None)
+STEADY_WIND = replace(WIND, finer_shapes=None)
 SEED = 11
 
 
@@ -141,7 +141,7 @@ def test_coefficients_are_averaged_over_shapes_that_fit_alike():
     found = fit(strides, np.random.default_rng(1), (WINDS[0], COLD[3]))
     whole = averaged(strides, found)
     over_cold = averaged(strides, replace(found, terms=(replace(WINDS[0], effect=STEADY_WIND), COLD[3])))
-    near = {*OIL.shapes, *OIL.finer(COLD[3].shape, 0.0)}
+    near = {*OIL.shapes, *OIL.finer_shapes(COLD[3].shape, 0.0)}
     each = [evidence(strides, found, (WINDS[0], Term(OIL, shape))) for shape in sorted(near)]
     log = np.array([log for log, _ in each])
     weights = np.exp(log - log.max()) / np.exp(log - log.max()).sum()

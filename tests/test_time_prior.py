@@ -122,7 +122,7 @@ def test_what_is_on_at_both_sides_of_a_gap_need_not_have_been_on_in_it():
     stays = in_gap(300.0, 12.0).stays
     assert prior_cost(one, BRAKE, t) == pytest.approx(begins + 9.5 / 12 + stays + 10.5 / 12 + np.log(12.0))
     assert prior_cost(two, BRAKE, t) == pytest.approx(prior_cost(one, BRAKE, t))
-    apart = [cost_apart(spans, BRAKE.dwells, t) for spans in (one, two, ((90.0, 200.0), (200.0, 410.0)))]
+    apart = [cost_apart(spans, BRAKE.dwell_times, t) for spans in (one, two, ((90.0, 200.0), (200.0, 410.0)))]
     assert apart == pytest.approx([apart[0]] * 3), "in a long gap it began anew in any case"
     assert is_usual(one, BRAKE, t)
     assert not is_usual(one, BRAKE, np.arange(500.0)), "320 s are seen"
@@ -139,7 +139,7 @@ def test_a_state_of_its_own_begins_anew_in_a_short_gap_too():
 
 def test_costs_of_an_exchange_are_the_least_that_an_effect_may_have():
     assert least_costs(0.0, FAN) == Costs(CHANGE_COST, CHANGE_COST, 0.0)
-    each = [in_gap(60.0, dwell) for dwell in FAN.dwells]
+    each = [in_gap(60.0, dwell) for dwell in FAN.dwell_times]
     found = least_costs(60.0, FAN)
     assert all(found.begins <= one.begins and found.ends <= one.ends and found.stays <= one.stays for one in each)
     assert least_costs(60.0, WET) == Costs(CHANGE_COST, CHANGE_COST, 0.0)

@@ -58,14 +58,14 @@ Effect(
     symbol="force",
     unit="N",
     power=lambda view, shape: view.v * np.exp(-(((view.v - 14) / 2) ** 2)),
-    usual=lambda road_load: 500.0,
-    breaks="driving through 14 m/s again and again",
+    usual_magnitude=lambda road_load: 500.0,
+    shown_by="driving through 14 m/s again and again",
 )
 ```
 
 `power` must read all quantities from its `View`. Required quantities are declared in `needs`, or in `shapes` where one
 of several sources is enough. Set `is_noisy=True` where `power` uses `view.P` or `view.a`. `positive=False` allows
-either sign, `largest` bounds the size, `timing` and `dwells` say when an effect acts that no signal shows.
+either sign, `max_size` bounds the size, `timing` and `dwell_times` say when an effect acts that no signal shows.
 """
 
 
@@ -105,13 +105,13 @@ def page() -> str:
     equations = [
         (
             *(f"`{e.name}`", f"`{e.equation}`", f"{e.symbol} [{e.unit}]"),
-            *(sized(e, e.usual(TRUCK)), sized(e, e.limit(TRUCK))),
+            *(sized(e, e.usual_magnitude(TRUCK)), sized(e, e.limit(TRUCK))),
             WHEN[e.timing],
         )
         for e in CATALOGUE
     ]
     shown = [
-        (f"`{e.name}`", signals(e), ", ".join(f"`{n}`" for n in e.equivalent) or "-", e.breaks, _streams(e))
+        (f"`{e.name}`", signals(e), ", ".join(f"`{n}`" for n in e.equivalent) or "-", e.shown_by, _streams(e))
         for e in CATALOGUE
     ]
     return PAGE.format(
@@ -122,7 +122,7 @@ def page() -> str:
 
 
 def _streams(effect: Effect) -> str:
-    if effect.absorbed:
+    if effect.is_absorbed:
         return "no: absorbed by the fit"
     if not effect.is_streaming:
         return "no: its times are unknown"

@@ -57,7 +57,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
 
 def _limits(d: Diagnosis) -> Iterator[tuple[str, str]]:
     if d.invisible:
-        yield "unseen", _some(f"{wording.label(i.name)} (would show: {i.breaks})" for i in d.invisible)
+        yield "unseen", _some(f"{wording.label(i.name)} (would show: {i.shown_by})" for i in d.invisible)
     if d.not_testable:
         yield "untestable", _some(f"{wording.label(n.name)} (needs {n.needs})" for n in d.not_testable)
     for advice in wording.advice(d):

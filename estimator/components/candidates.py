@@ -151,7 +151,7 @@ class Candidates:
             for finer in near(term, size):
                 effect, component = term.effect, of_term(frame, finer)
                 # Finer shapes depend on the size, which differs between drives: the key is the coarse shape.
-                shape = finer.shape if finer.shape in effect.shapes else effect.alike(finer.shape)
+                shape = finer.shape if finer.shape in effect.shapes else effect.shape_key(finer.shape)
                 yield Candidate(cause=effect.name, is_event=False, form=str(shape), component=component)
 
     def _at_times(
@@ -164,7 +164,7 @@ class Candidates:
             present = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in present for other in times for change in (union, without)}
             for spans in _different({*times, *changed}, present, frame.strides.t):
-                key = effect.timing, effect.dwells, spans  # many effects share dwells
+                key = effect.timing, effect.dwell_times, spans  # many effects share dwells
                 if key not in costs:
                     costs[key] = last_costs[key] if key in last_costs else _cost(spans, effect, frame.strides.t)
                 cost = costs[key]

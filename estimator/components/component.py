@@ -83,7 +83,7 @@ class Component:
     """One form of a term: columns with a prior.
 
     ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes. Their prior is N(0,
-    ``sd``^2), restricted to positive values if ``positive``. A magnitude beyond ``largest``, or above ``highest``, is
+    ``sd``^2), restricted to positive values if ``positive``. A magnitude beyond ``max_size``, or above ``max_positive_size``, is
     impossible. ``cost`` [nats]: minus the log prior probability of its times, or of a swing's period. ``is_noisy``: its
     columns contain noise of the measured force. ``is_slope``: it is part of the road.
     """
@@ -92,8 +92,8 @@ class Component:
     columns: Columns
     sd: float
     positive: bool = False
-    largest: float = np.inf
-    highest: float = np.inf
+    max_size: float = np.inf
+    max_positive_size: float = np.inf
     cost: float = 0.0
     is_noisy: bool = False
     is_slope: bool = False
@@ -128,10 +128,10 @@ def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
     return Component(
         name=effect.name,
         columns=lambda frame: frame.column(term)[:, None],
-        sd=effect.usual(frame.road_load),
+        sd=effect.usual_magnitude(frame.road_load),
         positive=effect.positive,
-        largest=effect.limit(frame.road_load),
-        highest=effect.highest,
+        max_size=effect.limit(frame.road_load),
+        max_positive_size=effect.max_positive_size,
         cost=cost,
         is_noisy=effect.is_noisy,
         term=term,
@@ -174,7 +174,7 @@ def _of_process(process: Component, power: _Powers, k: int) -> Effect:
         symbol="",
         unit="1",
         power=lambda view, shape: power(view)[:, k],
-        usual=lambda road_load: process.sd,
+        usual_magnitude=lambda road_load: process.sd,
         positive=False,
         is_noisy=True,  # otherwise its columns would be asked for at other strides than the frame's
         is_gravity=process.is_slope,

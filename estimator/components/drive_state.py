@@ -140,7 +140,7 @@ class DriveState:
         sized = zip(self.chosen[given:], self.sizes[given:].tolist(), strict=True)
         effects = [(c.term.effect, size) for c, size in sized if c.term is not None]
         load = Frame.of(self.fit).road_load
-        return all(abs(size) <= effect.limit(load) and size <= effect.highest for effect, size in effects)
+        return all(abs(size) <= effect.limit(load) and size <= effect.max_positive_size for effect, size in effects)
 
     @cached_property
     def _conditioned(self) -> Conditioned:

@@ -37,7 +37,9 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
     half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
     moves = MOVES[np.abs(MOVES) < half]
     leaving = [cost_of_leaving(spans[i][side], side == 1, term.effect, t) for i, side in edges]
-    column = _Column(*_products(joint, chosen, term, edges, moves), sd=term.effect.usual(joint.frame.road_load))
+    column = _Column(
+        *_products(joint, chosen, term, edges, moves), sd=term.effect.usual_magnitude(joint.frame.road_load)
+    )
     edited = [list(span) for span in spans]
     for (i, side), move in zip(edges, _best_moves(column, leaving, len(moves)), strict=True):
         if move >= 0:

@@ -77,7 +77,8 @@ class Hypotheses:
             [by_drive[number] for by_drive in self.each if number in by_drive] for number in range(len(drives))
         ]
         unlimited = [
-            tuple(replace(component, largest=np.inf, highest=np.inf) for component in terms) for terms in given
+            tuple(replace(component, max_size=np.inf, max_positive_size=np.inf) for component in terms)
+            for terms in given
         ]  # without limits of their sizes
         self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, unlimited, on_drives, strict=True)]
         count = [len(start) for start in given]

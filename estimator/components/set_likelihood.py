@@ -33,11 +33,11 @@ class Prior(Protocol):
         """True if its one amplitude cannot be negative."""
 
     @property
-    def largest(self) -> float:
+    def max_size(self) -> float:
         """Largest possible modulus of an amplitude."""
 
     @property
-    def highest(self) -> float:
+    def max_positive_size(self) -> float:
         """Largest possible amplitude."""
 
     @property
@@ -111,8 +111,9 @@ class SetLikelihood:
         self._total, self._moment = float(products[0, 0]), products[1:, 0]
         self._information = products[1:, 1:]
         self._widths = np.array([len(columns) for columns in places])
-        self._sds, self._costs, self._largest, self._highest = (
-            np.array([getattr(prior, name) for prior in priors]) for name in ("sd", "cost", "largest", "highest")
+        self._sds, self._costs, self._max_sizes, self._max_positive_sizes = (
+            np.array([getattr(prior, name) for prior in priors])
+            for name in ("sd", "cost", "max_size", "max_positive_size")
         )
         self._positive = np.array([prior.positive for prior in priors], dtype=np.bool_)
 
@@ -220,7 +221,8 @@ class SetLikelihood:
         value = added.value / self.unit[self._places_of(others)]
         possible = np.all(self._are_possible(chosen, mean / units), axis=1)
         possible &= np.all(
-            (np.abs(value) <= self._largest[numbers, None]) & (value <= self._highest[numbers, None]), axis=1
+            (np.abs(value) <= self._max_sizes[numbers, None]) & (value <= self._max_positive_sizes[numbers, None]),
+            axis=1,
         )
         return posterior.log_evidence + added.gain + signs - costs, possible
 
@@ -250,7 +252,9 @@ class SetLikelihood:
     def _are_possible(self, chosen: Sequence[int], sizes: Floats) -> Mask:
         """True (..., s) where an amplitude of a set is within its limits."""
         component_of = [i for i in chosen for _ in self.places[i]]
-        possible: Mask = (np.abs(sizes) <= self._largest[component_of]) & (sizes <= self._highest[component_of])
+        possible: Mask = (np.abs(sizes) <= self._max_sizes[component_of]) & (
+            sizes <= self._max_positive_sizes[component_of]
+        )
         return possible
 
     def gains(self, chosen: Sequence[int], candidates: Sequence[int]) -> Judged:

@@ -33,10 +33,10 @@ STRETCHES = Effect(
     symbol="slope",
     unit="1",
     power=lambda view, shape: view.m * STANDARD_GRAVITY * view.v,
-    usual=always(SLOPE_SD),
+    usual_magnitude=always(SLOPE_SD),
     positive=False,
     timing=Timing.SWITCHING,
-    dwells=(12.0, 60.0, 200.0),  # as brakes and loads have: the same times are as likely for either
+    dwell_times=(12.0, 60.0, 200.0),  # as brakes and loads have: the same times are as likely for either
 )
 
 
@@ -59,8 +59,8 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
         name=STRETCHES.name,
         columns=columns,
         sd=SLOPE_SD,
-        largest=STEEPEST,
-        cost=cost_apart(spans, STRETCHES.dwells, frame.strides.t),
+        max_size=STEEPEST,
+        cost=cost_apart(spans, STRETCHES.dwell_times, frame.strides.t),
         is_slope=True,
         spans=spans,
     )

@@ -62,7 +62,7 @@ class Switching:
         key = tuple(chosen), tuple(earlier), profile.tobytes()
         if key not in self._cuts:
             self._cuts[key] = self._cut(list(chosen), profile, list(earlier))
-        cut, sd = self._cuts[key], effect.usual(self._joint.frame.road_load)
+        cut, sd = self._cuts[key], effect.usual_magnitude(self._joint.frame.road_load)
         costs = [least_costs(gap, effect) for gap in cut.gaps.tolist()]
         blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
         on = blocks[cut.labels]

@@ -66,7 +66,7 @@ def least_costs(gap: float, effect: Effect) -> Costs:
     """
     if gap < MIN_GAP or effect.timing is Timing.WINDOW:
         return Costs(CHANGE_COST, CHANGE_COST, 0.0)
-    costs = [in_gap(gap, dwell) for dwell in effect.dwells]
+    costs = [in_gap(gap, dwell) for dwell in effect.dwell_times]
     return Costs(min(c.begins for c in costs), min(c.ends for c in costs), min(c.stays for c in costs))
 
 
@@ -149,7 +149,7 @@ def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
         return len(spans) == 1
     mean = sum(end - start for start, end in spans) / len(spans)
     longest = max(piece.duration for piece in _pieces(spans, t))
-    return mean > min(effect.dwells) / MAX_DWELL_FACTOR and longest < MAX_DWELL_FACTOR * max(effect.dwells)
+    return mean > min(effect.dwell_times) / MAX_DWELL_FACTOR and longest < MAX_DWELL_FACTOR * max(effect.dwell_times)
 
 
 def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
@@ -160,7 +160,7 @@ def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
     if effect.timing is Timing.WINDOW:
         return sum(_cost_of_end(_gap_at(edge, t), t) for span in spans for edge in span if t[0] < edge < t[-1])
     pieces = _pieces(spans, t)
-    return _periods_cost(_periods(pieces, apart=False), effect.dwells, _duration_off(pieces, t), t)
+    return _periods_cost(_periods(pieces, apart=False), effect.dwell_times, _duration_off(pieces, t), t)
 
 
 def _cost_of_end(gap: float, t: Floats) -> float:
@@ -241,4 +241,4 @@ def cost_of_leaving(edge: float, is_end: bool, effect: Effect, t: Floats) -> flo
     if effect.timing is Timing.WINDOW:
         return _cost_of_end(0.0, t) - _cost_of_end(gap, t)
     least = least_costs(gap, effect)
-    return log(min(effect.dwells)) - least.ends if is_end else CHANGE_COST - least.begins
+    return log(min(effect.dwell_times)) - least.ends if is_end else CHANGE_COST - least.begins

@@ -50,7 +50,7 @@ class Case:
         driven = drive.strides[drive.strides.known]
         if reason := wrong_sign_of(driven.power, driven.a):
             return reason
-        moving = [effect for effect in given if not (effect.is_gravity or effect.absorbed)]
+        moving = [effect for effect in given if not (effect.is_gravity or effect.is_absorbed)]
         terms = _terms(drive, moving) if moving else ()
         return cls(drive, tuple(given), terms)
 

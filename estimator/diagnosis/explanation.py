@@ -54,7 +54,7 @@ def explain(
 ) -> Explanation:
     """Search for the effects and processes that act on the drives of ``cases``; ``plain``: their fits by `started`."""
     present = {term.effect.name for case in cases for term in case.terms}
-    candidates = [e for e in effects if not (e.absorbed or e.is_gravity or e.name in present)]
+    candidates = [e for e in effects if not (e.is_absorbed or e.is_gravity or e.name in present)]
     if cases[0].is_road_given:
         return Explanation(Search(plain, candidates).explained(), True, None, True)
     forms = FoundForms()

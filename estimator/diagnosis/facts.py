@@ -32,7 +32,7 @@ def advice(
     elif verdict is Verdict.EFFECT:
         unsure += [other for finding in named for other in finding.equivalent]
         unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
-    breaks = {effect.name: effect.breaks for effect in effects}
+    breaks = {effect.name: effect.shown_by for effect in effects}
     return tuple(Advice(name, breaks[name]) for name in dict.fromkeys(unsure) if name in breaks)
 
 

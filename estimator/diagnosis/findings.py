@@ -234,10 +234,10 @@ def _correlation(one: np.ndarray, other: np.ndarray) -> float:
 
 def _magnitude(effect: Effect, value: float, sd: float) -> Magnitude:
     """Magnitude in the effect's unit, from the amplitude of its column and the sd of that."""
-    if effect.sized is None:
+    if effect.magnitude_from_coefficient is None:
         return Magnitude(effect.symbol, value, sd, effect.unit)
-    low, high = effect.sized(value - sd), effect.sized(value + sd)
-    return Magnitude(effect.symbol, effect.sized(value), abs(high - low) / 2, effect.unit)
+    low, high = effect.magnitude_from_coefficient(value - sd), effect.magnitude_from_coefficient(value + sd)
+    return Magnitude(effect.symbol, effect.magnitude_from_coefficient(value), abs(high - low) / 2, effect.unit)
 
 
 def _detail(shape: object, effect: Effect) -> str:

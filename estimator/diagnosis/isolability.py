@@ -49,7 +49,7 @@ def invisible(drive: DriveState, effects: Sequence[Effect], least: float) -> tup
     for place, sd, (effect, form) in zip(places, sds.tolist(), forms, strict=True):
         strength = float(np.sqrt(max((form.sd / sd) ** 2 - 1.0, 0.0)))  # less the information of the prior
         A, C, m, *_ = (jacobian @ joint.imitated(ours, place)[: joint.base_size] * form.sd).tolist()
-        found = Invisible(effect.name, evidence_of(strength), Shift(mass=m, A=A, C=C), effect.breaks)
+        found = Invisible(effect.name, evidence_of(strength), Shift(mass=m, A=A, C=C), effect.shown_by)
         most = best.setdefault(effect.name, found)
         if found.expected_log_bayes_factor > most.expected_log_bayes_factor:
             best[effect.name] = found
@@ -58,10 +58,10 @@ def invisible(drive: DriveState, effects: Sequence[Effect], least: float) -> tup
 
 def is_lasting(effect: Effect) -> bool:
     """True if the effect acts during the whole drive, so that the fit can take it for road load."""
-    return effect.absorbed or effect.timing is Timing.ALWAYS
+    return effect.is_absorbed or effect.timing is Timing.ALWAYS
 
 
 def not_testable(effects: Sequence[Effect], known: frozenset[Quantity]) -> list[NotTestable]:
     """Effects that need a signal which is not among the ``known`` quantities."""
     missing = [effect for effect in effects if not effect.usable_shapes(known)]
-    return [NotTestable(effect.name, " or ".join(role.value for role in effect.wanted)) for effect in missing]
+    return [NotTestable(effect.name, " or ".join(role.value for role in effect.wanted_roles)) for effect in missing]

@@ -96,7 +96,7 @@ class Invisible:
     name: str
     expected_log_bayes_factor: float
     shift: Shift
-    breaks: str  # signal or manoeuvre that would show it
+    shown_by: str  # signal or manoeuvre that would show it
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class Advice:
     """The signal or manoeuvre that separates an effect from those that are equivalent to it on these drives."""
 
     name: str
-    breaks: str
+    shown_by: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -218,7 +218,7 @@ class RoadInference:
 
     def _judge(self, t: float, found: RoadFit, contradicted: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)
-        usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual(found.road_load) for term in found.terms]
+        usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual_magnitude(found.road_load) for term in found.terms]
         lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
         bounds = np.append(lower, lowest), np.append(upper, usual)
         drive = RoadTarget.of(found, Belief.none(), *bounds)

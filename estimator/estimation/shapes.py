@@ -64,12 +64,12 @@ def terms_of(strides: Strides, effects: Sequence[Effect], plain: Callable[[], Ro
 
 def is_free(term: Term) -> bool:
     """Whether its shape is a number that no signal tells."""
-    return term.effect.finer is not None and not isinstance(term.shape, Quantity)
+    return term.effect.finer_shapes is not None and not isinstance(term.shape, Quantity)
 
 
 def near(term: Term, size: float) -> list[Term]:
     """The term, and the same with shapes near its own for the magnitude ``size``; alone where a signal tells it."""
-    finer = term.effect.finer
+    finer = term.effect.finer_shapes
     shapes = () if finer is None or isinstance(term.shape, Quantity) else finer(term.shape, size)
     return [replace(term, shape=shape) for shape in dict.fromkeys((term.shape, *shapes))]
 

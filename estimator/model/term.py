@@ -31,7 +31,7 @@ class Term:
 
     def prior_sd(self, road_load: Floats) -> float:
         """Prior sd of its magnitude, for a vehicle with ``road_load`` = [A, C, m] (3,)."""
-        return self.usual_sds * self.effect.usual(road_load)
+        return self.usual_sds * self.effect.usual_magnitude(road_load)
 
     def at_rest(self, rest: AtRest) -> float:
         """Power [W] per unit of magnitude during a standstill."""

@@ -117,7 +117,7 @@ def _invisible(effect: Invisible) -> answer.Invisible:
         name=effect.name,
         expected_log_bayes_factor=effect.expected_log_bayes_factor,
         parameter_shift=_road_load(effect.shift),
-        breaks=effect.breaks,
+        breaks=effect.shown_by,
     )
 
 

@@ -112,7 +112,7 @@ def _improvement(d: Diagnosis) -> str:
 
 def advice(d: Diagnosis) -> list[str]:
     """What to measure or to drive, effect by effect, and the experiments that are likely to settle what is open."""
-    signals = [f"{each.name}: {each.breaks}" for each in d.advice]
+    signals = [f"{each.name}: {each.shown_by}" for each in d.advice]
     return [*signals, *(_experiment(e) for e in d.experiments if is_worthwhile(d, e))]
 
 

@@ -31,8 +31,8 @@ class Form:
     columns: Floats
     sd: float
     positive: bool = False
-    largest: float = np.inf
-    highest: float = np.inf
+    max_size: float = np.inf
+    max_positive_size: float = np.inf
     cost: float = 0.0
 
 

@@ -63,7 +63,7 @@ def library_of(log: Path) -> Library | None:
     effects = [
         effect
         for effect in CATALOGUE
-        if not (effect.absorbed or effect.is_gravity or effect.is_applied(drive.known))
+        if not (effect.is_absorbed or effect.is_gravity or effect.is_applied(drive.known))
         and effect.usable_shapes(drive.known)
     ]
     terms = [Term(effect, effect.usable_shapes(drive.known)[0]) for effect in effects]

@@ -106,7 +106,7 @@ def invisible(effects: Sequence[Invisible]) -> str:
             _name(i.name),
             wording.bayes(i.expected_log_bayes_factor),
             html.escape(wording.shift(i.shift)),
-            html.escape(i.breaks),
+            html.escape(i.shown_by),
         )
         for i in effects
     ]
