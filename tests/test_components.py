@@ -1,4 +1,4 @@
-"""The likelihood of components against dense algebra, quadrature and enumeration; the identity of the budget."""
+"""The likelihood of terms against dense algebra, quadrature and enumeration; the identity of the budget."""
 
 from dataclasses import replace
 from itertools import product
@@ -19,7 +19,6 @@ from scipy.stats import multivariate_normal
 from estimator.components import edges, exchange, switching
 from estimator.components.budget import NOISE, ROAD, budget
 from estimator.components.candidates import Candidates, FoundForms
-from estimator.components.component import Component, Frame, Kind, of_effect, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.explained import explained_by, ranked
 from estimator.components.hypotheses import Hypotheses
@@ -38,6 +37,7 @@ from estimator.components.processes import (
 )
 from estimator.components.search import Search
 from estimator.components.set_likelihood import SetLikelihood
+from estimator.components.term import Frame, Kind, Term, of_effect, of_term
 from estimator.components.time_prior import CHANGE_COST, Costs
 from estimator.estimation import road_fit
 from estimator.estimation.normal_equations import NormalEquations
@@ -45,10 +45,10 @@ from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bay
 from estimator.estimation.road_fit import fit, fit_given
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
 from estimator.model.conditioned import Conditioned
+from estimator.model.effect_term import USUAL_SDS, EffectTerm
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
 from estimator.model.spans import covered, union, without
-from estimator.model.term import USUAL_SDS, Term
 from estimator.samples import STEP
 from estimator.signals import Quantity
 
@@ -71,8 +71,8 @@ def quiet(strides):
     return replace(found, scales=replace(found.scales, values=values))
 
 
-def joint_likelihood(strides, fit, components, rng):
-    return JointLikelihood(Conditioned.of(fit.scales.model_of(strides), fit.scales.values), fit, components, rng)
+def joint_likelihood(strides, fit, terms, rng):
+    return JointLikelihood(Conditioned.of(fit.scales.model_of(strides), fit.scales.values), fit, terms, rng)
 
 
 def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), further=()):
@@ -100,7 +100,7 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
         total = K.copy()
         for i in chosen:
             X = joint.columns[:, joint.places[i]].toarray()
-            total += joint.components[i].sd ** 2 * X @ X.T
+            total += joint.terms[i].sd ** 2 * X @ X.T
         factor = np.linalg.cholesky(total)
         return -np.log(np.diag(factor)).sum() - 0.5 * np.sum(np.linalg.solve(factor, joint.response) ** 2)
 
@@ -127,10 +127,10 @@ def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, qui
     """One of one column or several, positive or not, of possible size or not, with a cost; beside sets of any."""
     joint = joint_of(strides, quiet)
     wandering = next(c for c in processes(joint.frame) if c.name == "force over speed")
-    own = [replace(component, cost=0.1 * i) for i, component in enumerate([*joint.components, wandering])]
+    own = [replace(term, cost=0.1 * i) for i, term in enumerate([*joint.terms, wandering])]
     own += [replace(own[0], max_size=1e-3), replace(own[1], positive=not own[1].positive)]
     joint = joint_likelihood(strides, quiet, own, np.random.default_rng(2))
-    for chosen in ([], [0], [1, 3], [len(joint.components) - 3, 2]):
+    for chosen in ([], [0], [1, 3], [len(joint.terms) - 3, 2]):
         others = [i for i in range(len(own)) if i not in chosen]
         one_by_one = [joint.log_evidence([*chosen, i]) for i in others]
         assert_allclose(joint.with_each(chosen, others), one_by_one, rtol=1e-9, atol=1e-6)
@@ -153,9 +153,9 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
     corrected = posterior()
     monkeypatch.setattr("estimator.components.likelihood.ANSWERED", 0.0)
     shift, sd = corrected.mean - posterior().mean, np.sqrt(np.diag(corrected.covariance))
-    assert free.term is not None
+    assert free.effect_term is not None
     model, scales = found.scales.model_of(strides), found.scales
-    likelihood = Likelihood(model, (free.term,), found.road_load, scales.lag, (), found.taken)
+    likelihood = Likelihood(model, (free.effect_term,), found.road_load, scales.lag, (), found.taken)
     none = np.empty((len(model.driven), 0))
     equations = NormalEquations.of(likelihood, scales.values, scales.free, 0.0, none, np.random.default_rng(2))
     with_answers, without = equations.solve()[0], replace(equations, answered=0 * equations.answered).solve()[0]
@@ -173,8 +173,8 @@ def test_a_fit_gives_an_effect_the_evidence_that_a_table_gives_it(name, size):
     rest = AtRest(power=size if name == "auxiliary_load" else 63.0 * size, sd=1.3e3, engine_speed=63.0)
     strides = driven(900, power=size * (np.ones(900) if name == "auxiliary_load" else turns))
     plain = DriveState.of(strides, (rest,))
-    component = of_effect(Frame.of(plain.fit), truth, frozenset(strides.context))[0]
-    having = plain.having((component,))
+    term = of_effect(Frame.of(plain.fit), truth, frozenset(strides.context))[0]
+    having = plain.having((term,))
     scales = having.fit.scales
     bare = fit_given(strides, np.random.default_rng(2), scales, (), rests=(rest,))
     given = fit_given(strides, np.random.default_rng(2), scales, having.fit.terms, rests=(rest,))
@@ -192,7 +192,7 @@ def test_power_at_rest_is_a_measurement_of_the_magnitudes():
     """As the product of two Gaussians, to first order: one rest after the other, or all at once."""
     strides = driven(600, power=np.full(600, 9e3))
     frame = Frame.of(DriveState.of(strides).fit)
-    terms = [of_effect(frame, BY_NAME[name], ELAPSED)[0].term for name in ("auxiliary_load", "torque_bias")]
+    terms = [of_effect(frame, BY_NAME[name], ELAPSED)[0].effect_term for name in ("auxiliary_load", "torque_bias")]
     found = fit(strides, np.random.default_rng(1), terms)
     rests = [AtRest(power=9.5e3, sd=700.0, engine_speed=60.0), AtRest(power=8.5e3, sd=900.0, engine_speed=110.0)]
     beta, covariance, evidence = found.beta, found.covariance, 0.0
@@ -219,13 +219,13 @@ def test_an_effect_alone_has_the_prior_of_its_sign_whether_its_times_are_given_o
     n, spans = 900, ((200.0, 420.0), (600.0, 760.0))
     state = DriveState.of(driven(n, power=25e3 * covered(np.arange(n) + 0.5, 1.0, spans)))
     form = state.forms([BY_NAME["auxiliary_cycling"]])["auxiliary_cycling"]
-    joint = state.joint_with([form.component])
+    joint = state.joint_with([form.term])
     assert form.gain == pytest.approx(joint.log_evidence([0]) - joint.log_evidence([]), abs=0.01)
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
     joint = joint_of(strides, quiet, names=("auxiliary_load",))
-    free = replace(joint.components[0], positive=False)
+    free = replace(joint.terms[0], positive=False)
     both = joint_likelihood(strides, quiet, [free], np.random.default_rng(2))
     posterior = both.posterior([0])
     mean, sd = posterior.mean[-1], np.sqrt(posterior.covariance[-1, -1])
@@ -236,11 +236,11 @@ def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
 def test_gains_are_differences_of_evidence_and_costs_are_left_to_the_caller(strides, quiet):
     joint = joint_of(strides, quiet)
     for chosen in ([], [0], [0, 3]):
-        others = [i for i in range(len(joint.components)) if i not in chosen]
+        others = [i for i in range(len(joint.terms)) if i not in chosen]
         gains = joint.gains(chosen, others)
         for gain, i in zip(gains.gain, others, strict=True):
             # The sign of those chosen before is an approximation: each is judged by its own margin.
-            free = [i for i in chosen if joint.components[i].positive]
+            free = [i for i in chosen if joint.terms[i].positive]
             if not free:
                 assert gain == pytest.approx(joint.log_evidence([*chosen, i]) - joint.log_evidence(chosen), abs=1e-6)
         posterior = joint.posterior([*chosen, others[0]])
@@ -275,16 +275,16 @@ def test_an_observation_of_a_sum_counts_those_that_are_in_the_set(strides, quiet
 
 def test_projected_products_are_those_of_the_columns_off_the_set(strides, quiet):
     joint = joint_of(strides, quiet)
-    products, score = joint.projected([0], joint.components[2].columns(joint.frame))
+    products, score = joint.projected([0], joint.terms[2].columns(joint.frame))
     gains = joint.gains([0], [2])
-    precision = products[0, 0] + joint.components[2].sd ** -2.0
+    precision = products[0, 0] + joint.terms[2].sd ** -2.0
     assert score[0] / precision == pytest.approx(gains.value[0])
     assert precision**-0.5 == pytest.approx(gains.sd[0])
 
 
 def test_the_weighed_residual_gives_the_scores_of_columns(strides, quiet):
     joint = joint_of(strides, quiet)
-    columns = joint.components[2].columns(joint.frame)
+    columns = joint.terms[2].columns(joint.frame)
     _, score = joint.projected([0], columns)
     assert_allclose(columns.T @ joint.weighed_residual([0]), score, rtol=1e-5)
 
@@ -340,11 +340,11 @@ def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
     sd = effect.usual_magnitude(joint.frame.road_load)
 
     def evidence(spans):
-        G, s = joint.projected([], joint.frame.column(Term(effect, None, spans))[:, None])
+        G, s = joint.projected([], joint.frame.column(EffectTerm(effect, None, spans))[:, None])
         return float(exchange.amplitude_evidence(s[0], G[0, 0], sd, positive=False))
 
     start = ((101.5, 139.0), (249.0, 303.5))
-    found = edges.with_refined_edges(joint, [], Term(effect, None, start))
+    found = edges.with_refined_edges(joint, [], EffectTerm(effect, None, start))
     assert_allclose(found, truth, atol=0.31)
     assert evidence(found) > evidence(start)
     for i, j in product((0, 1), (0, 1)):
@@ -356,7 +356,7 @@ def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
 
 def test_products_of_steps_are_sums_over_the_parts_between_them(strides, quiet):
     joint = joint_of(strides, quiet)
-    column = joint.components[0].columns(joint.frame)[:, 0]
+    column = joint.terms[0].columns(joint.frame)[:, 0]
     n, probed = len(column), np.arange(1, len(column), 50)
     steps = np.where(np.arange(n)[:, None] >= probed, column[:, None], 0.0)
     products, _ = joint.projected([1], steps)
@@ -386,7 +386,7 @@ def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
         state = DriveState.of(driven(n, power=power), (AtRest(power=float(power[0]), sd=800.0, engine_speed=60.0),))
         found = Search((state,), effects).explained()
         assert [choice.name for choice in found.choices] == named
-        assert [component.name for component in found.drives[0].chosen] == named
+        assert [term.name for term in found.drives[0].chosen] == named
     (state,) = found.drives
     assert state.joint.posterior([0]).mean[-1] == pytest.approx(15e3, rel=0.1)
 
@@ -422,8 +422,8 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     effects = [BY_NAME["auxiliary_cycling"]]
     found = Search((state,), effects).explained()
     (state,) = found.drives
-    (component,) = state.chosen
-    starts = np.array([span[0] for span in component.spans])
+    (term,) = state.chosen
+    starts = np.array([span[0] for span in term.spans])
     assert_allclose(starts, [501, 1301, 2101], atol=2.0)
     assert state.joint.posterior([0]).mean[-1] == pytest.approx(60e3, rel=0.1)
 
@@ -435,7 +435,9 @@ def test_times_that_two_effects_share_are_proposed_for_one_of_them():
     strides = driven(n, power=5e3 * covered(strides.t, 1.0, spans) * 0.5 * (strides.v0 + strides.v1))
     state = DriveState.of(strides)
     frame = Frame.of(state.fit)
-    state = state.having((of_term(frame, Term(brake, None, spans[::2])), of_term(frame, Term(fan, None, spans[1::2]))))
+    state = state.having(
+        (of_term(frame, EffectTerm(brake, None, spans[::2])), of_term(frame, EffectTerm(fan, None, spans[1::2])))
+    )
     proposed = switching.Switching(state.joint).proposed_instead(brake)
     whole = [times for times in proposed if len(times) == len(spans)]
     assert any(np.allclose(times, spans, atol=1.0) for times in whole)
@@ -447,7 +449,7 @@ def test_times_of_an_effect_do_not_depend_on_what_was_asked_before():
     strides = driven(n)
     strides = driven(n, power=5e3 * covered(strides.t, 1.0, spans) * 0.5 * (strides.v0 + strides.v1))
     state = DriveState.of(strides)
-    state = state.having((of_term(Frame.of(state.fit), Term(brake, None, spans[:1])),))
+    state = state.having((of_term(Frame.of(state.fit), EffectTerm(brake, None, spans[:1])),))
     alone, asked = switching.Switching(state.joint), switching.Switching(state.joint)
     asked.best([0], BY_NAME["resistance_segment"])
     times, _ = alone.best([], brake, [0])
@@ -462,7 +464,7 @@ def test_ends_of_a_span_are_found_to_a_tenth_of_a_second():
     strides = driven(n, power=60e3 * covered(t, 1.0, spans))
     state = DriveState.of(strides)
     rough = tuple((round(a) + 2.0, round(b) - 2.0) for a, b in spans)
-    found = switching.with_refined_edges(state.joint, [], Term(BY_NAME["auxiliary_cycling"], None, rough))
+    found = switching.with_refined_edges(state.joint, [], EffectTerm(BY_NAME["auxiliary_cycling"], None, rough))
     assert_allclose(found, spans, atol=0.35)  # the noise of a stride is 15 % of what the load takes
 
 
@@ -538,7 +540,7 @@ def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
     n, spans = 2400, ((500.0, 800.0), (1300.0, 1600.0))
     power = 15e3 + 150e3 * covered(np.arange(n) + 0.5, 1.0, spans)
     plain = DriveState.of(driven(n, power=power), (AtRest(power=15e3, sd=800.0, engine_speed=60.0),))
-    fan = of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans))
+    fan = of_term(Frame.of(plain.fit), EffectTerm(BY_NAME["auxiliary_cycling"], None, spans))
     state = plain.having((fan,))
     assert state.joint.posterior([0]).mean[-1] > 2 * fan.max_size
     assert [choice.name for choice in Search((state,), [BY_NAME["auxiliary_load"]]).explained().choices] == [
@@ -640,11 +642,11 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
 @pytest.mark.slow
 def test_a_cause_of_one_drive_only_counts_among_several():
     n = 1200
-    load = Component(
+    load = Term(
         name="auxiliary_load",
         columns=lambda frame: frame.as_acceleration(np.ones((len(frame.strides), 1))),
         sd=8e3,
-        term=Term(BY_NAME["auxiliary_load"]),
+        effect_term=EffectTerm(BY_NAME["auxiliary_load"]),
     )
     loaded, plain = (DriveState.of(driven(n, seed, np.full(n, 15e3))) for seed in (1, 2))
     for drives in ((loaded.having((load,)), plain), (plain, loaded.having((load,)))):
@@ -659,7 +661,7 @@ def test_effects_are_compared_with_processes_by_the_most_probable_set_of_either_
     state = on_level_road(3e3 + 10 * on_level_road().fit.strides.speed ** 2)
     forms = Candidates([drag, fan], [()], FoundForms()).on(0, state, with_processes=True, with_stretches=False)
     joint = Hypotheses((state,), [()], [forms])
-    names = [joint.component(i).name for i in range(len(joint.keys))]
+    names = [joint.term(i).name for i in range(len(joint.keys))]
     one, other = names.index(drag.name), names.index(fan.name)
     process = max(range(len(names)), key=lambda i: joint.unlimited((i,)) if joint.kind(i) is Kind.PROCESS else -np.inf)
     sets = (one, process), (process,), (one, other), (one,), ()
@@ -681,7 +683,7 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
         [()],
         [Candidates(effects, [()], FoundForms()).on(0, state, with_processes=False, with_stretches=False)],
     )
-    names = [joint.component(i).name for i in range(len(joint.keys))]
+    names = [joint.term(i).name for i in range(len(joint.keys))]
     load, drag, tyres = (names.index(effect.name) for effect in effects)
     others = [i for i, name in enumerate(names) if name == "warm_up" and i != tyres]
     weights = {(): 0.5, (load,): 0.3, (drag, load): 0.2}
@@ -689,9 +691,9 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
 
     (found,) = joint.others(table, ())
 
-    components = [joint.component(i) for i in range(len(joint.keys))]
+    terms = [joint.term(i) for i in range(len(joint.keys))]
     likelihood, rng, draws = (
-        joint_likelihood(strides, quiet, components, np.random.default_rng(20_042)),
+        joint_likelihood(strides, quiet, terms, np.random.default_rng(20_042)),
         np.random.default_rng(5),
         [],
     )
@@ -699,7 +701,7 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
         posterior = likelihood.posterior(own)
         each = rng.multivariate_normal(posterior.mean, posterior.covariance, int(2e6 * weight), method="cholesky")
         for place, i in enumerate(own, start=likelihood.base_size):
-            each = each[each[:, place] > 0] if components[i].positive else each
+            each = each[each[:, place] > 0] if terms[i].positive else each
         take = rng.integers(0, len(each), int(2e5 * weight))
         draws.append(each[take, : likelihood.base_size])
     alone = likelihood.posterior(())
@@ -728,13 +730,13 @@ def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
 def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
     frame = Frame.of(quiet)
     disturbed = frame.disturbed(np.full(len(strides), 500.0))
-    components: list[Component] = list(processes(frame))
+    terms: list[Term] = list(processes(frame))
     for effect in CATALOGUE:
         if not effect.is_absorbed and not effect.is_gravity:
-            components += of_effect(frame, effect, frozenset(strides.context))[:1]
-    for component in components:
-        changed = not np.allclose(component.columns(frame), component.columns(disturbed))
-        assert changed == component.is_noisy, component.name
+            terms += of_effect(frame, effect, frozenset(strides.context))[:1]
+    for term in terms:
+        changed = not np.allclose(term.columns(frame), term.columns(disturbed))
+        assert changed == term.is_noisy, term.name
 
 
 def test_a_load_step_holds_from_the_first_stride_after_the_stop_to_the_last(strides):
@@ -793,7 +795,7 @@ def test_a_load_step_accelerates_with_what_other_effects_leave_of_the_force():
     for _ in range(3):
         frame = Frame.of(state.fit)
         (loaded,) = of_effect(frame, BY_NAME["mass_step"], frozenset(context))
-        state = state.having((of_term(frame, Term(BY_NAME["auxiliary_cycling"], None, spans)), loaded))
+        state = state.having((of_term(frame, EffectTerm(BY_NAME["auxiliary_cycling"], None, spans)), loaded))
     found_fan, found_share = state.fit.theta[LAG + 1 :]
     assert found_fan == pytest.approx(fan, rel=0.02)
     assert BY_NAME["mass_step"].magnitude_from_coefficient(found_share) == pytest.approx(step, rel=0.02)

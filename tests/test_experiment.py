@@ -7,8 +7,8 @@ import pytest
 from driven_on_hills import A, C, M, driven
 from numpy.testing import assert_allclose
 
-from estimator.components.component import Frame, of_effect
 from estimator.components.drive_state import DriveState, Form
+from estimator.components.term import Frame, of_effect
 from estimator.diagnosis import experiment
 from estimator.diagnosis.experiment import Manoeuvre, expected, experiments, manoeuvres
 from estimator.model.effects import BY_NAME
@@ -31,19 +31,19 @@ def state() -> DriveState:
 
 
 def form_of(state: DriveState, name: str, value: float) -> Form:
-    component = of_effect(Frame.of(state.fit), BY_NAME[name], frozenset(state.strides.context))[0]
-    column = component.columns(Frame.of(state.fit))[:, 0]
-    return Form(component=component, gain=0.0, value=value, sd=1.0, trace=column)
+    term = of_effect(Frame.of(state.fit), BY_NAME[name], frozenset(state.strides.context))[0]
+    column = term.columns(Frame.of(state.fit))[:, 0]
+    return Form(term=term, gain=0.0, value=value, sd=1.0, trace=column)
 
 
 def test_evidence_to_expect_is_that_of_the_drive_on_which_the_effect_acts(state: DriveState) -> None:
     """Residual power is what the effect takes; the difference of the two fits is the log Bayes factor to expect."""
     acting, other = form_of(state, "auxiliary_load", 2e4), form_of(state, "viscous_drag", 0.5)
-    joint = state.joint_with([other.component])
-    column = acting.component.columns(joint.frame)
+    joint = state.joint_with([other.term])
+    column = acting.term.columns(joint.frame)
     rival = joint.columns[:, joint.places[0]].toarray()[: len(column)]
     products, _ = joint.projected([], np.column_stack([acting.value * column, rival]))
-    precision = products[1, 1] + other.component.sd**-2.0
+    precision = products[1, 1] + other.term.sd**-2.0
     left = products[0, 0] - products[0, 1] ** 2 / precision  # of the squared residual, beside the other effect
     assert expected(state, acting, other, None) == pytest.approx(0.5 * left, rel=1e-6)
 
@@ -52,8 +52,8 @@ def test_against_nothing_the_width_of_the_prior_counts(state: DriveState) -> Non
     """The mean of the log Bayes factor of a Gaussian magnitude over data of that magnitude, less its noise."""
     acting = form_of(state, "auxiliary_load", 2e4)
     joint = state.joint
-    strength = joint.projected([], acting.component.columns(joint.frame))[0][0, 0]
-    wanted = 0.5 * (acting.value**2 * strength - np.log1p(strength * acting.component.sd**2))
+    strength = joint.projected([], acting.term.columns(joint.frame))[0][0, 0]
+    wanted = 0.5 * (acting.value**2 * strength - np.log1p(strength * acting.term.sd**2))
     assert expected(state, acting, None, None) == pytest.approx(wanted)
 
 

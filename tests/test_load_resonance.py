@@ -7,8 +7,8 @@ import pytest
 from driven_on_level_road import driven
 from simulated_logs import ask, drive, written
 
-from estimator.components.component import Frame
 from estimator.components.processes import RING, processes, ringing
+from estimator.components.term import Frame
 from estimator.simulation.effects.effect import Effect
 
 FINE = 1000  # steps of a second

@@ -10,20 +10,20 @@ from made_strides import made_strides
 
 from estimator.components import search
 from estimator.components.candidates import Candidates, FoundForms
-from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.hypotheses import Hypotheses
 from estimator.components.model_table import ModelTable
 from estimator.components.search import Search
 from estimator.components.switching import Switching
+from estimator.components.term import Frame, of_term
 from estimator.diagnosis import explanation
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import BY_NAME
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.model.spans import Spans, covered
-from estimator.model.term import Term
 from estimator.signals import Quantity
 
 Round = tuple[tuple[int, ...], float]  # the best set of a table, and its log evidence with scales of its own
@@ -126,14 +126,14 @@ def driven(n: int = 400) -> DriveState:
 def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one_and_taken_away(monkeypatch):
     brake, own, other = BY_NAME["brake_use"], ((50.0, 80.0), (200.0, 230.0)), ((70.0, 90.0),)
     plain = driven()
-    chosen = plain.having((of_term(Frame.of(plain.fit), Term(brake, None, own), 1.0),))
+    chosen = plain.having((of_term(Frame.of(plain.fit), EffectTerm(brake, None, own), 1.0),))
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: {other})
     monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
     candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]], [()], FoundForms())
 
     def times(of: DriveState, cause: str) -> set[Spans | None]:
         return {
-            one.component.spans
+            one.term.spans
             for one in candidates.on(0, of, with_processes=False, with_stretches=False)
             if one.cause == cause
         }
@@ -148,7 +148,7 @@ def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monk
     loss, brake, fan = (BY_NAME[name] for name in ("cold_loss", "brake_use", "auxiliary_cycling"))
     plain, shape, own = driven(), BY_NAME["cold_loss"].shapes[1], ((50.0, 80.0), (200.0, 230.0))
     frame, found = Frame.of(plain.fit), FoundForms()
-    before = plain.having((of_term(frame, Term(brake, None, own), 1.0), of_term(frame, Term(loss, shape))))
+    before = plain.having((of_term(frame, EffectTerm(brake, None, own), 1.0), of_term(frame, EffectTerm(loss, shape))))
     found.add(0, before)
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())
     monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
@@ -181,13 +181,13 @@ def test_a_rival_of_what_was_chosen_has_shapes_between_those_of_the_grid_too():
     assert set(forms(joint)) == {str(time) for time in loss.shapes}
     sets = (drag,), tuple(sorted((drag, forms(joint)[str(loss.shapes[1])]))), (forms(joint)[str(loss.shapes[0])],)
     table = ModelTable(sets, np.array([0.9, 0.08, 0.02]), 0.0)
-    ((number, term, size),) = joint.rivals(table)
-    both = [of_term(Frame.of(plain.fit), each) for each in (Term(BY_NAME["viscous_drag"]), term)]
-    assert (number, term.shape) == (0, loss.shapes[1])
+    ((number, effect_term, size),) = joint.rivals(table)
+    both = [of_term(Frame.of(plain.fit), each) for each in (EffectTerm(BY_NAME["viscous_drag"]), effect_term)]
+    assert (number, effect_term.shape) == (0, loss.shapes[1])
     assert size == pytest.approx(plain.joint_with(both).posterior([0, 1]).mean[-1])
 
-    found.shape(number, term, size)
-    near = {str(time) for time in loss.finer_shapes(term.shape, size)}
+    found.shape(number, effect_term, size)
+    near = {str(time) for time in loss.finer_shapes(effect_term.shape, size)}
     assert set(forms(joined())) == {str(time) for time in loss.shapes} | near
 
 
@@ -209,7 +209,7 @@ def test_a_search_makes_the_shapes_of_rivals_finer(monkeypatch):
     assert start is not None
     monkeypatch.setattr(Candidates, "on", watched)
     (found,) = Search((start,), [loss, BY_NAME["viscous_drag"]]).alone
-    assert [component.name for component in found.chosen] == ["viscous_drag"]
+    assert [term.name for term in found.chosen] == ["viscous_drag"]
     assert tried[0] == {str(time) for time in loss.shapes}
     assert any(tried[-1] >= {str(time) for time in loss.finer_shapes(shape, 0.0)} for shape in loss.shapes)
 
@@ -273,7 +273,7 @@ def test_a_load_that_comes_and_goes_is_found_though_noise_that_lasts_long_holds_
     assert np.all(sizes < [SCALES[i].centre * np.exp(SCALES[i].spread) for i in (TORQUE, POWER)])
     assert noisy.has_unusual_noise  # by its time
     (found,) = Search((noisy,), [BY_NAME["auxiliary_cycling"]]).alone
-    assert [component.name for component in found.chosen] == ["auxiliary_cycling"]
+    assert [term.name for term in found.chosen] == ["auxiliary_cycling"]
     assert found.sizes[0] == pytest.approx(4e3, rel=0.15)
 
 
@@ -284,7 +284,7 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
     force = 20e3 * np.diff(speed) + 2e3 + fan + np.random.default_rng(6).normal(0, 100.0, n)
     plain = DriveState.of(made_strides(speed, force, {}), is_level=True)
     assert plain is not None
-    state = plain.having((of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans)),))
+    state = plain.having((of_term(Frame.of(plain.fit), EffectTerm(BY_NAME["auxiliary_cycling"], None, spans)),))
     assert not state.is_possible(0)
     assert state.is_possible(1)
     assert plain.is_possible(0)

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
 
 from estimator.components.budget import ROAD, budget
-from estimator.components.component import Frame, Kind
 from estimator.components.drive_state import DriveState
 from estimator.components.search import Search
 from estimator.components.stretches import STRETCHES, stretches
+from estimator.components.term import Frame, Kind
 from estimator.components.time_prior import CHANGE_COST
 from estimator.estimation.road_evidence import log_bayes_factor_of_road
 from estimator.model.effects import BY_NAME
@@ -74,10 +74,10 @@ def test_times_that_are_cut_are_those_of_either_and_end_wherever_one_ends(one, o
 
 def test_a_stretch_is_gravity_along_a_slope_in_its_times_alone():
     frame = Frame.of(state_of(driven()).fit)
-    (component,) = stretches(frame, ((100.0, 200.0), (200.0, 230.5)))
-    columns = component.columns(frame)
+    (term,) = stretches(frame, ((100.0, 200.0), (200.0, 230.5)))
+    columns = term.columns(frame)
     assert columns.shape == (1500, 2)
-    assert component.kind is Kind.ROAD
+    assert term.kind is Kind.ROAD
     assert_allclose(columns[100:200, 0], -STANDARD_GRAVITY)
     assert_allclose(columns[230, 1], -0.5 * STANDARD_GRAVITY)
     assert not columns[:100].any()
@@ -88,8 +88,8 @@ def test_the_slope_felt_changes_over_ten_metres():
     frame = Frame.of(state_of(driven()).fit)
     n = len(frame.strides)
     slow = replace(frame, strides=made_strides(np.full(n + 1, 2.0), frame.force, {Quantity.ELAPSED: frame.strides.t}))
-    (component,) = stretches(slow, ((100.0, 200.0),))
-    share = component.columns(slow)[:, 0] / -STANDARD_GRAVITY
+    (term,) = stretches(slow, ((100.0, 200.0),))
+    share = term.columns(slow)[:, 0] / -STANDARD_GRAVITY
     assert_allclose(share[96:104], [0.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0], atol=1e-12)  # 5 s at 2 m/s
     assert_allclose(share[196:204], share[96:104][::-1], atol=1e-12)
 

@@ -18,11 +18,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.folds import left_out
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Frame, Term
 from estimator.model.road_scales import DISTURBANCE
 from estimator.signals import Floats
 from estimator.units import STANDARD_GRAVITY
@@ -110,8 +110,8 @@ class _Powers:
 
 def budget(
     drives: Sequence[DriveState],
-    possible: Sequence[Sequence[Component]],
-    unnamed: Sequence[Sequence[Component]],
+    possible: Sequence[Sequence[Term]],
+    unnamed: Sequence[Sequence[Term]],
     rng: np.random.Generator,
     given: Collection[str] = (),
 ) -> Budget:
@@ -134,7 +134,7 @@ def budget(
         [drive_powers.held_out for drive_powers in powers],
         [np.zeros(len(drive_powers.residual)) for drive_powers in powers],
     )
-    chosen = {component.name for drive in drives for component in drive.chosen}
+    chosen = {term.name for drive in drives for term in drive.chosen}
     weak = dict.fromkeys(c.name for others in possible for c in others if c.name not in chosen)
     small = [
         cause for cause in weak if np.quantile(np.abs(residual @ drawn[cause]), 0.95) < MIN_SHARE * residual @ residual
@@ -222,23 +222,21 @@ def _part(
     )
 
 
-def _powers(
-    drive: DriveState, others: Sequence[Component], unnamed: Sequence[Component], rng: np.random.Generator
-) -> _Powers:
+def _powers(drive: DriveState, others: Sequence[Term], unnamed: Sequence[Term], rng: np.random.Generator) -> _Powers:
     added = (*others, *unnamed)
-    joint, components = drive.joint_with(added), [*drive.chosen, *added]
+    joint, terms = drive.joint_with(added), [*drive.chosen, *added]
     plain = PlainModel(drive.fit)
-    amplitudes = _amplitudes(joint, components, rng)
+    amplitudes = _amplitudes(joint, terms, rng)
     masses = joint.unit[0] / amplitudes[0]
     draws = {
-        _name(component): plain.residual(
+        _name(term): plain.residual(
             plain.as_power(joint.acceleration(joint.places[i], amplitudes[joint.places[i]]), masses)
         )
-        for i, component in enumerate(components)
+        for i, term in enumerate(terms)
     }
     for cause, part in _road_and_noise(drive, joint, amplitudes, rng):
         draws[cause] = plain.residual(plain.as_power(part, masses))
-    held_out = _held_out(drive, [_name(component) for component in drive.chosen])
+    held_out = _held_out(drive, [_name(term) for term in drive.chosen])
     mass = 1 / drive.fit.beta[:1]
     return _Powers(
         plain.residual(plain.power),
@@ -272,24 +270,24 @@ def _road_and_noise(
     yield NOISE, errors + white - gusts
 
 
-def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np.random.Generator) -> Floats:
+def _amplitudes(joint: JointLikelihood, terms: Sequence[Term], rng: np.random.Generator) -> Floats:
     """Posterior draws (p, DRAWS) of all amplitudes, in the scaled units of `SetLikelihood`.
 
     The draws that violate the sign constraints least are kept, of MAX_TRIES times as many; the rest is clipped at zero.
     """
-    posterior = joint.posterior(range(len(components)))
+    posterior = joint.posterior(range(len(terms)))
     root = np.linalg.cholesky(posterior.covariance * np.outer(joint.unit, joint.unit))
     mean = (posterior.mean * joint.unit)[:, None]
     draws = mean + root @ rng.standard_normal((len(root), DRAWS * MAX_TRIES))
-    positive = [joint.places[i][0] for i, component in enumerate(components) if component.positive]
+    positive = [joint.places[i][0] for i, term in enumerate(terms) if term.positive]
     wrong = np.sum(np.minimum(draws[positive] / np.sqrt(np.diag(root @ root.T))[positive, None], 0.0) ** 2, axis=0)
     kept: Floats = draws[:, np.argsort(wrong, kind="stable")[:DRAWS]]
     kept[positive] = np.maximum(kept[positive], 0.0)
     return kept
 
 
-def _name(component: Component) -> str:
-    return component.name if component.term is not None else f"{UNKNOWN}{component.name}"
+def _name(term: Term) -> str:
+    return term.name if term.effect_term is not None else f"{UNKNOWN}{term.name}"
 
 
 def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
@@ -308,9 +306,9 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
         posterior = joint.posterior(range(len(drive.chosen)))
         left = strides[places[out]]
         frame = Frame.of(replace(drive.fit, strides=left))
-        for i, component in enumerate(drive.chosen):
+        for i, term in enumerate(drive.chosen):
             amplitude = posterior.mean[joint.places[i]]
-            accelerations[names[i]][out] = component.columns(frame) @ amplitude
+            accelerations[names[i]][out] = term.columns(frame) @ amplitude
         if drive.is_level:
             continue
         unknowns = joint.conditioned.unknowns(joint.residual(posterior.mean * joint.unit))

@@ -7,16 +7,16 @@ from itertools import combinations
 
 import numpy as np
 
-from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState, has_free_times, slow_noise
 from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
+from estimator.components.term import Frame, Term, of_effect, of_term
 from estimator.components.time_prior import is_usual, prior_cost, seen
 from estimator.estimation.shapes import is_free, near
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
 from estimator.model.spans import Spans, cut, union, without
-from estimator.model.term import Term
 from estimator.signals import Floats
 
 
@@ -30,7 +30,7 @@ class Candidate:
     cause: str
     is_event: bool
     form: object
-    component: Component
+    term: Term
 
 
 @dataclass(frozen=True)
@@ -55,19 +55,21 @@ class FoundForms:
 
     def __init__(self) -> None:
         self.times: dict[int, set[Spans]] = defaultdict(set)
-        self.shapes: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)  # latest term of an effect, size
+        self.shapes: dict[int, dict[str, tuple[EffectTerm, float]]] = defaultdict(
+            dict
+        )  # latest term of an effect, size
 
-    def shape(self, number: int, term: Term, size: float) -> None:
-        """Record a ``term`` with a free shape and its magnitude ``size`` for drive ``number``."""
-        self.shapes[number][term.effect.name] = term, size
+    def shape(self, number: int, effect_term: EffectTerm, size: float) -> None:
+        """Record a ``effect_term`` with a free shape and its magnitude ``size`` for drive ``number``."""
+        self.shapes[number][effect_term.effect.name] = effect_term, size
 
     def add(self, number: int, drive: DriveState) -> None:
         """Record times and terms of everything chosen on a drive, and the times of its stretches of road."""
-        for component, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
-            if component.is_timed and component.spans:
-                self.times[number].add(component.spans)
-            if component.term is not None:
-                self.shape(number, component.term, size)
+        for term, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
+            if term.is_timed and term.spans:
+                self.times[number].add(term.spans)
+            if term.effect_term is not None:
+                self.shape(number, term.effect_term, size)
         if drive.stretches is not None and drive.stretches.spans:
             self.times[number].add(drive.stretches.spans)
 
@@ -84,7 +86,7 @@ class Candidates:
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.
     """
 
-    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]], forms: FoundForms) -> None:
+    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Term]], forms: FoundForms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
         self._given, self._forms = given, forms
         self._latest: dict[int, _Proposed] = {}
@@ -110,17 +112,17 @@ class Candidates:
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """Times at which effects may act: those of chosen terms, unions of two of these, and the proposed ones."""
         steep = None if drive.stretches is None else drive.stretches.spans
-        beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
+        beside = (*((effect_term.effect.name, effect_term.spans) for effect_term in drive.fit.terms), steep)
         if number not in self._latest or self._latest[number].is_outdated(beside, drive):
             switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
             times = set[Spans]().union(*map(switching.proposed, timed))
             self._latest[number] = _Proposed(beside, slow_noise(drive.fit.scales.values), times)
-            if steep is None and not any(component.is_timed for component in drive.chosen):
+            if steep is None and not any(term.is_timed for term in drive.chosen):
                 self._untimed[number] |= times
-            names = frozenset(component.name for component in drive.chosen), steep is None
+            names = frozenset(term.name for term in drive.chosen), steep is None
             if number not in self._instead or self._instead[number][0] != names:
                 self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
-        present = [component.spans for component in drive.chosen if component.is_timed and component.spans]
+        present = [term.spans for term in drive.chosen if term.is_timed and term.spans]
         present += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(present, 2)}
         proposed = self._latest[number].times | self._instead[number][1] | self._untimed[number]
@@ -131,31 +133,33 @@ class Candidates:
         """Effects that act always, that a signal shows, or that begin at a standstill."""
         quantities = frozenset(drive.strides.context)
         for effect in self._effects:
-            for component in of_effect(frame, effect, quantities):
-                term = component.term
-                assert term is not None
+            for term in of_effect(frame, effect, quantities):
+                effect_term = term.effect_term
+                assert effect_term is not None
                 yield Candidate(
                     cause=effect.name,
                     is_event=effect.timing is not Timing.ALWAYS,
-                    form=term.spans or str(term.shape),
-                    component=component,
+                    form=effect_term.spans or str(effect_term.shape),
+                    term=term,
                 )
 
     def _near_shapes(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
         """Shapes near those of chosen effects and of effects found before; given effects keep their shapes."""
-        chosen = [(c.term, size) for c, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if c.term]
-        present = {term.effect.name: (term, size) for term, size in chosen}
-        for term, size in (self._forms.shapes[number] | present).values():
-            if not is_free(term) or term.effect not in self._effects:
+        chosen = [
+            (c.effect_term, size) for c, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if c.effect_term
+        ]
+        present = {effect_term.effect.name: (effect_term, size) for effect_term, size in chosen}
+        for effect_term, size in (self._forms.shapes[number] | present).values():
+            if not is_free(effect_term) or effect_term.effect not in self._effects:
                 continue
-            for finer in near(term, size):
-                effect, component = term.effect, of_term(frame, finer)
+            for finer in near(effect_term, size):
+                effect, term = effect_term.effect, of_term(frame, finer)
                 # Finer shapes depend on the size, which differs between drives: the key is the coarse shape.
                 shape = finer.shape if finer.shape in effect.shapes else effect.shape_key(finer.shape)
-                yield Candidate(cause=effect.name, is_event=False, form=str(shape), component=component)
+                yield Candidate(cause=effect.name, is_event=False, form=str(shape), term=term)
 
     def _at_times(
-        self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
+        self, number: int, frame: Frame, chosen: Sequence[Term], times: Sequence[Spans]
     ) -> Iterator[Candidate]:
         """Effects at fitted times, and at the times of chosen effects with other times added or subtracted."""
         last_costs = self._costs[number]  # costs of the last round: most times recur
@@ -169,8 +173,8 @@ class Candidates:
                     costs[key] = last_costs[key] if key in last_costs else _cost(spans, effect, frame.strides.t)
                 cost = costs[key]
                 if cost is not None:
-                    component = of_term(frame, Term(effect, None, spans), cost)
-                    yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
+                    term = of_term(frame, EffectTerm(effect, None, spans), cost)
+                    yield Candidate(cause=effect.name, is_event=True, form=spans, term=term)
 
     def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
         """Stretches of the road at fitted times, and at all times of stretches chosen so far.
@@ -184,8 +188,8 @@ class Candidates:
         for spans in _different(
             {*times, *changed, *self._steep[number]}, [present] if present else [], frame.strides.t
         ):
-            for component in stretches(frame, spans):
-                yield Candidate(cause=component.name, is_event=True, form=spans, component=component)
+            for term in stretches(frame, spans):
+                yield Candidate(cause=term.name, is_event=True, form=spans, term=term)
 
 
 def _different(times: Set[Spans], preferred: Sequence[Spans], t: Floats) -> list[Spans]:
@@ -206,11 +210,11 @@ def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: in
     """Nameless processes; ``given`` is the number of given terms of the drive."""
     for spans in times:
         for process in switched(frame, spans):
-            yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
+            yield Candidate(cause=process.name, is_event=True, form=spans, term=process)
     number: Counter[str] = Counter()  # forms of each process so far; they are the same on all drives
     for process in processes(frame):
-        yield Candidate(cause=process.name, is_event=False, form=number[process.name], component=process)
+        yield Candidate(cause=process.name, is_event=False, form=number[process.name], term=process)
         number[process.name] += 1
     beside = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
     for i, process in enumerate(swings(drive.joint, beside)):
-        yield Candidate(cause=process.name, is_event=True, form=i, component=process)
+        yield Candidate(cause=process.name, is_event=True, form=i, term=process)

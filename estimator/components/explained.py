@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState, Form
 from estimator.components.hypotheses import MIN_GAIN, Hypotheses, OtherSets
 from estimator.components.model_table import Cause, Chosen, ModelTable
 from estimator.components.processes import LOW_PASS
+from estimator.components.term import Kind, Term
 from estimator.model.effects.effect import Effect, Timing
 
 
@@ -73,7 +73,7 @@ class Nameless:
     ``log_bayes_factor``: averaged over its forms; ``probability``: that any nameless process considered acts.
     """
 
-    processes: Mapping[int, Component]
+    processes: Mapping[int, Term]
     log_bayes_factor: float
     probability: float
 
@@ -137,14 +137,14 @@ def explained_by(
     ``effects``, each alone.
     """
     causes, forms = joint.causes(), range(len(joint.keys))
-    forms_of = {effect.name: [i for i in forms if joint.component(i).name == effect.name] for effect in effects}
+    forms_of = {effect.name: [i for i in forms if joint.term(i).name == effect.name] for effect in effects}
     acting = [effect for effect in effects if set(forms_of[effect.name]) & set(best)]
     choices = [_choice(joint, table, best, effect, forms_of) for effect in acting]
     road = [i for i in best if joint.kind(i) is Kind.ROAD]
     named = [i for i in best if joint.kind(i) is Kind.EFFECT] + road
     of_kind = {kind: {i for i in forms if joint.kind(i) is kind} for kind in Kind}
     unnamed = of_kind[Kind.PROCESS]
-    low_pass = {i for i in unnamed if joint.component(i).name == LOW_PASS}
+    low_pass = {i for i in unnamed if joint.term(i).name == LOW_PASS}
     none = joint.unlimited(road)
 
     def without(others: Set[int]) -> float:

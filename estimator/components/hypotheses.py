@@ -11,13 +11,13 @@ import numpy as np
 
 from estimator.components import stretches
 from estimator.components.candidates import Candidate
-from estimator.components.component import Component, Kind
 from estimator.components.drive_state import DriveState
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import Cause, Chosen, ModelTable
+from estimator.components.term import Kind, Term
 from estimator.estimation.mixture import between
 from estimator.estimation.shapes import is_free
-from estimator.model.term import Term
+from estimator.model.effect_term import EffectTerm
 from estimator.signals import Floats
 
 ODDS_OF_EFFECTS = 0.37  # prior odds of all effects together: "no effect" is e times as probable
@@ -62,23 +62,20 @@ class Hypotheses:
     def __init__(
         self,
         drives: Sequence[DriveState],
-        given: Sequence[tuple[Component, ...]],
+        given: Sequence[tuple[Term, ...]],
         candidates: Sequence[Iterable[Candidate]],
     ) -> None:
         self.drives, self.given = drives, given
-        components: dict[Key, dict[int, Component]] = defaultdict(dict)
+        terms: dict[Key, dict[int, Term]] = defaultdict(dict)
         for number, own_candidates in enumerate(candidates):
             for candidate in own_candidates:
-                components[candidate.cause, number if candidate.is_event else None, candidate.form][number] = (
-                    candidate.component
-                )
-        self.keys, self.each = list(components), list(components.values())
+                terms[candidate.cause, number if candidate.is_event else None, candidate.form][number] = candidate.term
+        self.keys, self.each = list(terms), list(terms.values())
         on_drives = [
             [by_drive[number] for by_drive in self.each if number in by_drive] for number in range(len(drives))
         ]
         unlimited = [
-            tuple(replace(component, max_size=np.inf, max_positive_size=np.inf) for component in terms)
-            for terms in given
+            tuple(replace(term, max_size=np.inf, max_positive_size=np.inf) for term in terms) for terms in given
         ]  # without limits of their sizes
         self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, unlimited, on_drives, strict=True)]
         count = [len(start) for start in given]
@@ -94,10 +91,10 @@ class Hypotheses:
             (*drive.chosen[len(given) :], *([] if drive.stretches is None else [drive.stretches]))
             for drive, given in zip(self.drives, self.given, strict=True)
         ]
-        marks = [
-            {(component.name, component.term, component.spans) for component in components} for components in acting
-        ]
-        is_chosen = (all((c.name, c.term, c.spans) in marks[n] for n, c in by_drive.items()) for by_drive in self.each)
+        marks = [{(term.name, term.effect_term, term.spans) for term in terms} for terms in acting]
+        is_chosen = (
+            all((c.name, c.effect_term, c.spans) in marks[n] for n, c in by_drive.items()) for by_drive in self.each
+        )
         return tuple(i for i, is_there in enumerate(is_chosen) if is_there)
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
@@ -156,25 +153,25 @@ class Hypotheses:
             for n, joint in enumerate(self._joints)
         )
 
-    def rivals(self, table: ModelTable) -> Iterator[tuple[int, Term, float]]:
+    def rivals(self, table: ModelTable) -> Iterator[tuple[int, EffectTerm, float]]:
         """Effects with a free shape in probable hypotheses but not in the best: drive, term and magnitude.
 
         Each is taken from the most probable hypothesis that contains it.
         """
-        names = {self.component(i).name for i in table.best}
+        names = {self.term(i).name for i in table.best}
         for hypothesis in (
             hypothesis for hypothesis, p in zip(table.sets, table.probability, strict=True) if p > MIN_PROBABILITY
         ):
-            new = [i for i in hypothesis if self.component(i).name not in names]
-            names |= {self.component(i).name for i in new}
+            new = [i for i in hypothesis if self.term(i).name not in names]
+            names |= {self.term(i).name for i in new}
             for form in new:
-                for number, component in self.each[form].items():
-                    if component.term is not None and is_free(component.term):
+                for number, term in self.each[form].items():
+                    if term.effect_term is not None and is_free(term.effect_term):
                         here, column = self._numbers_on(hypothesis, number), self._places[form][number]
-                        yield number, component.term, self._joints[number].value(here, column)
+                        yield number, term.effect_term, self._joints[number].value(here, column)
 
-    def component(self, i: int) -> Component:
-        """One of the components of form ``i``; all have the same name."""
+    def term(self, i: int) -> Term:
+        """One of the terms of form ``i``; all have the same name."""
         return next(iter(self.each[i].values()))
 
     def causes(self) -> list[Cause]:
@@ -195,7 +192,7 @@ class Hypotheses:
                 is_named=kinds[cause] is Kind.EFFECT,
                 forms=tuple(forms),
                 log_odds=float(log_odds[kinds[cause]]),
-                log_forms=float(np.log(max(sum(not self.component(i).is_timed for i in forms), 1))),
+                log_forms=float(np.log(max(sum(not self.term(i).is_timed for i in forms), 1))),
             )
             for cause, forms in grouped.items()
         ]
@@ -203,7 +200,7 @@ class Hypotheses:
     def log_prior(self, chosen: Chosen, causes: Sequence[Cause]) -> float:
         """Log prior odds of a hypothesis among ``causes`` against none, costs of its times included."""
         present = [(cause.log_prior, form) for cause in causes for form in cause.forms if form in chosen]
-        return sum(log_odds - self.component(form).cost for log_odds, form in present)
+        return sum(log_odds - self.term(form).cost for log_odds, form in present)
 
     def gain(self, chosen: Chosen, form: int) -> float:
         """Log Bayes factor of one form given the others of a hypothesis, less its cost."""
@@ -213,15 +210,15 @@ class Hypotheses:
         """Hypothesis without effects whose gain is within the error of form of the strongest effect."""
         gains = {i: self.gain(chosen, i) for i in chosen if self.kind(i) is Kind.EFFECT}
         most = max(gains.values(), default=0.0)
-        small = {i for i in gains if gains[i] < most * (MIN_GAIN_TIMED if self.component(i).is_timed else MIN_GAIN)}
+        small = {i for i in gains if gains[i] < most * (MIN_GAIN_TIMED if self.term(i).is_timed else MIN_GAIN)}
         return tuple(i for i in chosen if i not in small)
 
     def kind(self, i: int) -> Kind:
         """Category of form ``i`` in the answer."""
-        return self.component(i).kind
+        return self.term(i).kind
 
-    def _parts(self, chosen: Chosen, number: int, kind: Kind) -> tuple[Component, ...]:
-        """Components of one kind in a hypothesis, on the drive with this ``number``."""
+    def _parts(self, chosen: Chosen, number: int, kind: Kind) -> tuple[Term, ...]:
+        """Terms of one kind in a hypothesis, on the drive with this ``number``."""
         return tuple(self.each[i][number] for i in chosen if self.kind(i) is kind and number in self.each[i])
 
     def fitted(self, chosen: Chosen) -> tuple[DriveState, ...]:

@@ -1,6 +1,6 @@
 """Joint likelihood of all terms on a drive: the evidence of any hypothesis beside the road load and the road.
 
-K is the covariance of everything that is not a component: road, noise of torque and speed (see `model.road`). All
+K is the covariance of everything that is not a term: road, noise of torque and speed (see `model.road`). All
 hypotheses share it, so the products of all columns are computed once, and each hypothesis is a small linear system. Two
 corrections come first (see `estimation.normal_equations`): for noise of the measured force in the products, and for
 drivers' feedback to slopes in the moments.
@@ -13,8 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from estimator.components.component import Component, Frame
 from estimator.components.set_likelihood import SetLikelihood
+from estimator.components.term import Frame, Term
 from estimator.estimation.normal_equations import ANSWERED, of_first_order
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
@@ -23,7 +23,7 @@ from estimator.signals import Floats
 
 
 class JointLikelihood(SetLikelihood):
-    """Likelihood of one drive for sets of ``components``.
+    """Likelihood of one drive for sets of ``terms``.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class JointLikelihood(SetLikelihood):
         Road model of the drive at the scales of ``fit``.
     fit
         Fit of the drive.
-    components
+    terms
         All terms that a hypothesis may contain.
     rng
         Source of the simulated noise of the correction.
@@ -43,27 +43,27 @@ class JointLikelihood(SetLikelihood):
         self,
         conditioned: Conditioned,
         fit: RoadFit,
-        components: Sequence[Component],
+        terms: Sequence[Term],
         rng: np.random.Generator,
-        stretches: Component | None = None,
+        stretches: Term | None = None,
     ) -> None:
-        self.frame, self.components = Frame.of(fit), list(components)
+        self.frame, self.terms = Frame.of(fit), list(terms)
         self.conditioned, self.model = conditioned, conditioned.model
         base = Likelihood(self.model, (), fit.theta[:3], fit.scales.lag)
         steep = np.empty((len(self.model.driven), 0)) if stretches is None else stretches.columns(self.frame)
         plain, base_size = base.data.shape[1] - 1, base.data.shape[1] - 1 + steep.shape[1]
         self.stretches = np.arange(plain, base_size)  # places of the stretches among the amplitudes
-        columns, places = _shared(components, self.frame, base_size)
+        columns, places = _shared(terms, self.frame, base_size)
         self.response = base.data[:, 0]
         parts = [sp.csc_array(base.data[:, 1:]), *(self._padded(part) for part in (steep, columns))]
         self.columns = sp.hstack(parts, format="csc")  # of all amplitudes; most entries are zero
         unit = np.concatenate([base.unit, np.ones(self.columns.shape[1] - plain)])
         of_stretches = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
         base_precision = np.concatenate([np.diag(base.prior), of_stretches])
-        super().__init__(self._products(self.columns), base_precision, self.components, places, unit)
+        super().__init__(self._products(self.columns), base_precision, self.terms, places, unit)
         widest = np.concatenate([base_precision, np.full(columns.shape[1], np.inf)])
-        for columns_of, component in zip(places, components, strict=True):
-            widest[columns_of] = np.minimum(widest[columns_of], component.sd**-2.0)
+        for columns_of, term in zip(places, terms, strict=True):
+            widest[columns_of] = np.minimum(widest[columns_of], term.sd**-2.0)
         believed = self._information + np.diag(widest)
         self._information -= limited(self._noise(base, fit, rng), believed)
         self._moment = self._moment + ANSWERED * self._answered(base, fit)
@@ -98,24 +98,24 @@ class JointLikelihood(SetLikelihood):
 
     def _change_by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
         """Places and change of the data columns by an ``error`` (n,) [N] of the force with ``rate`` (n,) [N/s]."""
-        components, clean, places = self._noisy
+        terms, clean, places = self._noisy
         force = self.frame.force
         drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
         plain = np.column_stack([error, rate, drag]) / self.unit[places[:3]]
-        changed = _shared(components, self.frame.disturbed(error), 0)[0] - clean
+        changed = _shared(terms, self.frame.disturbed(error), 0)[0] - clean
         return places, sp.hstack([self._padded(plain), self._padded(changed)], format="csc")
 
     @cached_property
-    def _noisy(self) -> tuple[list[Component], sp.csc_array, NDArray[np.int64]]:
-        """Components that contain the measured force, their columns, and the places of force, lag, drag and these."""
-        noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
-        components = [self.components[i] for i in noisy]
-        columns, columns_of = _shared(components, self.frame, 0)
+    def _noisy(self) -> tuple[list[Term], sp.csc_array, NDArray[np.int64]]:
+        """Terms that contain the measured force, their columns, and the places of force, lag, drag and these."""
+        noisy = [i for i, term in enumerate(self.terms) if term.is_noisy]
+        terms = [self.terms[i] for i in noisy]
+        columns, columns_of = _shared(terms, self.frame, 0)
         places = np.zeros(3 + columns.shape[1], dtype=np.int64)
         places[:3] = 0, LAG, DRAG
         for here, i in zip(columns_of, noisy, strict=True):
             places[3 + here] = self.places[i]
-        return components, columns, places
+        return terms, columns, places
 
     def projected(self, chosen: Sequence[int], columns: Floats | sp.sparray) -> tuple[Floats, Floats]:
         """Products (c, c) and scores (c,) of further ``columns``, the terms of a hypothesis eliminated.
@@ -142,17 +142,17 @@ class JointLikelihood(SetLikelihood):
         return added
 
 
-def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[sp.csc_array, list[NDArray[np.int64]]]:
-    """Distinct columns (n, k) of ``components``, and the places of each component, numbered from ``first``.
+def _shared(terms: Sequence[Term], frame: Frame, first: int) -> tuple[sp.csc_array, list[NDArray[np.int64]]]:
+    """Distinct columns (n, k) of ``terms``, and the places of each term, numbered from ``first``.
 
     Strengths of one process share its columns; stretches of the road with the same times share theirs.
     """
     at: dict[object, int] = {}
     rows, values = [np.empty(0, dtype=np.int64)], [np.empty(0)]
     places: dict[int, NDArray[np.int64]] = {}
-    for key, component in {id(component.columns): component for component in components}.items():
-        transposed = component.columns(frame).T
-        names = [column.tobytes() if component.is_slope else (key, k) for k, column in enumerate(transposed)]
+    for key, term in {id(term.columns): term for term in terms}.items():
+        transposed = term.columns(frame).T
+        names = [column.tobytes() if term.is_slope else (key, k) for k, column in enumerate(transposed)]
         for column, name in zip(transposed, names, strict=True):
             if name not in at:
                 at[name] = len(at)
@@ -161,4 +161,4 @@ def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[
         places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
     ends = np.cumsum([len(part) for part in rows])  # the first, empty list gives the leading 0
     columns = sp.csc_array((np.concatenate(values), np.concatenate(rows), ends), (len(frame.strides), len(at)))
-    return columns, [places[id(component.columns)] for component in components]
+    return columns, [places[id(term.columns)] for term in terms]

@@ -7,7 +7,7 @@ This is the paper's criterion on strides of one second. Its residual is the gap,
 
 import numpy as np
 
-from estimator.components.component import Frame
+from estimator.components.term import Frame
 from estimator.estimation.long_run import long_run_variance
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, PLAIN, ROAD_LOAD, columns

@@ -167,8 +167,8 @@ class Search:
             if kept is not None and value < highest - ROUNDING:
                 break
             last, states = latest, latest.states
-            for number, term, magnitude in latest.joint.rivals(latest.table):
-                self._forms.shape(number, term, magnitude)
+            for number, effect_term, magnitude in latest.joint.rivals(latest.table):
+                self._forms.shape(number, effect_term, magnitude)
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
                 gain, kept, highest = value - highest, latest, value
             else:  # a set that is impossible and stays so gains nothing

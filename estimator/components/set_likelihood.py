@@ -1,4 +1,4 @@
-"""Evidence of any set of components, from the products of all their columns, which are computed once.
+"""Evidence of any set of terms, from the products of all their columns, which are computed once.
 
 The data are y = X b + noise of covariance K, with a Gaussian prior of covariance P for the amplitudes b. With the
 products of columns weighted by K^-1, and the posterior mean b^,
@@ -22,7 +22,7 @@ from estimator.signals import Floats, Mask
 
 
 class Prior(Protocol):
-    """Prior of the amplitudes of a component: N(0, ``sd``^2), restricted to positive values if ``positive``."""
+    """Prior of the amplitudes of a term: N(0, ``sd``^2), restricted to positive values if ``positive``."""
 
     @property
     def sd(self) -> float:
@@ -57,7 +57,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Judged:
-    """Components of one column, each added alone to a set: gain in log evidence, value and sd, all (c,)."""
+    """Terms of one column, each added alone to a set: gain in log evidence, value and sd, all (c,)."""
 
     gain: Floats
     value: Floats
@@ -66,7 +66,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class _Added:
-    """Components (g,) of k columns, each added alone to a set; in the scaled units of the likelihood."""
+    """Terms (g,) of k columns, each added alone to a set; in the scaled units of the likelihood."""
 
     gain: Floats  # (g,) in log evidence
     value: Floats  # (g, k) of the amplitudes, x
@@ -75,24 +75,24 @@ class _Added:
 
 
 def places_of(base_size: int, sizes: Sequence[int]) -> list[NDArray[np.int64]]:
-    """Indices of the columns of each component, with ``sizes`` columns, after those of the base."""
+    """Indices of the columns of each term, with ``sizes`` columns, after those of the base."""
     ends = base_size + np.cumsum([0, *sizes])
     return [np.arange(start, end) for start, end in pairwise(ends)]
 
 
 class SetLikelihood:
-    """Likelihood of sets of components.
+    """Likelihood of sets of terms.
 
     Parameters
     ----------
     products
-        Products (1 + p, 1 + p) of the data and the p columns of base and components, weighted by K^-1.
+        Products (1 + p, 1 + p) of the data and the p columns of base and terms, weighted by K^-1.
     base_precision
         Prior precision (b,) of the amplitudes of the base; zero where they are free.
     priors
-        Priors of the components.
+        Priors of the terms.
     places
-        Indices of the columns of each component among the p.
+        Indices of the columns of each term among the p.
     unit
         Divisor (p,) of each column; amplitudes are divided by it to get physical units.
     """
@@ -120,7 +120,7 @@ class SetLikelihood:
     def observe(self, weights: Mapping[int, float], value: float) -> None:
         """Add a measurement of a weighted sum of amplitudes: its ``value`` and ``weights``, all divided by its sd.
 
-        ``weights`` are given by the number of a component with one column. Components outside a set add nothing.
+        ``weights`` are given by the number of a term with one column. Terms outside a set add nothing.
         """
         places = np.array([self.places[index][0] for index in weights], dtype=np.int64)
         factors = np.array(list(weights.values()))
@@ -156,7 +156,7 @@ class SetLikelihood:
         return Posterior(mean / units, covariance / np.outer(units, units), self.base_size, float(log))
 
     def value(self, chosen: Sequence[int], index: int) -> float:
-        """Posterior mean of the amplitude of the component ``index``, of one column, in a set that contains it."""
+        """Posterior mean of the amplitude of the term ``index``, of one column, in a set that contains it."""
         start = sum(len(self.places[i]) for i in chosen[: chosen.index(index)])
         return float(self.posterior(chosen).mean[self.base_size + start])
 
@@ -204,7 +204,7 @@ class SetLikelihood:
     def _with_each_alike(
         self, chosen: Sequence[int], posterior: Posterior, others: Sequence[int]
     ) -> tuple[Floats, Mask]:
-        """`_with_each` for components with equal numbers of columns.
+        """`_with_each` for terms with equal numbers of columns.
 
         They change the amplitudes b of the set to b - W x, and their covariance S to S + W V W'; see `_Added`.
         """
@@ -263,7 +263,7 @@ class SetLikelihood:
         return Judged(added.gain, added.value[:, 0], np.sqrt(added.covariance[:, 0, 0]))
 
     def imitated(self, chosen: Sequence[int], index: int) -> Floats:
-        """Omitted-variable bias (p,) of base and set, in physical units, per scaled unit of an omitted component."""
+        """Omitted-variable bias (p,) of base and set, in physical units, per scaled unit of an omitted term."""
         places, information, _ = self._set(chosen)
         (new,) = self.places[index]
         change: Floats = np.linalg.solve(information, self._information[places, new])

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from estimator.components.component import Component, Frame
+from estimator.components.term import Frame, Term
 from estimator.components.time_prior import MAX_ON_SHARE, cost_apart
 from estimator.model.effects.effect import Effect, Timing, always
 from estimator.model.spans import Spans, covered
@@ -29,7 +29,7 @@ STEEPEST = 0.15  # sine: public roads are hardly steeper
 STRETCHES = Effect(
     name="steep stretches of the road",
     equation="m g v sin(th) on [t1, t2] ...",
-    source="component of gravity along the road",
+    source="term of gravity along the road",
     symbol="slope",
     unit="1",
     power=lambda view, shape: view.m * STANDARD_GRAVITY * view.v,
@@ -40,8 +40,8 @@ STRETCHES = Effect(
 )
 
 
-def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
-    """Component with one additional slope of the road in each of ``spans``.
+def stretches(frame: Frame, spans: Spans) -> Iterator[Term]:
+    """Term with one additional slope of the road in each of ``spans``.
 
     There is none if they cover more than MAX_ON_SHARE of the drive, because A includes a constant slope, or if one of
     them covers no stride.
@@ -55,7 +55,7 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
         on = np.column_stack([covered(frame.strides.t, felt, (span,)) for span in spans])
         return -STANDARD_GRAVITY * on
 
-    yield Component(
+    yield Term(
         name=STRETCHES.name,
         columns=columns,
         sd=SLOPE_SD,

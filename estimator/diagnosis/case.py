@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Frame, of_term
 from estimator.estimation.gate import wrong_sign_of
 from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.shapes import fitted_with_shapes, terms_of
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect, obstacle
-from estimator.model.term import Term
 from estimator.preparation.drive import Drive
 
 UNIFORM = "speed and acceleration vary too little, or power is not positive, so A, C and m cannot be told apart"
@@ -29,7 +29,7 @@ class Case:
 
     drive: Drive
     given: tuple[Effect, ...]
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTerm, ...]
 
     @property
     def is_road_given(self) -> bool:
@@ -63,14 +63,14 @@ class Case:
         if state is None or not PlainModel(state.fit).is_determined:
             return None
         frame = Frame.of(state.fit)
-        return state.having(tuple(of_term(frame, term) for term in self.terms)) if self.terms else state
+        return state.having(tuple(of_term(frame, effect_term) for effect_term in self.terms)) if self.terms else state
 
 
-def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[Term, ...]:
+def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[EffectTerm, ...]:
     """Terms of ``effects``; a shape that no signal shows is the one with most evidence."""
     strides = drive.strides
 
-    def fitted(terms: tuple[Term, ...], known: RoadScales | None) -> RoadFit | None:
+    def fitted(terms: tuple[EffectTerm, ...], known: RoadScales | None) -> RoadFit | None:
         return fit(strides, np.random.default_rng(PROBE_SEED), terms, known)
 
     terms = terms_of(strides, effects, lambda: fitted((), None))

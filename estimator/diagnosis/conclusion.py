@@ -7,11 +7,11 @@ import numpy as np
 
 from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import ROAD, UNKNOWN, Budget, budget
-from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
 from estimator.components.explained import Choice, Explained, Nameless
 from estimator.components.plain_model import PlainModel
 from estimator.components.processes import LOW_PASS
+from estimator.components.term import Term
 from estimator.diagnosis.case import Case
 from estimator.diagnosis.explanation import Explanation
 from estimator.diagnosis.lag import effect_of, evidence_of_lag, lag_finding, low_pass_gain
@@ -179,7 +179,9 @@ def conclude(
     counted = [one.processes for one in unnamed if one.log_bayes_factor > least]
     processes = [[own[i] for own in counted if i in own] for i in range(len(drives))]
     possible = [_possible(explanation.explained, i) for i in range(len(drives))]
-    given = {term.effect.name for case in cases for term in case.terms} | ({ROAD} if cases[0].is_road_given else set())
+    given = {effect_term.effect.name for case in cases for effect_term in case.terms} | (
+        {ROAD} if cases[0].is_road_given else set()
+    )
     split = budget(drives, possible, processes, rng, given)
     if explanation.is_sloping and not explanation.is_hilly:
         split = split.renamed(ROAD, UNKNOWN + FORCE_BY_PLACE)
@@ -188,7 +190,7 @@ def conclude(
     return Conclusion(explanation=explanation, budget=split, cases=cases, thresholds=thresholds)
 
 
-def _possible(explained: Explained, drive: int) -> list[Component]:
+def _possible(explained: Explained, drive: int) -> list[Term]:
     """Effects that were not chosen but may act on a ``drive`` (its number).
 
     Their log Bayes factor is above MIN_LOG_BF_POSSIBLE, they have no fitted times, and their column is not computed
@@ -196,10 +198,7 @@ def _possible(explained: Explained, drive: int) -> list[Component]:
     """
     forms = [one.each[drive] for one in explained.beside]
     return [
-        form.component
+        form.term
         for form in forms
-        if form is not None
-        and form.gain > MIN_LOG_BF_POSSIBLE
-        and not form.component.is_noisy
-        and form.component.spans is None
+        if form is not None and form.gain > MIN_LOG_BF_POSSIBLE and not form.term.is_noisy and form.term.spans is None
     ]

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
 from estimator.components.folds import cross_validation
 from estimator.components.formula import Variable, best_formula, judged
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Term
 from estimator.diagnosis.result import Described
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.signals import Floats, Quantity
@@ -46,13 +46,13 @@ def described(drive: DriveState) -> Described | None:
 
 def _refitted(drive: DriveState, column: Floats, rms: float) -> tuple[float, float]:
     """Factor of a power ``column`` [W] (n,) and its sd, fitted together with A, C, m and the chosen effects."""
-    own = Component(
+    own = Term(
         name="formula",
         columns=lambda frame: frame.as_acceleration(column)[:, None],
         sd=rms / float(np.sqrt(np.mean(column**2))),
     )
     joint = drive.joint_with([own])
-    posterior = joint.posterior(range(len(joint.components)))
+    posterior = joint.posterior(range(len(joint.terms)))
     scale = 1 / (float(posterior.mean[0]) * float(joint.frame.road_load[2]))
     return float(posterior.mean[-1]) * scale, float(np.sqrt(posterior.covariance[-1, -1])) * scale
 
@@ -77,7 +77,7 @@ def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
 def _held_out_share(drive: DriveState, column: Floats) -> float:
     """Share of the squared residual that ``column`` (n,) removes on held-out stretches, over means of 2 s."""
     plain = PlainModel(drive.fit)
-    taken = [component.columns(drive.joint.frame)[:, 0] for component in drive.chosen]
+    taken = [term.columns(drive.joint.frame)[:, 0] for term in drive.chosen]
     effects = [plain.residual(plain.as_power(each, 1 / drive.fit.beta[:1])[:, 0]) for each in taken]
     y, extra = plain.residual(plain.power), plain.residual(column)
     n = len(y)

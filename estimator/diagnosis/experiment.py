@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.components.component import Component
 from estimator.components.drive_state import DriveState, Form
+from estimator.components.term import Term
 from estimator.diagnosis.result import Experiment
 from estimator.model.effects import Effect
 from estimator.model.effects.effect import AtRest, Timing
@@ -76,15 +76,15 @@ def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mappi
     The gain of a manoeuvre is scaled by the ratio of the search's evidence to that of this likelihood on the drive
     itself, between 0 and 1.
     """
-    a, b = acting.component.name, "" if other is None else other.component.name
+    a, b = acting.term.name, "" if other is None else other.term.name
     now = evidence[a] - (max(evidence[b], 0.0) if b else 0.0)
     trust = float(np.clip(evidence[a] / acting.gain, 0.0, 1.0)) if acting.gain > 0 else 0.0
     alone = expected(state, acting, other, None)
     found = [(m.name, m.minutes, trust * (expected(state, acting, other, m) - alone)) for m in manoeuvres(state)]
     if not state.rests:
         found.append(("two minutes of idling at rest", 2.0, _at_rest(acting, other)))
-    if acting.component.is_timed:
-        found.append(("its state on the bus", 0.0, acting.component.cost))
+    if acting.term.is_timed:
+        found.append(("its state on the bus", 0.0, acting.term.cost))
     return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=now + e) for what, minutes, e in found]
 
 
@@ -96,27 +96,27 @@ def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Man
     strides = state.strides if manoeuvre is None else Strides.concatenate([state.strides, driven(state, manoeuvre)])
     fit, end = replace(state.fit, strides=strides[strides.known]), float(strides.t[-1]) + DURATION / 2
     longer = replace(state, strides=strides, fit=fit, chosen=tuple(_lasting(c, end) for c in state.chosen))
-    joint = longer.joint_with([] if other is None else [_lasting(other.component, end)])
-    chosen = range(len(joint.components))
-    column = _lasting(acting.component, end).columns(joint.frame)
+    joint = longer.joint_with([] if other is None else [_lasting(other.term, end)])
+    chosen = range(len(joint.terms))
+    column = _lasting(acting.term, end).columns(joint.frame)
     strength = max(float(joint.projected(chosen, column)[0][0, 0]), 0.0)
-    width = np.log1p(strength * acting.component.sd**2) if other is None else 0.0
+    width = np.log1p(strength * acting.term.sd**2) if other is None else 0.0
     return 0.5 * (acting.value**2 * strength - float(width))
 
 
-def _lasting(component: Component, end: float) -> Component:
-    """The component; one that begins at a standstill (a load) is prolonged to ``end`` [s]."""
-    term = component.term
-    if term is None or term.effect.timing is not Timing.STEP or not term.spans:
-        return component
-    longer = replace(term, spans=((term.spans[0][0], end),))
-    return replace(component, term=longer, spans=longer.spans, columns=lambda frame: frame.column(longer)[:, None])
+def _lasting(term: Term, end: float) -> Term:
+    """The term; one that begins at a standstill (a load) is prolonged to ``end`` [s]."""
+    effect_term = term.effect_term
+    if effect_term is None or effect_term.effect.timing is not Timing.STEP or not effect_term.spans:
+        return term
+    longer = replace(effect_term, spans=((effect_term.spans[0][0], end),))
+    return replace(term, effect_term=longer, spans=longer.spans, columns=lambda frame: frame.column(longer)[:, None])
 
 
 def _at_rest(acting: Form, other: Form | None) -> float:
     """Expected log Bayes factor of a measurement of the power at idle, by the power that each effect takes at rest."""
-    terms = [(form.value, form.component.term) for form in (acting, other) if form is not None]
-    power = [*(0.0 if term is None else value * term.at_rest(IDLE) for value, term in terms), 0.0]
+    terms = [(form.value, form.term.effect_term) for form in (acting, other) if form is not None]
+    power = [*(0.0 if effect_term is None else value * effect_term.at_rest(IDLE) for value, effect_term in terms), 0.0]
     sd = IDLE_SD + IDLE_SHARE * abs(power[0])
     return 0.5 * ((power[0] - power[1]) / sd) ** 2
 

@@ -53,7 +53,7 @@ def explain(
     cases: Sequence[Case], plain: tuple[DriveState, ...], effects: Sequence[Effect], thresholds: Thresholds
 ) -> Explanation:
     """Search for the effects and processes that act on the drives of ``cases``; ``plain``: their fits by `started`."""
-    present = {term.effect.name for case in cases for term in case.terms}
+    present = {effect_term.effect.name for case in cases for effect_term in case.terms}
     candidates = [e for e in effects if not (e.is_absorbed or e.is_gravity or e.name in present)]
     if cases[0].is_road_given:
         return Explanation(Search(plain, candidates).explained(), True, None, True)

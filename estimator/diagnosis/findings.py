@@ -99,20 +99,20 @@ class Findings:
     def _finding(self, choice: Choice) -> Finding:
         drives, budget = self.conclusion.explained.drives, self.conclusion.budget
         drive = drives[choice.drive]
-        place = next(i for i, component in enumerate(drive.chosen) if component.name == choice.name)
+        place = next(i for i, term in enumerate(drive.chosen) if term.name == choice.name)
         joint = drive.joint
         posterior, at = joint.posterior(range(len(drive.chosen))), joint.places[place][0]
-        term = drive.chosen[place].term
-        assert term is not None
+        effect_term = drive.chosen[place].effect_term
+        assert effect_term is not None
         part, effect, value = budget.part(choice.name), choice.effect, float(posterior.mean[at])
         sd = float(np.hypot(np.sqrt(posterior.covariance[at, at]), EFFECT_DOUBT * value))
         rivals, probability = self._rivals(choice)
         spans = [
             span
             for number, each in enumerate(drives)
-            for component in each.chosen
-            if component.name == choice.name
-            for span in self._clock(number, component.spans or ())
+            for term in each.chosen
+            if term.name == choice.name
+            for span in self._clock(number, term.spans or ())
         ]
         close = {*rivals, Verdict.UNKNOWN.value} if self.conclusion.is_outdone else rivals
         return Finding(
@@ -126,7 +126,7 @@ class Findings:
             rms_after=budget.base if part is None or part.reached is None else part.reached,
             shift=self.conclusion.shift,
             span=tuple(spans),
-            detail=_detail(term.shape, effect),
+            detail=_detail(effect_term.shape, effect),
         )
 
     def _rivals(self, choice: Choice) -> tuple[set[str], float]:
@@ -141,7 +141,7 @@ class Findings:
 
     def _candidate(self, one: Ranked, probability: float, ranking: Sequence[Ranked]) -> Finding:
         which, form = one.best
-        term, effect, base = form.component.term, one.effect, self.conclusion.budget.base
+        effect_term, effect, base = form.term.effect_term, one.effect, self.conclusion.budget.base
         return Finding(
             name=one.name,
             probability=probability,
@@ -152,8 +152,8 @@ class Findings:
             rms_before=base,
             rms_after=base,
             shift=None,
-            span=() if term is None else self._clock(which, term.spans or ()),
-            detail="" if term is None else _detail(term.shape, effect),
+            span=() if effect_term is None else self._clock(which, effect_term.spans or ()),
+            detail="" if effect_term is None else _detail(effect_term.shape, effect),
         )
 
     def _alike(self, one: Ranked, ranking: Sequence[Ranked]) -> set[str]:

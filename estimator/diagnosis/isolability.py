@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.components.component import Frame, of_effect
 from estimator.components.drive_state import DriveState, Form
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Frame, of_effect
 from estimator.diagnosis.result import Invisible, Isolability, NotTestable, Shift
 from estimator.estimation.road_fit import theta_jacobian
 from estimator.model.effects import Effect, Timing
@@ -15,19 +15,19 @@ from estimator.signals import Quantity
 
 def isolability(drive: DriveState, forms: Sequence[Form]) -> Isolability:
     """|Correlation| of the power of effects on a drive, less the plain road load, and their expected evidence."""
-    ordered = sorted(forms, key=lambda form: form.component.name)
+    ordered = sorted(forms, key=lambda form: form.term.name)
     plain = PlainModel(drive.fit)
     traces = [plain.residual(plain.as_power(form.trace, 1 / drive.fit.beta[:1])[:, 0]) for form in ordered]
     unit = np.array([trace / max(float(np.linalg.norm(trace)), np.finfo(float).tiny) for trace in traces])
     unit = unit.reshape(len(ordered), -1 if ordered else 0)
     expected = np.array([expected_evidence(form) for form in ordered])
-    return Isolability(tuple(form.component.name for form in ordered), np.abs(unit @ unit.T), expected)
+    return Isolability(tuple(form.term.name for form in ordered), np.abs(unit @ unit.T), expected)
 
 
 def expected_evidence(form: Form) -> float:
     """Expected log Bayes factor of an effect of usual magnitude."""
-    strength = float(np.sqrt(max((form.component.sd / form.sd) ** 2 - 1.0, 0.0)))  # less the information of the prior
-    return evidence_of(strength) - form.component.cost
+    strength = float(np.sqrt(max((form.term.sd / form.sd) ** 2 - 1.0, 0.0)))  # less the information of the prior
+    return evidence_of(strength) - form.term.cost
 
 
 def evidence_of(strength: float) -> float:
@@ -37,7 +37,7 @@ def evidence_of(strength: float) -> float:
 
 def invisible(drive: DriveState, effects: Sequence[Effect], least: float) -> tuple[Invisible, ...]:
     """Effects with an expected log Bayes factor below ``least`` at usual magnitude, and the shift they cause."""
-    known, present = frozenset(drive.strides.context), {component.name for component in drive.chosen}
+    known, present = frozenset(drive.strides.context), {term.name for term in drive.chosen}
     lasting = [effect for effect in effects if is_lasting(effect) and effect.name not in present]
     frame, ours = Frame.of(drive.fit), range(len(drive.chosen))
     forms = [(effect, form) for effect in lasting for form in of_effect(frame, effect, known)]

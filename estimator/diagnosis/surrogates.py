@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.components.component import Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.explained import Explained, ranked
+from estimator.components.term import Frame
 from estimator.model.effects import Effect
 from estimator.signals import Floats
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from estimator.checkpoint.validation import Count, State, optional, read, substate
 from estimator.config import Config
+from estimator.model.effect_term import wanted_by
 from estimator.model.effects import Effect, named, unbound
-from estimator.model.term import wanted_by
 from estimator.preparation.context import measured
 from estimator.preparation.standstill import Standstill
 from estimator.preparation.striding import Strider

@@ -12,7 +12,7 @@ USUAL_SDS = 3.0  # prior sd of the magnitude of an effect that is given, in usua
 
 
 @dataclass(frozen=True)
-class Term:
+class EffectTerm:
     """Effect in the model, with its shape and the ``spans`` [s] in which it acts; None: always.
 
     ``usual_sds`` is the prior sd of its magnitude, in usual magnitudes.
