@@ -9,7 +9,7 @@ from scipy.stats import false_discovery_control
 
 from estimator.components.plain_model import PlainModel
 from estimator.diagnosis import localisation
-from estimator.diagnosis.described import described
+from estimator.diagnosis.residual_formula import best_residual_formula
 from estimator.diagnosis.result import Traces
 from estimator.diagnosis.surrogates import with_other_phases
 from estimator.estimation.long_run import long_run_variance
@@ -133,7 +133,7 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
 def test_a_power_outside_the_catalogue_is_described() -> None:
     t = np.arange(2400.0) + 0.5
     v = driven().fit.strides.speed
-    found = described(driven(4.0 * t * v))
+    found = best_residual_formula(driven(4.0 * t * v))
     assert found is not None
     assert (found.text, found.unit) == ("v t", "W/m")
     assert abs(found.value - 4.0) < 4 * found.sd
@@ -142,7 +142,7 @@ def test_a_power_outside_the_catalogue_is_described() -> None:
 
 
 def test_noise_is_not_described() -> None:
-    assert described(driven()) is None
+    assert best_residual_formula(driven()) is None
 
 
 def test_other_phases_keep_the_spectrum() -> None:

@@ -7,8 +7,8 @@ import pytest
 from driven_on_hills import A, C, M, driven
 from numpy.testing import assert_allclose
 
-from estimator.components.drive_state import DriveState, Form
-from estimator.components.term import Frame, of_effect
+from estimator.components.drive_state import DriveState, FittedTerm
+from estimator.components.term import Frame, untimed_terms
 from estimator.diagnosis import experiment
 from estimator.diagnosis.experiment import Manoeuvre, expected, experiments, manoeuvres
 from estimator.model.effects import BY_NAME
@@ -30,10 +30,10 @@ def state() -> DriveState:
     return found
 
 
-def form_of(state: DriveState, name: str, value: float) -> Form:
-    term = of_effect(Frame.of(state.fit), BY_NAME[name], frozenset(state.strides.context))[0]
+def form_of(state: DriveState, name: str, value: float) -> FittedTerm:
+    term = untimed_terms(Frame.of(state.fit), BY_NAME[name], frozenset(state.strides.context))[0]
     column = term.columns(Frame.of(state.fit))[:, 0]
-    return Form(term=term, gain=0.0, value=value, sd=1.0, trace=column)
+    return FittedTerm(term=term, gain=0.0, value=value, sd=1.0, trace=column)
 
 
 def test_evidence_to_expect_is_that_of_the_drive_on_which_the_effect_acts(state: DriveState) -> None:
@@ -41,7 +41,7 @@ def test_evidence_to_expect_is_that_of_the_drive_on_which_the_effect_acts(state:
     acting, other = form_of(state, "auxiliary_load", 2e4), form_of(state, "viscous_drag", 0.5)
     joint = state.joint_with([other.term])
     column = acting.term.columns(joint.frame)
-    rival = joint.columns[:, joint.places[0]].toarray()[: len(column)]
+    rival = joint.columns[:, joint.term_columns[0]].toarray()[: len(column)]
     products, _ = joint.projected([], np.column_stack([acting.value * column, rival]))
     precision = products[1, 1] + other.term.sd**-2.0
     left = products[0, 0] - products[0, 1] ** 2 / precision  # of the squared residual, beside the other effect

@@ -61,7 +61,7 @@ def state_of(strides):
 @pytest.fixture(scope="module")
 def steep():
     """What explains a road with three steep stretches."""
-    return Search((state_of(driven(STEEP)),), EFFECTS).explained()
+    return Search((state_of(driven(STEEP)),), EFFECTS).result()
 
 
 @given(spans, spans)
@@ -109,7 +109,7 @@ def test_nearly_the_whole_drive_is_no_stretch_of_it():
 
 def test_steep_stretches_are_the_roads(steep):
     (drive,) = steep.drives
-    assert steep.choices == ()
+    assert steep.chosen == ()
     assert steep.nameless.probability < 0.5
     assert drive.stretches is not None
     joint = drive.joint
@@ -141,11 +141,11 @@ def test_a_level_road_has_none_of_them(steep):
 
 
 def test_a_load_of_one_power_in_all_its_times_is_named():
-    explained = Search((state_of(driven(power=60e3)),), EFFECTS).explained()
-    (choice,) = explained.choices
+    explained = Search((state_of(driven(power=60e3)),), EFFECTS).result()
+    (choice,) = explained.chosen
     assert choice.name == "auxiliary_cycling"
     assert choice.probability > 0.9
-    assert explained.drives[0].sizes[0] == pytest.approx(60e3, rel=0.1)
+    assert explained.drives[0].magnitudes[0] == pytest.approx(60e3, rel=0.1)
 
 
 def test_one_span_of_more_force_may_be_the_roads():
@@ -153,5 +153,5 @@ def test_one_span_of_more_force_may_be_the_roads():
     n = 1500
     strides, on = driven(), covered(np.arange(n) + 0.5, 1.0, ((600.0, 900.0),))
     wet = replace(strides, force=strides.force + (0.35 * A * on)[:, None])
-    explained = Search((state_of(wet),), EFFECTS).explained()
-    assert all(choice.probability < 0.9 for choice in explained.choices)
+    explained = Search((state_of(wet),), EFFECTS).result()
+    assert all(choice.probability < 0.9 for choice in explained.chosen)

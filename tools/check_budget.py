@@ -125,7 +125,7 @@ def visibility(recording: Recording, plain: DriveState, start: float, extra: str
         return Term(name=name, columns=columns, sd=1.0)  # of its true size, which is 1
 
     others = tuple(term(name) for name in names)
-    without, beside = (plain.having((), each).log_evidence for each in (others, (*others, term(extra))))
+    without, beside = (plain.with_terms((), each).log_evidence for each in (others, (*others, term(extra))))
     spans, effect = recording.truth.active.get(extra, []), BY_NAME[extra]
     times = tuple((start + begin, start + end) for begin, end in spans)
     cost = prior_cost(times, effect, plain.fit.strides.t) if times and effect.timing is not Timing.STEP else 0.0

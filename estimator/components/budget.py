@@ -230,7 +230,7 @@ def _powers(drive: DriveState, others: Sequence[Term], unnamed: Sequence[Term], 
     masses = joint.unit[0] / amplitudes[0]
     draws = {
         _name(term): plain.residual(
-            plain.as_power(joint.acceleration(joint.places[i], amplitudes[joint.places[i]]), masses)
+            plain.as_power(joint.acceleration(joint.term_columns[i], amplitudes[joint.term_columns[i]]), masses)
         )
         for i, term in enumerate(terms)
     }
@@ -279,7 +279,7 @@ def _amplitudes(joint: JointLikelihood, terms: Sequence[Term], rng: np.random.Ge
     root = np.linalg.cholesky(posterior.covariance * np.outer(joint.unit, joint.unit))
     mean = (posterior.mean * joint.unit)[:, None]
     draws = mean + root @ rng.standard_normal((len(root), DRAWS * MAX_TRIES))
-    positive = [joint.places[i][0] for i, term in enumerate(terms) if term.positive]
+    positive = [joint.term_columns[i][0] for i, term in enumerate(terms) if term.positive]
     wrong = np.sum(np.minimum(draws[positive] / np.sqrt(np.diag(root @ root.T))[positive, None], 0.0) ** 2, axis=0)
     kept: Floats = draws[:, np.argsort(wrong, kind="stable")[:DRAWS]]
     kept[positive] = np.maximum(kept[positive], 0.0)
@@ -307,7 +307,7 @@ def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
         left = strides[places[out]]
         frame = Frame.of(replace(drive.fit, strides=left))
         for i, term in enumerate(drive.chosen):
-            amplitude = posterior.mean[joint.places[i]]
+            amplitude = posterior.mean[joint.term_columns[i]]
             accelerations[names[i]][out] = term.columns(frame) @ amplitude
         if drive.is_level:
             continue

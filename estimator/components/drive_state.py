@@ -9,9 +9,9 @@ from scipy.special import logsumexp
 
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.one_sided import log_evidence_of_sign
-from estimator.components.set_likelihood import Judged
+from estimator.components.set_likelihood import TermGains
 from estimator.components.switching import Switching
-from estimator.components.term import Frame, Term, as_terms, of_effect, of_term
+from estimator.components.term import Frame, Term, as_effect_terms, term_of, untimed_terms
 from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
 from estimator.estimation.road_search import RoadScales
@@ -30,10 +30,11 @@ _SPREADS = np.array([np.hypot(SCALES[i].spread, 0.5 * SCALES[i + 1].spread) for 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Form:
-    """Best form of an effect on one drive.
+class FittedTerm:
+    """Term of an effect with most evidence on one drive.
 
-    ``gain``: log Bayes factor, less the costs, averaged over forms; ``value`` and ``sd`` of its magnitude.
+    ``gain``: log Bayes factor, less the costs, averaged over the terms of the effect that need no fitted times.
+    ``value`` and ``sd`` of its magnitude.
     """
 
     term: Term
@@ -90,7 +91,7 @@ class DriveState:
             return None
         return cls(strides=strides, fit=fitted, rests=rests)
 
-    def having(
+    def with_terms(
         self,
         chosen: tuple[Term, ...],
         processes: tuple[Term, ...] = (),
@@ -102,12 +103,12 @@ class DriveState:
         """
         frame, further = Frame.of(self.fit), (*processes, *(() if stretches is None else (stretches,)))
         effect_terms = [replace(term.effect_term, usual_sds=1.0) for term in chosen if term.effect_term is not None]
-        effect_terms += [effect_term for process in further for effect_term in as_terms(frame, process)]
+        effect_terms += [effect_term for process in further for effect_term in as_effect_terms(frame, process)]
         fitted = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), effect_terms, self.rests)
         return replace(self, fit=fitted, chosen=chosen, stretches=stretches)
 
     @property
-    def sizes(self) -> Floats:
+    def magnitudes(self) -> Floats:
         """Magnitudes (c,) of the chosen effects, each in its own unit."""
         return self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
 
@@ -116,7 +117,7 @@ class DriveState:
         """Log evidence of the drive with the chosen effects, under the priors they have in every hypothesis."""
         sds = np.sqrt(np.diag(self.fit.theta_covariance()))[LAG + 1 : LAG + 1 + len(self.chosen)]
         positive = np.array([term.positive for term in self.chosen], dtype=np.bool_)
-        signs = log_evidence_of_sign(self.sizes / sds)[positive]
+        signs = log_evidence_of_sign(self.magnitudes / sds)[positive]
         return self.fit.log_evidence + float(signs.sum())
 
     @property
@@ -137,8 +138,8 @@ class DriveState:
 
     def is_possible(self, given: int) -> bool:
         """True if every effect after the first ``given`` ones is within its limits for the fitted road load."""
-        sized = zip(self.chosen[given:], self.sizes[given:].tolist(), strict=True)
-        effects = [(c.effect_term.effect, size) for c, size in sized if c.effect_term is not None]
+        chosen = zip(self.chosen[given:], self.magnitudes[given:].tolist(), strict=True)
+        effects = [(term.effect_term.effect, size) for term, size in chosen if term.effect_term is not None]
         load = Frame.of(self.fit).road_load
         return all(abs(size) <= effect.limit(load) and size <= effect.max_positive_size for effect, size in effects)
 
@@ -166,24 +167,23 @@ class DriveState:
             joint.observe(weights, rest.power / rest.sd)
         return joint
 
-    def forms(self, effects: Sequence[Effect]) -> dict[str, Form]:
-        """Best form of each of ``effects`` that is not chosen and that this drive can test, by name."""
+    def fitted_terms(self, effects: Sequence[Effect]) -> dict[str, FittedTerm]:
+        """Term with most evidence of each of ``effects`` that is not chosen and that this drive can test, by name."""
         quantities, frame = frozenset(self.strides.context), Frame.of(self.fit)
         present = {term.name for term in self.chosen}
         absent = [effect for effect in effects if effect.name not in present]
-        given = [term for effect in absent for term in of_effect(frame, effect, quantities)]
-        joint, ours = self.joint_with(given), list(range(len(self.chosen)))
-        places = range(len(ours), len(ours) + len(given))
-        judged = joint.gains(ours, places)
-        switching, best_forms = Switching(joint), dict[str, Form]()
+        untimed = [term for effect in absent for term in untimed_terms(frame, effect, quantities)]
+        joint, chosen = self.joint_with(untimed), list(range(len(self.chosen)))
+        gains = joint.gains(chosen, range(len(chosen), len(chosen) + len(untimed)))
+        switching, best_terms = Switching(joint), dict[str, FittedTerm]()
         for effect in absent:
-            alike = [i for i, term in enumerate(given) if term.name == effect.name]
-            if alike:
-                best_forms[effect.name] = _best(frame, given, judged, alike)
-            timed = _timed(switching, joint, ours, effect) if has_free_times(effect) else None
-            if timed is not None and (effect.name not in best_forms or timed.gain > best_forms[effect.name].gain):
-                best_forms[effect.name] = timed
-        return best_forms
+            numbers = [i for i, term in enumerate(untimed) if term.name == effect.name]
+            if numbers:
+                best_terms[effect.name] = _best(frame, untimed, gains, numbers)
+            timed = _with_fitted_times(switching, joint, chosen, effect) if has_free_times(effect) else None
+            if timed is not None and (effect.name not in best_terms or timed.gain > best_terms[effect.name].gain):
+                best_terms[effect.name] = timed
+        return best_terms
 
 
 def slow_noise(scales: Floats) -> Floats:
@@ -199,30 +199,31 @@ def has_free_times(effect: Effect) -> bool:
     return effect.timing in (Timing.WINDOW, Timing.SWITCHING) and None in effect.shapes
 
 
-def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
-    """Form of ``effect`` with fitted times; None if none are found."""
-    times = switching.best(ours, effect)
+def _with_fitted_times(
+    switching: Switching, joint: JointLikelihood, chosen: list[int], effect: Effect
+) -> FittedTerm | None:
+    """Term of ``effect`` with fitted times, beside the ``chosen`` ones; None if no times gain evidence."""
+    times = switching.best(chosen, effect)
     if times is None:
         return None
-    term = of_term(joint.frame, EffectTerm(effect, None, times[0]), times[1])
+    term = term_of(joint.frame, EffectTerm(effect, None, times[0]), times[1])
     column = term.columns(joint.frame)
-    products, score = joint.projected(ours, column)
+    products, score = joint.projected(chosen, column)
     value, sd = map(float, posterior_of(score[0], products[0, 0], term.sd))
     gain = log_bayes_factor(value, sd, term.sd)
     gain += log_evidence_of_sign(value / sd) if term.positive else 0.0
-    return Form(
-        term=term,
-        gain=float(gain) - term.cost,
-        value=value,
-        sd=sd,
-        trace=column[:, 0],
+    return FittedTerm(term=term, gain=float(gain) - term.cost, value=value, sd=sd, trace=column[:, 0])
+
+
+def _best(frame: Frame, terms: Sequence[Term], gains: TermGains, numbers: Sequence[int]) -> FittedTerm:
+    """Term with most evidence among those with ``numbers``.
+
+    Its gain is the mean of the Bayes factors of all of them, which have equal prior probability.
+    """
+    net_gains = gains.gain[list(numbers)] - np.array([terms[i].cost for i in numbers])
+    best = numbers[int(np.argmax(net_gains))]
+    gain = float(logsumexp(net_gains)) - np.log(len(numbers))
+    column = terms[best].columns(frame)[:, 0]
+    return FittedTerm(
+        term=terms[best], gain=gain, value=float(gains.value[best]), sd=float(gains.sd[best]), trace=column
     )
-
-
-def _best(frame: Frame, given: Sequence[Term], judged: Judged, places: Sequence[int]) -> Form:
-    """Form with most evidence; its gain is the mean of the Bayes factors of forms of equal prior probability."""
-    gains = judged.gain[list(places)] - np.array([given[i].cost for i in places])
-    best = places[int(np.argmax(gains))]
-    gain = float(logsumexp(gains)) - np.log(len(places))
-    column = given[best].columns(frame)[:, 0]
-    return Form(term=given[best], gain=gain, value=float(judged.value[best]), sd=float(judged.sd[best]), trace=column)

@@ -1,9 +1,7 @@
 """Terms of the model on one drive: effects, nameless processes and stretches of road as columns with a prior.
 
-A `Term` is one form of such a term: fixed shape, times and prior. A hypothesis is a set of them. A `EffectTerm` of
-`model.term` is the effect of the catalogue with its shape and times that a term is made from.
-
-An effect of the catalogue has one column, its power per unit of magnitude. A nameless process has many: hat functions
+A hypothesis is a set of terms. An effect of the catalogue, with one shape and its times, is an `EffectTerm`; its term
+here has one column, the power per unit of magnitude. The term of a nameless process has many columns: hat functions
 along an axis, times a profile (such as the speed), all with the same prior. One likelihood evaluates both.
 
 In the equation of motion a power h appears as the acceleration -h / (m v). Columns computed from the acceleration use
@@ -58,7 +56,7 @@ class Frame:
         return view_of(self.strides, self.force, self.road_load, self.taken)
 
     def column(self, effect_term: EffectTerm) -> Floats:
-        """Acceleration [m/s^2] (n,) per unit of a term's magnitude."""
+        """Acceleration [m/s^2] (n,) per unit of an effect's magnitude."""
         return self.as_acceleration(effect_term.column(self.view))
 
     def as_acceleration(self, power: Floats) -> Floats:
@@ -80,12 +78,12 @@ class Kind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """One form of a term: columns with a prior.
+    """An effect or process in the model, with shape, times and prior.
 
     ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes. Their prior is N(0,
-    ``sd``^2), restricted to positive values if ``positive``. A magnitude beyond ``max_size``, or above ``max_positive_size``, is
-    impossible. ``cost`` [nats]: minus the log prior probability of its times, or of a swing's period. ``is_noisy``: its
-    columns contain noise of the measured force. ``is_slope``: it is part of the road.
+    ``sd``^2), restricted to positive values if ``positive``. An amplitude with a modulus above ``max_size``, or itself
+    above ``max_positive_size``, is impossible. ``cost`` [nats]: minus the log prior probability of its times, or of a
+    swing's period. ``is_noisy``: its columns contain noise of the measured force. ``is_slope``: it is part of the road.
     """
 
     name: str
@@ -115,19 +113,19 @@ class Term:
         )
 
 
-def of_effect(frame: Frame, effect: Effect, known: frozenset[Quantity]) -> list[Term]:
-    """All forms of an effect that need no fitted times: its shapes, or the standstills that it may begin at."""
+def untimed_terms(frame: Frame, effect: Effect, known: frozenset[Quantity]) -> list[Term]:
+    """All terms of an effect that need no fitted times: with its shapes, or from standstills that it may begin at."""
     shapes = effect.usable_shapes(known)
     effect_terms = [
         EffectTerm(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None
     ]
     if effect.timing is Timing.STEP:
         effect_terms = [EffectTerm(effect, None, spans) for spans in _from_standstills(frame.strides)]
-    return [of_term(frame, effect_term) for effect_term in effect_terms]
+    return [term_of(frame, effect_term) for effect_term in effect_terms]
 
 
-def of_term(frame: Frame, effect_term: EffectTerm, cost: float = 0.0) -> Term:
-    """Term of a term of the catalogue."""
+def term_of(frame: Frame, effect_term: EffectTerm, cost: float = 0.0) -> Term:
+    """Term of an effect of the catalogue, with its shape and times; ``cost`` [nats] of these."""
     effect = effect_term.effect
     return Term(
         name=effect.name,
@@ -143,8 +141,8 @@ def of_term(frame: Frame, effect_term: EffectTerm, cost: float = 0.0) -> Term:
     )
 
 
-def as_terms(frame: Frame, process: Term) -> list[EffectTerm]:
-    """Columns of a process or of stretches as terms of a fit, each with the prior of its amplitude."""
+def as_effect_terms(frame: Frame, process: Term) -> list[EffectTerm]:
+    """Columns of a process or of stretches as single terms of a fit, each with the prior of its amplitude."""
     power = _Powers(frame, process)
     return [EffectTerm(_of_process(process, power, k), usual_sds=1.0) for k in range(power.count)]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
-from estimator.components.term import Frame, of_term
+from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of
 from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit
 from estimator.estimation.road_search import RoadScales
@@ -63,7 +63,9 @@ class Case:
         if state is None or not PlainModel(state.fit).is_determined:
             return None
         frame = Frame.of(state.fit)
-        return state.having(tuple(of_term(frame, effect_term) for effect_term in self.terms)) if self.terms else state
+        return (
+            state.with_terms(tuple(term_of(frame, effect_term) for effect_term in self.terms)) if self.terms else state
+        )
 
 
 def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[EffectTerm, ...]:

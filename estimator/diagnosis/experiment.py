@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.components.drive_state import DriveState, Form
+from estimator.components.drive_state import DriveState, FittedTerm
 from estimator.components.term import Term
 from estimator.diagnosis.result import Experiment
 from estimator.model.effects import Effect
@@ -63,14 +63,16 @@ def experiments(
         effects = [effect for effect in (one, other) if effect is not None]
         names = {effect.name for effect in effects}
         rest = replace(state, chosen=tuple(c for c in state.chosen if c.name not in names))
-        forms = rest.forms(effects)
+        forms = rest.fitted_terms(effects)
         if names <= forms.keys() & evidence.keys():
             possible = choices(rest, forms[one.name], None if other is None else forms[other.name], evidence)
             found.append(max(possible, key=lambda choice: choice.expected))
     return tuple(found)
 
 
-def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mapping[str, float]) -> list[Experiment]:
+def choices(
+    state: DriveState, acting: FittedTerm, other: FittedTerm | None, evidence: Mapping[str, float]
+) -> list[Experiment]:
     """All experiments for a pair: manoeuvres, idling at rest, and a signal of the state where times were fitted.
 
     The gain of a manoeuvre is scaled by the ratio of the search's evidence to that of this likelihood on the drive
@@ -88,7 +90,7 @@ def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mappi
     return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=now + e) for what, minutes, e in found]
 
 
-def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Manoeuvre | None) -> float:
+def expected(state: DriveState, acting: FittedTerm, other: FittedTerm | None, manoeuvre: Manoeuvre | None) -> float:
     """Expected log Bayes factor of ``acting`` against ``other``, from the drive and a manoeuvre after it.
 
     If ``other`` is None, the Occam factor of the prior of ``acting`` is subtracted.
@@ -113,7 +115,7 @@ def _lasting(term: Term, end: float) -> Term:
     return replace(term, effect_term=longer, spans=longer.spans, columns=lambda frame: frame.column(longer)[:, None])
 
 
-def _at_rest(acting: Form, other: Form | None) -> float:
+def _at_rest(acting: FittedTerm, other: FittedTerm | None) -> float:
     """Expected log Bayes factor of a measurement of the power at idle, by the power that each effect takes at rest."""
     terms = [(form.value, form.term.effect_term) for form in (acting, other) if form is not None]
     power = [*(0.0 if effect_term is None else value * effect_term.at_rest(IDLE) for value, effect_term in terms), 0.0]

@@ -109,7 +109,7 @@ class Remainder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Described:
+class ResidualFormula:
     """Formula for the residual that no named effect explains: ``value`` +- ``sd`` [``unit``] x ``text``, a power [W].
 
     ``log_bayes_factor`` is less the cost of all formulas that were tried. ``share``: reduction of the squared residual,
@@ -211,7 +211,7 @@ class Diagnosis:
     remaining_verdict: Verdict = Verdict.CANNOT_TELL
     remaining_log_bayes_factor: float | None = None
     remainder: Remainder | None = None
-    formula: Described | None = None  # of the residual that no named effect explains
+    formula: ResidualFormula | None = None  # of the residual that no named effect explains
     doubtful: str = ""  # the likeliest effect if the verdict is "cannot tell" and none is named
     noise_floor: float | None = None  # [W], rms of sensor noise and white force
     rms_base: float | None = None  # [W], plain model with the given effects

@@ -5,7 +5,7 @@ import math
 from estimator.answers import diagnosis as answer
 from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.components.budget import Part
-from estimator.diagnosis.result import Described, Diagnosis, Finding, Invisible, Isolability, Place, Shift
+from estimator.diagnosis.result import Diagnosis, Finding, Invisible, Isolability, Place, ResidualFormula, Shift
 from estimator.report import wording
 
 
@@ -46,7 +46,7 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
     )
 
 
-def _formula(f: Described | None) -> answer.Formula | None:
+def _formula(f: ResidualFormula | None) -> answer.Formula | None:
     if f is None:
         return None
     return answer.Formula(

@@ -7,7 +7,6 @@ import numpy as np
 from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.result import (
     Advice,
-    Described,
     Diagnosis,
     Finding,
     GapClosed,
@@ -18,6 +17,7 @@ from estimator.diagnosis.result import (
     NotTestable,
     Place,
     Remainder,
+    ResidualFormula,
     Shift,
     Span,
     Traces,
@@ -167,7 +167,7 @@ def unknown() -> Diagnosis:
         remaining_verdict=Verdict.UNKNOWN,
         remaining_log_bayes_factor=74.0,
         remainder=Remainder("power over time", 6_100.0, 74.0),
-        formula=Described(text="v t", value=4.1, sd=0.12, unit="W/m", log_bayes_factor=61.0, share=0.84),
+        formula=ResidualFormula(text="v t", value=4.1, sd=0.12, unit="W/m", log_bayes_factor=61.0, share=0.84),
         noise_floor=3_300.0,
         rms_base=9_100.0,
         rms_final=9_100.0,

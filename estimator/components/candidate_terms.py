@@ -1,4 +1,4 @@
-"""Candidates of a drive: forms of effects, with signals or fitted times, nameless processes, and stretches of road."""
+"""Candidate terms of a drive: effects with signals or fitted times, nameless processes, and stretches of the road."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence, Set
@@ -11,7 +11,7 @@ from estimator.components.drive_state import DriveState, has_free_times, slow_no
 from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
-from estimator.components.term import Frame, Term, of_effect, of_term
+from estimator.components.term import Frame, Term, term_of, untimed_terms
 from estimator.components.time_prior import is_usual, prior_cost, seen
 from estimator.estimation.shapes import is_free, near
 from estimator.model.effect_term import EffectTerm
@@ -21,16 +21,15 @@ from estimator.signals import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """One possible form of a ``cause``, identified among its other forms by ``form``.
+class CandidateTerm:
+    """A ``term`` that may act; ``key`` identifies it among the terms of the same effect or process.
 
-    ``is_event``: the cause is specific to its drive; on another drive it counts as another cause.
+    ``is_event``: it is specific to its drive; on another drive it counts as another effect or process.
     """
 
-    cause: str
-    is_event: bool
-    form: object
     term: Term
+    key: object
+    is_event: bool
 
 
 @dataclass(frozen=True)
@@ -47,56 +46,57 @@ class _Proposed:
         return self.beside != beside or bool(changed.max() >= 1.0)
 
 
-class FoundForms:
-    """Times and shapes found by searches on the same drives, by drive number.
+class EarlierTerms:
+    """Times and shapes of terms found by earlier searches on the same drives, by drive number.
 
     A search from another start, or with another road, reuses them instead of finding them round by round again.
     """
 
     def __init__(self) -> None:
         self.times: dict[int, set[Spans]] = defaultdict(set)
-        self.shapes: dict[int, dict[str, tuple[EffectTerm, float]]] = defaultdict(
-            dict
-        )  # latest term of an effect, size
+        # Latest term of each effect, by its name, and its magnitude.
+        self.effect_terms: dict[int, dict[str, tuple[EffectTerm, float]]] = defaultdict(dict)
 
-    def shape(self, number: int, effect_term: EffectTerm, size: float) -> None:
-        """Record a ``effect_term`` with a free shape and its magnitude ``size`` for drive ``number``."""
-        self.shapes[number][effect_term.effect.name] = effect_term, size
+    def add_effect_term(self, number: int, effect_term: EffectTerm, magnitude: float) -> None:
+        """Record an ``effect_term`` with a free shape and its ``magnitude`` for drive ``number``."""
+        self.effect_terms[number][effect_term.effect.name] = effect_term, magnitude
 
-    def add(self, number: int, drive: DriveState) -> None:
+    def add_drive(self, number: int, drive: DriveState) -> None:
         """Record times and terms of everything chosen on a drive, and the times of its stretches of road."""
-        for term, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
+        for term, magnitude in zip(drive.chosen, drive.magnitudes.tolist(), strict=True):
             if term.is_timed and term.spans:
                 self.times[number].add(term.spans)
             if term.effect_term is not None:
-                self.shape(number, term.effect_term, size)
+                self.add_effect_term(number, term.effect_term, magnitude)
         if drive.stretches is not None and drive.stretches.spans:
             self.times[number].add(drive.stretches.spans)
 
 
-class Candidates:
-    """Candidates on the drives of one vehicle: ``effects`` of the catalogue, beside the terms ``given`` for each drive.
+class CandidateTerms:
+    """Candidate terms on the drives of one vehicle: of ``effects``, beside the terms ``given`` for each drive.
 
     Fitted times of effects come from four proposals. Those beside the latest chosen terms are renewed once these or
     their times change, or the slow noise halves or doubles. Those of fits without timed terms and stretches are kept.
     Those that replace all timed terms are renewed with the first stretches of road, and with effects of other names,
-    because two effects may share times. Those of earlier searches, in ``forms``, are reused.
+    because two effects may share times. Those of earlier searches, in ``earlier_terms``, are reused.
 
-    Shapes near those of chosen effects are candidates, and so are shapes near those in ``forms``.
+    Shapes near those of chosen effects are candidates, and so are shapes near those in ``earlier_terms``.
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.
     """
 
-    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Term]], forms: FoundForms) -> None:
+    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Term]], earlier_terms: EarlierTerms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
-        self._given, self._forms = given, forms
+        self._given, self._earlier_terms = given, earlier_terms
         self._latest: dict[int, _Proposed] = {}
         self._untimed: dict[int, set[Spans]] = defaultdict(set)
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
         self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
 
-    def on(self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool) -> Iterator[Candidate]:
-        """Candidates on the drive with this ``number``; of two equal forms the later one counts.
+    def on_drive(
+        self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool
+    ) -> Iterator[CandidateTerm]:
+        """Candidate terms on the drive with this ``number``; of two with equal keys the later one counts.
 
         ``with_stretches``: include stretches of a road that no signal shows.
         """
@@ -126,41 +126,35 @@ class Candidates:
         present += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(present, 2)}
         proposed = self._latest[number].times | self._instead[number][1] | self._untimed[number]
-        proposed |= self._forms.times[number]
+        proposed |= self._earlier_terms.times[number]
         return _different({*present, *both, *proposed}, present, drive.fit.strides.t)
 
-    def _without_fitted_times(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+    def _without_fitted_times(self, frame: Frame, drive: DriveState) -> Iterator[CandidateTerm]:
         """Effects that act always, that a signal shows, or that begin at a standstill."""
         quantities = frozenset(drive.strides.context)
         for effect in self._effects:
-            for term in of_effect(frame, effect, quantities):
+            for term in untimed_terms(frame, effect, quantities):
                 effect_term = term.effect_term
                 assert effect_term is not None
-                yield Candidate(
-                    cause=effect.name,
-                    is_event=effect.timing is not Timing.ALWAYS,
-                    form=effect_term.spans or str(effect_term.shape),
-                    term=term,
-                )
+                key = effect_term.spans or str(effect_term.shape)
+                yield CandidateTerm(term=term, key=key, is_event=effect.timing is not Timing.ALWAYS)
 
-    def _near_shapes(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+    def _near_shapes(self, number: int, frame: Frame, drive: DriveState) -> Iterator[CandidateTerm]:
         """Shapes near those of chosen effects and of effects found before; given effects keep their shapes."""
-        chosen = [
-            (c.effect_term, size) for c, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if c.effect_term
-        ]
-        present = {effect_term.effect.name: (effect_term, size) for effect_term, size in chosen}
-        for effect_term, size in (self._forms.shapes[number] | present).values():
+        chosen = zip(drive.chosen, drive.magnitudes.tolist(), strict=True)
+        present = {term.name: (term.effect_term, magnitude) for term, magnitude in chosen if term.effect_term}
+        for effect_term, magnitude in (self._earlier_terms.effect_terms[number] | present).values():
             if not is_free(effect_term) or effect_term.effect not in self._effects:
                 continue
-            for finer in near(effect_term, size):
-                effect, term = effect_term.effect, of_term(frame, finer)
+            for finer in near(effect_term, magnitude):
+                effect, term = effect_term.effect, term_of(frame, finer)
                 # Finer shapes depend on the size, which differs between drives: the key is the coarse shape.
                 shape = finer.shape if finer.shape in effect.shapes else effect.shape_key(finer.shape)
-                yield Candidate(cause=effect.name, is_event=False, form=str(shape), term=term)
+                yield CandidateTerm(term=term, key=str(shape), is_event=False)
 
     def _at_times(
         self, number: int, frame: Frame, chosen: Sequence[Term], times: Sequence[Spans]
-    ) -> Iterator[Candidate]:
+    ) -> Iterator[CandidateTerm]:
         """Effects at fitted times, and at the times of chosen effects with other times added or subtracted."""
         last_costs = self._costs[number]  # costs of the last round: most times recur
         costs = self._costs[number] = {}
@@ -173,10 +167,12 @@ class Candidates:
                     costs[key] = last_costs[key] if key in last_costs else _cost(spans, effect, frame.strides.t)
                 cost = costs[key]
                 if cost is not None:
-                    term = of_term(frame, EffectTerm(effect, None, spans), cost)
-                    yield Candidate(cause=effect.name, is_event=True, form=spans, term=term)
+                    term = term_of(frame, EffectTerm(effect, None, spans), cost)
+                    yield CandidateTerm(term=term, key=spans, is_event=True)
 
-    def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
+    def _stretches(
+        self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]
+    ) -> Iterator[CandidateTerm]:
         """Stretches of the road at fitted times, and at all times of stretches chosen so far.
 
         The times of the latest chosen stretches are also united with, reduced by and cut at the proposed times.
@@ -189,7 +185,7 @@ class Candidates:
             {*times, *changed, *self._steep[number]}, [present] if present else [], frame.strides.t
         ):
             for term in stretches(frame, spans):
-                yield Candidate(cause=term.name, is_event=True, form=spans, term=term)
+                yield CandidateTerm(term=term, key=spans, is_event=True)
 
 
 def _different(times: Set[Spans], preferred: Sequence[Spans], t: Floats) -> list[Spans]:
@@ -206,15 +202,15 @@ def _cost(spans: Spans, effect: Effect, t: Floats) -> float | None:
     return prior_cost(spans, effect, t) if is_usual(spans, effect, t) else None
 
 
-def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: int) -> Iterator[Candidate]:
+def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: int) -> Iterator[CandidateTerm]:
     """Nameless processes; ``given`` is the number of given terms of the drive."""
     for spans in times:
         for process in switched(frame, spans):
-            yield Candidate(cause=process.name, is_event=True, form=spans, term=process)
-    number: Counter[str] = Counter()  # forms of each process so far; they are the same on all drives
+            yield CandidateTerm(term=process, key=spans, is_event=True)
+    number: Counter[str] = Counter()  # terms of each process so far; they are the same on all drives
     for process in processes(frame):
-        yield Candidate(cause=process.name, is_event=False, form=number[process.name], term=process)
+        yield CandidateTerm(term=process, key=number[process.name], is_event=False)
         number[process.name] += 1
     beside = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
     for i, process in enumerate(swings(drive.joint, beside)):
-        yield Candidate(cause=process.name, is_event=True, form=i, term=process)
+        yield CandidateTerm(term=process, key=i, is_event=True)
