@@ -635,9 +635,9 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     part = whole.part("auxiliary_cycling")
     assert part.share == pytest.approx(residual @ load / (residual @ residual), abs=0.05)
     assert whole.part(ROAD).share + part.share > 0.9
-    assert part.reached < 0.97 * whole.total
+    assert part.held_out_rms < 0.97 * whole.total
     assert part.expected < whole.total
-    assert whole.part(NOISE).reached is None
+    assert whole.part(NOISE).held_out_rms is None
 
 
 @pytest.mark.slow
@@ -653,7 +653,7 @@ def test_a_cause_of_one_drive_only_counts_among_several():
     for drives in ((loaded.with_terms((load,)), plain), (plain, loaded.with_terms((load,)))):
         whole = budget(drives, [[], []], [[], []], np.random.default_rng(1))
         assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
-        assert whole.part("auxiliary_load").reached is not None
+        assert whole.part("auxiliary_load").held_out_rms is not None
 
 
 def test_effects_are_compared_with_processes_by_the_most_probable_set_of_either_alone():

@@ -90,7 +90,7 @@ def test_a_plain_model_of_a_steady_drive_is_not_determined() -> None:
 
 def test_nothing_is_located_where_there_is_only_noise() -> None:
     """False discoveries are held at 5 % over all parts: at most two of 30 clean drives show any."""
-    assert sum(bool(localisation.places(traces_of(seed=seed), {})) for seed in range(30)) <= 2
+    assert sum(bool(localisation.biased_parts(traces_of(seed=seed), {})) for seed in range(30)) <= 2
 
 
 def test_a_load_is_located_in_time_with_its_bias_and_share() -> None:
@@ -98,7 +98,7 @@ def test_a_load_is_located_in_time_with_its_bias_and_share() -> None:
     on = (t >= 450.0) & (t < 600.0)  # the fourth of eight parts
     traces = traces_of(40e3 * on)
     residual = traces.measured - traces.base
-    found = localisation.places(traces, {})
+    found = localisation.biased_parts(traces, {})
     (place,) = [p for p in found if p.axis == "time" and p.bias == max(q.bias for q in found if q.axis == "time")]
     assert (place.start, place.end) == (pytest.approx(450.0, abs=STEP), pytest.approx(600.0, abs=STEP))
     assert place.bias == pytest.approx(residual[on].mean(), rel=0.02)
@@ -111,7 +111,7 @@ def test_a_load_is_located_in_time_with_its_bias_and_share() -> None:
 def test_a_load_is_located_by_what_else_is_known() -> None:
     t = np.arange(0.0, 1200.0, STEP)
     gear = np.where((t // 100) % 2 == 0, 9.0, 11.0)
-    found = localisation.places(traces_of(20e3 * (gear == 11.0)), {Quantity.GEAR: gear})
+    found = localisation.biased_parts(traces_of(20e3 * (gear == 11.0)), {Quantity.GEAR: gear})
     assert {(p.start, np.sign(p.bias)) for p in found if p.axis == "gear"} == {(11.0, 1.0)}
 
 

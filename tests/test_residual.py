@@ -187,8 +187,8 @@ def test_a_cause_is_named_with_its_size_and_its_share():
     assert sum(part.share for part in found.budget) == pytest.approx(1.0)
     part = found.part("slide")
     assert part.q05 < part.share < part.q95
-    assert part.reached == pytest.approx(found.reached)
-    assert part.reached < found.rms
+    assert part.held_out_rms == pytest.approx(found.held_out_rms)
+    assert part.held_out_rms < found.rms
     assert found.noise == pytest.approx(np.hypot(1.0, 0.8), rel=0.1)
     assert found.where[0].axis == "x"
     with pytest.raises(KeyError):
@@ -234,7 +234,7 @@ def test_what_has_no_name_is_unknown_and_gets_a_formula():
     assert found.formula is not None
     assert (found.formula.text, found.formula.unit) == ("x^3", "1/m^2/s^2")
     assert abs(found.formula.value - 0.6) < 3 * found.formula.sd
-    assert found.formula.reached < 0.9 * found.rms
+    assert found.formula.held_out_rms < 0.9 * found.rms
 
 
 @pytest.mark.slow
@@ -400,7 +400,7 @@ def test_parameters_that_one_stretch_alone_shows_are_fitted():
     first = np.column_stack([np.ones(N), np.arange(N) < N // 20, 1 + 1e-8 * np.sin(T)])
     found = diagnose_residual(residual, candidates, T, rng=np.random.default_rng(1), **options | {"base": first})
     assert found.named == ("slide",)
-    assert found.reached < found.rms
+    assert found.held_out_rms < found.rms
 
 
 def test_an_axis_of_two_values_has_two_places():

@@ -1,4 +1,4 @@
-"""Candidate terms of a drive: effects with signals or fitted times, nameless processes, and stretches of the road."""
+"""Propose candidate terms of a drive: effects with signals or fitted times, nameless processes, stretches of road."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence, Set
@@ -34,16 +34,16 @@ class CandidateTerm:
 
 @dataclass(frozen=True)
 class _Proposed:
-    """Times proposed for effects ``beside`` the chosen terms, with the slow noise (2,) of that fit."""
+    """Times proposed for effects beside the terms ``chosen`` in a fit, with the slow noise (2,) of that fit."""
 
-    beside: object
+    chosen: object
     noise: Floats
     times: set[Spans]
 
-    def is_outdated(self, beside: object, drive: DriveState) -> bool:
+    def is_outdated(self, chosen: object, drive: DriveState) -> bool:
         """True if the chosen terms or their times differ, or the slow noise of the drive has halved or doubled."""
         changed = np.abs(np.log2(slow_noise(drive.fit.scales.values) / self.noise))
-        return self.beside != beside or bool(changed.max() >= 1.0)
+        return self.chosen != chosen or bool(changed.max() >= 1.0)
 
 
 class EarlierTerms:
@@ -112,11 +112,11 @@ class CandidateTerms:
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """Times at which effects may act: those of chosen terms, unions of two of these, and the proposed ones."""
         steep = None if drive.stretches is None else drive.stretches.spans
-        beside = (*((effect_term.effect.name, effect_term.spans) for effect_term in drive.fit.terms), steep)
-        if number not in self._latest or self._latest[number].is_outdated(beside, drive):
+        chosen = (*((effect_term.effect.name, effect_term.spans) for effect_term in drive.fit.terms), steep)
+        if number not in self._latest or self._latest[number].is_outdated(chosen, drive):
             switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
             times = set[Spans]().union(*map(switching.proposed, timed))
-            self._latest[number] = _Proposed(beside, slow_noise(drive.fit.scales.values), times)
+            self._latest[number] = _Proposed(chosen, slow_noise(drive.fit.scales.values), times)
             if steep is None and not any(term.is_timed for term in drive.chosen):
                 self._untimed[number] |= times
             names = frozenset(term.name for term in drive.chosen), steep is None
@@ -211,6 +211,6 @@ def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: in
     for process in processes(frame):
         yield CandidateTerm(term=process, key=number[process.name], is_event=False)
         number[process.name] += 1
-    beside = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
-    for i, process in enumerate(swings(drive.joint, beside)):
+    hypotheses = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
+    for i, process in enumerate(swings(drive.joint, hypotheses)):
         yield CandidateTerm(term=process, key=i, is_event=True)

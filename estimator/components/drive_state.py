@@ -1,4 +1,4 @@
-"""One drive: the terms chosen so far, and the fit of road and noise with them."""
+"""Fit road and noise of one drive beside the terms that are chosen so far."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Refinement of fitted times: edges of spans are moved where that adds evidence.
+"""Refine fitted times: move the edges of spans where that adds evidence.
 
 Blocks of `switching.py` end at whole strides, and noise displaces their ends by some strides. Moving an edge changes
 the column of a few strides, so the evidence of any move follows from the products of these strides.

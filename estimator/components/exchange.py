@@ -1,4 +1,4 @@
-"""Blocks of a drive in which an effect is on, found by exchanging runs of blocks.
+"""Find the blocks of a drive in which an effect is on, by exchanging runs of blocks.
 
 The amplitude b and the times z (one of two states for each block) have the log evidence
 

@@ -1,4 +1,4 @@
-"""Formula of a nameless residual: the product of one or two powers of known quantities with most evidence.
+"""Find the product of one or two powers of known quantities that describes a nameless residual with most evidence.
 
 A factor is x, |x|, x^2, x |x|, x^3, max(x, 0) or x^-1; a formula is a factor, or the product of two of different
 quantities. Its column is scaled to the rms of the residual; the prior of its amplitude is N(0, 1). All formulas have

@@ -1,4 +1,4 @@
-"""Evidence of hypotheses, which are sets of candidate terms, over all drives of a vehicle.
+"""Compute the evidence of hypotheses, which are sets of candidate terms, over all drives of a vehicle.
 
 An effect of the vehicle acts in all drives, so its evidence is summed. An event is specific to one drive.
 """
@@ -76,10 +76,11 @@ class HypothesisSpace:
             [term_by_drive[number] for term_by_drive in self.by_drive if number in term_by_drive]
             for number in range(len(drives))
         ]
-        unlimited = [
+        given_without_limits = [
             tuple(replace(term, max_size=np.inf, max_positive_size=np.inf) for term in terms) for terms in given
-        ]  # without limits of their sizes
-        self._joints = [d.likelihood_of([*g, *c]) for d, g, c in zip(drives, unlimited, on_drives, strict=True)]
+        ]
+        terms_of_drives = zip(drives, given_without_limits, on_drives, strict=True)
+        self._joints = [drive.likelihood_of([*fixed, *free]) for drive, fixed, free in terms_of_drives]
         count = [len(start) for start in given]
         self._numbers: list[dict[int, int]] = []
         for term_by_drive in self.by_drive:

@@ -1,4 +1,4 @@
-"""Joint likelihood of all terms on a drive: the evidence of any hypothesis beside the road load and the road.
+"""Compute the joint likelihood of all terms on a drive: the evidence of any hypothesis beside road load and road.
 
 K is the covariance of everything that is not a term: road, noise of torque and speed (see `model.road`). All
 hypotheses share it, so the products of all columns are computed once, and each hypothesis is a small linear system. Two

@@ -1,4 +1,4 @@
-"""Table of models: hypotheses, which are sets of terms, with their posterior probabilities.
+"""Compute the table of models: hypotheses, which are sets of terms, with their posterior probabilities.
 
 The table grows by steps that add or remove one term, from sets within Occam's window of the best (Madigan & Raftery
 1994). A nameless process that first replaces two effects is so removed once both are in the set. The best set also

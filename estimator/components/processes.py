@@ -1,4 +1,4 @@
-"""Nameless processes: columns with a prior, for causes that are not in the catalogue.
+"""Make the terms of nameless processes: columns with a prior, for what is not in the catalogue.
 
 Most are hat functions along an axis, times a profile such as the speed. A swing has one period during the whole drive;
 a mass on a spring and a damper oscillates after accelerations; a power or a force may be switched.
@@ -75,10 +75,10 @@ def processes(frame: Frame) -> Iterator[Term]:
             yield Term(name=RING, columns=_ring(period, ratio), sd=RINGING_SHARE * m, positive=True, is_noisy=True)
 
 
-def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Term]:
+def swings(joint: JointLikelihood, hypotheses: Sequence[list[int]]) -> Iterator[Term]:
     """Powers and torques that swing with one period during the whole drive, for the periods of most evidence.
 
-    Periods are searched beside each of the sets ``beside`` of terms of the likelihood ``joint``.
+    Periods are searched beside each of the ``hypotheses``, which are terms of the likelihood ``joint``.
     """
     frame, s = joint.frame, joint.frame.strides
     t = s.t - s.t[0]
@@ -86,13 +86,13 @@ def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Term
     turns = s.context.get(Quantity.ENGINE_SPEED)
     if turns is not None and np.isfinite(turns).all():
         profiles.append(_torque)
-    rests = [joint.weighed_residual(chosen) for chosen in beside]
+    rests = [joint.weighed_residual(chosen) for chosen in hypotheses]
     for profile in profiles:
         tried = set[float]()
         for rest in rests:
             frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
             tried |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
-        # A form has a share of the process' prior; that is of all frequencies, of which few are tried.
+        # A term has a share of the process' prior; that is of all frequencies, of which few are tried.
         cost = float(np.log(len(frequencies) / len(tried)))
         for frequency in sorted(tried):
             angle = 2 * np.pi * frequency * t
@@ -220,8 +220,8 @@ def ringing(frame: Frame, period: float, ratio: float) -> Floats:
 def hats(axis: Floats, spacing: float) -> Floats:
     """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,); they sum to one everywhere."""
     position = (axis - axis.min()) / spacing
-    below, every = np.floor(position).astype(np.int64), np.arange(len(axis))
+    below, rows = np.floor(position).astype(np.int64), np.arange(len(axis))
     columns = np.zeros((len(axis), int(below.max()) + 2))
-    columns[every, below] = 1 - (position - below)
-    columns[every, below + 1] = position - below
+    columns[rows, below] = 1 - (position - below)
+    columns[rows, below + 1] = position - below
     return columns[:, columns.any(axis=0)]

@@ -1,4 +1,4 @@
-"""Search for the most probable hypothesis: table of models and scales of road and noise, renewed in turn.
+"""Search for the most probable hypothesis: renew the table of models and the scales of road and noise in turn.
 
 Noise scales fitted without the effects are too large, and hide them. The table is therefore made in rounds, each with
 hypotheses of one term more. After each round, the scales of road and noise are refitted with the most probable one, and
@@ -150,38 +150,46 @@ class Search:
         with_stretches: bool = False,
         min_log_posterior: float = -np.inf,
     ) -> _Round:
-        """Renew table and scales in turn, as long as the log posterior rises.
-
-        A hypothesis that is best at the scales of another one may have less evidence at its own scales, or a magnitude
-        that is impossible for the refitted vehicle. A round with an impossible magnitude is not kept, but the next one
-        starts from its scales.
+        """Round with the highest log posterior, without effects that errors of form explain; its terms are recorded.
 
         Raises
         ------
         _OutOfReachError
             MAX_TERMS further rounds, each with the gain of the last, would not reach ``min_log_posterior``.
         """
-        kept, last, highest = None, None, log_evidence(states)
+        best = self._best_round(states, with_processes, with_stretches, min_log_posterior)
+        for number, state in enumerate(best.states):
+            self._earlier_terms.add_drive(number, state)
+        chosen = best.space.worthwhile(best.chosen)
+        return best if chosen == best.chosen else replace(best, chosen=chosen, states=best.space.fitted(chosen))
+
+    def _best_round(
+        self, states: tuple[DriveState, ...], with_processes: bool, with_stretches: bool, min_log_posterior: float
+    ) -> _Round:
+        """Renew table and scales in turn, as long as the log posterior rises.
+
+        A hypothesis that is best at the scales of another one may have less evidence at its own scales, or a magnitude
+        that is impossible for the refitted vehicle. A round with an impossible magnitude is not kept, but the next one
+        starts from its scales.
+        """
+        best, last, highest = None, None, log_evidence(states)
         value = highest
         for size in range(2, MAX_ROUNDS + 2):
             latest = self._round(states, size, with_processes, with_stretches)
             if latest.expected(log_evidence(states)) < min_log_posterior:
                 raise _OutOfReachError
             previous, value = value, latest.log_posterior
-            if kept is not None and value < highest - ROUNDING:
+            if best is not None and value < highest - ROUNDING:
                 break
             last, states = latest, latest.states
             for number, effect_term, magnitude in latest.space.rivals(latest.table):
                 self._earlier_terms.add_effect_term(number, effect_term, magnitude)
             if all(state.is_possible(len(given)) for state, given in zip(states, self._given, strict=True)):
-                gain, kept, highest = value - highest, latest, value
+                gain, best, highest = value - highest, latest, value
             else:  # a hypothesis that is impossible and stays so gains nothing
                 gain = abs(value - previous)
             if len(latest.chosen) < latest.room and gain < MIN_ROUND_GAIN:
                 break
-        kept = kept or last
-        assert kept is not None
-        for number, state in enumerate(kept.states):
-            self._earlier_terms.add_drive(number, state)
-        best = kept.space.worthwhile(kept.chosen)
-        return kept if best == kept.chosen else replace(kept, chosen=best, states=kept.space.fitted(best))
+        best = best or last
+        assert best is not None
+        return best

@@ -1,4 +1,4 @@
-"""Result of a search: effects that act on the drives, their probabilities, and nameless processes."""
+"""State the result of a search: effects that act on the drives, their probabilities, and nameless processes."""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass

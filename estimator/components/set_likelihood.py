@@ -1,4 +1,4 @@
-"""Evidence of any set of terms, from the products of all their columns, which are computed once.
+"""Compute the evidence of any set of terms from the products of all their columns, which are computed once.
 
 The data are y = X b + noise of covariance K, with a Gaussian prior of covariance P for the amplitudes b. With the
 products of columns weighted by K^-1, and the posterior mean b^,

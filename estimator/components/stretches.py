@@ -1,4 +1,4 @@
-"""Stretches of a hidden road that are steeper than the rest: part of the road, neither an effect nor a process.
+"""Make the terms of stretches of a hidden road that are steeper than the rest: neither effects nor processes.
 
 The slopes of the road model are a Gaussian process of one sd. Real roads are nearly level for kilometres, and steep on
 a bridge or a hill. On seven trips of a car whose accelerometer shows the slopes, their kurtosis is 2.5 to 8; that of

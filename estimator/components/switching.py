@@ -1,4 +1,4 @@
-"""Times of an effect that no signal shows: the times with most evidence beside a set of terms.
+"""Find the times of an effect that no signal shows: those with most evidence beside a set of terms.
 
 The drive is cut into blocks at gaps, and where a change of state has the highest score. Runs of blocks are switched on
 or off (`exchange.py`), and the edges of the resulting times are moved (`edges.py`).
@@ -82,9 +82,9 @@ class Switching:
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         gap = np.diff(t, prepend=t[0]) >= DURATION + MIN_BLOCK_GAP
-        there, label = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
+        blocks, label = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
         products, score = self._joint.projected(chosen, _parts(column, label))
-        first = np.searchsorted(label, np.arange(len(there)))
+        first = np.searchsorted(label, np.arange(len(blocks)))
         gaps = t[first[1:]] - t[first[1:] - 1] - DURATION
         lengths = np.append(t[first[1:]], t[-1]) - t[first]
         return _Cut(labels=label, lengths=lengths, gaps=gaps, products=products, score=score)

@@ -1,4 +1,4 @@
-"""Terms of the model on one drive: effects, nameless processes and stretches of road as columns with a prior.
+"""Represent effects, nameless processes and stretches of road on one drive as terms: columns with a prior.
 
 A hypothesis is a set of terms. An effect of the catalogue, with one shape and its times, is an `EffectTerm`; its term
 here has one column, the power per unit of magnitude. The term of a nameless process has many columns: hat functions
@@ -113,9 +113,12 @@ class Term:
         )
 
 
-def untimed_terms(frame: Frame, effect: Effect, known: frozenset[Quantity]) -> list[Term]:
-    """All terms of an effect that need no fitted times: with its shapes, or from standstills that it may begin at."""
-    shapes = effect.usable_shapes(known)
+def untimed_terms(frame: Frame, effect: Effect, quantities: frozenset[Quantity]) -> list[Term]:
+    """All terms of an effect that need no fitted times: with its shapes, or from standstills that it may begin at.
+
+    ``quantities`` are those that the drive carries.
+    """
+    shapes = effect.usable_shapes(quantities)
     effect_terms = [
         EffectTerm(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None
     ]

@@ -1,4 +1,4 @@
-"""Prior probability of times that no signal shows, by a Markov chain of two states, off and on.
+"""Compute the prior probability of times that no signal shows, by a Markov chain of two states, off and on.
 
 The chain switches on about once in exp(CHANGE_COST) s, and off after a dwell with an exponential distribution. It
 continues unobserved in gaps without known force, at a standstill or while braking. The longer the gap, the less the
@@ -72,14 +72,14 @@ def least_costs(gap: float, effect: Effect) -> Costs:
 
 @dataclass(frozen=True, kw_only=True)
 class _Piece:
-    """Part of a span within one run of strides [s]; ``before``, ``after``: adjoining gaps [s], 0 inside the run."""
+    """Part of a span within one run of strides [s]; with the adjoining gaps [s], 0 inside the run."""
 
     span: int
     run: int
     start: float
     stop: float
-    before: float  # endless at the beginning of the drive
-    after: float  # and at its end
+    gap_before: float  # endless at the beginning of the drive
+    gap_after: float  # and at its end
 
     @property
     def duration(self) -> float:
@@ -88,7 +88,7 @@ class _Piece:
 
     def meets(self, other: "_Piece") -> bool:
         """True if only a gap separates this piece from the ``other``, which follows."""
-        return self.run + 1 == other.run and min(self.after, other.before) > 0.0
+        return self.run + 1 == other.run and min(self.gap_after, other.gap_before) > 0.0
 
 
 def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
@@ -107,8 +107,8 @@ def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
             before = 0.0 if start > begin[run] else gaps[run]
             after = 0.0 if stop < end[run] else gaps[run + 1]
             if pieces and pieces[-1].run == run:  # two of one run: neither reaches the gap between runs there
-                pieces[-1], before = replace(pieces[-1], after=0.0), 0.0
-            piece = _Piece(span=number, run=run, start=low, stop=high, before=before, after=after)
+                pieces[-1], before = replace(pieces[-1], gap_after=0.0), 0.0
+            piece = _Piece(span=number, run=run, start=low, stop=high, gap_before=before, gap_after=after)
             pieces.append(piece)
     return pieces
 
@@ -195,7 +195,7 @@ def _periods_cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], 
     for period in periods:
         cost, dwell = min((_period_cost(dwell, period), dwell) for dwell in dwells)
         total += cost
-        begins += 1.0 + sum(begun_again(piece.after, dwell) for piece in period[:-1])
+        begins += 1.0 + sum(begun_again(piece.gap_after, dwell) for piece in period[:-1])
     dwell, gaps = max(dwells), _gaps(t)
     unseen = float((dwell * -np.expm1(-gaps / dwell)).sum())  # s of gaps, after whose beginnings it would be on
     return total + rate_cost(begins, duration + unseen)
@@ -203,9 +203,9 @@ def _periods_cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], 
 
 def _period_cost(dwell: float, period: Sequence[_Piece]) -> float:
     """Prior cost [nats] of one period, with a mean ``dwell`` [s]."""
-    before, after = period[0].before, period[-1].after
+    before, after = period[0].gap_before, period[-1].gap_after
     total = sum(piece.duration for piece in period) / dwell
-    total += sum(in_gap(piece.after, dwell).stays for piece in period[:-1])
+    total += sum(in_gap(piece.gap_after, dwell).stays for piece in period[:-1])
     total += in_gap(before, dwell).begins if before else CHANGE_COST
     return total + (in_gap(after, dwell).ends if after else log(dwell))
 
@@ -228,7 +228,7 @@ def cost_without_dwell(spans: Spans, t: Floats) -> float:
     """Prior cost [nats] of times of a state without a usual dwell: ends have the same rate as beginnings."""
     pieces = _pieces(spans, t)
     periods = _periods(pieces, apart=False)
-    ends = [gap for period in periods for gap in (period[0].before, period[-1].after) if gap < inf]
+    ends = [gap for period in periods for gap in (period[0].gap_before, period[-1].gap_after) if gap < inf]
     total = sum(max(CHANGE_COST - log(max(gap, DURATION)), 0.0) for gap in ends) + DWELL_COST * len(periods)
     return total + rate_cost(len(periods), _duration_off(pieces, t))
 

@@ -1,4 +1,4 @@
-"""A drive with the effects that the configuration gives, and the reasons why a drive cannot be diagnosed."""
+"""Check whether a drive can be diagnosed, and hold it with the effects that the configuration gives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -72,9 +72,9 @@ def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[EffectTerm, ...]:
     """Terms of ``effects``; a shape that no signal shows is the one with most evidence."""
     strides = drive.strides
 
-    def fitted(terms: tuple[EffectTerm, ...], known: RoadScales | None) -> RoadFit | None:
-        return fit(strides, np.random.default_rng(PROBE_SEED), terms, known)
+    def fitted(terms: tuple[EffectTerm, ...], start: RoadScales | None) -> RoadFit | None:
+        return fit(strides, np.random.default_rng(PROBE_SEED), terms, start)
 
     terms = terms_of(strides, effects, lambda: fitted((), None))
-    found = fitted_with_shapes(strides, terms, fitted)
-    return terms if found is None else found.terms
+    shaped = fitted_with_shapes(strides, terms, fitted)
+    return terms if shaped is None else shaped.terms

@@ -1,4 +1,4 @@
-"""Decision from the result of a search: the verdict, the named effects, and the budget of the gap."""
+"""Decide on the result of a search: the verdict, the named effects, and the budget of the gap."""
 
 from dataclasses import dataclass
 from functools import cached_property

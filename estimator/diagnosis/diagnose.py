@@ -1,4 +1,4 @@
-"""Diagnosis of drives: where the gap is, which effects cause it, how far they reduce it, and what remains."""
+"""Diagnose drives: where the gap is, which effects cause it, how far they reduce it, and what remains."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from estimator.diagnosis.decision import Decision, decide
 from estimator.diagnosis.experiment import experiments
 from estimator.diagnosis.findings import candidate_findings, named_findings, remainder
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
-from estimator.diagnosis.localisation import gap_map, places
+from estimator.diagnosis.localisation import biased_parts, gap_map
 from estimator.diagnosis.power_traces import context_of, traces_of
 from estimator.diagnosis.residual_formula import best_residual_formula
 from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Experiment, Finding, NotTestable
@@ -109,12 +109,12 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
         doubtful=facts.doubtful(result, verdict, named),
         noise_floor=decision.budget.floor,
         rms_base=decision.budget.base if decision.lag is None else decision.lag.rms_before,
-        rms_final=decision.budget.reached,
+        rms_final=decision.budget.held_out_rms,
         base=base,
         base_deviation=base_deviation,
         final=final,
         deviation=deviation,
-        where=tuple(places(traces, context_of(decision))),
+        where=tuple(biased_parts(traces, context_of(decision))),
         isolability=isolability(longest, tested),
         not_testable=missing,
         invisible=invisible(longest, others, decision.thresholds.min_expected_log_bf),

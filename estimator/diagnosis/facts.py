@@ -1,4 +1,4 @@
-"""Facts for the sentences of a report: doubtful candidate, advice, unsettled pairs, effects to configure."""
+"""Select facts for the sentences of a report: doubtful candidate, advice, unsettled pairs, effects to configure."""
 
 from collections.abc import Sequence
 
@@ -32,8 +32,8 @@ def advice(
     elif verdict is Verdict.EFFECT:
         unsure += [other for finding in named for other in finding.equivalent]
         unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
-    breaks = {effect.name: effect.shown_by for effect in effects}
-    return tuple(Advice(name, breaks[name]) for name in dict.fromkeys(unsure) if name in breaks)
+    shown_by = {effect.name: effect.shown_by for effect in effects}
+    return tuple(Advice(name, shown_by[name]) for name in dict.fromkeys(unsure) if name in shown_by)
 
 
 def unsettled(
@@ -41,7 +41,7 @@ def unsettled(
 ) -> list[tuple[Effect, Effect | None]]:
     """Pairs of effects that the drive does not separate, the likelier one first; None: the alternative is no effect."""
     by_name = {effect.name: effect for effect in effects}
-    pairs = [(found.name, other) for found in named for other in found.equivalent]
+    pairs = [(finding.name, name) for finding in named for name in finding.equivalent]
     if named and (pairs or verdict is Verdict.EFFECT):
         return [(by_name[a], by_name[b]) for a, b in pairs if a in by_name and b in by_name]
     if verdict is not Verdict.CANNOT_TELL or not result.probability:
@@ -59,5 +59,5 @@ def streaming_effects(named: Sequence[Finding], given: Sequence[Effect]) -> tupl
     sizes = {effect.symbol for effect in BY_NAME.values()}  # magnitudes that a configuration can hold
     effects = [BY_NAME[f.name] for f in named if f.name in BY_NAME and f.magnitude.name in sizes and not f.span]
     added = [effect for effect in effects if effect.is_streaming and not effect.is_gravity]
-    kept = [effect for effect in given if not effect.is_gravity]
-    return tuple(dict.fromkeys(effect.name for effect in (*kept, *added))) if added else ()
+    moving = [effect for effect in given if not effect.is_gravity]
+    return tuple(dict.fromkeys(effect.name for effect in (*moving, *added))) if added else ()

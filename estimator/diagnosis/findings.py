@@ -1,4 +1,4 @@
-"""Findings that a diagnosis reports: evidence and magnitude of each effect, the road, the lag and what has no name."""
+"""Compute the findings of a diagnosis: evidence and magnitude of each effect, the road, the lag and processes."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -61,7 +61,7 @@ def _road_finding(decision: Decision) -> Finding:
     if not readings:
         return hidden
     part, base = decision.budget.part(ROAD), decision.budget.base
-    reached = base if part is None or part.reached is None else part.reached
+    reached = base if part is None or part.held_out_rms is None else part.held_out_rms
     shown = (base**2 - reached**2) / max(base**2 - hidden.rms_after**2, 1e-9)
     if shown < SHOWN_IN_PART:
         return hidden
@@ -123,7 +123,7 @@ def _effect_finding(decision: Decision, chosen: ChosenEffect) -> Finding:
         magnitude=_magnitude(effect, value, sd),
         gap_closed=_closed(part),
         rms_before=budget.base,
-        rms_after=budget.base if part is None or part.reached is None else part.reached,
+        rms_after=budget.base if part is None or part.held_out_rms is None else part.held_out_rms,
         shift=decision.shift,
         span=tuple(spans),
         detail=_detail(effect_term.shape, effect),
@@ -186,8 +186,8 @@ def _unknown_finding(decision: Decision) -> Finding:
         equivalent=(),
         magnitude=Magnitude("rms", rms, float("nan"), "W"),
         gap_closed=None,
-        rms_before=budget.reached,
-        rms_after=budget.reached,
+        rms_before=budget.held_out_rms,
+        rms_after=budget.held_out_rms,
         shift=None,
         span=tuple(spans) if parts else (),
         detail=", ".join(_with_size(decision, name) for name in names),

@@ -1,4 +1,4 @@
-"""Effects that a drive can separate, the expected evidence of each, and effects that it cannot show."""
+"""Compute which effects a drive can separate, the expected evidence of each, and which it cannot show."""
 
 from collections.abc import Sequence
 

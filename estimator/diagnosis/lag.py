@@ -1,4 +1,4 @@
-"""Finding of the lag between power and speed: every fit has it as a term, and it is named beyond usual delays."""
+"""Compute the finding of the lag between power and speed: a term of every fit, which is named beyond usual delays."""
 
 import numpy as np
 

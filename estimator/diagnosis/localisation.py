@@ -1,4 +1,4 @@
-"""Places where model and vehicle disagree: the mean residual of the plain model in parts of each axis.
+"""Find where model and vehicle disagree: the mean residual of the plain model in parts of each axis.
 
 A mean is tested against the spread of sums over blocks of BLOCK seconds, because residuals are autocorrelated. The
 false discovery rate over all parts of all axes is at most MAX_FALSE_DISCOVERY_RATE (Benjamini & Hochberg 1995).
@@ -24,7 +24,7 @@ SPEED_CELL, ACCELERATION_CELL = 2.5, 0.1  # m/s, m/s^2
 MIN_CELL_ROWS = 2  # rows of 2 s in a cell of the map
 
 
-def places(traces: Traces, context: Mapping[Quantity, Floats]) -> list[Place]:
+def biased_parts(traces: Traces, context: Mapping[Quantity, Floats]) -> list[Place]:
     """Parts of axes where the mean residual is not zero, largest share first; ``context`` (n,): further axes."""
     residual, block = traces.measured - traces.base, _blocks(traces)
     total = float(residual @ residual)

@@ -1,4 +1,4 @@
-"""Measured and modelled power of the drives, for every figure, table and file of a diagnosis.
+"""Compute measured and modelled power of the drives, for every figure, table and file of a diagnosis.
 
 The rows are the means over 2 s of the budget, so the root mean square of a residual here is the stated one.
 """
@@ -33,8 +33,8 @@ def context_of(decision: Decision) -> dict[Quantity, Floats]:
     drives = decision.result.drives
     parts = {q: [drive.fit.strides.context.get(q, np.empty(0)) for drive in drives] for q in CONTEXT}
     later = [PlainModel(drive.fit).second for drive in drives]
-    known = [q for q, values in parts.items() if all(len(x) and np.isfinite(x).all() for x in values)]
-    return {q: np.concatenate([x[at] for x, at in zip(parts[q], later, strict=True)]) for q in known}
+    complete = [q for q, values in parts.items() if all(len(x) and np.isfinite(x).all() for x in values)]
+    return {q: np.concatenate([x[at] for x, at in zip(parts[q], later, strict=True)]) for q in complete}
 
 
 def _traces(drive: Drive, state: DriveState, residuals: Residuals, is_late: bool) -> Traces:
@@ -52,7 +52,7 @@ def _traces(drive: Drive, state: DriveState, residuals: Residuals, is_late: bool
         acceleration=plain.paired(driven.a),
         measured=measured,
         base=measured - base,
-        extended=measured - residuals.reached,
+        extended=measured - residuals.held_out,
         road_known=measured - residuals.road_known,
         log=np.full(len(measured), float(drive.log)),
     )

@@ -1,4 +1,4 @@
-"""Formula for the residual that no named effect explains.
+"""Find a formula for the residual that no named effect explains.
 
 A product of speed, acceleration, force, engine speed, time and distance. It describes the residual but names no effect.
 It is judged on the longest drive, beside the road load and the chosen effects, and on stretches left out of the fit.

@@ -1,4 +1,4 @@
-"""Result of a diagnosis: the verdict and its evidence, for tables, JSON and pages."""
+"""Define the result of a diagnosis: the verdict and its evidence, for tables, JSON and pages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -239,9 +239,9 @@ class Diagnosis:
     @property
     def ranking(self) -> tuple[Finding, ...]:
         """All findings, most evidence first: named ones beside all other terms, the others alone."""
-        named = {found.name for found in self.effects}
-        others = [found for found in self.candidates if found.name not in named]
-        return tuple(sorted((*self.effects, *others), key=lambda found: -found.log_bayes_factor))
+        named = {finding.name for finding in self.effects}
+        others = [finding for finding in self.candidates if finding.name not in named]
+        return tuple(sorted((*self.effects, *others), key=lambda finding: -finding.log_bayes_factor))
 
     @property
     def table(self) -> dict[str, Any]:
@@ -249,25 +249,26 @@ class Diagnosis:
 
         ``pandas.DataFrame`` and ``polars.DataFrame`` accept it.
         """
-        named = {found.name for found in self.effects}
-        others = [found for found in self.candidates if found.name not in named]
-        rows = [_row(found, "named") for found in self.effects] + [_row(found, "candidate") for found in others]
+        named = {finding.name for finding in self.effects}
+        others = [finding for finding in self.candidates if finding.name not in named]
+        rows = [_row(finding, "named") for finding in self.effects]
+        rows += [_row(finding, "candidate") for finding in others]
         return columns(CANDIDATES, rows)
 
 
-def _row(found: Finding, status: str) -> Row:
+def _row(finding: Finding, status: str) -> Row:
     row: dict[str, Any] = {
-        "effect": found.name,
+        "effect": finding.name,
         "status": status,
-        "probability": found.probability,
-        "log_bayes_factor": found.log_bayes_factor,
-        "magnitude": found.magnitude.name,
-        "value": found.magnitude.value,
-        "sd": found.magnitude.sd,
-        "unit": found.magnitude.unit,
+        "probability": finding.probability,
+        "log_bayes_factor": finding.log_bayes_factor,
+        "magnitude": finding.magnitude.name,
+        "value": finding.magnitude.value,
+        "sd": finding.magnitude.sd,
+        "unit": finding.magnitude.unit,
     }
-    if found.gap_closed is not None:
-        row["gap_closed"] = found.gap_closed.fraction
-    if (shift := found.shift) is not None:
+    if finding.gap_closed is not None:
+        row["gap_closed"] = finding.gap_closed.fraction
+    if (shift := finding.shift) is not None:
         row |= {"mass_shift_kg": shift.mass, "A_shift_N": shift.A, "C_shift_N_s2_m2": shift.C}
     return row

@@ -1,4 +1,4 @@
-"""P-value of the best effect's evidence, by surrogates of the drive.
+"""Compute a p-value of the best effect's evidence, by surrogates of the drive.
 
 A surrogate has the speeds and signals of the drive, and the acceleration of its fit plus a residual with random Fourier
 phases: noise of the same spectrum in which no effect acts (Theiler et al., Physica D 58, 77, 1992). An effect that the

@@ -81,7 +81,7 @@ def _part(part: Part) -> answer.Part:
         q05=part.q05,
         q95=part.q95,
         rms_kW=_kilowatts(part.rms),
-        reached_kW=_kilowatts(part.reached),
+        reached_kW=_kilowatts(part.held_out_rms),
         expected_kW=_kilowatts(part.expected),
     )
 

@@ -1,4 +1,4 @@
-"""Diagnosis of the residual of any model: which causes explain it, how far they reduce it, and where it is.
+"""Diagnose the residual of any model: which causes explain it, how far they reduce it, and where it is.
 
 The residual is measurement less model, sample by sample. A candidate is a column: the residual that a cause of
 magnitude 1 would leave. Nameless processes along every axis describe causes that are not candidates. One likelihood
@@ -92,7 +92,7 @@ def diagnose_residual(
         unknown=unknown,
         budget=budget(record, likelihood, table, groups, chosen, scales, rng),
         rms=record.rms,
-        reached=held_out(record, [terms[i] for i in chosen], scales),
+        held_out_rms=held_out(record, [terms[i] for i in chosen], scales),
         noise=float(np.sqrt(scales.variance)),
         where=disagreements(record, likelihood),
         formula=_best_formula(record, likelihood, chosen, scales, unit) if unknown >= LEVEL else None,
@@ -197,14 +197,13 @@ def _best_formula(
         return None
     size = record.rms / float(np.sqrt(np.mean(formula.column**2)))
     term = ResidualTerm(name=formula.text, columns=record.off_base(formula.column[:, None]), sd=size)
-    reached = held_out(record, [*(likelihood.terms[i] for i in chosen), term], scales)
     return Description(
         text=formula.text,
         value=formula.value,
         sd=formula.sd,
         unit=formula.unit,
         log_bayes_factor=formula.gain,
-        reached=reached,
+        held_out_rms=held_out(record, [*(likelihood.terms[i] for i in chosen), term], scales),
     )
 
 

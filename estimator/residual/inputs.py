@@ -1,4 +1,4 @@
-"""Checked inputs of a residual's diagnosis: candidate columns with priors, base, and axes."""
+"""Check the inputs of a residual's diagnosis: candidate columns with priors, base, and axes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Parts of each axis where the mean residual is not zero, with one false discovery rate over all parts."""
+"""Find the parts of each axis where the mean residual is not zero, with one false discovery rate over all parts."""
 
 from collections.abc import Iterator
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Split of the residual's mean square into its causes, and the residual on stretches left out of the fit.
+"""Split the residual's mean square into its causes, and compute the residual on stretches left out of the fit.
 
 Let M be the projection off the base's columns: M r = sum of M X b + M noise. Hypotheses are drawn from the table, and
 amplitudes b from the posterior of each. The share of a cause is (M r)'(M X b) / (M r)'(M r); the noise has the rest.
@@ -51,18 +51,20 @@ def budget(
     for k, name in enumerate(names):
         if not np.any(shares[:, k]):
             continue
-        reached = held_out(record, [likelihood.terms[chosen[k]]], scales) if k in chosen else None
-        left = float(np.mean(square * (1 - 2 * shares[:, k]) + squares[:, k]))
-        parts.append(_part(name, shares[:, k], reached, float(np.sqrt(max(left, 0.0)))))
+        held_out_rms = held_out(record, [likelihood.terms[chosen[k]]], scales) if k in chosen else None
+        expected_square = float(np.mean(square * (1 - 2 * shares[:, k]) + squares[:, k]))
+        parts.append(_part(name, shares[:, k], held_out_rms, float(np.sqrt(max(expected_square, 0.0)))))
     noise = 1 - shares.sum(axis=1)
     explained_rms = float(np.sqrt(max(square * (1 - float(np.mean(noise))), 0.0)))
     parts.append(_part(NOISE, noise, None, explained_rms))
     return tuple(sorted(parts, key=lambda part: -part.share))
 
 
-def _part(cause: str, shares: Floats, reached: float | None, expected: float) -> Part:
+def _part(cause: str, shares: Floats, held_out_rms: float | None, expected: float) -> Part:
     low, high = np.quantile(shares, [0.05, 0.95]).tolist()
-    return Part(cause=cause, share=float(shares.mean()), q05=low, q95=high, reached=reached, expected=expected)
+    return Part(
+        cause=cause, share=float(shares.mean()), q05=low, q95=high, held_out_rms=held_out_rms, expected=expected
+    )
 
 
 def _draws(
@@ -97,11 +99,11 @@ def _amplitudes(
 def held_out(record: Record, terms: Sequence[ResidualTerm], scales: Scales) -> float:
     """Rms of the residual on stretches left out of the fit, with the base and ``terms`` in the model."""
     n = len(record.t)
-    left = np.empty(n)
+    rest = np.empty(n)
     for out in cross_validation(n):
         kept = np.flatnonzero(~out)
         likelihood = ResidualLikelihood(record, terms, Noise(record.t[kept], scales), kept)
         mean = likelihood.posterior(range(len(terms))).mean
         columns = np.hstack([record.base[out], *(term.columns[out] for term in terms)])
-        left[out] = record.residual[out] - columns @ mean
-    return float(np.sqrt(np.mean(left**2)))
+        rest[out] = record.residual[out] - columns @ mean
+    return float(np.sqrt(np.mean(rest**2)))

@@ -1,4 +1,4 @@
-"""Terms that may explain a residual, with priors: candidates, and a nameless process along each axis."""
+"""Make the terms that may explain a residual, with priors: candidates, and a nameless process along each axis."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

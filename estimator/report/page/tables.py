@@ -69,7 +69,7 @@ def budget(whole: Budget) -> str:
         (
             html.escape(wording.label(part.cause)),
             html.escape(wording.interval(GapClosed(part.share, part.q05, part.q95))),
-            *map(wording.kilowatts, (part.rms, part.reached, part.expected)),
+            *map(wording.kilowatts, (part.rms, part.held_out_rms, part.expected)),
         )
         for part in whole.parts
     ]
