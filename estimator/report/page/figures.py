@@ -112,7 +112,7 @@ def _clock(traces: Traces) -> Floats:
 
 
 def _placed(span: Span, traces: Traces, clock: Floats) -> Floats:
-    """From and to [s] of a span on the running clock (2,)."""
+    """Start and end [s] (2,) of a span on the running clock."""
     own = traces.log == span.log
     order = np.argsort(traces.t[own])
     placed: Floats = np.interp([span.start, span.end], traces.t[own][order], clock[own][order])

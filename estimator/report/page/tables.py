@@ -30,7 +30,7 @@ def ranking(candidates: Sequence[Finding], several: bool) -> str:
 
 
 def chosen(d: Diagnosis) -> str:
-    """What was found: size, action, share of the gap closed with its interval."""
+    """Effects that are named: size, action, share of the gap closed with its interval."""
     blocks = []
     for f in d.effects:
         share = _interval_bar(f.gap_closed)
