@@ -33,7 +33,7 @@ class Frame:
     force: Floats  # (n,) [N], at the lag of the drive
     road_load: Floats  # [A, C, m]
     lag: float  # s, by which power comes after speed
-    taken: Floats  # (n,) [N], force of the fit's effects that are not computed from the force
+    effect_force: Floats  # (n,) [N], force of the fit's effects that are not computed from the force
 
     @classmethod
     def of(cls, fit: RoadFit) -> "Frame":
@@ -43,7 +43,7 @@ class Frame:
             force=fit.force,
             road_load=fit.road_load,
             lag=fit.lag,
-            taken=fit.taken,
+            effect_force=fit.taken,
         )
 
     def disturbed(self, error: Floats) -> "Frame":
@@ -53,7 +53,7 @@ class Frame:
     @cached_property
     def view(self) -> View:
         """Quantities that effects are computed from, with the acceleration on level ground."""
-        return view_of(self.strides, self.force, self.road_load, self.taken)
+        return view_of(self.strides, self.force, self.road_load, self.effect_force)
 
     def column(self, effect_term: EffectTerm) -> Floats:
         """Acceleration [m/s^2] (n,) per unit of an effect's magnitude."""
@@ -61,8 +61,8 @@ class Frame:
 
     def as_acceleration(self, power: Floats) -> Floats:
         """Acceleration -P / (m v) [m/s^2] (n, ...) caused by a consumed power P [W] (n, ...)."""
-        taken: Floats = -(power.T / (self.strides.speed * self.road_load[2])).T
-        return taken
+        acceleration: Floats = -(power.T / (self.strides.speed * self.road_load[2])).T
+        return acceleration
 
 
 Columns = Callable[[Frame], Floats]

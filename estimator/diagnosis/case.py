@@ -45,7 +45,7 @@ class Case:
             amount = f"only {minutes:.1f} minutes" if minutes >= 1 else "less than a minute"
             most = f"; most is: {common[0][0]}" if common and minutes < 1 else ""
             return f"{amount} of driving can be used; it takes {MIN_MINUTES:.0f} at least{most}"
-        if reason := obstacle(tuple(given), drive.known):
+        if reason := obstacle(tuple(given), drive.known_quantities):
             return reason
         driven = drive.strides[drive.strides.known]
         if reason := wrong_sign_of(driven.power, driven.a):

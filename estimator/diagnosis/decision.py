@@ -26,7 +26,7 @@ MAX_FORM_SHARE = 0.05  # of the evidence of a lag: an error of its form gives ef
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """Verdict and named effects by the ``thresholds``, from the ``result`` of a search on ``cases`` and the ``budget``."""
+    """Verdict and named effects by ``thresholds``, from the ``result`` of a search on ``cases`` and the ``budget``."""
 
     result: SearchResult
     budget: Budget

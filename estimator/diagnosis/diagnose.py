@@ -52,7 +52,9 @@ def diagnose(
     """
     limits = Thresholds() if thresholds is None else thresholds
     if drives:
-        effects = [effect for effect in effects if not all(effect.is_applied(drive.known) for drive in drives)]
+        effects = [
+            effect for effect in effects if not all(effect.is_applied(drive.known_quantities) for drive in drives)
+        ]
     cases = list[Case]()
     reason = "there is no driving in it"
     for drive in drives:
@@ -61,7 +63,7 @@ def diagnose(
             cases.append(case)
         else:
             reason = case
-    missing = tuple(not_testable(effects, frozenset().union(*(drive.known for drive in drives))))
+    missing = tuple(not_testable(effects, frozenset().union(*(drive.known_quantities for drive in drives))))
     if not cases:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=_obstacle(drives, reason), not_testable=missing)
     fitted, states = fitted_cases(cases)

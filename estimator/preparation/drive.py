@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.config import Config
 from estimator.model.effects.effect import AtRest
-from estimator.preparation.context import measured
+from estimator.preparation.context import quantities_of
 from estimator.preparation.past_speed import last_known
 from estimator.preparation.standing import rests
 from estimator.preparation.striding import Strider
@@ -73,7 +73,7 @@ class Drive:
         return float(self.strides.known.sum()) * DURATION / 60.0
 
     @property
-    def known(self) -> frozenset[Quantity]:
+    def known_quantities(self) -> frozenset[Quantity]:
         """Quantities that are known for at least MIN_KNOWN_SHARE of the drive."""
         columns = {
             Quantity.AIR_DENSITY: self.strides.density,
@@ -107,7 +107,7 @@ def _known_quantities(pieces: Sequence[Rows], start: float) -> frozenset[Quantit
     """Quantities of rows that are known for more than MIN_KNOWN_SHARE of the drive."""
     rows_known: Counter[Quantity] = Counter()
     for piece in pieces:
-        rows_known.update({q: int(np.isfinite(values).sum()) for q, values in measured(piece, start).items()})
+        rows_known.update({q: int(np.isfinite(values).sum()) for q, values in quantities_of(piece, start).items()})
     least = MIN_KNOWN_SHARE * sum(len(piece) for piece in pieces)
     return frozenset(quantity for quantity, count in rows_known.items() if count > least)
 

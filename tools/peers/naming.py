@@ -63,10 +63,10 @@ def library_of(log: Path) -> Library | None:
     effects = [
         effect
         for effect in CATALOGUE
-        if not (effect.is_absorbed or effect.is_gravity or effect.is_applied(drive.known))
-        and effect.usable_shapes(drive.known)
+        if not (effect.is_absorbed or effect.is_gravity or effect.is_applied(drive.known_quantities))
+        and effect.usable_shapes(drive.known_quantities)
     ]
-    terms = [EffectTerm(effect, effect.usable_shapes(drive.known)[0]) for effect in effects]
+    terms = [EffectTerm(effect, effect.usable_shapes(drive.known_quantities)[0]) for effect in effects]
     plain, frame = PlainModel(state.fit), Frame.of(state.fit)
     raw = np.column_stack([plain.power, *(term.column(frame.view) for term in terms)])
     rest = plain.residual(raw)
