@@ -123,8 +123,8 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
     cell &= traces.acceleration >= found.acceleration_edges[j]
     cell &= traces.acceleration < found.acceleration_edges[j + 1]
     assert found.samples[i, j] == cell.sum()
-    assert found.before[i, j] == pytest.approx((traces.measured - traces.base)[cell].mean())
-    assert np.isnan(found.before[found.samples < localisation.MIN_CELL_ROWS]).all()
+    assert found.plain[i, j] == pytest.approx((traces.measured - traces.base)[cell].mean())
+    assert np.isnan(found.plain[found.samples < localisation.MIN_CELL_ROWS]).all()
 
 
 # A formula for what has no name

@@ -95,8 +95,8 @@ def _equal(x: Floats) -> Floats:
     return edges
 
 
-def gap_map(traces: Traces, after: Floats) -> GapMap:
-    """Mean residual [W] in cells of speed and acceleration: plain model, and a model with power ``after`` [W] (n,)."""
+def gap_map(traces: Traces, extended: Floats) -> GapMap:
+    """Mean residual [W] in cells of speed and acceleration: of the plain model, and of power ``extended`` [W] (n,)."""
     speed = np.arange(0.0, float(traces.speed.max()) + SPEED_CELL, SPEED_CELL)
     low, high = np.quantile(traces.acceleration, [0.001, 0.999])
     acceleration = np.arange(
@@ -112,7 +112,7 @@ def gap_map(traces: Traces, after: Floats) -> GapMap:
     return GapMap(
         speed_edges=speed,
         acceleration_edges=acceleration,
-        before=mean(traces.base),
-        after=mean(after),
+        plain=mean(traces.base),
+        extended=mean(extended),
         samples=count,
     )

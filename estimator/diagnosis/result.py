@@ -163,8 +163,8 @@ class GapMap:
 
     speed_edges: Floats  # [m/s]
     acceleration_edges: Floats  # [m/s^2]
-    before: Floats  # plain model
-    after: Floats  # with the named effects
+    plain: Floats  # plain model
+    extended: Floats  # with the named effects
     samples: Floats  # means over 2 s in each cell
 
 

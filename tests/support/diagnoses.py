@@ -76,8 +76,8 @@ def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
     maps = GapMap(
         speed_edges=speeds,
         acceleration_edges=accelerations,
-        before=mean(measured - base[driving]),
-        after=mean(measured - extended),
+        plain=mean(measured - base[driving]),
+        extended=mean(measured - extended),
         samples=count,
     )
     return traces, maps
@@ -175,8 +175,8 @@ def unknown() -> Diagnosis:
         gap_map=GapMap(
             speed_edges=maps.speed_edges,
             acceleration_edges=maps.acceleration_edges,
-            before=maps.before,
-            after=maps.before,
+            plain=maps.plain,
+            extended=maps.plain,
             samples=maps.samples,
         ),
         traces=traces,
