@@ -110,7 +110,7 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
         assert joint.log_evidence(chosen) - none == pytest.approx(dense(chosen) - dense([]), abs=0.05)
 
 
-def test_what_a_set_imitates_is_the_change_of_its_fit(strides, quiet):
+def test_the_bias_by_an_omitted_term_is_the_change_of_the_fit(strides, quiet):
     joint = joint_of(strides, quiet, names=("auxiliary_load", "warm_up"))
     chosen, left_out, size = [1], 0, 5e3
     before = joint.posterior(chosen).mean
@@ -124,7 +124,7 @@ def test_what_a_set_imitates_is_the_change_of_its_fit(strides, quiet):
     assert_allclose(size * joint.omission_bias(chosen, left_out), change, rtol=1e-5, atol=1e-9 * np.abs(before).max())
 
 
-def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, quiet):
+def test_a_set_with_one_term_more_has_the_evidence_of_that_set(strides, quiet):
     """One of one column or several, positive or not, of possible size or not, with a cost; beside sets of any."""
     joint = joint_of(strides, quiet)
     wandering = next(c for c in processes(joint.frame) if c.name == "force over speed")
@@ -145,8 +145,8 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
     """The column of the one effect holds the force itself."""
     found = fit(strides, np.random.default_rng(1))
     assert found is not None
-    forms = untimed_terms(Frame.of(found), BY_NAME[name], frozenset(strides.context))
-    free = replace(forms[0], positive=False, sd=USUAL_SDS * forms[0].sd)
+    terms = untimed_terms(Frame.of(found), BY_NAME[name], frozenset(strides.context))
+    free = replace(terms[0], positive=False, sd=USUAL_SDS * terms[0].sd)
 
     def posterior():
         return joint_likelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
@@ -219,9 +219,9 @@ def test_power_at_rest_is_a_measurement_of_the_magnitudes():
 def test_an_effect_alone_has_the_prior_of_its_sign_whether_its_times_are_given_or_found():
     n, spans = 900, ((200.0, 420.0), (600.0, 760.0))
     state = DriveState.of(driven(n, power=25e3 * covered(np.arange(n) + 0.5, 1.0, spans)))
-    form = state.fitted_terms([BY_NAME["auxiliary_cycling"]])["auxiliary_cycling"]
-    joint = state.joint_with([form.term])
-    assert form.gain == pytest.approx(joint.log_evidence([0]) - joint.log_evidence([]), abs=0.01)
+    fitted = state.fitted_terms([BY_NAME["auxiliary_cycling"]])["auxiliary_cycling"]
+    joint = state.joint_with([fitted.term])
+    assert fitted.gain == pytest.approx(joint.log_evidence([0]) - joint.log_evidence([]), abs=0.01)
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
@@ -731,7 +731,7 @@ def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
     assert_allclose(slope.mean(axis=1), mean, atol=5 * slope.std(axis=1).max() / np.sqrt(4000))
 
 
-def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
+def test_a_term_states_whether_noise_of_the_force_is_in_it(strides, quiet):
     frame = Frame.of(quiet)
     disturbed = frame.disturbed(np.full(len(strides), 500.0))
     terms: list[Term] = list(processes(frame))

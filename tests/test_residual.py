@@ -80,7 +80,7 @@ def test_the_scales_of_the_noise_come_back():
 
 
 def enumerated(groups: list[TermGroup]) -> Iterator[tuple[int, ...]]:
-    """All sets with at most one form of each cause."""
+    """All sets with at most one term of each group."""
     terms = [term for group in groups for term in group.terms]
     of = {term: group.name for group in groups for term in group.terms}
     for size in range(len(groups) + 1):

@@ -30,7 +30,7 @@ from estimator.signals import Quantity
 Round = tuple[tuple[int, ...], float]  # the best set of a table, and its log evidence with scales of its own
 
 
-IMPOSSIBLE = 9  # a form whose size is beyond its limit once the scales are found beside it
+IMPOSSIBLE = 9  # a term whose magnitude is beyond its limit once the scales are refitted
 
 
 def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> Any:
