@@ -18,8 +18,8 @@ from estimator.components.term import Term
 from estimator.diagnosis.result import Experiment
 from estimator.model.effects import Effect
 from estimator.model.effects.effect import AtRest, Timing
+from estimator.preparation.power_at_rest import IDLE_SD, IDLE_SHARE
 from estimator.preparation.recursion import low_passed
-from estimator.preparation.standing import IDLE_SD, IDLE_SHARE
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, ROWS, Strides

@@ -14,7 +14,7 @@ from estimator.config import Config
 from estimator.model.effects.effect import AtRest
 from estimator.preparation.context import quantities_of
 from estimator.preparation.past_speed import last_known
-from estimator.preparation.standing import rests
+from estimator.preparation.power_at_rest import powers_at_rest
 from estimator.preparation.striding import Strider
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Quantity
@@ -53,7 +53,7 @@ class Drive:
         return cls(
             pieces=tuple(pieces),
             strides=_strides(pieces, config, start, rejected),
-            rests=rests(pieces, start) if pieces else (),
+            rests=powers_at_rest(pieces, start) if pieces else (),
             rejected=rejected,
             start=start,
             config=config,
