@@ -308,10 +308,10 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
         return float(gain) - exchange.Changes(costs).cost(on) if on.any() else 0.0
 
     best = max(product([False, True], repeat=b), key=evidence)
-    found = exchange.exchanged(G, s, sd, True, False, np.ones(b), costs)
+    found = exchange.best_states(G, s, sd, True, False, np.ones(b), costs)
     assert evidence(found) == pytest.approx(evidence(best))
     once = [z for z in product([False, True], repeat=b) if np.count_nonzero(np.diff(np.pad(z, 1))) <= 2]
-    one = exchange.exchanged(G, s, sd, True, True, np.ones(b), costs)
+    one = exchange.best_states(G, s, sd, True, True, np.ones(b), costs)
     assert np.count_nonzero(np.diff(np.pad(one, 1))) <= 2
     assert evidence(one) <= max(map(evidence, once)) + 1e-9
 

@@ -11,7 +11,7 @@ from estimator.components.plain_model import PlainModel
 from estimator.diagnosis import localisation
 from estimator.diagnosis.residual_formula import best_residual_formula
 from estimator.diagnosis.result import Traces
-from estimator.diagnosis.surrogates import with_other_phases
+from estimator.diagnosis.surrogates import phase_randomised
 from estimator.estimation.long_run import long_run_variance
 from estimator.false_discovery import false_discovery_rates
 from estimator.signals import Floats, Quantity
@@ -149,7 +149,7 @@ def test_other_phases_keep_the_spectrum() -> None:
     rng = np.random.default_rng(4)
     for n in (400, 401):
         x = 3.0 + np.cumsum(rng.normal(size=n))
-        y = with_other_phases(x, rng)
+        y = phase_randomised(x, rng)
         assert np.abs(np.fft.rfft(y)) == pytest.approx(np.abs(np.fft.rfft(x)))
         assert y.mean() == pytest.approx(x.mean())
         assert abs(np.corrcoef(np.diff(x), np.diff(y))[0, 1]) < 0.3

@@ -41,7 +41,7 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
         magnitudes=np.empty(0),
         stretches=None,
         is_possible=lambda given: is_possible,
-        **{"has_unusual_noise": False, "is_hidden": False} | further,
+        **{"has_unusual_noise": False, "is_road_hidden": False} | further,
     )
 
 
@@ -62,7 +62,7 @@ def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: An
         def log_prior(self, chosen: object, groups: object) -> float:
             return 0.0
 
-        def worthwhile(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
+        def without_small_gains(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
             return chosen
 
         def rivals(self, table: object) -> tuple[()]:

@@ -12,7 +12,7 @@ from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
 from estimator.components.term import Frame, Term, term_of, untimed_terms
-from estimator.components.time_prior import is_usual, prior_cost, seen
+from estimator.components.time_prior import is_usual, observed_spans, prior_cost
 from estimator.estimation.shapes import is_free, near
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
@@ -104,7 +104,7 @@ class CandidateTerms:
         yield from self._without_fitted_times(frame, drive)
         yield from self._near_shapes(number, frame, drive)
         yield from self._at_times(number, frame, drive.chosen, times)
-        if drive.is_hidden and with_stretches:
+        if drive.is_road_hidden and with_stretches:
             yield from self._stretches(number, frame, drive, times)
         if with_processes:
             yield from _nameless(frame, drive, times, len(self._given[number]))
@@ -114,7 +114,7 @@ class CandidateTerms:
         steep = None if drive.stretches is None else drive.stretches.spans
         chosen = (*((effect_term.effect.name, effect_term.spans) for effect_term in drive.fit.terms), steep)
         if number not in self._latest or self._latest[number].is_outdated(chosen, drive):
-            switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
+            switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_road_hidden else [])]
             times = set[Spans]().union(*map(switching.proposed, timed))
             self._latest[number] = _Proposed(chosen, slow_noise(drive.fit.scales.values), times)
             if steep is None and not any(term.is_timed for term in drive.chosen):
@@ -193,7 +193,7 @@ def _different(times: Set[Spans], preferred: Sequence[Spans], t: Floats) -> list
 
     Times that differ only within gaps have the same column and would be counted several times.
     """
-    alike = {seen(spans, t): spans for spans in [*sorted(times), *preferred]}
+    alike = {observed_spans(spans, t): spans for spans in [*sorted(times), *preferred]}
     return sorted(alike.values())
 
 

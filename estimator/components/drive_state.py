@@ -64,7 +64,7 @@ class DriveState:
         return self.fit.scales.alpha == LEVEL
 
     @property
-    def is_hidden(self) -> bool:
+    def is_road_hidden(self) -> bool:
         """True if the road has slopes and no signal shows them."""
         return not (self.is_level or self.fit.scales.readings)
 

@@ -21,7 +21,7 @@ MAX_RUN = 2000.0  # s, of blocks exchanged at once
 MAX_EXCHANGES = 60  # bounds the run time
 
 
-def exchanged(
+def best_states(
     G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats, costs: Sequence[Costs]
 ) -> Mask:
     """Blocks (b,) that are on; ``lengths`` (b,) [s] of blocks, ``costs`` (b - 1,) of changes between them.

@@ -205,7 +205,7 @@ class HypothesisSpace:
         without = [i for i in chosen if i not in removed]
         return self.log_evidence(chosen, check_limits=False) - self.log_evidence(without, check_limits=False)
 
-    def worthwhile(self, chosen: Hypothesis) -> Hypothesis:
+    def without_small_gains(self, chosen: Hypothesis) -> Hypothesis:
         """Hypothesis without effects whose gain is within the error of form of the strongest effect."""
         gains = {i: self.gain(chosen, [i]) for i in chosen if self.kind(i) is Kind.EFFECT}
         most = max(gains.values(), default=0.0)

@@ -28,9 +28,9 @@ ROUNDING = (
 
 @dataclass(frozen=True, kw_only=True)
 class _Round:
-    """Table of hypotheses of up to ``room`` terms, the one chosen from it, and the drives fitted with that one."""
+    """Table of hypotheses of up to ``max_terms`` terms, the one chosen from it, and the drives fitted with that one."""
 
-    room: int
+    max_terms: int
     space: HypothesisSpace
     table: ModelTable
     chosen: Hypothesis
@@ -41,7 +41,7 @@ class _Round:
         """Log evidence of the chosen hypothesis plus its log prior odds."""
         return log_evidence(self.states) + self.space.log_prior(self.chosen, self.space.groups())
 
-    def expected(self, previous: float) -> float:
+    def expected_log_evidence(self, previous: float) -> float:
         """Log evidence after MAX_TERMS further rounds, each with the gain of this one over ``previous``."""
         value = log_evidence(self.states)
         return value + MAX_TERMS * max(value - previous, 0.0)
@@ -125,7 +125,7 @@ class Search:
         for start in self._starts:
             with suppress(_OutOfReachError):
                 fits.append(self._converged(start, min_log_posterior=min_log_posterior).as_fitted)
-                if any(drive.is_hidden for drive in start):
+                if any(drive.is_road_hidden for drive in start):
                     fits += [self._converged(first, with_stretches=True).as_fitted for first in (fits[-1][1], start)]
         if not fits:
             raise _OutOfReachError
@@ -139,9 +139,9 @@ class Search:
         ]
         space = HypothesisSpace(states, self._given, candidates)
         start = space.fitted_hypothesis() if with_processes else ()  # processes come to the effects found without them
-        room = max(size, len(start) + 1)
-        table = weigh(space, space.groups(), min(room, MAX_TERMS), start)
-        return _Round(room=room, space=space, table=table, chosen=table.best, states=space.fitted(table.best))
+        max_terms = max(size, len(start) + 1)
+        table = weigh(space, space.groups(), min(max_terms, MAX_TERMS), start)
+        return _Round(max_terms=max_terms, space=space, table=table, chosen=table.best, states=space.fitted(table.best))
 
     def _converged(
         self,
@@ -160,7 +160,7 @@ class Search:
         best = self._best_round(states, with_processes, with_stretches, min_log_posterior)
         for number, state in enumerate(best.states):
             self._earlier_terms.add_drive(number, state)
-        chosen = best.space.worthwhile(best.chosen)
+        chosen = best.space.without_small_gains(best.chosen)
         return best if chosen == best.chosen else replace(best, chosen=chosen, states=best.space.fitted(chosen))
 
     def _best_round(
@@ -176,7 +176,7 @@ class Search:
         value = highest
         for size in range(2, MAX_ROUNDS + 2):
             latest = self._round(states, size, with_processes, with_stretches)
-            if latest.expected(log_evidence(states)) < min_log_posterior:
+            if latest.expected_log_evidence(log_evidence(states)) < min_log_posterior:
                 raise _OutOfReachError
             previous, value = value, latest.log_posterior
             if best is not None and value < highest - ROUNDING:
@@ -188,7 +188,7 @@ class Search:
                 gain, best, highest = value - highest, latest, value
             else:  # a hypothesis that is impossible and stays so gains nothing
                 gain = abs(value - previous)
-            if len(latest.chosen) < latest.room and gain < MIN_ROUND_GAIN:
+            if len(latest.chosen) < latest.max_terms and gain < MIN_ROUND_GAIN:
                 break
         best = best or last
         assert best is not None

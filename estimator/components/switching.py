@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from estimator.components.edges import with_refined_edges
-from estimator.components.exchange import exchanged
+from estimator.components.exchange import best_states
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.term import Frame
 from estimator.components.time_prior import MAX_ON_SHARE, least_costs, prior_cost
@@ -64,7 +64,7 @@ class Switching:
             self._cuts[key] = self._cut(list(chosen), profile, list(earlier))
         cut, sd = self._cuts[key], effect.usual_magnitude(self._joint.frame.road_load)
         costs = [least_costs(gap, effect) for gap in cut.gaps.tolist()]
-        blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
+        blocks = best_states(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
         on = blocks[cut.labels]
         if not on.any() or on.mean() > MAX_ON_SHARE:
             return None

@@ -36,7 +36,7 @@ class Costs:
 
 
 @lru_cache(maxsize=2**14)  # effects with the same dwells ask for the same gaps
-def in_gap(gap: float, dwell: float) -> Costs:
+def gap_costs(gap: float, dwell: float) -> Costs:
     """Costs of the transitions of a chain with mean ``dwell`` [s] over a ``gap`` [s]; none is negative."""
     share, forgotten = _share_and_forgotten(gap, dwell)
     stays_off = 1.0 - share * forgotten
@@ -47,7 +47,7 @@ def in_gap(gap: float, dwell: float) -> Costs:
     )
 
 
-def begun_again(gap: float, dwell: float) -> float:
+def probability_of_restart(gap: float, dwell: float) -> float:
     """Probability that a chain that is on before and after a ``gap`` [s] was off within it."""
     share, forgotten = _share_and_forgotten(gap, dwell)
     return 1.0 - exp(-gap / dwell) / (1.0 - (1.0 - share) * forgotten)
@@ -66,7 +66,7 @@ def least_costs(gap: float, effect: Effect) -> Costs:
     """
     if gap < MIN_GAP or effect.timing is Timing.WINDOW:
         return Costs(CHANGE_COST, CHANGE_COST, 0.0)
-    costs = [in_gap(gap, dwell) for dwell in effect.dwell_times]
+    costs = [gap_costs(gap, dwell) for dwell in effect.dwell_times]
     return Costs(min(c.begins for c in costs), min(c.ends for c in costs), min(c.stays for c in costs))
 
 
@@ -131,7 +131,7 @@ def _periods(pieces: Sequence[_Piece], apart: bool) -> list[list[_Piece]]:
     return periods
 
 
-def seen(spans: Spans, t: Floats) -> Spans:
+def observed_spans(spans: Spans, t: Floats) -> Spans:
     """Part of ``spans`` on strides at ``t`` (n,) [s]; spans with equal parts cannot be distinguished."""
     return tuple((piece.start, piece.stop) for piece in _pieces(spans, t))
 
@@ -195,7 +195,7 @@ def _periods_cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], 
     for period in periods:
         cost, dwell = min((_period_cost(dwell, period), dwell) for dwell in dwells)
         total += cost
-        begins += 1.0 + sum(begun_again(piece.gap_after, dwell) for piece in period[:-1])
+        begins += 1.0 + sum(probability_of_restart(piece.gap_after, dwell) for piece in period[:-1])
     dwell, gaps = max(dwells), _gaps(t)
     unseen = float((dwell * -np.expm1(-gaps / dwell)).sum())  # s of gaps, after whose beginnings it would be on
     return total + rate_cost(begins, duration + unseen)
@@ -205,9 +205,9 @@ def _period_cost(dwell: float, period: Sequence[_Piece]) -> float:
     """Prior cost [nats] of one period, with a mean ``dwell`` [s]."""
     before, after = period[0].gap_before, period[-1].gap_after
     total = sum(piece.duration for piece in period) / dwell
-    total += sum(in_gap(piece.gap_after, dwell).stays for piece in period[:-1])
-    total += in_gap(before, dwell).begins if before else CHANGE_COST
-    return total + (in_gap(after, dwell).ends if after else log(dwell))
+    total += sum(gap_costs(piece.gap_after, dwell).stays for piece in period[:-1])
+    total += gap_costs(before, dwell).begins if before else CHANGE_COST
+    return total + (gap_costs(after, dwell).ends if after else log(dwell))
 
 
 def _duration_off(pieces: Sequence[_Piece], t: Floats) -> float:

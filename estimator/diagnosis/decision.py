@@ -13,7 +13,7 @@ from estimator.components.processes import LOW_PASS
 from estimator.components.search_result import ChosenEffect, NamelessProcess, SearchResult
 from estimator.components.term import Term
 from estimator.diagnosis.case import Case
-from estimator.diagnosis.lag import effect_of, evidence_of_lag, lag_finding, low_pass_gain
+from estimator.diagnosis.lag import evidence_of_lag, lag_effect, lag_finding, log_bf_low_pass
 from estimator.diagnosis.result import Finding, Shift
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_likelihood import ROAD_LOAD
@@ -134,8 +134,8 @@ class Decision:
         """
         likely = self.nameless.probability > self.thresholds.min_probability_no_gap
         log_bf_processes = self.result.log_bf_processes if likely else 0.0
-        log_bf_low_pass = 0.0 if self.lag is None else low_pass_gain(self.result)
-        return self.result.log_bf_effects + log_bf_low_pass < max(log_bf_processes, self.log_bf_force_by_place)
+        log_bf_effects = self.result.log_bf_effects + (0.0 if self.lag is None else log_bf_low_pass(self.result))
+        return log_bf_effects < max(log_bf_processes, self.log_bf_force_by_place)
 
     def remaining(self) -> Verdict:
         """Verdict on what the named effects leave: "unknown effect" or "no gap".
@@ -165,7 +165,7 @@ def decide(result: SearchResult, cases: tuple[Case, ...], thresholds: Thresholds
     ``rng`` draws from the posterior.
     """
     log_bf_lag, unnamed = evidence_of_lag(result), [result.nameless]
-    if log_bf_lag is not None and low_pass_gain(result):
+    if log_bf_lag is not None and log_bf_low_pass(result):
         unnamed.append(result.beyond_low_pass)
     elif log_bf_lag is not None and result.low_pass is not None:  # another process has more evidence
         unnamed.append(result.low_pass)
@@ -181,7 +181,7 @@ def decide(result: SearchResult, cases: tuple[Case, ...], thresholds: Thresholds
     if result.is_sloping and not result.is_hilly:
         split = split.renamed(ROAD, UNKNOWN + FORCE_BY_PLACE)
     if log_bf_lag is not None:
-        split = split.renamed(UNKNOWN + LOW_PASS, effect_of(result).name)
+        split = split.renamed(UNKNOWN + LOW_PASS, lag_effect(result).name)
     return Decision(result=result, budget=split, cases=cases, thresholds=thresholds)
 
 

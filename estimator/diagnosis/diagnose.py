@@ -93,7 +93,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
     base, base_deviation = decision.plain_road_load
     final, deviation = decision.road_load
     traces = traces_of(decision)
-    is_road_hidden = any(finding.magnitude.name == HIDDEN_GRADE for finding in named)
+    is_hidden_named = any(finding.magnitude.name == HIDDEN_GRADE for finding in named)
     ranking = candidate_findings(decision, named)
     reported = {name for finding in named for name in (finding.name, *finding.equivalent)}
     others = [effect for effect in effects if effect.name not in reported and not effect.is_gravity]
@@ -124,7 +124,7 @@ def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTes
         experiments=_experiments(decision, effects, verdict, named, ranking),
         streaming_effects=addable if verdict is Verdict.EFFECT else (),
         budget=decision.budget,
-        gap_map=gap_map(traces, traces.road_known if is_road_hidden else traces.extended),
+        gap_map=gap_map(traces, traces.road_known if is_hidden_named else traces.extended),
         traces=traces,
     )
 

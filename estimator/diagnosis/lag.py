@@ -25,12 +25,12 @@ def evidence_of_lag(result: SearchResult) -> float | None:
     """
     value, sd = _lag(result)
     excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value, 0.0) / sd
-    evidence = 0.5 * excess**2 + low_pass_gain(result)
+    evidence = 0.5 * excess**2 + log_bf_low_pass(result)
     least = max(MIN_LOG_BF, result.error_of_form)
     return evidence if excess and evidence >= least and abs(value) <= LONGEST_LAG else None
 
 
-def low_pass_gain(result: SearchResult) -> float:
+def log_bf_low_pass(result: SearchResult) -> float:
     """Log Bayes factor of a low-pass of the speed if no other nameless process has more, else 0."""
     nameless = result.nameless
     is_low_pass = any(process.name == LOW_PASS for process in nameless.term_by_drive.values())
@@ -46,7 +46,7 @@ def lag_finding(result: SearchResult, budget: Budget) -> Finding | None:
     if evidence is None:
         return None
     value, sd = _lag(result)
-    effect = effect_of(result)
+    effect = lag_effect(result)
     drives = zip(result.drives, budget.residuals, strict=True)
     unaligned = np.concatenate([unaligned_residual(drive, residuals) for drive, residuals in drives])
     aligned = np.concatenate([residuals.given for residuals in budget.residuals])
@@ -70,7 +70,7 @@ def unaligned_residual(drive: DriveState, residuals: Residuals) -> Floats:
     return plain.residual(plain.power) - (residuals.plain - residuals.given)
 
 
-def effect_of(result: SearchResult) -> Effect:
+def lag_effect(result: SearchResult) -> Effect:
     """Catalogue entry of the lag: LATE if power lags speed, else EARLY, as where the speed is low-passed."""
     return BY_NAME[LATE if _lag(result)[0] > 0 else EARLY]
 

@@ -43,13 +43,13 @@ def _surrogate(drive: DriveState, rng: np.random.Generator) -> DriveState:
     columns = np.column_stack([np.zeros(len(residual)), *(c.columns(frame)[:, 0] for c in drive.chosen)])
     effects = columns[:, 1:] @ drive.magnitudes
     a = drive.strides.a.copy()
-    a[drive.strides.known] = fit.fitted - effects + with_other_phases(residual, rng)
+    a[drive.strides.known] = fit.fitted - effects + phase_randomised(residual, rng)
     rests = tuple(replace(rest, power=float(rng.normal(0.0, rest.sd))) for rest in drive.rests)
     drawn = DriveState.of(replace(drive.strides, a=a), rests, drive.is_level, fit.scales)
     return drive if drawn is None else drawn
 
 
-def with_other_phases(x: Floats, rng: np.random.Generator) -> Floats:
+def phase_randomised(x: Floats, rng: np.random.Generator) -> Floats:
     """A series (n,) with the mean and the power spectrum of ``x`` (n,), and random phases."""
     spectrum = np.fft.rfft(x)
     phases = rng.uniform(0.0, 2 * np.pi, len(spectrum))

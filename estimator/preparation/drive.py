@@ -21,7 +21,7 @@ from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, Strides
 
 MAX_STANDING_SPEED = 0.5  # m/s
-MOST = 4  # reasons of unused rows that are listed
+MAX_LISTED_REASONS = 4  # reasons of unused rows that are listed
 MIN_STOP = 10.0  # s, in which a load could change
 MIN_KNOWN_SHARE = 0.5  # of the drive, for which a quantity must be known to be used
 STATES = (Quantity.GEAR, Quantity.BRAKE, Quantity.FROZEN)  # between two of their values there is none
@@ -63,8 +63,8 @@ class Drive:
     def __repr__(self) -> str:
         rows, known_strides = sum(map(len, self.pieces)), int(self.strides.known.sum())
         distance = float((self.strides.s1 - self.strides.s0).sum()) / 1e3
-        reasons = [f"{reason} {100 * count / max(rows, 1):.0f} %" for reason, count in self.rejected.most_common(MOST)]
-        unused = ", ".join(reasons) or "nothing"
+        reasons = self.rejected.most_common(MAX_LISTED_REASONS)
+        unused = ", ".join(f"{reason} {100 * count / max(rows, 1):.0f} %" for reason, count in reasons) or "nothing"
         return f"{rows * STEP / 60:.0f} min, {distance:.1f} km, {known_strides:,} strides; not used: {unused}"
 
     @property
