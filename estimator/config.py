@@ -229,7 +229,7 @@ def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
 
 
 def _explained(place: str, reason: str, tables: dict[str, Any]) -> str:
-    """What is wrong at ``place``, with the keys and the values that there are."""
+    """Message about the error at ``place``, with the keys and values that are possible there."""
     kind: Any = Config
     value: Any = tables
     for key in place.split(".") if place else ():

@@ -49,7 +49,7 @@ GRADES = frozenset({Role.GRADE, Role.GRADE_REFERENCE})  # rise over run; an angl
 
 
 class Quantity(StrEnum):
-    """What is known about a moment besides speed and power: derived from roles, in SI."""
+    """Quantities of a moment besides speed and power, derived from roles, in SI."""
 
     ENGINE_SPEED = "engine speed"  # [rad/s]
     GEAR = "gear"

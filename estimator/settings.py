@@ -25,7 +25,7 @@ class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Vehicle(Section, frozen=True):
-    """What is known of the vehicle beforehand."""
+    """Knowledge of the vehicle before any measurement."""
 
     driveline_efficiency: Annotated[float, Meta(ge=0.01, le=1)] = 1.0  # wheel power over crank power
     reference_torque_Nm: Positive | None = None  # instead of the EC1 broadcast
@@ -111,7 +111,7 @@ class Load(Section, frozen=True):
 
 
 class RoadTable(Section, frozen=True):
-    """What is known of the road beforehand."""
+    """Knowledge of the road before any measurement."""
 
     map: str | None = None  # the road.npy of a fleet, relative to the configuration file
 
@@ -139,7 +139,7 @@ class Sampler(Section, frozen=True):
 
 
 class Publish(Section, frozen=True):
-    """What is broadcast."""
+    """Settings of the broadcast."""
 
     source_address: Address = 0xFB  # the on-board data logger's
     priority: Annotated[int, Meta(ge=0, le=7)] = 6  # of the frames; 0 is the highest

@@ -1,4 +1,4 @@
-"""What each key of the configuration means: the comments of its table's source, so that it is said in one place."""
+"""Meaning of each key of the configuration: the comments in the source of its table, so that it is stated once."""
 
 import ast
 import inspect

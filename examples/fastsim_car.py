@@ -61,9 +61,8 @@ def main(arguments: list[str]) -> None:
         print(f"{suspect.name}: P = {suspect.probability:.3f}, {suspect.value:.4g} ± {suspect.sd:.2g} {suspect.unit}")
     for part in (part for part in found.budget if part.share > 0.005):
         print(f"{100 * part.share:.0f} % ({100 * part.q05:.0f} .. {100 * part.q95:.0f}) {part.cause}")
-    print(
-        f"residual {found.rms:.0f} W, on left-out stretches {found.reached:.0f} W once named, noise {found.noise:.0f} W"
-    )
+    rms, held_out, noise = (f"{value:.0f} W" for value in (found.rms, found.held_out_rms, found.noise))
+    print(f"residual {rms}, on left-out stretches {held_out} once named, noise {noise}")
 
 
 if __name__ == "__main__":

@@ -26,9 +26,9 @@ PUMP = Effect(
     symbol="k",
     unit="N m s",
     power=pump_power,
-    usual=lambda road_load: 1.0,  # 22 kW at 1400 rpm
+    usual_magnitude=lambda road_load: 1.0,  # 22 kW at 1400 rpm
     needs=(Quantity.ENGINE_SPEED,),
-    breaks="the pressure of the hydraulic circuit on the bus",
+    shown_by="the pressure of the hydraulic circuit on the bus",
 )
 
 

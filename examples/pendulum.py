@@ -69,7 +69,8 @@ def main(arguments: list[str]) -> None:
         print(f"{100 * part.share:.0f} % ({100 * part.q05:.0f} .. {100 * part.q95:.0f}) {part.cause}")
     for place in found.where[:2]:
         print(f"{place.axis} from {place.start:.2f} to {place.end:.2f} {place.unit}: {place.bias:+.3f} rad/s^2")
-    print(f"residual {found.rms:.4f}, on left-out stretches {found.reached:.4f} once named, noise {found.noise:.4f}")
+    rms, held_out, noise = (f"{value:.4f}" for value in (found.rms, found.held_out_rms, found.noise))
+    print(f"residual {rms}, on left-out stretches {held_out} once named, noise {noise}")
 
 
 if __name__ == "__main__":

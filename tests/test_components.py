@@ -1,4 +1,4 @@
-"""The likelihood of components against dense algebra, quadrature and enumeration; the identity of the budget."""
+"""The likelihood of terms against dense algebra, quadrature and enumeration; the identity of the budget."""
 
 from dataclasses import replace
 from itertools import product
@@ -18,11 +18,9 @@ from scipy.stats import multivariate_normal
 
 from estimator.components import edges, exchange, switching
 from estimator.components.budget import NOISE, ROAD, budget
-from estimator.components.candidates import Candidates, FoundForms
-from estimator.components.component import Component, Frame, Kind, of_effect, of_term
+from estimator.components.candidate_terms import CandidateTerms, EarlierTerms
 from estimator.components.drive_state import DriveState
-from estimator.components.explained import explained_by, ranked
-from estimator.components.hypotheses import Hypotheses
+from estimator.components.hypothesis_space import HypothesisSpace
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.model_table import ModelTable
 from estimator.components.processes import (
@@ -37,7 +35,9 @@ from estimator.components.processes import (
     switched,
 )
 from estimator.components.search import Search
+from estimator.components.search_result import ranked, search_result
 from estimator.components.set_likelihood import SetLikelihood
+from estimator.components.term import Frame, Kind, Term, term_of, untimed_terms
 from estimator.components.time_prior import CHANGE_COST, Costs
 from estimator.estimation import road_fit
 from estimator.estimation.normal_equations import NormalEquations
@@ -45,10 +45,10 @@ from estimator.estimation.road_evidence import log_bayes_factor_of_road, log_bay
 from estimator.estimation.road_fit import fit, fit_given
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood
 from estimator.model.conditioned import Conditioned
+from estimator.model.effect_term import USUAL_SDS, EffectTerm
 from estimator.model.effects import BY_NAME, CATALOGUE
 from estimator.model.effects.effect import AtRest
 from estimator.model.spans import covered, union, without
-from estimator.model.term import USUAL_SDS, Term
 from estimator.samples import STEP
 from estimator.signals import Quantity
 
@@ -71,13 +71,13 @@ def quiet(strides):
     return replace(found, scales=replace(found.scales, values=values))
 
 
-def joint_likelihood(strides, fit, components, rng):
-    return JointLikelihood(Conditioned.of(fit.scales.model_of(strides), fit.scales.values), fit, components, rng)
+def joint_likelihood(strides, fit, terms, rng):
+    return JointLikelihood(Conditioned.of(fit.scales.model_of(strides), fit.scales.values), fit, terms, rng)
 
 
 def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), further=()):
     frame = Frame.of(fit)
-    given = [c for name in names for c in of_effect(frame, BY_NAME[name], frozenset(strides.context))[:2]]
+    given = [c for name in names for c in untimed_terms(frame, BY_NAME[name], frozenset(strides.context))[:2]]
     return joint_likelihood(strides, fit, [*given, *further], np.random.default_rng(2))
 
 
@@ -90,7 +90,8 @@ def covariance(strides, fit):
 def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
     wander = next(p for p in processes(Frame.of(quiet)) if p.name == "force over time")
     free = [
-        replace(c, positive=False) for c in of_effect(Frame.of(quiet), BY_NAME["warm_up"], frozenset(strides.context))
+        replace(c, positive=False)
+        for c in untimed_terms(Frame.of(quiet), BY_NAME["warm_up"], frozenset(strides.context))
     ]
     joint = joint_likelihood(strides, quiet, [free[0], free[3], wander], np.random.default_rng(2))
     K, base = covariance(strides, quiet), joint.columns[:, : joint.base_size].toarray()
@@ -99,8 +100,8 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
     def dense(chosen):
         total = K.copy()
         for i in chosen:
-            X = joint.columns[:, joint.places[i]].toarray()
-            total += joint.components[i].sd ** 2 * X @ X.T
+            X = joint.columns[:, joint.term_columns[i]].toarray()
+            total += joint.terms[i].sd ** 2 * X @ X.T
         factor = np.linalg.cholesky(total)
         return -np.log(np.diag(factor)).sum() - 0.5 * np.sum(np.linalg.solve(factor, joint.response) ** 2)
 
@@ -109,33 +110,33 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
         assert joint.log_evidence(chosen) - none == pytest.approx(dense(chosen) - dense([]), abs=0.05)
 
 
-def test_what_a_set_imitates_is_the_change_of_its_fit(strides, quiet):
+def test_the_bias_by_an_omitted_term_is_the_change_of_the_fit(strides, quiet):
     joint = joint_of(strides, quiet, names=("auxiliary_load", "warm_up"))
     chosen, left_out, size = [1], 0, 5e3
     before = joint.posterior(chosen).mean
     columns = joint.columns.toarray()
-    added = size * columns[:, joint.places[left_out][0]]
+    added = size * columns[:, joint.term_columns[left_out][0]]
     products = joint.conditioned.gram(np.column_stack([added, columns]))
-    other = SetLikelihood(products, joint._prior, joint.priors, joint.places, joint.unit)
+    other = SetLikelihood(products, joint._prior, joint.priors, joint.term_columns, joint.unit)
     # Corrected for the noise of the torque, and for answers to slopes.
     other._information, other._moment = joint._information, joint._moment + products[1:, 0]
     change = other.posterior(chosen).mean - before
-    assert_allclose(size * joint.imitated(chosen, left_out), change, rtol=1e-5, atol=1e-9 * np.abs(before).max())
+    assert_allclose(size * joint.omission_bias(chosen, left_out), change, rtol=1e-5, atol=1e-9 * np.abs(before).max())
 
 
-def test_a_set_with_one_component_more_has_the_evidence_of_that_set(strides, quiet):
+def test_a_set_with_one_term_more_has_the_evidence_of_that_set(strides, quiet):
     """One of one column or several, positive or not, of possible size or not, with a cost; beside sets of any."""
     joint = joint_of(strides, quiet)
     wandering = next(c for c in processes(joint.frame) if c.name == "force over speed")
-    own = [replace(component, cost=0.1 * i) for i, component in enumerate([*joint.components, wandering])]
-    own += [replace(own[0], largest=1e-3), replace(own[1], positive=not own[1].positive)]
+    own = [replace(term, cost=0.1 * i) for i, term in enumerate([*joint.terms, wandering])]
+    own += [replace(own[0], max_size=1e-3), replace(own[1], positive=not own[1].positive)]
     joint = joint_likelihood(strides, quiet, own, np.random.default_rng(2))
-    for chosen in ([], [0], [1, 3], [len(joint.components) - 3, 2]):
+    for chosen in ([], [0], [1, 3], [len(joint.terms) - 3, 2]):
         others = [i for i in range(len(own)) if i not in chosen]
         one_by_one = [joint.log_evidence([*chosen, i]) for i in others]
-        assert_allclose(joint.with_each(chosen, others), one_by_one, rtol=1e-9, atol=1e-6)
-        unlimited = [joint.unlimited([*chosen, i]) for i in others]
-        assert_allclose(joint.unlimited_with_each(chosen, others), unlimited, rtol=1e-9, atol=1e-6)
+        assert_allclose(joint.log_evidence_with(chosen, others), one_by_one, rtol=1e-9, atol=1e-6)
+        unlimited = [joint.log_evidence([*chosen, i], check_limits=False) for i in others]
+        assert_allclose(joint.log_evidence_with(chosen, others, check_limits=False), unlimited, rtol=1e-9, atol=1e-6)
     assert np.isinf(joint.log_evidence([len(own) - 2]))
 
 
@@ -144,21 +145,21 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
     """The column of the one effect holds the force itself."""
     found = fit(strides, np.random.default_rng(1))
     assert found is not None
-    forms = of_effect(Frame.of(found), BY_NAME[name], frozenset(strides.context))
-    free = replace(forms[0], positive=False, sd=USUAL_SDS * forms[0].sd)
+    terms = untimed_terms(Frame.of(found), BY_NAME[name], frozenset(strides.context))
+    free = replace(terms[0], positive=False, sd=USUAL_SDS * terms[0].sd)
 
     def posterior():
         return joint_likelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
 
     corrected = posterior()
-    monkeypatch.setattr("estimator.components.likelihood.ANSWERED", 0.0)
+    monkeypatch.setattr("estimator.components.likelihood.DRIVER_FEEDBACK", 0.0)
     shift, sd = corrected.mean - posterior().mean, np.sqrt(np.diag(corrected.covariance))
-    assert free.term is not None
+    assert free.effect_term is not None
     model, scales = found.scales.model_of(strides), found.scales
-    likelihood = Likelihood(model, (free.term,), found.road_load, scales.lag, (), found.taken)
+    likelihood = Likelihood(model, (free.effect_term,), found.road_load, scales.lag, (), found.taken)
     none = np.empty((len(model.driven), 0))
     equations = NormalEquations.of(likelihood, scales.values, scales.free, 0.0, none, np.random.default_rng(2))
-    with_answers, without = equations.solve()[0], replace(equations, answered=0 * equations.answered).solve()[0]
+    with_answers, without = equations.solve()[0], replace(equations, driver_bias=0 * equations.driver_bias).solve()[0]
     expected = (with_answers - without) / likelihood.unit
     assert expected[0] > 0.5 * sd[0]
     assert_allclose(shift[:ROAD_LOAD] / sd[:ROAD_LOAD], expected[:ROAD_LOAD] / sd[:ROAD_LOAD], atol=0.1)
@@ -173,8 +174,8 @@ def test_a_fit_gives_an_effect_the_evidence_that_a_table_gives_it(name, size):
     rest = AtRest(power=size if name == "auxiliary_load" else 63.0 * size, sd=1.3e3, engine_speed=63.0)
     strides = driven(900, power=size * (np.ones(900) if name == "auxiliary_load" else turns))
     plain = DriveState.of(strides, (rest,))
-    component = of_effect(Frame.of(plain.fit), truth, frozenset(strides.context))[0]
-    having = plain.having((component,))
+    term = untimed_terms(Frame.of(plain.fit), truth, frozenset(strides.context))[0]
+    having = plain.with_terms((term,))
     scales = having.fit.scales
     bare = fit_given(strides, np.random.default_rng(2), scales, (), rests=(rest,))
     given = fit_given(strides, np.random.default_rng(2), scales, having.fit.terms, rests=(rest,))
@@ -183,7 +184,7 @@ def test_a_fit_gives_an_effect_the_evidence_that_a_table_gives_it(name, size):
     assert with_it.log_evidence - without_it.log_evidence == pytest.approx(gain, abs=0.5)
     posterior = having.joint.posterior([0])
     sd = np.sqrt(posterior.covariance[-1, -1])
-    assert having.sizes[0] == pytest.approx(posterior.mean[-1], abs=0.3 * sd)
+    assert having.magnitudes[0] == pytest.approx(posterior.mean[-1], abs=0.3 * sd)
     assert np.sqrt(having.fit.theta_covariance()[-1, -1]) == pytest.approx(sd, rel=0.15)
     assert gain > 5 > replace(having, rests=()).joint.gains([], [0]).gain[0]
 
@@ -192,7 +193,7 @@ def test_power_at_rest_is_a_measurement_of_the_magnitudes():
     """As the product of two Gaussians, to first order: one rest after the other, or all at once."""
     strides = driven(600, power=np.full(600, 9e3))
     frame = Frame.of(DriveState.of(strides).fit)
-    terms = [of_effect(frame, BY_NAME[name], ELAPSED)[0].term for name in ("auxiliary_load", "torque_bias")]
+    terms = [untimed_terms(frame, BY_NAME[name], ELAPSED)[0].effect_term for name in ("auxiliary_load", "torque_bias")]
     found = fit(strides, np.random.default_rng(1), terms)
     rests = [AtRest(power=9.5e3, sd=700.0, engine_speed=60.0), AtRest(power=8.5e3, sd=900.0, engine_speed=110.0)]
     beta, covariance, evidence = found.beta, found.covariance, 0.0
@@ -218,14 +219,14 @@ def test_power_at_rest_is_a_measurement_of_the_magnitudes():
 def test_an_effect_alone_has_the_prior_of_its_sign_whether_its_times_are_given_or_found():
     n, spans = 900, ((200.0, 420.0), (600.0, 760.0))
     state = DriveState.of(driven(n, power=25e3 * covered(np.arange(n) + 0.5, 1.0, spans)))
-    form = state.forms([BY_NAME["auxiliary_cycling"]])["auxiliary_cycling"]
-    joint = state.joint_with([form.component])
-    assert form.gain == pytest.approx(joint.log_evidence([0]) - joint.log_evidence([]), abs=0.01)
+    fitted = state.fitted_terms([BY_NAME["auxiliary_cycling"]])["auxiliary_cycling"]
+    joint = state.joint_with([fitted.term])
+    assert fitted.gain == pytest.approx(joint.log_evidence([0]) - joint.log_evidence([]), abs=0.01)
 
 
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
     joint = joint_of(strides, quiet, names=("auxiliary_load",))
-    free = replace(joint.components[0], positive=False)
+    free = replace(joint.terms[0], positive=False)
     both = joint_likelihood(strides, quiet, [free], np.random.default_rng(2))
     posterior = both.posterior([0])
     mean, sd = posterior.mean[-1], np.sqrt(posterior.covariance[-1, -1])
@@ -236,11 +237,11 @@ def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
 def test_gains_are_differences_of_evidence_and_costs_are_left_to_the_caller(strides, quiet):
     joint = joint_of(strides, quiet)
     for chosen in ([], [0], [0, 3]):
-        others = [i for i in range(len(joint.components)) if i not in chosen]
+        others = [i for i in range(len(joint.terms)) if i not in chosen]
         gains = joint.gains(chosen, others)
         for gain, i in zip(gains.gain, others, strict=True):
             # The sign of those chosen before is an approximation: each is judged by its own margin.
-            free = [i for i in chosen if joint.components[i].positive]
+            free = [i for i in chosen if joint.terms[i].positive]
             if not free:
                 assert gain == pytest.approx(joint.log_evidence([*chosen, i]) - joint.log_evidence(chosen), abs=1e-6)
         posterior = joint.posterior([*chosen, others[0]])
@@ -275,16 +276,16 @@ def test_an_observation_of_a_sum_counts_those_that_are_in_the_set(strides, quiet
 
 def test_projected_products_are_those_of_the_columns_off_the_set(strides, quiet):
     joint = joint_of(strides, quiet)
-    products, score = joint.projected([0], joint.components[2].columns(joint.frame))
+    products, score = joint.projected([0], joint.terms[2].columns(joint.frame))
     gains = joint.gains([0], [2])
-    precision = products[0, 0] + joint.components[2].sd ** -2.0
+    precision = products[0, 0] + joint.terms[2].sd ** -2.0
     assert score[0] / precision == pytest.approx(gains.value[0])
     assert precision**-0.5 == pytest.approx(gains.sd[0])
 
 
 def test_the_weighed_residual_gives_the_scores_of_columns(strides, quiet):
     joint = joint_of(strides, quiet)
-    columns = joint.components[2].columns(joint.frame)
+    columns = joint.terms[2].columns(joint.frame)
     _, score = joint.projected([0], columns)
     assert_allclose(columns.T @ joint.weighed_residual([0]), score, rtol=1e-5)
 
@@ -307,10 +308,10 @@ def test_times_are_the_best_of_all_states_of_a_few_blocks(seed):
         return float(gain) - exchange.Changes(costs).cost(on) if on.any() else 0.0
 
     best = max(product([False, True], repeat=b), key=evidence)
-    found = exchange.exchanged(G, s, sd, True, False, np.ones(b), costs)
+    found = exchange.best_states(G, s, sd, True, False, np.ones(b), costs)
     assert evidence(found) == pytest.approx(evidence(best))
     once = [z for z in product([False, True], repeat=b) if np.count_nonzero(np.diff(np.pad(z, 1))) <= 2]
-    one = exchange.exchanged(G, s, sd, True, True, np.ones(b), costs)
+    one = exchange.best_states(G, s, sd, True, True, np.ones(b), costs)
     assert np.count_nonzero(np.diff(np.pad(one, 1))) <= 2
     assert evidence(one) <= max(map(evidence, once)) + 1e-9
 
@@ -337,14 +338,14 @@ def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
     effect, t = BY_NAME["auxiliary_cycling"], np.arange(400) + 0.5
     truth = ((100.4, 140.9), (250.2, 301.7))
     joint = DriveState.of(driven(power=40e3 * covered(t, 1.0, truth))).joint
-    sd = effect.usual(joint.frame.road_load)
+    sd = effect.usual_magnitude(joint.frame.road_load)
 
     def evidence(spans):
-        G, s = joint.projected([], joint.frame.column(Term(effect, None, spans))[:, None])
+        G, s = joint.projected([], joint.frame.column(EffectTerm(effect, None, spans))[:, None])
         return float(exchange.amplitude_evidence(s[0], G[0, 0], sd, positive=False))
 
     start = ((101.5, 139.0), (249.0, 303.5))
-    found = edges.with_refined_edges(joint, [], Term(effect, None, start))
+    found = edges.with_refined_edges(joint, [], EffectTerm(effect, None, start))
     assert_allclose(found, truth, atol=0.31)
     assert evidence(found) > evidence(start)
     for i, j in product((0, 1), (0, 1)):
@@ -356,7 +357,7 @@ def test_no_move_of_an_edge_adds_evidence_to_refined_ones():
 
 def test_products_of_steps_are_sums_over_the_parts_between_them(strides, quiet):
     joint = joint_of(strides, quiet)
-    column = joint.components[0].columns(joint.frame)[:, 0]
+    column = joint.terms[0].columns(joint.frame)[:, 0]
     n, probed = len(column), np.arange(1, len(column), 50)
     steps = np.where(np.arange(n)[:, None] >= probed, column[:, None], 0.0)
     products, _ = joint.projected([1], steps)
@@ -381,12 +382,12 @@ def test_hats_are_a_partition_of_one():
 @pytest.mark.slow
 def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     n = 2400
-    effects = [effect for effect in CATALOGUE if not effect.absorbed and not effect.is_gravity]
+    effects = [effect for effect in CATALOGUE if not effect.is_absorbed and not effect.is_gravity]
     for power, named in ((np.zeros(n), []), (np.full(n, 15e3), ["auxiliary_load"])):
         state = DriveState.of(driven(n, power=power), (AtRest(power=float(power[0]), sd=800.0, engine_speed=60.0),))
-        found = Search((state,), effects).explained()
-        assert [choice.name for choice in found.choices] == named
-        assert [component.name for component in found.drives[0].chosen] == named
+        found = Search((state,), effects).result()
+        assert [choice.name for choice in found.chosen] == named
+        assert [term.name for term in found.drives[0].chosen] == named
     (state,) = found.drives
     assert state.joint.posterior([0]).mean[-1] == pytest.approx(15e3, rel=0.1)
 
@@ -409,9 +410,9 @@ def test_times_of_one_or_both_and_of_one_alone_are_those_of_every_moment(one, ot
 
 def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked_for():
     state = DriveState.of(driven(600, power=np.full(600, 15e3)))
-    found = Search((state,), [BY_NAME["auxiliary_load"]]).explained().log_posterior
+    found = Search((state,), [BY_NAME["auxiliary_load"]]).result().log_posterior
     for least, is_reached in ((found - 1, True), (found + 1000, False)):
-        again = Search((state,), [BY_NAME["auxiliary_load"]]).explained_above(least)
+        again = Search((state,), [BY_NAME["auxiliary_load"]]).result_above(least)
         assert (again is not None) == is_reached
 
 
@@ -420,10 +421,10 @@ def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     on = (np.arange(n) % 800) > 500
     state = DriveState.of(driven(n, power=60e3 * on))
     effects = [BY_NAME["auxiliary_cycling"]]
-    found = Search((state,), effects).explained()
+    found = Search((state,), effects).result()
     (state,) = found.drives
-    (component,) = state.chosen
-    starts = np.array([span[0] for span in component.spans])
+    (term,) = state.chosen
+    starts = np.array([span[0] for span in term.spans])
     assert_allclose(starts, [501, 1301, 2101], atol=2.0)
     assert state.joint.posterior([0]).mean[-1] == pytest.approx(60e3, rel=0.1)
 
@@ -435,7 +436,9 @@ def test_times_that_two_effects_share_are_proposed_for_one_of_them():
     strides = driven(n, power=5e3 * covered(strides.t, 1.0, spans) * 0.5 * (strides.v0 + strides.v1))
     state = DriveState.of(strides)
     frame = Frame.of(state.fit)
-    state = state.having((of_term(frame, Term(brake, None, spans[::2])), of_term(frame, Term(fan, None, spans[1::2]))))
+    state = state.with_terms(
+        (term_of(frame, EffectTerm(brake, None, spans[::2])), term_of(frame, EffectTerm(fan, None, spans[1::2])))
+    )
     proposed = switching.Switching(state.joint).proposed_instead(brake)
     whole = [times for times in proposed if len(times) == len(spans)]
     assert any(np.allclose(times, spans, atol=1.0) for times in whole)
@@ -447,7 +450,7 @@ def test_times_of_an_effect_do_not_depend_on_what_was_asked_before():
     strides = driven(n)
     strides = driven(n, power=5e3 * covered(strides.t, 1.0, spans) * 0.5 * (strides.v0 + strides.v1))
     state = DriveState.of(strides)
-    state = state.having((of_term(Frame.of(state.fit), Term(brake, None, spans[:1])),))
+    state = state.with_terms((term_of(Frame.of(state.fit), EffectTerm(brake, None, spans[:1])),))
     alone, asked = switching.Switching(state.joint), switching.Switching(state.joint)
     asked.best([0], BY_NAME["resistance_segment"])
     times, _ = alone.best([], brake, [0])
@@ -462,7 +465,7 @@ def test_ends_of_a_span_are_found_to_a_tenth_of_a_second():
     strides = driven(n, power=60e3 * covered(t, 1.0, spans))
     state = DriveState.of(strides)
     rough = tuple((round(a) + 2.0, round(b) - 2.0) for a, b in spans)
-    found = switching.with_refined_edges(state.joint, [], Term(BY_NAME["auxiliary_cycling"], None, rough))
+    found = switching.with_refined_edges(state.joint, [], EffectTerm(BY_NAME["auxiliary_cycling"], None, rough))
     assert_allclose(found, spans, atol=0.35)  # the noise of a stride is 15 % of what the load takes
 
 
@@ -523,9 +526,9 @@ def test_a_power_that_switches_and_is_larger_than_any_effect_has_no_name_of_the_
     spans = ((500.3, 800.0), (1300.0, 1500.7))
     power = size * covered(np.arange(n) + 0.5, 1.0, spans)
     names = ("auxiliary_cycling", "drafting", "brake_use", "resistance_segment")
-    found = Search((DriveState.of(driven(n, power=power)),), [BY_NAME[name] for name in names]).explained()
-    assert found.choices == ()
-    process = found.nameless.processes[0]
+    found = Search((DriveState.of(driven(n, power=power)),), [BY_NAME[name] for name in names]).result()
+    assert found.chosen == ()
+    process = found.nameless.term_by_drive[0]
     assert SWITCHES[process.name] == "W"
     assert_allclose(process.spans, spans, atol=0.5)
     (state,) = found.drives
@@ -538,10 +541,10 @@ def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
     n, spans = 2400, ((500.0, 800.0), (1300.0, 1600.0))
     power = 15e3 + 150e3 * covered(np.arange(n) + 0.5, 1.0, spans)
     plain = DriveState.of(driven(n, power=power), (AtRest(power=15e3, sd=800.0, engine_speed=60.0),))
-    fan = of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans))
-    state = plain.having((fan,))
-    assert state.joint.posterior([0]).mean[-1] > 2 * fan.largest
-    assert [choice.name for choice in Search((state,), [BY_NAME["auxiliary_load"]]).explained().choices] == [
+    fan = term_of(Frame.of(plain.fit), EffectTerm(BY_NAME["auxiliary_cycling"], None, spans))
+    state = plain.with_terms((fan,))
+    assert state.joint.posterior([0]).mean[-1] > 2 * fan.max_size
+    assert [choice.name for choice in Search((state,), [BY_NAME["auxiliary_load"]]).result().chosen] == [
         "auxiliary_load"
     ]
 
@@ -551,7 +554,7 @@ def test_the_noise_of_the_force_is_in_a_gain_that_wanders_as_it_is_in_the_mass(s
     plain = DriveState.of(strides)
     frame = Frame.of(plain.fit)
     wide = max((p for p in processes(frame) if p.name == "gain over time"), key=lambda p: p.sd)
-    beside = plain.having((), (wide,)).fit
+    beside = plain.with_terms((), (wide,)).fit
     gains = beside.theta[LAG + 1 :]
     assert abs(gains.mean()) < 0.5 * wide.sd
     assert beside.theta[2] == pytest.approx(plain.fit.theta[2], rel=0.05)
@@ -573,9 +576,9 @@ def test_a_gain_that_rises_with_the_torque_is_finite_where_the_engine_rests(stri
 def test_gusts_of_half_a_minute_are_a_drag_over_time():
     v = on_level_road().fit.strides.speed
     gusts = gaussian_filter1d(np.random.default_rng(SEED).standard_normal(len(v)), 25.0)
-    found = Search((on_level_road(2 * C * v**2 * 0.6 * gusts / gusts.std()),), [BY_NAME["drafting"]]).explained()
-    assert not found.choices
-    assert [process.name for process in found.nameless.processes.values()] == ["drag over time"]
+    found = Search((on_level_road(2 * C * v**2 * 0.6 * gusts / gusts.std()),), [BY_NAME["drafting"]]).result()
+    assert not found.chosen
+    assert [process.name for process in found.nameless.term_by_drive.values()] == ["drag over time"]
     assert found.nameless.log_bayes_factor > 1000  # 281 with hats of two minutes
 
 
@@ -606,8 +609,8 @@ def test_what_is_smaller_than_the_error_of_a_large_effects_form_is_not_added():
     t = np.arange(n) % 800
     power = 55e3 * ((t > 500) + 0.1 * (t > 700))
     state = DriveState.of(driven(n, power=power))
-    found = Search((state,), [BY_NAME["auxiliary_cycling"], BY_NAME["drafting"]]).explained()
-    assert [choice.name for choice in found.choices] == ["auxiliary_cycling"]
+    found = Search((state,), [BY_NAME["auxiliary_cycling"], BY_NAME["drafting"]]).result()
+    assert [choice.name for choice in found.chosen] == ["auxiliary_cycling"]
 
 
 @pytest.mark.slow
@@ -616,7 +619,7 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     on = (np.arange(n) % 800) > 500
     power = 60e3 * on
     strides = driven(n, power=power)
-    found = Search((DriveState.of(strides),), [BY_NAME["auxiliary_cycling"]]).explained()
+    found = Search((DriveState.of(strides),), [BY_NAME["auxiliary_cycling"]]).result()
     whole = budget(found.drives, [[]], [[]], np.random.default_rng(1))
     assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
     # The true parts, off the plain columns as the residual is.
@@ -632,66 +635,69 @@ def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
     part = whole.part("auxiliary_cycling")
     assert part.share == pytest.approx(residual @ load / (residual @ residual), abs=0.05)
     assert whole.part(ROAD).share + part.share > 0.9
-    assert part.reached < 0.97 * whole.total
+    assert part.held_out_rms < 0.97 * whole.total
     assert part.expected < whole.total
-    assert whole.part(NOISE).reached is None
+    assert whole.part(NOISE).held_out_rms is None
 
 
 @pytest.mark.slow
 def test_a_cause_of_one_drive_only_counts_among_several():
     n = 1200
-    load = Component(
+    load = Term(
         name="auxiliary_load",
         columns=lambda frame: frame.as_acceleration(np.ones((len(frame.strides), 1))),
         sd=8e3,
-        term=Term(BY_NAME["auxiliary_load"]),
+        effect_term=EffectTerm(BY_NAME["auxiliary_load"]),
     )
     loaded, plain = (DriveState.of(driven(n, seed, np.full(n, 15e3))) for seed in (1, 2))
-    for drives in ((loaded.having((load,)), plain), (plain, loaded.having((load,)))):
+    for drives in ((loaded.with_terms((load,)), plain), (plain, loaded.with_terms((load,)))):
         whole = budget(drives, [[], []], [[], []], np.random.default_rng(1))
         assert sum(part.share for part in whole.parts) == pytest.approx(1.0, abs=1e-9)
-        assert whole.part("auxiliary_load").reached is not None
+        assert whole.part("auxiliary_load").held_out_rms is not None
 
 
 def test_effects_are_compared_with_processes_by_the_most_probable_set_of_either_alone():
     """A process that takes the place of one effect in the best set says nothing of what the effects explain."""
     drag, fan = (BY_NAME[name] for name in ("viscous_drag", "auxiliary_load"))
     state = on_level_road(3e3 + 10 * on_level_road().fit.strides.speed ** 2)
-    forms = Candidates([drag, fan], [()], FoundForms()).on(0, state, with_processes=True, with_stretches=False)
-    joint = Hypotheses((state,), [()], [forms])
-    names = [joint.component(i).name for i in range(len(joint.keys))]
-    one, other = names.index(drag.name), names.index(fan.name)
-    process = max(range(len(names)), key=lambda i: joint.unlimited((i,)) if joint.kind(i) is Kind.PROCESS else -np.inf)
-    sets = (one, process), (process,), (one, other), (one,), ()
-    table = ModelTable(sets, np.array([0.7, 0.1, 0.1, 0.06, 0.04]), 0.0)
-    first = ranked((state,), [drag, fan])
-    found = explained_by(joint, table, table.best, joint.fitted(table.best), first, [drag, fan])
-    none = joint.unlimited(())
-    assert found.by_effects == pytest.approx(joint.unlimited((one, other)) - none)
-    assert found.by_effects > joint.unlimited((one,)) - none + 5
-    assert found.by_processes == pytest.approx(joint.unlimited((process,)) - none)
-    assert found.by_processes > 0
+    candidates = CandidateTerms([drag, fan], [()], EarlierTerms())
+    terms = candidates.on_drive(0, state, with_processes=True, with_stretches=False)
+    space = HypothesisSpace((state,), [()], [terms])
+    names = [space.term(i).name for i in range(len(space.keys))]
+    numbers = names.index(drag.name), names.index(fan.name)
+
+    def log_evidence(*hypothesis: int) -> float:
+        return space.log_evidence(hypothesis, check_limits=False)
+
+    process = max((i for i in range(len(names)) if space.kind(i) is Kind.PROCESS), key=log_evidence)
+    hypotheses = (numbers[0], process), (process,), numbers, numbers[:1], ()
+    table = ModelTable(hypotheses, np.array([0.7, 0.1, 0.1, 0.06, 0.04]), 0.0)
+    ranking = ranked((state,), [drag, fan])
+    found = search_result(space, table, table.best, space.fitted(table.best), ranking, [drag, fan])
+    none = log_evidence()
+    assert found.log_bf_effects == pytest.approx(log_evidence(*numbers) - none)
+    assert found.log_bf_effects > log_evidence(numbers[0]) - none + 5
+    assert found.log_bf_processes == pytest.approx(log_evidence(process) - none)
+    assert found.log_bf_processes > 0
 
 
-def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
+def test_the_road_load_is_averaged_over_hypotheses(strides, quiet):
     state = DriveState(strides=strides, fit=quiet)
     effects = [BY_NAME[name] for name in ("auxiliary_load", "viscous_drag", "warm_up")]
-    joint = Hypotheses(
-        (state,),
-        [()],
-        [Candidates(effects, [()], FoundForms()).on(0, state, with_processes=False, with_stretches=False)],
-    )
-    names = [joint.component(i).name for i in range(len(joint.keys))]
+    candidates = CandidateTerms(effects, [()], EarlierTerms())
+    terms = candidates.on_drive(0, state, with_processes=False, with_stretches=False)
+    space = HypothesisSpace((state,), [()], [terms])
+    names = [space.term(i).name for i in range(len(space.keys))]
     load, drag, tyres = (names.index(effect.name) for effect in effects)
     others = [i for i, name in enumerate(names) if name == "warm_up" and i != tyres]
     weights = {(): 0.5, (load,): 0.3, (drag, load): 0.2}
     table = ModelTable(tuple(weights), np.array(list(weights.values())), 0.0)
 
-    (found,) = joint.others(table, ())
+    (found,) = space.other_hypotheses(table, ())
 
-    components = [joint.component(i) for i in range(len(joint.keys))]
+    terms = [space.term(i) for i in range(len(space.keys))]
     likelihood, rng, draws = (
-        joint_likelihood(strides, quiet, components, np.random.default_rng(20_042)),
+        joint_likelihood(strides, quiet, terms, np.random.default_rng(20_042)),
         np.random.default_rng(5),
         [],
     )
@@ -699,7 +705,7 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
         posterior = likelihood.posterior(own)
         each = rng.multivariate_normal(posterior.mean, posterior.covariance, int(2e6 * weight), method="cholesky")
         for place, i in enumerate(own, start=likelihood.base_size):
-            each = each[each[:, place] > 0] if components[i].positive else each
+            each = each[each[:, place] > 0] if terms[i].positive else each
         take = rng.integers(0, len(each), int(2e5 * weight))
         draws.append(each[take, : likelihood.base_size])
     alone = likelihood.posterior(())
@@ -710,7 +716,7 @@ def test_the_road_load_is_averaged_over_sets_of_causes(strides, quiet):
     assert_allclose(found.shift[:ROAD_LOAD] / unit, shift, atol=0.02)
     assert_allclose(found.covariance[:ROAD_LOAD, :ROAD_LOAD] / np.outer(unit, unit), wider, atol=0.1)
     assert abs(shift).max() > 0.1
-    (same,) = joint.others(replace(table, sets=((tyres,), *((i,) for i in others[:2]))), (tyres,))
+    (same,) = space.other_hypotheses(replace(table, hypotheses=((tyres,), *((i,) for i in others[:2]))), (tyres,))
     assert not same.shift.any()
     assert not same.covariance.any()
 
@@ -725,23 +731,23 @@ def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
     assert_allclose(slope.mean(axis=1), mean, atol=5 * slope.std(axis=1).max() / np.sqrt(4000))
 
 
-def test_a_component_knows_whether_noise_of_the_force_is_in_it(strides, quiet):
+def test_a_term_states_whether_noise_of_the_force_is_in_it(strides, quiet):
     frame = Frame.of(quiet)
     disturbed = frame.disturbed(np.full(len(strides), 500.0))
-    components: list[Component] = list(processes(frame))
+    terms: list[Term] = list(processes(frame))
     for effect in CATALOGUE:
-        if not effect.absorbed and not effect.is_gravity:
-            components += of_effect(frame, effect, frozenset(strides.context))[:1]
-    for component in components:
-        changed = not np.allclose(component.columns(frame), component.columns(disturbed))
-        assert changed == component.is_noisy, component.name
+        if not effect.is_absorbed and not effect.is_gravity:
+            terms += untimed_terms(frame, effect, frozenset(strides.context))[:1]
+    for term in terms:
+        changed = not np.allclose(term.columns(frame), term.columns(disturbed))
+        assert changed == term.is_noisy, term.name
 
 
 def test_a_load_step_holds_from_the_first_stride_after_the_stop_to_the_last(strides):
     after = np.arange(len(strides)) > 150
     stopped = replace(strides, context=strides.context | {Quantity.STOPS: after.astype(float)})
     frame = Frame.of(fit(stopped, np.random.default_rng(1)))
-    (step,) = of_effect(frame, BY_NAME["mass_step"], frozenset(stopped.context))
+    (step,) = untimed_terms(frame, BY_NAME["mass_step"], frozenset(stopped.context))
     assert_allclose(covered(strides.t, 1.0, step.spans), after)
 
 
@@ -792,10 +798,10 @@ def test_a_load_step_accelerates_with_what_other_effects_leave_of_the_force():
     spans = tuple((float(k), float(k + 90)) for k in range(90, n, 180))
     for _ in range(3):
         frame = Frame.of(state.fit)
-        (loaded,) = of_effect(frame, BY_NAME["mass_step"], frozenset(context))
-        state = state.having((of_term(frame, Term(BY_NAME["auxiliary_cycling"], None, spans)), loaded))
+        (loaded,) = untimed_terms(frame, BY_NAME["mass_step"], frozenset(context))
+        state = state.with_terms((term_of(frame, EffectTerm(BY_NAME["auxiliary_cycling"], None, spans)), loaded))
     found_fan, found_share = state.fit.theta[LAG + 1 :]
     assert found_fan == pytest.approx(fan, rel=0.02)
-    assert BY_NAME["mass_step"].sized(found_share) == pytest.approx(step, rel=0.02)
+    assert BY_NAME["mass_step"].magnitude_from_coefficient(found_share) == pytest.approx(step, rel=0.02)
     assert state.fit.theta[2] == pytest.approx(M, rel=0.01)
     assert_allclose(state.fit.taken, state.fit.theta[LAG + 1] * on / v, rtol=1e-6, atol=1.0)

@@ -9,9 +9,9 @@ from scipy.stats import false_discovery_control
 
 from estimator.components.plain_model import PlainModel
 from estimator.diagnosis import localisation
-from estimator.diagnosis.described import described
+from estimator.diagnosis.residual_formula import best_residual_formula
 from estimator.diagnosis.result import Traces
-from estimator.diagnosis.surrogates import with_other_phases
+from estimator.diagnosis.surrogates import phase_randomised
 from estimator.estimation.long_run import long_run_variance
 from estimator.false_discovery import false_discovery_rates
 from estimator.signals import Floats, Quantity
@@ -90,7 +90,7 @@ def test_a_plain_model_of_a_steady_drive_is_not_determined() -> None:
 
 def test_nothing_is_located_where_there_is_only_noise() -> None:
     """False discoveries are held at 5 % over all parts: at most two of 30 clean drives show any."""
-    assert sum(bool(localisation.places(traces_of(seed=seed), {})) for seed in range(30)) <= 2
+    assert sum(bool(localisation.biased_parts(traces_of(seed=seed), {})) for seed in range(30)) <= 2
 
 
 def test_a_load_is_located_in_time_with_its_bias_and_share() -> None:
@@ -98,7 +98,7 @@ def test_a_load_is_located_in_time_with_its_bias_and_share() -> None:
     on = (t >= 450.0) & (t < 600.0)  # the fourth of eight parts
     traces = traces_of(40e3 * on)
     residual = traces.measured - traces.base
-    found = localisation.places(traces, {})
+    found = localisation.biased_parts(traces, {})
     (place,) = [p for p in found if p.axis == "time" and p.bias == max(q.bias for q in found if q.axis == "time")]
     assert (place.start, place.end) == (pytest.approx(450.0, abs=STEP), pytest.approx(600.0, abs=STEP))
     assert place.bias == pytest.approx(residual[on].mean(), rel=0.02)
@@ -111,7 +111,7 @@ def test_a_load_is_located_in_time_with_its_bias_and_share() -> None:
 def test_a_load_is_located_by_what_else_is_known() -> None:
     t = np.arange(0.0, 1200.0, STEP)
     gear = np.where((t // 100) % 2 == 0, 9.0, 11.0)
-    found = localisation.places(traces_of(20e3 * (gear == 11.0)), {Quantity.GEAR: gear})
+    found = localisation.biased_parts(traces_of(20e3 * (gear == 11.0)), {Quantity.GEAR: gear})
     assert {(p.start, np.sign(p.bias)) for p in found if p.axis == "gear"} == {(11.0, 1.0)}
 
 
@@ -123,8 +123,8 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
     cell &= traces.acceleration >= found.acceleration_edges[j]
     cell &= traces.acceleration < found.acceleration_edges[j + 1]
     assert found.samples[i, j] == cell.sum()
-    assert found.before[i, j] == pytest.approx((traces.measured - traces.base)[cell].mean())
-    assert np.isnan(found.before[found.samples < localisation.MIN_CELL_ROWS]).all()
+    assert found.plain[i, j] == pytest.approx((traces.measured - traces.base)[cell].mean())
+    assert np.isnan(found.plain[found.samples < localisation.MIN_CELL_ROWS]).all()
 
 
 # A formula for what has no name
@@ -133,7 +133,7 @@ def test_map_of_the_gap_is_the_mean_residual_of_its_cells() -> None:
 def test_a_power_outside_the_catalogue_is_described() -> None:
     t = np.arange(2400.0) + 0.5
     v = driven().fit.strides.speed
-    found = described(driven(4.0 * t * v))
+    found = best_residual_formula(driven(4.0 * t * v))
     assert found is not None
     assert (found.text, found.unit) == ("v t", "W/m")
     assert abs(found.value - 4.0) < 4 * found.sd
@@ -142,14 +142,14 @@ def test_a_power_outside_the_catalogue_is_described() -> None:
 
 
 def test_noise_is_not_described() -> None:
-    assert described(driven()) is None
+    assert best_residual_formula(driven()) is None
 
 
 def test_other_phases_keep_the_spectrum() -> None:
     rng = np.random.default_rng(4)
     for n in (400, 401):
         x = 3.0 + np.cumsum(rng.normal(size=n))
-        y = with_other_phases(x, rng)
+        y = phase_randomised(x, rng)
         assert np.abs(np.fft.rfft(y)) == pytest.approx(np.abs(np.fft.rfft(x)))
         assert y.mean() == pytest.approx(x.mean())
         assert abs(np.corrcoef(np.diff(x), np.diff(y))[0, 1]) < 0.3

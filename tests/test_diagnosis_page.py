@@ -141,7 +141,7 @@ def named(text: str) -> Diagnosis:
         where=(dataclasses.replace(places[0], axis=text, unit=text),),
         isolability=Isolability((text, text), np.ones((2, 2)), np.ones(2)),
         not_testable=(NotTestable(text, text),),
-        invisible=(dataclasses.replace(d.invisible[0], name=text, breaks=text),),
+        invisible=(dataclasses.replace(d.invisible[0], name=text, shown_by=text),),
         advice=(Advice(text, text),),
         streaming_effects=(text,),
         traces=None,
@@ -263,10 +263,10 @@ def test_page_is_small_and_the_same_twice() -> None:
 
 def test_gap_map_tells_each_cell() -> None:
     d = rich()
-    cells = np.isfinite(d.gap_map.before).sum() + np.isfinite(d.gap_map.after).sum()
+    cells = np.isfinite(d.gap_map.plain).sum() + np.isfinite(d.gap_map.extended).sum()
     assert page(d).count('<rect class="cell') == cells
-    worst = np.unravel_index(np.nanargmax(d.gap_map.before), d.gap_map.before.shape)
-    assert f": {d.gap_map.before[worst] / 1e3:+.1f} kW, {d.gap_map.samples[worst]:,.0f} samples" in page(d)
+    worst = np.unravel_index(np.nanargmax(d.gap_map.plain), d.gap_map.plain.shape)
+    assert f": {d.gap_map.plain[worst] / 1e3:+.1f} kW, {d.gap_map.samples[worst]:,.0f} samples" in page(d)
 
 
 def test_power_shows_the_minutes_that_say_most() -> None:

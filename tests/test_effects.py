@@ -86,9 +86,9 @@ def test_power_is_one_finite_number_for_each_sample(effect, shape):
 @pytest.mark.parametrize("size", [-2.0, 0.0, 1e-9, 7.4])
 def test_power_is_finite_with_shapes_near_any_whatever_size_was_found(size):
     seen = view()
-    for effect in (effect for effect in CATALOGUE if effect.finer):
+    for effect in (effect for effect in CATALOGUE if effect.finer_shapes):
         for shape in (shape for shape in effect.shapes if not isinstance(shape, Quantity)):
-            for near in effect.finer(shape, size):
+            for near in effect.finer_shapes(shape, size):
                 assert np.isfinite(effect.power(seen, near)).all()
 
 
@@ -98,7 +98,7 @@ def test_shapes_near_the_shortest_and_the_longest_low_pass_are_no_copies_of_each
     effect, times = BY_NAME[name], PAST_SPEEDS.values()
     for time in (min(times), max(times)):
         shape = next(s for s in effect.shapes if s[1] == 1.5)
-        near = effect.finer((time, *shape[1:]), 0.3)
+        near = effect.finer_shapes((time, *shape[1:]), 0.3)
         columns = {effect.power(view(), each).tobytes() for each in near}
         assert len(columns) == len(near)
 
@@ -125,15 +125,15 @@ def test_one_source_of_several_will_do(effect, source):
     others = {shape for shape in effect.shapes if isinstance(shape, Quantity)} - {source}
     assert source in effect.usable_shapes(ALL - others)
     assert source not in effect.usable_shapes(ALL - {source})
-    assert set(SOURCES[source]) <= set(effect.wanted)
+    assert set(SOURCES[source]) <= set(effect.wanted_roles)
 
 
 def test_what_is_missing_can_be_named():
     for effect in CATALOGUE:
         needs = [quantity for quantity in effect.needs if quantity not in ALWAYS_KNOWN]
-        assert effect.usable_shapes(ALWAYS_KNOWN) or effect.wanted, effect.name
-        assert all(set(SOURCES[quantity]) <= set(effect.wanted) for quantity in needs)
-    assert set(BY_NAME["cornering"].wanted) == {Role.LATERAL_ACCELERATION, Role.YAW_RATE}
+        assert effect.usable_shapes(ALWAYS_KNOWN) or effect.wanted_roles, effect.name
+        assert all(set(SOURCES[quantity]) <= set(effect.wanted_roles) for quantity in needs)
+    assert set(BY_NAME["cornering"].wanted_roles) == {Role.LATERAL_ACCELERATION, Role.YAW_RATE}
 
 
 STANDSTILL = replace(view(), v=np.full(3000, 1e-9), P=np.zeros(3000))
@@ -236,7 +236,7 @@ def test_the_power_at_a_time_is_the_same_whatever_else_is_looked_at(effect, shap
     np.testing.assert_allclose(effect.power(part, shape), effect.power(whole, shape)[some], rtol=1e-12)
 
 
-@pytest.mark.parametrize("effect", [e for e in CATALOGUE if e.absorbed and e.name not in LAGS], ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", [e for e in CATALOGUE if e.is_absorbed and e.name not in LAGS], ids=lambda e: e.name)
 def test_what_is_absorbed_lies_in_the_plain_columns(effect):
     seen = view()
     X = design(seen.v, seen.a, seen.density)
@@ -248,7 +248,7 @@ def test_what_is_absorbed_lies_in_the_plain_columns(effect):
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
 def test_usual_sizes_suit_a_car_as_well_as_a_truck(effect):
     car = np.array([150.0, 0.4, 1500.0])
-    truck, small = effect.usual(ROAD_LOAD), effect.usual(car)
+    truck, small = effect.usual_magnitude(ROAD_LOAD), effect.usual_magnitude(car)
     assert np.isfinite([truck, small]).all()
     assert min(truck, small) > 0
     for road_load, size in ((ROAD_LOAD, truck), (car, small)):
@@ -261,9 +261,9 @@ def test_usual_sizes_suit_a_car_as_well_as_a_truck(effect):
 def test_names_and_equivalents_are_sound():
     assert list(BY_NAME) == [effect.name for effect in CATALOGUE]
     for effect in CATALOGUE:
-        assert all((effect.equation, effect.source, effect.symbol, effect.unit, effect.breaks))
+        assert all((effect.equation, effect.source, effect.symbol, effect.unit, effect.shown_by))
         assert all(effect.name in BY_NAME[other].equivalent for other in effect.equivalent)
-        assert effect.is_streaming or effect.timing is not Timing.ALWAYS or effect.absorbed
+        assert effect.is_streaming or effect.timing is not Timing.ALWAYS or effect.is_absorbed
 
 
 def test_what_switches_streams_with_a_signal_only():
@@ -271,7 +271,7 @@ def test_what_switches_streams_with_a_signal_only():
     assert fan.streaming_shapes(ALL) == (Quantity.FAN_SPEED,)
     assert fan.streaming_shapes(ALL - {Quantity.FAN_SPEED}) == ()
     for effect in CATALOGUE:
-        assert effect.is_streaming == (not effect.absorbed and bool(effect.streaming_shapes(ALL)))
+        assert effect.is_streaming == (not effect.is_absorbed and bool(effect.streaming_shapes(ALL)))
 
 
 def test_a_configuration_asks_by_name():
@@ -299,8 +299,8 @@ def test_the_page_has_every_effect_with_what_it_needs():
         assert len(rows) == 2
         assert effect.equation in rows[0]
         assert effect.unit in rows[0]
-        assert effect.breaks in rows[1]
-        assert all(f"`{role.value}`" in rows[1] for role in effect.wanted)
+        assert effect.shown_by in rows[1]
+        assert all(f"`{role.value}`" in rows[1] for role in effect.wanted_roles)
 
 
 def example() -> Effect:

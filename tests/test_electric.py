@@ -9,7 +9,7 @@ from simulated_logs import ask
 
 from estimator.can_io.frames import Frames
 from estimator.can_io.log_writer import write_log
-from estimator.preparation.standing import IDLE_SD, MIN_IDLE, REST_SD, REST_SHARE, rests
+from estimator.preparation.power_at_rest import IDLE_SD, MIN_IDLE, REST_SD, REST_SHARE, powers_at_rest
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Role
 
@@ -143,7 +143,7 @@ def test_a_battery_gives_one_figure_for_every_minute_at_rest():
     minutes = 3
     t = STEP * np.arange(round(60 * minutes / STEP))
     power = 1000.0 * (1 + np.floor(t / 60))
-    found = rests(standing(power, {Role.BATTERY_CURRENT: power / 380}), 0.0)
+    found = powers_at_rest(standing(power, {Role.BATTERY_CURRENT: power / 380}), 0.0)
     assert [rest.power for rest in found] == [1000.0, 2000.0, 3000.0]
     assert [rest.sd for rest in found] == [REST_SD + REST_SHARE * rest.power for rest in found]
     assert [rest.elapsed for rest in found] == pytest.approx([30.0, 90.0, 150.0], abs=STEP)
@@ -153,8 +153,8 @@ def test_a_battery_gives_one_figure_for_every_minute_at_rest():
 def test_an_engine_gives_one_figure_once_it_has_idled_for_long():
     n = round(MIN_IDLE / STEP)
     for rows, expected in ((n, 1), (n - 1, 0)):
-        found = rests(standing(np.full(rows, 4e3), {Role.ENGINE_SPEED: np.full(rows, 63.0)}), 0.0)
+        found = powers_at_rest(standing(np.full(rows, 4e3), {Role.ENGINE_SPEED: np.full(rows, 63.0)}), 0.0)
         assert len(found) == expected
-    assert rests(standing(np.full(n, 4e3), {Role.ENGINE_SPEED: np.zeros(n)}), 0.0) == ()
-    idle = rests(standing(np.full(n, 0.0), {Role.ENGINE_SPEED: np.full(n, 63.0)}), 0.0)
+    assert powers_at_rest(standing(np.full(n, 4e3), {Role.ENGINE_SPEED: np.zeros(n)}), 0.0) == ()
+    idle = powers_at_rest(standing(np.full(n, 0.0), {Role.ENGINE_SPEED: np.full(n, 63.0)}), 0.0)
     assert [(rest.power, rest.sd, rest.engine_speed) for rest in idle] == [(0.0, IDLE_SD, 63.0)]

@@ -188,7 +188,7 @@ def test_hours_of_standing_are_bounded():
         )
         assert list(estimator.feed(rows)) == []
         assert len(estimator._stage._pending) <= stage.BLOCK_ROWS
-        assert len(estimator._stage._strider.held) <= 2 * stage.BLOCK_ROWS
+        assert len(estimator._stage._strider.waiting_rows) <= 2 * stage.BLOCK_ROWS
     assert estimator.rejected[Reason.STANDING] > 100_000
     updates = []
     for i in range(0, 9000, 50):

@@ -7,10 +7,10 @@ import pytest
 from driven_on_hills import A, C, M, driven
 from numpy.testing import assert_allclose
 
-from estimator.components.component import Frame, of_effect
-from estimator.components.drive_state import DriveState, Form
+from estimator.components.drive_state import DriveState, FittedTerm
+from estimator.components.term import Frame, untimed_terms
 from estimator.diagnosis import experiment
-from estimator.diagnosis.experiment import Manoeuvre, expected, experiments, manoeuvres
+from estimator.diagnosis.experiment import Manoeuvre, expected_log_bf, experiments, manoeuvres
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import AtRest
 from estimator.preparation.recursion import low_passed
@@ -30,31 +30,31 @@ def state() -> DriveState:
     return found
 
 
-def form_of(state: DriveState, name: str, value: float) -> Form:
-    component = of_effect(Frame.of(state.fit), BY_NAME[name], frozenset(state.strides.context))[0]
-    column = component.columns(Frame.of(state.fit))[:, 0]
-    return Form(component=component, gain=0.0, value=value, sd=1.0, trace=column)
+def form_of(state: DriveState, name: str, value: float) -> FittedTerm:
+    term = untimed_terms(Frame.of(state.fit), BY_NAME[name], frozenset(state.strides.context))[0]
+    column = term.columns(Frame.of(state.fit))[:, 0]
+    return FittedTerm(term=term, gain=0.0, value=value, sd=1.0, trace=column)
 
 
 def test_evidence_to_expect_is_that_of_the_drive_on_which_the_effect_acts(state: DriveState) -> None:
     """Residual power is what the effect takes; the difference of the two fits is the log Bayes factor to expect."""
     acting, other = form_of(state, "auxiliary_load", 2e4), form_of(state, "viscous_drag", 0.5)
-    joint = state.joint_with([other.component])
-    column = acting.component.columns(joint.frame)
-    rival = joint.columns[:, joint.places[0]].toarray()[: len(column)]
+    joint = state.joint_with([other.term])
+    column = acting.term.columns(joint.frame)
+    rival = joint.columns[:, joint.term_columns[0]].toarray()[: len(column)]
     products, _ = joint.projected([], np.column_stack([acting.value * column, rival]))
-    precision = products[1, 1] + other.component.sd**-2.0
+    precision = products[1, 1] + other.term.sd**-2.0
     left = products[0, 0] - products[0, 1] ** 2 / precision  # of the squared residual, beside the other effect
-    assert expected(state, acting, other, None) == pytest.approx(0.5 * left, rel=1e-6)
+    assert expected_log_bf(state, acting, other, None) == pytest.approx(0.5 * left, rel=1e-6)
 
 
 def test_against_nothing_the_width_of_the_prior_counts(state: DriveState) -> None:
     """The mean of the log Bayes factor of a Gaussian magnitude over data of that magnitude, less its noise."""
     acting = form_of(state, "auxiliary_load", 2e4)
     joint = state.joint
-    strength = joint.projected([], acting.component.columns(joint.frame))[0][0, 0]
-    wanted = 0.5 * (acting.value**2 * strength - np.log1p(strength * acting.component.sd**2))
-    assert expected(state, acting, None, None) == pytest.approx(wanted)
+    strength = joint.projected([], acting.term.columns(joint.frame))[0][0, 0]
+    wanted = 0.5 * (acting.value**2 * strength - np.log1p(strength * acting.term.sd**2))
+    assert expected_log_bf(state, acting, None, None) == pytest.approx(wanted)
 
 
 def test_a_manoeuvre_is_driven_by_the_road_load(state: DriveState) -> None:
@@ -81,8 +81,8 @@ def test_a_manoeuvre_is_driven_by_the_road_load(state: DriveState) -> None:
 
 def test_a_manoeuvre_adds_evidence(state: DriveState) -> None:
     acting, other = form_of(state, "auxiliary_load", 2e4), form_of(state, "viscous_drag", 0.5)
-    now = expected(state, acting, other, None)
-    gains = {m.name: expected(state, acting, other, m) - now for m in manoeuvres(state)}
+    now = expected_log_bf(state, acting, other, None)
+    gains = {m.name: expected_log_bf(state, acting, other, m) - now for m in manoeuvres(state)}
     assert all(gain > -1e-6 for gain in gains.values())
     assert max(gains.values()) > 5 * max(now, 0.1)
     assert not any("way back" in name for name in gains)  # the heading is not known
@@ -101,11 +101,15 @@ EVIDENCE = {"auxiliary_load": 6.0, "rotating_inertia": 4.0}
 
 def test_idling_tells_a_load_of_the_engine_where_it_is_not_known(state: DriveState) -> None:
     acting, other = form_of(state, "auxiliary_load", 1.5e4), form_of(state, "rotating_inertia", 3.0)
-    (idling,) = [choice for choice in experiment.choices(state, acting, other, EVIDENCE) if "idling" in choice.what]
+    (idling,) = [
+        choice for choice in experiment.possible_experiments(state, acting, other, EVIDENCE) if "idling" in choice.what
+    ]
     assert idling.now == 2.0
     assert idling.expected - 2.0 == pytest.approx(0.5 * (1.5e4 / (800 + 0.15 * 1.5e4)) ** 2)  # inertia takes none there
     known = replace(state, rests=(AtRest(power=1.5e4, sd=1e3, engine_speed=63.0),))
-    assert not any("idling" in choice.what for choice in experiment.choices(known, acting, other, EVIDENCE))
+    assert not any(
+        "idling" in choice.what for choice in experiment.possible_experiments(known, acting, other, EVIDENCE)
+    )
 
 
 def test_a_manoeuvre_counts_as_far_as_the_search_has_found_the_same_evidence(state: DriveState) -> None:
@@ -113,7 +117,7 @@ def test_a_manoeuvre_counts_as_far_as_the_search_has_found_the_same_evidence(sta
     gains = []
     for gain in (6.0, 12.0, 3.0, -1.0):
         acting = replace(form_of(state, "auxiliary_load", 1.5e4), gain=gain)
-        gains.append(experiment.choices(state, acting, other, EVIDENCE)[0].expected - 2.0)
+        gains.append(experiment.possible_experiments(state, acting, other, EVIDENCE)[0].expected - 2.0)
     assert gains[0] > 0
     assert gains == pytest.approx([gains[0], 0.5 * gains[0], gains[0], 0.0])
 

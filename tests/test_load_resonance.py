@@ -7,8 +7,8 @@ import pytest
 from driven_on_level_road import driven
 from simulated_logs import ask, drive, written
 
-from estimator.components.component import Frame
 from estimator.components.processes import RING, processes, ringing
+from estimator.components.term import Frame
 from estimator.simulation.effects.effect import Effect
 
 FINE = 1000  # steps of a second
@@ -40,7 +40,7 @@ def test_a_mass_is_at_rest_after_a_gap():
     second = frame.strides[90:]
     later = replace(second, t=second.t + 60.0)
     whole = replace(frame, strides=type(later).concatenate([frame.strides[:90], later]), force=frame.force)
-    apart = replace(frame, strides=later, force=frame.force[90:], taken=frame.taken[90:])
+    apart = replace(frame, strides=later, force=frame.force[90:], effect_force=frame.effect_force[90:])
     assert ringing(whole, 2.0, 0.1)[90:] == pytest.approx(ringing(apart, 2.0, 0.1), abs=1e-6)
 
 

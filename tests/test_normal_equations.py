@@ -19,7 +19,13 @@ from dense_road import (
 )
 from numpy.testing import assert_allclose
 
-from estimator.estimation.normal_equations import ANSWERED, ANSWERED_SD, MAX_ANSWERED, NormalEquations, of_first_order
+from estimator.estimation.normal_equations import (
+    DRIVER_FEEDBACK,
+    DRIVER_FEEDBACK_SD,
+    MAX_DRIVER_CORRECTION,
+    NormalEquations,
+    of_first_order,
+)
 from estimator.estimation.road_likelihood import DRAG, LAG, PARTS, ROAD_LOAD, Likelihood, shapes_of
 from estimator.model.conditioned import Conditioned
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
@@ -43,7 +49,7 @@ def test_the_freedom_of_the_slopes_is_that_of_the_dense_covariance(shown, alpha,
     moved = np.zeros_like(dense.of_slopes)
     moved[:, :n] = dense.of_slopes[:, :n]  # what is in the accelerations; readings show the same slopes
     expected = np.diag(np.linalg.solve(dense.K, moved))[:n]
-    found = Conditioned.of(model, scales).freedom
+    found = Conditioned.of(model, scales).leverage
     assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
     assert (found.sum() > 1) == (alpha != LEVEL)
 
@@ -63,7 +69,7 @@ def test_without_noise_and_answers_they_are_solved_as_they_stand():
     likelihood = likelihood_of(strides_of(80))
     scales = scales_of(likelihood.model)
     plain = equations_of(likelihood, scales)
-    equations = replace(plain, noise=np.zeros((5, 5)), answered=np.zeros(5), moved=0 * plain.moved)
+    equations = replace(plain, noise=np.zeros((5, 5)), driver_bias=np.zeros(5), moved=0 * plain.moved)
     beta, information, _ = likelihood.solve(likelihood.at(scales)[1])
     found, covariance, share = equations.solve()
     assert_allclose(found, beta)
@@ -84,7 +90,7 @@ def test_an_engine_that_never_drags_has_noise_of_its_own_size():
 
 @pytest.mark.parametrize(
     ("taken", "coefficient", "share"),
-    [(1.0, 10.0, 1.0), (10.0, 1.0, 0.1 * MAX_ANSWERED), (-1.0, 2.0, 1.0), (-1.0, -2.0, 0.0)],
+    [(1.0, 10.0, 1.0), (10.0, 1.0, 0.1 * MAX_DRIVER_CORRECTION), (-1.0, 2.0, 1.0), (-1.0, -2.0, 0.0)],
 )
 def test_what_drivers_answer_is_corrected_as_far_as_it_is_small_and_never_for_a_negative_mass(
     taken, coefficient, share
@@ -132,24 +138,28 @@ def test_a_driver_who_answers_slopes_makes_the_mass_too_large_by_what_is_correct
         each = Likelihood(RoadModel(replace(strides, force=force, a=a), 2), (), np.array([A, C, M]), MIDDLE)
         equations = equations_of(each, scales)
         unit = each.unit[0]
-        plain.append(replace(equations, answered=np.zeros(5)).solve()[0][0] / unit * M - 1)
+        plain.append(replace(equations, driver_bias=np.zeros(5)).solve()[0][0] / unit * M - 1)
         corrected.append(equations.solve()[0][0] / unit * M - 1)
     bias, left = np.mean(plain), np.mean(corrected)
     error = np.std(corrected) / np.sqrt(drives)
     assert bias < -8 * error
-    assert left == pytest.approx((share - ANSWERED) * bias / share, abs=4 * error + 0.1 * abs(bias))
+    assert left == pytest.approx((share - DRIVER_FEEDBACK) * bias / share, abs=4 * error + 0.1 * abs(bias))
 
 
 def test_answers_are_in_doubt_and_limited():
     likelihood = likelihood_of(strides_of(120))
     scales = scales_of(likelihood.model, slope=0.02)
     equations = equations_of(likelihood, scales)
-    without, plain, _ = replace(equations, answered=0 * equations.answered).solve()
+    without, plain, _ = replace(equations, driver_bias=0 * equations.driver_bias).solve()
     beta, covariance, _ = equations.solve()
     shift = beta - without
-    assert_allclose(covariance - plain, (ANSWERED_SD / ANSWERED) ** 2 * np.outer(shift, shift), atol=1e-9 * plain.max())
-    far, _, _ = replace(equations, answered=1e9 * equations.answered).solve()
-    assert far[0] / without[0] - 1 == pytest.approx(ANSWERED * MAX_ANSWERED)
+    assert_allclose(
+        covariance - plain,
+        (DRIVER_FEEDBACK_SD / DRIVER_FEEDBACK) ** 2 * np.outer(shift, shift),
+        atol=1e-9 * plain.max(),
+    )
+    far, _, _ = replace(equations, driver_bias=1e9 * equations.driver_bias).solve()
+    assert far[0] / without[0] - 1 == pytest.approx(DRIVER_FEEDBACK * MAX_DRIVER_CORRECTION)
 
 
 def derivative(of, scales):
@@ -186,7 +196,7 @@ def test_the_scales_are_in_doubt_as_their_evidence_leaves_them(shown):
     turned = derivative(left, scales)
     expected = turned @ np.linalg.solve(precision_of_scales(likelihood, scales, beta), turned.T)
     assert_allclose(equations.moved @ equations.moved.T, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
-    nothing = replace(equations, noise=np.zeros((p, p)), answered=np.zeros(p))
+    nothing = replace(equations, noise=np.zeros((p, p)), driver_bias=np.zeros(p))
     inverse = np.linalg.inv(equations.gram[1:, 1:] + likelihood.prior)
     _, covariance, _ = nothing.solve()
     assert_allclose(covariance, inverse + 2 * inverse @ expected @ inverse, rtol=1e-3, atol=1e-4 * covariance.max())

@@ -53,7 +53,7 @@ def test_hills_that_an_altimeter_shows_are_drawn_as_they_are_stated(shown):
     assert rms(traces.measured - traces.extended) == pytest.approx(d.rms_final, rel=1e-9)
     share = 1 - (d.rms_final / d.rms_base) ** 2
     assert share > 0.8
-    assert mean_square(d, "after") < (1 - 0.9 * share) * mean_square(d, "before")
+    assert mean_square(d, "extended") < (1 - 0.9 * share) * mean_square(d, "plain")
 
 
 def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
@@ -67,7 +67,7 @@ def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
     assert "if the road were known" in document
     assert "with the effects" not in document.split("What it does to the parameters")[0]
     assert 0.5 * grade.rms_after < known < grade.rms_after < 0.3 * grade.rms_before
-    assert mean_square(d, "after") < 0.3 * mean_square(d, "before")
+    assert mean_square(d, "extended") < 0.3 * mean_square(d, "plain")
 
 
 def test_the_plain_model_is_the_one_whose_parameters_are_given(shown):

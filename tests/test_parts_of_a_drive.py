@@ -57,7 +57,7 @@ def test_probabilities_and_coefficients_are_those_of_one_gaussian_a_shape():
     strides = driven(160, gain=ramp(160, 0.02))
     found = fitted(strides)
     equations = found.equations
-    nothing = {name: 0 * getattr(equations, name) for name in ("noise", "answered", "moved")}
+    nothing = {name: 0 * getattr(equations, name) for name in ("noise", "driver_bias", "moved")}
     found = replace(found, equations=replace(equations, **nothing))
     model = found.scales.model_of(strides)
     likelihood = Likelihood(model, (), found.road_load, found.scales.lag)

@@ -13,13 +13,13 @@ from estimator import Axis, Candidate, diagnose_residual
 from estimator.answers.diagnosis import Verdict
 from estimator.components.folds import left_out
 from estimator.components.formula import Variable, best_formula, judged, units_of
-from estimator.components.model_table import WINDOW, Cause, weigh
-from estimator.components.set_likelihood import SetLikelihood, places_of
+from estimator.components.model_table import WINDOW, TermGroup, weigh
+from estimator.components.set_likelihood import SetLikelihood, term_columns_of
 from estimator.errors import InputError
-from estimator.residual.causes import Form, ResidualLikelihood, forms_of
 from estimator.residual.inputs import checked
 from estimator.residual.noise import Noise, Scales, fit_noise
 from estimator.residual.shares import held_out
+from estimator.residual.terms import ResidualLikelihood, ResidualTerm, terms_of
 
 N = 1200
 T = np.arange(N) * 0.5
@@ -79,13 +79,13 @@ def test_the_scales_of_the_noise_come_back():
     assert_allclose([found.white, found.slow, found.memory], [1.0, 0.8, 3.0], rtol=0.15)
 
 
-def enumerated(causes: list[Cause]) -> Iterator[tuple[int, ...]]:
-    """All sets with at most one form of each cause."""
-    forms = [form for cause in causes for form in cause.forms]
-    of = {form: cause.name for cause in causes for form in cause.forms}
-    for size in range(len(causes) + 1):
-        for own in combinations(forms, size):
-            if len({of[form] for form in own}) == size:
+def enumerated(groups: list[TermGroup]) -> Iterator[tuple[int, ...]]:
+    """All sets with at most one term of each group."""
+    terms = [term for group in groups for term in group.terms]
+    of = {term: group.name for group in groups for term in group.terms}
+    for size in range(len(groups) + 1):
+        for own in combinations(terms, size):
+            if len({of[term] for term in own}) == size:
                 yield own
 
 
@@ -94,21 +94,21 @@ def test_the_table_is_that_of_all_sets():
     X = rng.normal(size=(80, 5))
     X[:, 1] += X[:, 0]
     y = 0.5 * X[:, 0] + 0.3 * X[:, 3] + rng.normal(size=80)
-    forms = [Form(cause=str(i), columns=X[:, [i]], sd=0.7, positive=i == 3, cost=0.1 * i) for i in range(5)]
+    terms = [ResidualTerm(name=str(i), columns=X[:, [i]], sd=0.7, positive=i == 3, cost=0.1 * i) for i in range(5)]
     data = np.column_stack([y, X])
-    likelihood = SetLikelihood(data.T @ data, np.zeros(0), forms, places_of(0, [1] * 5), np.ones(5))
-    causes = [
-        Cause(name="a", is_named=True, forms=(0, 1), log_odds=-1.0, log_forms=np.log(2)),
-        *(Cause(name=str(i), is_named=True, forms=(i,), log_odds=-2.0, log_forms=0.0) for i in (2, 3, 4)),
+    likelihood = SetLikelihood(data.T @ data, np.zeros(0), terms, term_columns_of(0, [1] * 5), np.ones(5))
+    groups = [
+        TermGroup(name="a", is_named=True, terms=(0, 1), log_odds=-1.0, log_count=np.log(2)),
+        *(TermGroup(name=str(i), is_named=True, terms=(i,), log_odds=-2.0, log_count=0.0) for i in (2, 3, 4)),
     ]
-    prior = {form: cause.log_prior for cause in causes for form in cause.forms}
-    log = {own: likelihood.log_evidence(own) + sum(prior[form] for form in own) for own in enumerated(causes)}
+    prior = {term: group.log_prior for group in groups for term in group.terms}
+    log = {own: likelihood.log_evidence(own) + sum(prior[term] for term in own) for own in enumerated(groups)}
     weights = {own: np.exp(value - max(log.values())) for own, value in log.items()}
-    table = weigh(likelihood, causes)
-    for cause in causes:
-        exact = sum(w for own, w in weights.items() if set(own) & set(cause.forms)) / sum(weights.values())
-        assert table.holding(cause.forms) == pytest.approx(exact, abs=2e-3)
-    assert table.none == pytest.approx(weights[()] / sum(weights.values()), abs=2e-3)
+    table = weigh(likelihood, groups)
+    for group in groups:
+        exact = sum(w for own, w in weights.items() if set(own) & set(group.terms)) / sum(weights.values())
+        assert table.probability_of_any(group.terms) == pytest.approx(exact, abs=2e-3)
+    assert table.probability_of_none == pytest.approx(weights[()] / sum(weights.values()), abs=2e-3)
 
 
 def test_what_explains_most_alone_is_exchanged_for_what_explains_more_beside_others():
@@ -116,13 +116,13 @@ def test_what_explains_most_alone_is_exchanged_for_what_explains_more_beside_oth
     first, second, other = rng.normal(size=(3, 200))
     X = np.column_stack([first, second, first + 0.7 * second + 0.3 * other])
     y = 8 * (first + second) + rng.normal(size=200)
-    forms = [Form(cause=str(i), columns=X[:, [i]], sd=10.0) for i in range(3)]
+    terms = [ResidualTerm(name=str(i), columns=X[:, [i]], sd=10.0) for i in range(3)]
     data = np.column_stack([y, X])
-    likelihood = SetLikelihood(data.T @ data, np.zeros(0), forms, places_of(0, [1] * 3), np.ones(3))
-    causes = [Cause(name=str(i), is_named=True, forms=(i,), log_odds=-1.0, log_forms=0.0) for i in range(3)]
+    likelihood = SetLikelihood(data.T @ data, np.zeros(0), terms, term_columns_of(0, [1] * 3), np.ones(3))
+    groups = [TermGroup(name=str(i), is_named=True, terms=(i,), log_odds=-1.0, log_count=0.0) for i in range(3)]
     alone = [likelihood.log_evidence([i]) for i in range(3)]
     assert alone[2] > max(alone[:2]) + WINDOW
-    assert weigh(likelihood, causes, max_causes=2).best == (0, 1)
+    assert weigh(likelihood, groups, max_terms=2).best == (0, 1)
 
 
 def test_two_that_explain_most_together_and_little_alone_are_kept_from_the_set_before():
@@ -130,13 +130,13 @@ def test_two_that_explain_most_together_and_little_alone_are_kept_from_the_set_b
     first, second, third, *errors = rng.normal(size=(5, 400))
     X = np.column_stack([5 * third, first + second - 5 * third, first + 0.3 * errors[0], second + 0.3 * errors[1]])
     y = 8 * (first + second) + rng.normal(size=400)
-    forms = [Form(cause=str(i), columns=X[:, [i]], sd=10.0) for i in range(4)]
+    terms = [ResidualTerm(name=str(i), columns=X[:, [i]], sd=10.0) for i in range(4)]
     data = np.column_stack([y, X])
-    likelihood = SetLikelihood(data.T @ data, np.zeros(0), forms, places_of(0, [1] * 4), np.ones(4))
-    causes = [Cause(name=str(i), is_named=True, forms=(i,), log_odds=-1.0, log_forms=0.0) for i in range(4)]
+    likelihood = SetLikelihood(data.T @ data, np.zeros(0), terms, term_columns_of(0, [1] * 4), np.ones(4))
+    groups = [TermGroup(name=str(i), is_named=True, terms=(i,), log_odds=-1.0, log_count=0.0) for i in range(4)]
     assert likelihood.log_evidence([0, 1]) > likelihood.log_evidence([2, 3]) + WINDOW
-    assert weigh(likelihood, causes, max_causes=2).best == (2, 3)
-    assert weigh(likelihood, causes, max_causes=2, before=(0, 1)).best == (0, 1)
+    assert weigh(likelihood, groups, max_terms=2).best == (2, 3)
+    assert weigh(likelihood, groups, max_terms=2, start=(0, 1)).best == (0, 1)
 
 
 def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
@@ -147,31 +147,33 @@ def test_evidence_is_that_of_the_dense_density_and_of_quadrature():
     K, X = dense(t, SCALES), rng.normal(size=(n, 4))
     X[:, 3] += 0.7 * X[:, 1]
     y = 3 * X[:, 0] + 0.4 * X[:, 1] - 0.1 * X[:, 2] + SCALES.white * rng.normal(size=n)
-    forms = [Form(cause=str(i), columns=X[:, [i]], sd=0.3 + 0.2 * i, positive=i == 2) for i in (1, 2, 3)]
+    terms = [ResidualTerm(name=str(i), columns=X[:, [i]], sd=0.3 + 0.2 * i, positive=i == 2) for i in (1, 2, 3)]
     noise = Noise(t, SCALES)
     data = np.column_stack([y, X])
-    likelihood = SetLikelihood(noise.gram(data), np.array([wide**-2]), forms, places_of(1, [1] * 3), np.ones(4))
+    likelihood = SetLikelihood(noise.gram(data), np.array([wide**-2]), terms, term_columns_of(1, [1] * 3), np.ones(4))
 
     def density(others, rest=y):
         covariance = K + wide**2 * np.outer(X[:, 0], X[:, 0])
         for i in others:
-            covariance = covariance + forms[i].sd ** 2 * forms[i].columns @ forms[i].columns.T
+            covariance = covariance + terms[i].sd ** 2 * terms[i].columns @ terms[i].columns.T
         return float(multivariate_normal(cov=covariance).logpdf(rest))
 
     plain = density([])
     for own in ((0,), (2,), (0, 2)):
         assert likelihood.log_evidence(own) - likelihood.log_evidence([]) == pytest.approx(density(own) - plain)
     magnitudes = np.arange(0.0005, 4, 0.001)
-    prior = 2 * norm(0, forms[1].sd).pdf(magnitudes)
+    prior = 2 * norm(0, terms[1].sd).pdf(magnitudes)
     likely = np.exp([density([0], y - b * X[:, 2]) - plain for b in magnitudes[::10]])
     half = float(np.log(np.sum(np.interp(magnitudes, magnitudes[::10], likely) * prior) * 0.001))
     assert likelihood.log_evidence([0, 1]) - likelihood.log_evidence([]) == pytest.approx(half, abs=2e-3)
     for other in (1, 2):
         gain = likelihood.log_evidence((0, other)) - likelihood.log_evidence([0])
         assert likelihood.gains([0], [other]).gain[0] == pytest.approx(gain)
-    gain, value, sd = judged(*likelihood.off([0], noise.gram(np.column_stack([y, X[:, :2], forms[2].sd * X[:, 3]]))))
+    gain, value, sd = judged(
+        *likelihood.eliminated([0], noise.gram(np.column_stack([y, X[:, :2], terms[2].sd * X[:, 3]])))
+    )
     same = likelihood.gains([0], [2])
-    assert (gain[0], forms[2].sd * value[0], forms[2].sd * sd[0]) == pytest.approx(
+    assert (gain[0], terms[2].sd * value[0], terms[2].sd * sd[0]) == pytest.approx(
         (same.gain[0], same.value[0], same.sd[0])
     )
 
@@ -185,8 +187,8 @@ def test_a_cause_is_named_with_its_size_and_its_share():
     assert sum(part.share for part in found.budget) == pytest.approx(1.0)
     part = found.part("slide")
     assert part.q05 < part.share < part.q95
-    assert part.reached == pytest.approx(found.reached)
-    assert part.reached < found.rms
+    assert part.held_out_rms == pytest.approx(found.held_out_rms)
+    assert part.held_out_rms < found.rms
     assert found.noise == pytest.approx(np.hypot(1.0, 0.8), rel=0.1)
     assert found.where[0].axis == "x"
     with pytest.raises(KeyError):
@@ -196,11 +198,11 @@ def test_a_cause_is_named_with_its_size_and_its_share():
 def test_shares_are_those_of_the_truth():
     residual, candidates, options = world(11, {"slide": 0.6, "step": -1.5})
     record = checked(residual, candidates, T, options["base"], options["along"])
-    rest = record.off(residual)
+    rest = record.off_base(residual)
     found = diagnosed(11, {"slide": 0.6, "step": -1.5})
     assert set(found.named) == {"slide", "step"}
     for name, size in (("slide", 0.6), ("step", -1.5)):
-        true = rest @ record.off(size * candidates[name].column) / (rest @ rest)
+        true = rest @ record.off_base(size * candidates[name].column) / (rest @ rest)
         part = found.part(name)
         assert part.share == pytest.approx(true, abs=0.08)
         assert part.q05 - 0.05 < true < part.q95 + 0.05
@@ -232,7 +234,7 @@ def test_what_has_no_name_is_unknown_and_gets_a_formula():
     assert found.formula is not None
     assert (found.formula.text, found.formula.unit) == ("x^3", "1/m^2/s^2")
     assert abs(found.formula.value - 0.6) < 3 * found.formula.sd
-    assert found.formula.reached < 0.9 * found.rms
+    assert found.formula.held_out_rms < 0.9 * found.rms
 
 
 @pytest.mark.slow
@@ -264,16 +266,16 @@ def test_surrogates_give_a_p_value():
 def test_residuals_left_out_are_those_of_fits_without_them():
     residual, candidates, options = world(3, {"slide": 0.9})
     record = checked(residual, candidates, T, options["base"], options["along"])
-    form = forms_of(record)[0][0]
+    term = terms_of(record)[0][0]
     left = np.empty(N)
     for out in left_out(N, 5, N // 20):
-        X = np.column_stack([record.base, form.columns])
+        X = np.column_stack([record.base, term.columns])
         K = dense(T[~out], SCALES)
-        precision = np.diag([0.0, 0.0, form.sd**-2.0])
+        precision = np.diag([0.0, 0.0, term.sd**-2.0])
         KX = np.linalg.solve(K, X[~out])
         b = np.linalg.solve(X[~out].T @ KX + precision, KX.T @ residual[~out])
         left[out] = residual[out] - X[out] @ b
-    assert held_out(record, [form], SCALES) == pytest.approx(np.sqrt(np.mean(left**2)))
+    assert held_out(record, [term], SCALES) == pytest.approx(np.sqrt(np.mean(left**2)))
 
 
 def test_rows_of_a_likelihood_are_those_that_it_is_given():
@@ -281,10 +283,10 @@ def test_rows_of_a_likelihood_are_those_that_it_is_given():
     record = checked(residual, candidates, T, None, options["along"])
     rows = np.arange(0, N, 2)
     part = replace(record, t=T[rows], residual=residual[rows], base=record.base[rows])
-    forms = [Form(cause="slide", columns=candidates["slide"].column[:, None], sd=0.3)]
-    halved = [replace(forms[0], columns=forms[0].columns[rows])]
+    terms = [ResidualTerm(name="slide", columns=candidates["slide"].column[:, None], sd=0.3)]
+    halved = [replace(terms[0], columns=terms[0].columns[rows])]
     noise = Noise(T[rows], SCALES)
-    one, other = ResidualLikelihood(record, forms, noise, rows), ResidualLikelihood(part, halved, noise)
+    one, other = ResidualLikelihood(record, terms, noise, rows), ResidualLikelihood(part, halved, noise)
     assert one.log_evidence([0]) == other.log_evidence([0])
 
 
@@ -398,7 +400,7 @@ def test_parameters_that_one_stretch_alone_shows_are_fitted():
     first = np.column_stack([np.ones(N), np.arange(N) < N // 20, 1 + 1e-8 * np.sin(T)])
     found = diagnose_residual(residual, candidates, T, rng=np.random.default_rng(1), **options | {"base": first})
     assert found.named == ("slide",)
-    assert found.reached < found.rms
+    assert found.held_out_rms < found.rms
 
 
 def test_an_axis_of_two_values_has_two_places():

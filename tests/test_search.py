@@ -9,27 +9,28 @@ import pytest
 from made_strides import made_strides
 
 from estimator.components import search
-from estimator.components.candidates import Candidates, FoundForms
-from estimator.components.component import Frame, of_term
+from estimator.components.candidate_terms import CandidateTerms, EarlierTerms
 from estimator.components.drive_state import DriveState
-from estimator.components.hypotheses import Hypotheses
+from estimator.components.hypothesis_space import HypothesisSpace
 from estimator.components.model_table import ModelTable
 from estimator.components.search import Search
+from estimator.components.search_result import SearchResult
 from estimator.components.switching import Switching
-from estimator.diagnosis import explanation
+from estimator.components.term import Frame, term_of
+from estimator.diagnosis import road_comparison
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.estimation.road_likelihood import ROAD_LOAD, Likelihood
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import BY_NAME
 from estimator.model.road import LEVEL, RoadModel
 from estimator.model.road_scales import POWER, SCALES, TORQUE
 from estimator.model.spans import Spans, covered
-from estimator.model.term import Term
 from estimator.signals import Quantity
 
 Round = tuple[tuple[int, ...], float]  # the best set of a table, and its log evidence with scales of its own
 
 
-IMPOSSIBLE = 9  # a form whose size is beyond its limit once the scales are found beside it
+IMPOSSIBLE = 9  # a term whose magnitude is beyond its limit once the scales are refitted
 
 
 def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> Any:
@@ -37,10 +38,10 @@ def state(log_evidence: float, chosen: tuple[int, ...] = (), **further: Any) -> 
     return SimpleNamespace(
         log_evidence=log_evidence,
         chosen=(),
-        sizes=np.empty(0),
+        magnitudes=np.empty(0),
         stretches=None,
         is_possible=lambda given: is_possible,
-        **{"has_unusual_noise": False, "is_hidden": False} | further,
+        **{"has_unusual_noise": False, "is_road_hidden": False} | further,
     )
 
 
@@ -52,24 +53,24 @@ def rounds(monkeypatch: pytest.MonkeyPatch, script: Sequence[Round], **start: An
         def __init__(self, *arguments: object) -> None:
             self.chosen, self.value = next(waiting)
 
-        def causes(self) -> list[object]:
+        def groups(self) -> list[object]:
             return []
 
         def fitted(self, chosen: object) -> tuple[Any, ...]:
             return (state(self.value, self.chosen),)
 
-        def log_prior(self, chosen: object, causes: object) -> float:
+        def log_prior(self, chosen: object, groups: object) -> float:
             return 0.0
 
-        def worthwhile(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
+        def without_small_gains(self, chosen: tuple[int, ...]) -> tuple[int, ...]:
             return chosen
 
         def rivals(self, table: object) -> tuple[()]:
             return ()
 
-    monkeypatch.setattr(search, "Hypotheses", Scripted)
-    monkeypatch.setattr(search, "weigh", lambda joint, causes, size, before: SimpleNamespace(best=joint.chosen))
-    (found,) = Search((state(0.0, **start),), ()).alone
+    monkeypatch.setattr(search, "HypothesisSpace", Scripted)
+    monkeypatch.setattr(search, "weigh", lambda space, groups, size, start: SimpleNamespace(best=space.chosen))
+    (found,) = Search((state(0.0, **start),), ()).effects_only
     return float(found.log_evidence)
 
 
@@ -126,17 +127,14 @@ def driven(n: int = 400) -> DriveState:
 def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one_and_taken_away(monkeypatch):
     brake, own, other = BY_NAME["brake_use"], ((50.0, 80.0), (200.0, 230.0)), ((70.0, 90.0),)
     plain = driven()
-    chosen = plain.having((of_term(Frame.of(plain.fit), Term(brake, None, own), 1.0),))
+    chosen = plain.with_terms((term_of(Frame.of(plain.fit), EffectTerm(brake, None, own), 1.0),))
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: {other})
     monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
-    candidates = Candidates([brake, BY_NAME["auxiliary_cycling"]], [()], FoundForms())
+    candidates = CandidateTerms([brake, BY_NAME["auxiliary_cycling"]], [()], EarlierTerms())
 
-    def times(of: DriveState, cause: str) -> set[Spans | None]:
-        return {
-            one.component.spans
-            for one in candidates.on(0, of, with_processes=False, with_stretches=False)
-            if one.cause == cause
-        }
+    def times(drive: DriveState, name: str) -> set[Spans | None]:
+        tried = candidates.on_drive(0, drive, with_processes=False, with_stretches=False)
+        return {candidate.term.spans for candidate in tried if candidate.term.name == name}
 
     assert times(plain, "brake_use") == {other}
     with_other, without_other = ((50.0, 90.0), (200.0, 230.0)), ((50.0, 70.0), (200.0, 230.0))
@@ -147,19 +145,22 @@ def test_what_times_of_another_effect_hold_is_added_to_the_times_of_a_chosen_one
 def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monkeypatch):
     loss, brake, fan = (BY_NAME[name] for name in ("cold_loss", "brake_use", "auxiliary_cycling"))
     plain, shape, own = driven(), BY_NAME["cold_loss"].shapes[1], ((50.0, 80.0), (200.0, 230.0))
-    frame, found = Frame.of(plain.fit), FoundForms()
-    before = plain.having((of_term(frame, Term(brake, None, own), 1.0), of_term(frame, Term(loss, shape))))
-    found.add(0, before)
+    frame, earlier_terms = Frame.of(plain.fit), EarlierTerms()
+    before = plain.with_terms(
+        (term_of(frame, EffectTerm(brake, None, own), 1.0), term_of(frame, EffectTerm(loss, shape)))
+    )
+    earlier_terms.add_drive(0, before)
     monkeypatch.setattr(Switching, "proposed", lambda self, effect: set())
     monkeypatch.setattr(Switching, "proposed_instead", lambda self, effect: set())
 
-    def tried(forms: FoundForms) -> set[tuple[str, object]]:
-        candidates = Candidates([loss, brake, fan], [()], forms)
-        return {(one.cause, one.form) for one in candidates.on(0, plain, with_processes=False, with_stretches=False)}
+    def tried(earlier_terms: EarlierTerms) -> set[tuple[str, object]]:
+        candidates = CandidateTerms([loss, brake, fan], [()], earlier_terms)
+        on_drive = candidates.on_drive(0, plain, with_processes=False, with_stretches=False)
+        return {(candidate.term.name, candidate.key) for candidate in on_drive}
 
-    finer = {(loss.name, str(time)) for time in loss.finer(shape, float(before.sizes[1]))}
+    finer = {(loss.name, str(time)) for time in loss.finer_shapes(shape, float(before.magnitudes[1]))}
     on_the_grid = {(loss.name, str(time)) for time in loss.shapes}
-    assert tried(found) - tried(FoundForms()) == {(brake.name, own), (fan.name, own)} | finer - on_the_grid
+    assert tried(earlier_terms) - tried(EarlierTerms()) == {(brake.name, own), (fan.name, own)} | finer - on_the_grid
 
 
 # Shapes
@@ -167,37 +168,39 @@ def test_what_one_search_found_is_tried_by_the_next_from_its_first_round_on(monk
 
 def test_a_rival_of_what_was_chosen_has_shapes_between_those_of_the_grid_too():
     """Else what happened to be chosen first would have more evidence by its finer shapes alone."""
-    loss, plain, found = BY_NAME["cold_loss"], driven(), FoundForms()
-    candidates = Candidates([loss, BY_NAME["viscous_drag"]], [()], found)
+    loss, plain, earlier_terms = BY_NAME["cold_loss"], driven(), EarlierTerms()
+    candidates = CandidateTerms([loss, BY_NAME["viscous_drag"]], [()], earlier_terms)
 
-    def joined() -> Hypotheses:
-        return Hypotheses((plain,), [()], [candidates.on(0, plain, with_processes=False, with_stretches=False)])
+    def joined() -> HypothesisSpace:
+        return HypothesisSpace(
+            (plain,), [()], [candidates.on_drive(0, plain, with_processes=False, with_stretches=False)]
+        )
 
-    def forms(joint: Hypotheses) -> dict[object, int]:
-        return {key[-1]: i for i, key in enumerate(joint.keys) if key[0] == loss.name}
+    def numbers(space: HypothesisSpace) -> dict[object, int]:
+        return {key[-1]: i for i, key in enumerate(space.keys) if key[0] == loss.name}
 
-    joint = joined()
-    drag = [key[0] for key in joint.keys].index("viscous_drag")
-    assert set(forms(joint)) == {str(time) for time in loss.shapes}
-    sets = (drag,), tuple(sorted((drag, forms(joint)[str(loss.shapes[1])]))), (forms(joint)[str(loss.shapes[0])],)
+    space = joined()
+    drag = [key[0] for key in space.keys].index("viscous_drag")
+    assert set(numbers(space)) == {str(time) for time in loss.shapes}
+    sets = (drag,), tuple(sorted((drag, numbers(space)[str(loss.shapes[1])]))), (numbers(space)[str(loss.shapes[0])],)
     table = ModelTable(sets, np.array([0.9, 0.08, 0.02]), 0.0)
-    ((number, term, size),) = joint.rivals(table)
-    both = [of_term(Frame.of(plain.fit), each) for each in (Term(BY_NAME["viscous_drag"]), term)]
-    assert (number, term.shape) == (0, loss.shapes[1])
+    ((number, effect_term, size),) = space.rivals(table)
+    both = [term_of(Frame.of(plain.fit), each) for each in (EffectTerm(BY_NAME["viscous_drag"]), effect_term)]
+    assert (number, effect_term.shape) == (0, loss.shapes[1])
     assert size == pytest.approx(plain.joint_with(both).posterior([0, 1]).mean[-1])
 
-    found.shape(number, term, size)
-    near = {str(time) for time in loss.finer(term.shape, size)}
-    assert set(forms(joined())) == {str(time) for time in loss.shapes} | near
+    earlier_terms.add_effect_term(number, effect_term, size)
+    near = {str(time) for time in loss.finer_shapes(effect_term.shape, size)}
+    assert set(numbers(joined())) == {str(time) for time in loss.shapes} | near
 
 
 def test_a_search_makes_the_shapes_of_rivals_finer(monkeypatch):
     tried: list[set[object]] = []
-    within = Candidates.on
+    within = CandidateTerms.on_drive
 
-    def watched(self: Candidates, *arguments: Any) -> Any:
+    def watched(self: CandidateTerms, *arguments: Any) -> Any:
         found = list(within(self, *arguments))
-        tried.append({one.form for one in found if one.cause == loss.name})
+        tried.append({candidate.key for candidate in found if candidate.term.name == loss.name})
         return found
 
     loss, t = BY_NAME["cold_loss"], np.arange(1500) + 0.5
@@ -207,11 +210,11 @@ def test_a_search_makes_the_shapes_of_rivals_finer(monkeypatch):
     context = {Quantity.ELAPSED: t, Quantity.STOPS: np.zeros(1500)}
     start = DriveState.of(made_strides(speed, force, context), is_level=True)
     assert start is not None
-    monkeypatch.setattr(Candidates, "on", watched)
-    (found,) = Search((start,), [loss, BY_NAME["viscous_drag"]]).alone
-    assert [component.name for component in found.chosen] == ["viscous_drag"]
+    monkeypatch.setattr(CandidateTerms, "on_drive", watched)
+    (found,) = Search((start,), [loss, BY_NAME["viscous_drag"]]).effects_only
+    assert [term.name for term in found.chosen] == ["viscous_drag"]
     assert tried[0] == {str(time) for time in loss.shapes}
-    assert any(tried[-1] >= {str(time) for time in loss.finer(shape, 0.0)} for shape in loss.shapes)
+    assert any(tried[-1] >= {str(time) for time in loss.finer_shapes(shape, 0.0)} for shape in loss.shapes)
 
 
 # Rivals
@@ -237,7 +240,7 @@ def test_a_rival_acts_more_likely_than_not_where_an_effect_does_not(probability,
 def test_rounding_makes_no_probability_larger_than_one():
     """Weights of sets are exponentials of differences of large numbers, whose sum is one to some 1e-14."""
     table = ModelTable(((0,), (1,)), np.array([0.75, 0.25 + 4e-14]), 0.0)
-    assert (table.holding([0, 1]), table.none) == (1.0, 0.0)
+    assert (table.probability_of_any([0, 1]), table.probability_of_none) == (1.0, 0.0)
 
 
 # The noise to start from
@@ -272,9 +275,9 @@ def test_a_load_that_comes_and_goes_is_found_though_noise_that_lasts_long_holds_
     sizes = noisy.fit.scales.values[[TORQUE, POWER]]
     assert np.all(sizes < [SCALES[i].centre * np.exp(SCALES[i].spread) for i in (TORQUE, POWER)])
     assert noisy.has_unusual_noise  # by its time
-    (found,) = Search((noisy,), [BY_NAME["auxiliary_cycling"]]).alone
-    assert [component.name for component in found.chosen] == ["auxiliary_cycling"]
-    assert found.sizes[0] == pytest.approx(4e3, rel=0.15)
+    (found,) = Search((noisy,), [BY_NAME["auxiliary_cycling"]]).effects_only
+    assert [term.name for term in found.chosen] == ["auxiliary_cycling"]
+    assert found.magnitudes[0] == pytest.approx(4e3, rel=0.15)
 
 
 def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
@@ -284,7 +287,7 @@ def test_a_size_beyond_its_limit_is_impossible_but_for_effects_that_are_given():
     force = 20e3 * np.diff(speed) + 2e3 + fan + np.random.default_rng(6).normal(0, 100.0, n)
     plain = DriveState.of(made_strides(speed, force, {}), is_level=True)
     assert plain is not None
-    state = plain.having((of_term(Frame.of(plain.fit), Term(BY_NAME["auxiliary_cycling"], None, spans)),))
+    state = plain.with_terms((term_of(Frame.of(plain.fit), EffectTerm(BY_NAME["auxiliary_cycling"], None, spans)),))
     assert not state.is_possible(0)
     assert state.is_possible(1)
     assert plain.is_possible(0)
@@ -311,22 +314,24 @@ def test_a_road_that_its_signals_confirm_needs_no_more_evidence_than_a_level_one
     """Beside slopes the drives have a log posterior of 100."""
     scales = SimpleNamespace(readings=() if signals is None else ("altitude",))
     fit = SimpleNamespace(strides=np.zeros(9), scales=scales)
-    drive = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
+    drive: Any = SimpleNamespace(fit=fit, strides=None, slope_sd=0.01)
+    unknown: dict[str, Any] = dict.fromkeys(SearchResult.__dataclass_fields__)
 
     class Found:
-        def __init__(self, drives: tuple[Any, ...], effects: object, forms: object) -> None:
-            self.is_sloping, self.alone = drives == ("sloping",), (drive,)
+        def __init__(self, drives: tuple[Any, ...], effects: object, earlier_terms: object) -> None:
+            self.on_slopes, self.effects_only = drives == ("sloping",), (drive,)
 
-        def explained(self) -> Any:
-            return SimpleNamespace(drives=(drive,), log_posterior=100.0 if self.is_sloping else level)
+        def result(self) -> SearchResult:
+            log_posterior = 100.0 if self.on_slopes else level
+            return SearchResult(**(unknown | {"drives": (drive,), "log_posterior": log_posterior}))
 
-        def explained_above(self, least: float) -> Any:
-            return self.explained() if level > least else None
+        def result_above(self, min_log_posterior: float) -> SearchResult | None:
+            return self.result() if level > min_log_posterior else None
 
-    monkeypatch.setattr(explanation, "Search", Found)
-    monkeypatch.setattr(explanation, "_slopes", lambda states, sloping=(): 50.0)
-    monkeypatch.setattr(explanation, "log_bayes_factor_of_signals", lambda strides, fit: signals)
+    monkeypatch.setattr(road_comparison, "Search", Found)
+    monkeypatch.setattr(road_comparison, "_slopes", lambda states, sloping=(): 50.0)
+    monkeypatch.setattr(road_comparison, "log_bayes_factor_of_signals", lambda strides, fit: signals)
     case = SimpleNamespace(terms=(), is_road_given=False, state=lambda is_level: "level" if is_level else "sloping")
-    cases, states = explanation.started([case])
-    found = explanation.explain(cases, states, [], Thresholds())
-    assert (found.is_sloping, found.is_hilly) == (is_sloping, is_hilly)
+    cases, states = road_comparison.fitted_cases([case])
+    found = road_comparison.search(cases, states, [], Thresholds())
+    assert (bool(found.is_sloping), bool(found.is_hilly)) == (is_sloping, is_hilly)

@@ -18,10 +18,10 @@ from estimator.estimation.shapes import (
     nearer_shapes,
 )
 from estimator.model.conditioned import Conditioned
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.cold import cold_by_time, excess, excesses, finer_excesses
 from estimator.model.effects.effect import View
-from estimator.model.term import Term
 from estimator.signals import Quantity
 
 M, A, C = 25e3, 1600.0, 3.5
@@ -31,11 +31,11 @@ OIL = replace(  # that warms with the time, which is simpler to compute a drive 
     power=lambda view, shape: view.v**2 * excess(cold_by_time(view, shape[0]), shape[1]),
     needs=(Quantity.ELAPSED,),
     shapes=excesses((600.0, 960.0, 1500.0, 2400.0)),
-    finer=finer_excesses,
+    finer_shapes=finer_excesses,
 )
-COLD = [Term(OIL, shape) for shape in OIL.shapes]
-WINDS = [Term(WIND, shape) for shape in WIND.shapes]
-STEADY_WIND = replace(WIND, finer=None)
+COLD = [EffectTerm(OIL, shape) for shape in OIL.shapes]
+WINDS = [EffectTerm(WIND, shape) for shape in WIND.shapes]
+STEADY_WIND = replace(WIND, finer_shapes=None)
 SEED = 11
 
 
@@ -82,7 +82,7 @@ def evidence(strides, found, terms):
 
 
 def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
-    strides = driven(400, 40.0, Term(OIL, (500.0, 0.0)))
+    strides = driven(400, 40.0, EffectTerm(OIL, (500.0, 0.0)))
     found = fit(strides, np.random.default_rng(1), (WINDS[0],))
     assert found is not None
     gains, coefficients = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
@@ -93,7 +93,7 @@ def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
 
 
 def test_a_shape_with_the_wrong_sign_adds_nothing():
-    strides = driven(400, -40.0, Term(OIL, (500.0, 0.0)))
+    strides = driven(400, -40.0, EffectTerm(OIL, (500.0, 0.0)))
     found = fit(strides, np.random.default_rng(1))
     assert found is not None
     gains, coefficients = ShapeLikelihood(strides, found).judged((), COLD)
@@ -103,7 +103,7 @@ def test_a_shape_with_the_wrong_sign_adds_nothing():
 
 @pytest.mark.parametrize("tau", [600.0, 960.0])
 def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
-    strides = driven(size=60.0, term=Term(OIL, (tau, 0.0)))
+    strides = driven(size=60.0, term=EffectTerm(OIL, (tau, 0.0)))
     found = fit(strides, np.random.default_rng(1))
     guess = best_shapes(strides, found, [COLD])  # beside scales that have taken some of it up
     beside = fit(strides, np.random.default_rng(1), guess, found.scales)
@@ -113,7 +113,7 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
 
 @pytest.mark.parametrize(
     ("truth", "size", "start"),
-    [(Term(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (Term(OIL, (700.0, 2.0)), 50.0, COLD[:1])],
+    [(EffectTerm(WIND, (0.35, 0.07, 9.0)), 9.0, WINDS), (EffectTerm(OIL, (700.0, 2.0)), 50.0, COLD[:1])],
     ids=["wind", "oil"],
 )
 def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, size, start):
@@ -137,12 +137,12 @@ def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, si
 
 def test_coefficients_are_averaged_over_shapes_that_fit_alike():
     """The law of total variance, over fits with one shape each."""
-    strides = driven(700, 30.0, Term(OIL, (500.0, 1.0)))
+    strides = driven(700, 30.0, EffectTerm(OIL, (500.0, 1.0)))
     found = fit(strides, np.random.default_rng(1), (WINDS[0], COLD[3]))
     whole = averaged(strides, found)
     over_cold = averaged(strides, replace(found, terms=(replace(WINDS[0], effect=STEADY_WIND), COLD[3])))
-    near = {*OIL.shapes, *OIL.finer(COLD[3].shape, 0.0)}
-    each = [evidence(strides, found, (WINDS[0], Term(OIL, shape))) for shape in sorted(near)]
+    near = {*OIL.shapes, *OIL.finer_shapes(COLD[3].shape, 0.0)}
+    each = [evidence(strides, found, (WINDS[0], EffectTerm(OIL, shape))) for shape in sorted(near)]
     log = np.array([log for log, _ in each])
     weights = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
     coefficients = np.array([solved for _, solved in each])
@@ -170,7 +170,7 @@ def test_shapes_that_nothing_is_to_be_gained_by_stay():
 
 
 def test_shapes_that_signals_tell_are_not_varied():
-    fan = Term(BY_NAME["auxiliary_cycling"], Quantity.FAN_SPEED)
+    fan = EffectTerm(BY_NAME["auxiliary_cycling"], Quantity.FAN_SPEED)
     assert not is_free(fan)
     assert is_free(COLD[0])
     strides = driven(300)

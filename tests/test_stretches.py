@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
 
 from estimator.components.budget import ROAD, budget
-from estimator.components.component import Frame, Kind
 from estimator.components.drive_state import DriveState
 from estimator.components.search import Search
 from estimator.components.stretches import STRETCHES, stretches
+from estimator.components.term import Frame, Kind
 from estimator.components.time_prior import CHANGE_COST
 from estimator.estimation.road_evidence import log_bayes_factor_of_road
 from estimator.model.effects import BY_NAME
@@ -61,7 +61,7 @@ def state_of(strides):
 @pytest.fixture(scope="module")
 def steep():
     """What explains a road with three steep stretches."""
-    return Search((state_of(driven(STEEP)),), EFFECTS).explained()
+    return Search((state_of(driven(STEEP)),), EFFECTS).result()
 
 
 @given(spans, spans)
@@ -74,10 +74,10 @@ def test_times_that_are_cut_are_those_of_either_and_end_wherever_one_ends(one, o
 
 def test_a_stretch_is_gravity_along_a_slope_in_its_times_alone():
     frame = Frame.of(state_of(driven()).fit)
-    (component,) = stretches(frame, ((100.0, 200.0), (200.0, 230.5)))
-    columns = component.columns(frame)
+    (term,) = stretches(frame, ((100.0, 200.0), (200.0, 230.5)))
+    columns = term.columns(frame)
     assert columns.shape == (1500, 2)
-    assert component.kind is Kind.ROAD
+    assert term.kind is Kind.ROAD
     assert_allclose(columns[100:200, 0], -STANDARD_GRAVITY)
     assert_allclose(columns[230, 1], -0.5 * STANDARD_GRAVITY)
     assert not columns[:100].any()
@@ -88,8 +88,8 @@ def test_the_slope_felt_changes_over_ten_metres():
     frame = Frame.of(state_of(driven()).fit)
     n = len(frame.strides)
     slow = replace(frame, strides=made_strides(np.full(n + 1, 2.0), frame.force, {Quantity.ELAPSED: frame.strides.t}))
-    (component,) = stretches(slow, ((100.0, 200.0),))
-    share = component.columns(slow)[:, 0] / -STANDARD_GRAVITY
+    (term,) = stretches(slow, ((100.0, 200.0),))
+    share = term.columns(slow)[:, 0] / -STANDARD_GRAVITY
     assert_allclose(share[96:104], [0.0, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0], atol=1e-12)  # 5 s at 2 m/s
     assert_allclose(share[196:204], share[96:104][::-1], atol=1e-12)
 
@@ -109,7 +109,7 @@ def test_nearly_the_whole_drive_is_no_stretch_of_it():
 
 def test_steep_stretches_are_the_roads(steep):
     (drive,) = steep.drives
-    assert steep.choices == ()
+    assert steep.chosen == ()
     assert steep.nameless.probability < 0.5
     assert drive.stretches is not None
     joint = drive.joint
@@ -141,11 +141,11 @@ def test_a_level_road_has_none_of_them(steep):
 
 
 def test_a_load_of_one_power_in_all_its_times_is_named():
-    explained = Search((state_of(driven(power=60e3)),), EFFECTS).explained()
-    (choice,) = explained.choices
+    explained = Search((state_of(driven(power=60e3)),), EFFECTS).result()
+    (choice,) = explained.chosen
     assert choice.name == "auxiliary_cycling"
     assert choice.probability > 0.9
-    assert explained.drives[0].sizes[0] == pytest.approx(60e3, rel=0.1)
+    assert explained.drives[0].magnitudes[0] == pytest.approx(60e3, rel=0.1)
 
 
 def test_one_span_of_more_force_may_be_the_roads():
@@ -153,5 +153,5 @@ def test_one_span_of_more_force_may_be_the_roads():
     n = 1500
     strides, on = driven(), covered(np.arange(n) + 0.5, 1.0, ((600.0, 900.0),))
     wet = replace(strides, force=strides.force + (0.35 * A * on)[:, None])
-    explained = Search((state_of(wet),), EFFECTS).explained()
-    assert all(choice.probability < 0.9 for choice in explained.choices)
+    explained = Search((state_of(wet),), EFFECTS).result()
+    assert all(choice.probability < 0.9 for choice in explained.chosen)

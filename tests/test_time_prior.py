@@ -12,16 +12,16 @@ from estimator.components.time_prior import (
     CHANGE_COST,
     DWELL_COST,
     Costs,
-    begun_again,
     cost_apart,
     cost_of_leaving,
     cost_without_dwell,
-    in_gap,
+    gap_costs,
     is_usual,
     least_costs,
+    observed_spans,
     prior_cost,
+    probability_of_restart,
     rate_cost,
-    seen,
 )
 from estimator.model.effects import BY_NAME
 from estimator.model.spans import covered
@@ -76,7 +76,7 @@ def test_times_cost_what_the_chain_gives_averaged_over_its_rate(seed):
     t = np.concatenate([np.arange(a, b) for a, b in pairwise([0, *edges, 1500])][::2]) + 0.5
     starts = np.sort(rng.choice(np.arange(20, 1460, 30), 10, replace=False)).astype(float).tolist()
     spans = tuple((start, start + float(rng.integers(4, 25))) for start in starts)
-    assert len(seen(spans, t)) > 2
+    assert len(observed_spans(spans, t)) > 2
     assert prior_cost(spans, BRAKE, t) == pytest.approx(exact_cost(t, spans, 12.0), abs=1.5)
 
 
@@ -93,7 +93,7 @@ def test_a_gap_has_the_transitions_of_the_chain(gap, dwell):
     on, off = np.exp(-CHANGE_COST), 1 / dwell
     after = expm(gap * np.array([[-on, on], [off, -off]]))  # from off and on (rows) to off and on
     costs = np.log(after[0, 0] / np.array([after[0, 1], after[1, 0], after[1, 1]]))
-    found = in_gap(gap, dwell)
+    found = gap_costs(gap, dwell)
     assert [found.begins, found.ends, found.stays] == pytest.approx(np.maximum(costs, 0.0).tolist())
 
 
@@ -111,18 +111,18 @@ def test_a_run_between_gaps_costs_what_the_chain_gives_all_times_that_look_the_s
     assert [cost_without_dwell(spans, t) for spans in same] == pytest.approx([without] * 6)
     ends = [np.log(2 / (1 / 250 + gap / 300)) for gap in (30.0, 20.0)]  # at one of 250 places, or in 30 s of 300
     assert [prior_cost(spans, WET, t) for spans in same] == pytest.approx([sum(ends)] * 6)
-    assert len({seen(spans, t) for spans in same}) == 1
+    assert len({observed_spans(spans, t) for spans in same}) == 1
 
 
 def test_what_is_on_at_both_sides_of_a_gap_need_not_have_been_on_in_it():
     t = np.concatenate([np.arange(100.0), np.arange(400.0, 500.0)])
     one, two = ((90.0, 410.0),), ((90.0, 120.0), (390.0, 410.0))
-    begins = rate_cost(1 + begun_again(300.0, 12.0), 180.0 + 12.0) + CHANGE_COST
-    assert begun_again(300.0, 12.0) == pytest.approx(1.0, abs=1e-6)
-    stays = in_gap(300.0, 12.0).stays
+    begins = rate_cost(1 + probability_of_restart(300.0, 12.0), 180.0 + 12.0) + CHANGE_COST
+    assert probability_of_restart(300.0, 12.0) == pytest.approx(1.0, abs=1e-6)
+    stays = gap_costs(300.0, 12.0).stays
     assert prior_cost(one, BRAKE, t) == pytest.approx(begins + 9.5 / 12 + stays + 10.5 / 12 + np.log(12.0))
     assert prior_cost(two, BRAKE, t) == pytest.approx(prior_cost(one, BRAKE, t))
-    apart = [cost_apart(spans, BRAKE.dwells, t) for spans in (one, two, ((90.0, 200.0), (200.0, 410.0)))]
+    apart = [cost_apart(spans, BRAKE.dwell_times, t) for spans in (one, two, ((90.0, 200.0), (200.0, 410.0)))]
     assert apart == pytest.approx([apart[0]] * 3), "in a long gap it began anew in any case"
     assert is_usual(one, BRAKE, t)
     assert not is_usual(one, BRAKE, np.arange(500.0)), "320 s are seen"
@@ -131,15 +131,15 @@ def test_what_is_on_at_both_sides_of_a_gap_need_not_have_been_on_in_it():
 def test_a_state_of_its_own_begins_anew_in_a_short_gap_too():
     t = np.concatenate([np.arange(100.0), np.arange(103.0, 200.0)])
     costs = [cost_apart(spans, (12.0,), t) for spans in (((50.0, 150.0),), ((50.0, 101.0), (101.0, 150.0)))]
-    gap, off = in_gap(3.0, 12.0), 197.0 + 12.0 * -np.expm1(-3.0 / 12.0)
-    rates = rate_cost(2, off) - rate_cost(1 + begun_again(3.0, 12.0), off)
+    gap, off = gap_costs(3.0, 12.0), 197.0 + 12.0 * -np.expm1(-3.0 / 12.0)
+    rates = rate_cost(2, off) - rate_cost(1 + probability_of_restart(3.0, 12.0), off)
     assert costs[1] - costs[0] == pytest.approx(gap.ends + gap.begins - gap.stays + rates)
     assert costs[1] - costs[0] > 5.0
 
 
 def test_costs_of_an_exchange_are_the_least_that_an_effect_may_have():
     assert least_costs(0.0, FAN) == Costs(CHANGE_COST, CHANGE_COST, 0.0)
-    each = [in_gap(60.0, dwell) for dwell in FAN.dwells]
+    each = [gap_costs(60.0, dwell) for dwell in FAN.dwell_times]
     found = least_costs(60.0, FAN)
     assert all(found.begins <= one.begins and found.ends <= one.ends and found.stays <= one.stays for one in each)
     assert least_costs(60.0, WET) == Costs(CHANGE_COST, CHANGE_COST, 0.0)
@@ -154,14 +154,14 @@ def test_where_one_span_follows_another_there_is_one_change():
 
 def test_times_that_are_not_seen_are_none():
     t = np.concatenate([np.arange(100.0), np.arange(400.0, 500.0)])
-    assert seen(((150.0, 390.0),), t) == ()
+    assert observed_spans(((150.0, 390.0),), t) == ()
     assert not is_usual(((150.0, 160.0),), BRAKE, t)
-    assert seen(((90.0, 300.0), (399.5, 410.0)), t) == ((90.0, 99.5), (399.5, 410.0))
+    assert observed_spans(((90.0, 300.0), (399.5, 410.0)), t) == ((90.0, 99.5), (399.5, 410.0))
 
 
 def test_leaving_a_gap_costs_what_a_change_costs_more_elsewhere():
     t = np.concatenate([np.arange(100.0), np.arange(400.0, 500.0)])
-    gap = in_gap(300.0, 12.0)
+    gap = gap_costs(300.0, 12.0)
     assert cost_of_leaving(200.0, False, BRAKE, t) == pytest.approx(CHANGE_COST - gap.begins)
     assert cost_of_leaving(200.0, True, BRAKE, t) == pytest.approx(np.log(12.0) - gap.ends)
     wet = np.log((1 / 200 + 300 / 500) / (1 / 200 + 1 / 500))

@@ -23,9 +23,9 @@ from harness.drives import METRES_PER_MINUTE, diagnosed, traffic, without_road
 
 from estimator.answers.diagnosis import Verdict
 from estimator.components.budget import NOISE, ROAD, WHITE
-from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Frame, Term
 from estimator.components.time_prior import prior_cost
 from estimator.model.effects import BY_NAME
 from estimator.model.effects.effect import Timing
@@ -117,15 +117,15 @@ def visibility(recording: Recording, plain: DriveState, start: float, extra: str
     """
     names = [name for name in recording.truth.effect_power if name not in ("grade", extra)]
 
-    def component(name: str) -> Component:
+    def term(name: str) -> Term:
         def columns(frame: Frame) -> Floats:
             power = mean_power(recording.truth, name, frame.strides.t - start)
             return frame.as_acceleration(power)[:, None]
 
-        return Component(name=name, columns=columns, sd=1.0)  # of its true size, which is 1
+        return Term(name=name, columns=columns, sd=1.0)  # of its true size, which is 1
 
-    others = tuple(component(name) for name in names)
-    without, beside = (plain.having((), each).log_evidence for each in (others, (*others, component(extra))))
+    others = tuple(term(name) for name in names)
+    without, beside = (plain.with_terms((), each).log_evidence for each in (others, (*others, term(extra))))
     spans, effect = recording.truth.active.get(extra, []), BY_NAME[extra]
     times = tuple((start + begin, start + end) for begin, end in spans)
     cost = prior_cost(times, effect, plain.fit.strides.t) if times and effect.timing is not Timing.STEP else 0.0

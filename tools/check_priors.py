@@ -6,8 +6,8 @@ Folders are those of `check_blind.py`, generated and diagnosed. With the odds of
 factor r, the probability p that nothing acts on a drive becomes p / (p + r (1 - p)), as for sets of one cause: drives
 with two effects are left out. An effect that the oracle does not see counts as nothing. The score is the sum of the
 logarithms of the probability that each answer gives to the truth, "nothing" or "something" (Good 1952). The odds are
-`ODDS_OF_EFFECTS` and `ODDS_OF_PROCESSES` in `estimator/components/hypotheses.py`. A folder whose drives are all clean
-says nothing of them: how often something acts is part of the odds.
+`ODDS_OF_EFFECTS` and `ODDS_OF_PROCESSES` in `estimator/components/hypothesis_space.py`. A folder whose drives are all
+clean says nothing of them: how often something acts is part of the odds.
 """
 
 import argparse

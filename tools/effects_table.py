@@ -51,8 +51,8 @@ Effect(
     symbol="force",
     unit="N",
     power=lambda view, shape: view.v * np.exp(-(((view.v - 14) / 2) ** 2)),
-    usual=lambda road_load: 500.0,
-    breaks="driving through 14 m/s again and again",
+    usual_magnitude=lambda road_load: 500.0,
+    shown_by="driving through 14 m/s again and again",
 )
 ```
 
@@ -97,19 +97,19 @@ def page() -> str:
     equations = [
         (
             *(f"`{e.name}`", f"`{e.equation}`", f"{e.symbol} [{e.unit}]"),
-            sized(e, e.usual(TRUCK)),
+            sized(e, e.usual_magnitude(TRUCK)),
         )
         for e in CATALOGUE
     ]
-    causes = [(f"`{e.name}`", e.source, signals(e), e.breaks) for e in CATALOGUE]
+    causes = [(f"`{e.name}`", e.source, signals(e), e.shown_by) for e in CATALOGUE]
     pairs = {" and ".join(f"`{name}`" for name in sorted({e.name, *e.equivalent})) for e in CATALOGUE if e.equivalent}
     return PAGE.format(
         equations=table(("effect", "power added [W]", "size", "usual"), *equations),
         causes=table(("effect", "cause", "signals", "evidence"), *causes),
         equivalent="; ".join(sorted(pairs)),
-        timed=_names(e for e in CATALOGUE if not (e.absorbed or e.is_streaming)),
+        timed=_names(e for e in CATALOGUE if not (e.is_absorbed or e.is_streaming)),
         switched=_names(e for e in CATALOGUE if e.is_streaming and e.timing is not Timing.ALWAYS),
-        absorbed=_names(e for e in CATALOGUE if e.absorbed),
+        absorbed=_names(e for e in CATALOGUE if e.is_absorbed),
     )
 
 

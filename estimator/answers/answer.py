@@ -1,4 +1,4 @@
-"""What all answers have in common: the version, encoding and decoding."""
+"""Base of all answers: their version, encoding and decoding."""
 
 import json
 from typing import Any, Literal, TypeVar
@@ -59,7 +59,7 @@ def as_text(answer: Answer) -> str:
 
 
 def _as_text(value: Any) -> Any:
-    """The same of lists and mappings with texts that UTF-8 can hold."""
+    """Copy of a value, lists and mappings included, whose texts are escaped to what UTF-8 can hold."""
     if isinstance(value, str):
         return escaped(value)
     if isinstance(value, dict):

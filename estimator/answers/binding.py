@@ -16,7 +16,7 @@ class BoundInput(Struct, frozen=True, kw_only=True):
 
 
 class BindingAnswer(Answer, frozen=True, kw_only=True):
-    """What a configuration binds, by role.
+    """Signals that a configuration binds, by role.
 
     ``reason`` why no estimate can come of it, or empty; ``remarks`` on what was left out of the DBC.
     """

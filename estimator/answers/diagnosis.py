@@ -99,7 +99,7 @@ class Part(Struct, frozen=True, kw_only=True):
 
 
 class Parameters(Struct, frozen=True, kw_only=True):
-    """Of the plain model, and averaged over the sets of effects that the drive leaves possible; null without a fit."""
+    """A, C and mass of the plain model, and their averages over the possible hypotheses; null without a fit."""
 
     base: RoadLoad | None
     base_sd: RoadLoad | None
@@ -163,7 +163,7 @@ class Invisible(Struct, frozen=True, kw_only=True):
 
 
 class Experiment(Struct, frozen=True, kw_only=True):
-    """What would tell effect ``a``, as it was found, from ``b``, or from none where ``b`` is empty.
+    """Experiment that separates effect ``a``, at its fitted magnitude, from ``b``, or from no effect if ``b`` is empty.
 
     Log Bayes factors: of the drive alone (``now``), and to be expected with it. ``minutes`` that it takes; 0: a signal.
     """

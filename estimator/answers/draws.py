@@ -28,7 +28,7 @@ class EigenMetrics(Struct, frozen=True, kw_only=True):
 
 
 class EigenMetricsPair(Struct, frozen=True, kw_only=True):
-    """Of the information as it is, and scaled by the posterior's sd."""
+    """Metrics of the information matrix as it is, and scaled by the posterior's sd."""
 
     raw: EigenMetrics
     scaled: EigenMetrics

@@ -41,7 +41,7 @@ class Busy(Struct, frozen=True, kw_only=True):
 
 
 class InspectionAnswer(Answer, frozen=True, kw_only=True):
-    """What is in a log or on a bus, and whether an estimate can come of it.
+    """Content of a log or a bus, and whether it allows an estimate.
 
     ``sources`` and ``senders`` are source addresses by signal and by message, ``contested`` reasons by signal,
     ``inputs`` and ``missing`` by role; ``warnings`` of what may be wrong in the DBC.

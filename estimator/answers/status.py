@@ -66,7 +66,7 @@ class Estimator(Struct, frozen=True, kw_only=True):
 
 
 class Transmit(Struct, frozen=True, kw_only=True):
-    """What is sent, and what is withheld, by reason; the defaults where nothing is to be sent."""
+    """Frames sent, and frames withheld by reason; the defaults where nothing is to be sent."""
 
     enabled: bool
     address: int | None = None
@@ -162,7 +162,7 @@ class StatusAnswer(Answer, frozen=True, kw_only=True):
 
 
 class NotRunningAnswer(Answer, frozen=True, kw_only=True):
-    """What `roadload status` says where no daemon has left a status file."""
+    """Answer of `roadload status` where no daemon has left a status file."""
 
     running: Literal[False] = False
     why_not: str

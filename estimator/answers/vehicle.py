@@ -13,7 +13,7 @@ class Value(Struct, frozen=True, kw_only=True):
 
 
 class Shared(Struct, frozen=True, kw_only=True):
-    """What the drives of the vehicle share, and the sd of single drives around it."""
+    """Mean that the drives of the vehicle share, with its sd, and the sd of single drives around it."""
 
     mean: float
     sd: float

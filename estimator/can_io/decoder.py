@@ -193,7 +193,7 @@ class Decoder:
         choice = self._choices[carried.path]
         if len(carried.heard.ends) == 1:
             return partial(choice.judge, carried.heard)
-        return None if carried.path in self._shared else choice.calm(carried.heard)
+        return None if carried.path in self._shared else choice.fast_path(carried.heard)
 
     def _take_message(self, carried: CarriedMessage, verdicts: list[Verdict], out: dict[Role, list[Series]]) -> None:
         """Add the usable readings of a message to ``out``, and count its frames."""

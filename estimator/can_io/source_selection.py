@@ -79,7 +79,7 @@ class Choice(Protocol):
     def judge(self, heard: Heard) -> Verdict:
         """Judge the next block."""
 
-    def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
+    def fast_path(self, heard: Heard) -> Callable[[], Verdict] | None:
         """Fast path: a function that judges all these blocks with one verdict; None if each must be judged alone."""
 
     def release(self, is_other_vehicle: bool) -> None:
@@ -134,7 +134,7 @@ class SenderChoice:
             self.source = next(iter(senders))
         return Verdict(self._taken(heard), self._contest.reason, replaced)
 
-    def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
+    def fast_path(self, heard: Heard) -> Callable[[], Verdict] | None:
         """Fast path if the present sender is in all blocks with a value, and nothing contradicts it; else None."""
         valid = heard.valid
         if self._configured is not None:
@@ -285,7 +285,7 @@ class ConstantChoice:
         taken = valid if self._contest.reason else valid & self._is_believed(heard.value)
         return Verdict(taken, self._contest.reason, replaced)
 
-    def calm(self, heard: Heard) -> Callable[[], Verdict] | None:
+    def fast_path(self, heard: Heard) -> Callable[[], Verdict] | None:
         """Fast path if all values are the one in use; else None."""
         taken = np.isfinite(heard.value)
         if self._configured is not None:

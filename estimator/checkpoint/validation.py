@@ -55,7 +55,7 @@ def substate(state: State, name: str) -> State:
 
 
 def optional(state: State, name: str, restore: Callable[[State], T]) -> T | None:
-    """What ``restore`` makes of the state within a state called ``name``, None where that is none.
+    """Restore the state called ``name`` within a state by ``restore``; None where it is none.
 
     Raises
     ------

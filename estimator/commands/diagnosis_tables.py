@@ -57,7 +57,7 @@ def _results(d: Diagnosis) -> Iterator[tuple[str, str]]:
 
 def _limits(d: Diagnosis) -> Iterator[tuple[str, str]]:
     if d.invisible:
-        yield "unseen", _some(f"{wording.label(i.name)} (would show: {i.breaks})" for i in d.invisible)
+        yield "unseen", _some(f"{wording.label(i.name)} (would show: {i.shown_by})" for i in d.invisible)
     if d.not_testable:
         yield "untestable", _some(f"{wording.label(n.name)} (needs {n.needs})" for n in d.not_testable)
     for advice in wording.advice(d):
@@ -88,7 +88,7 @@ def _budget(budget: Budget) -> Table:
     table = _table("residual", "share", "of its own", "left once added", "left if known", right=(2, 3, 4))
     for part in budget.parts:
         share = wording.interval(GapClosed(part.share, part.q05, part.q95))
-        powers = [wording.kilowatts(power) for power in (part.rms, part.reached, part.expected)]
+        powers = [wording.kilowatts(power) for power in (part.rms, part.held_out_rms, part.expected)]
         table.add_row(*map(Text, (wording.label(part.cause), share, *powers)))
     return table
 

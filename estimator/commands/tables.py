@@ -126,7 +126,7 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
 
 
 def print_binding(console: Console, found: BindingAnswer) -> None:
-    """What a configuration binds."""
+    """Print the signals that a configuration binds, as a table."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("input", "signal", "message", "unit", "range", "on"):
         table.add_column(heading, overflow="fold", no_wrap=heading == "input")

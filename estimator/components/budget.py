@@ -1,4 +1,4 @@
-"""Gap budget: the residual of the plain model split into the power of every term, the road and the sensors.
+"""Compute the gap budget: the residual of the plain model split into the power of every term, the road and the sensors.
 
 The equation of motion, times -m v, is an identity in power:
 
@@ -18,11 +18,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimator.components.component import Component, Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.folds import left_out
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Frame, Term
 from estimator.model.road_scales import DISTURBANCE
 from estimator.signals import Floats
 from estimator.units import STANDARD_GRAVITY
@@ -44,7 +44,7 @@ class Part:
     """Contribution of one cause to the gap.
 
     ``share`` of the mean square of the plain model's residual, with its 90 % interval; ``rms`` [W] of the contribution.
-    ``reached`` [W]: held-out residual rms of the model with the given causes and this one, None without a held-out fit.
+    ``held_out_rms`` [W]: held-out residual rms of the model with the given causes and this one; None without that fit.
     ``expected`` [W]: residual rms if this cause and the given ones were known exactly, as by signals of their own.
     ``closed``: its share in all that was found (chosen effects, nameless processes, road), with a 90 % interval that
     allows for effects not found.
@@ -55,7 +55,7 @@ class Part:
     q05: float
     q95: float
     rms: float
-    reached: float | None
+    held_out_rms: float | None
     expected: float
     closed: tuple[float, float, float]
 
@@ -64,14 +64,14 @@ class Part:
 class Residuals:
     """Residuals [W] (k,) of one drive over means of 2 s: measured power minus modelled power.
 
-    ``plain``: of the road load on a level road; ``given``: with the given effects; ``reached``: with all chosen terms,
-    held out (stretches left out of the fit). ``road_known``: as ``reached``, but with the slopes of the road's state
-    instead of those that the road signals show on the held-out stretches.
+    ``plain``: of the road load on a level road; ``given``: with the given effects; ``held_out``: with all chosen terms,
+    on stretches left out of the fit. ``road_known``: as ``held_out``, but with the slopes of the road's state instead
+    of those that the road signals show on these stretches.
     """
 
     plain: Floats
     given: Floats
-    reached: Floats
+    held_out: Floats
     road_known: Floats
 
 
@@ -81,7 +81,7 @@ class Budget:
 
     total: float  # plain road load
     base: float  # with the given effects
-    reached: float  # with all chosen terms, held out
+    held_out_rms: float  # with all chosen terms, on stretches left out of the fit
     parts: tuple[Part, ...]
     residuals: tuple[Residuals, ...] = field(default=(), repr=False)
 
@@ -110,8 +110,8 @@ class _Powers:
 
 def budget(
     drives: Sequence[DriveState],
-    possible: Sequence[Sequence[Component]],
-    unnamed: Sequence[Sequence[Component]],
+    possible: Sequence[Sequence[Term]],
+    unnamed: Sequence[Sequence[Term]],
     rng: np.random.Generator,
     given: Collection[str] = (),
 ) -> Budget:
@@ -134,25 +134,31 @@ def budget(
         [drive_powers.held_out for drive_powers in powers],
         [np.zeros(len(drive_powers.residual)) for drive_powers in powers],
     )
-    chosen = {component.name for drive in drives for component in drive.chosen}
-    weak = dict.fromkeys(c.name for others in possible for c in others if c.name not in chosen)
-    small = [
-        cause for cause in weak if np.quantile(np.abs(residual @ drawn[cause]), 0.95) < MIN_SHARE * residual @ residual
-    ]
-    if small:
-        drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
+    chosen = {term.name for drive in drives for term in drive.chosen}
+    not_chosen = dict.fromkeys(term.name for terms in possible for term in terms if term.name not in chosen)
+    _pool_small(drawn, residual, not_chosen)
     shares = {cause: residual @ draws / (residual @ residual) for cause, draws in drawn.items()}
     all_but_noise = 1 - sum(share for cause, share in shares.items() if cause in (NOISE, WHITE, *given))
-    found_share = all_but_noise - sum((shares[cause] for cause in (*weak, OTHERS) if cause in shares), np.zeros(DRAWS))
+    found_share = all_but_noise - sum(
+        (shares[cause] for cause in (*not_chosen, OTHERS) if cause in shares), np.zeros(DRAWS)
+    )
     parts = [_part(cause, residual, drawn, held_out, given, (found_share, all_but_noise)) for cause in drawn]
-    base, reached = _rms(_without(residual, held_out, given)), _rms(_without(residual, held_out, held_out))
+    base, held_out_rms = _rms(_without(residual, held_out, given)), _rms(_without(residual, held_out, held_out))
     return Budget(
         total=total,
         base=base,
-        reached=reached,
+        held_out_rms=held_out_rms,
         parts=tuple(sorted(parts, key=lambda part: -part.share)),
         residuals=residuals,
     )
+
+
+def _pool_small(drawn: dict[str, Floats], residual: Floats, causes: Collection[str]) -> None:
+    """Sum the draws of those ``causes`` that take less than MIN_SHARE of the residual to one part, OTHERS."""
+    least = MIN_SHARE * residual @ residual
+    small = [cause for cause in causes if np.quantile(np.abs(residual @ drawn[cause]), 0.95) < least]
+    if small:
+        drawn[OTHERS] = np.sum([drawn.pop(cause) for cause in small], axis=0)
 
 
 def _concatenated(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) -> dict[str, Floats]:
@@ -169,24 +175,23 @@ def _concatenated(drives: Sequence[dict[str, Floats]], blank: Sequence[Floats]) 
 def _residuals(drive: _Powers, given: Collection[str]) -> Residuals:
     """Residuals of one drive, with the causes ``given``."""
     with_road = dict(drive.held_out)
-    reached = _without(drive.residual, drive.held_out, drive.held_out)
     if ROAD in drive.draws:
         with_road[ROAD] = drive.draws[ROAD].mean(axis=1)
     return Residuals(
         plain=drive.residual,
         given=_without(drive.residual, drive.held_out, given),
-        reached=reached,
+        held_out=_without(drive.residual, drive.held_out, drive.held_out),
         road_known=_without(drive.residual, with_road, with_road),
     )
 
 
 def _without(residual: Floats, powers: Mapping[str, Floats], causes: Collection[str]) -> Floats:
     """Residual (n,) minus the powers (n,) or (n, d) of ``causes``, where present: (n,) or (n, d)."""
-    left = residual
+    rest = residual
     for cause, power in powers.items():  # order of the mapping: floating-point sums must not depend on set order
         if cause in causes:
-            left = (left if left.ndim == power.ndim else left[:, None]) - power
-    return left
+            rest = (rest if rest.ndim == power.ndim else rest[:, None]) - power
+    return rest
 
 
 def _rms(values: Floats) -> float:
@@ -217,28 +222,26 @@ def _part(
         q05=mean - float(np.hypot(low, form)),
         q95=mean + float(np.hypot(high, form)),
         rms=_rms(draws),
-        reached=_rms(_without(residual, held_out, added)) if cause in held_out else None,
+        held_out_rms=_rms(_without(residual, held_out, added)) if cause in held_out else None,
         expected=_rms(_without(residual, drawn, added)),
     )
 
 
-def _powers(
-    drive: DriveState, others: Sequence[Component], unnamed: Sequence[Component], rng: np.random.Generator
-) -> _Powers:
+def _powers(drive: DriveState, others: Sequence[Term], unnamed: Sequence[Term], rng: np.random.Generator) -> _Powers:
     added = (*others, *unnamed)
-    joint, components = drive.joint_with(added), [*drive.chosen, *added]
+    joint, terms = drive.joint_with(added), [*drive.chosen, *added]
     plain = PlainModel(drive.fit)
-    amplitudes = _amplitudes(joint, components, rng)
+    amplitudes = _amplitudes(joint, terms, rng)
     masses = joint.unit[0] / amplitudes[0]
     draws = {
-        _name(component): plain.residual(
-            plain.as_power(joint.acceleration(joint.places[i], amplitudes[joint.places[i]]), masses)
+        _name(term): plain.residual(
+            plain.as_power(joint.acceleration(joint.term_columns[i], amplitudes[joint.term_columns[i]]), masses)
         )
-        for i, component in enumerate(components)
+        for i, term in enumerate(terms)
     }
     for cause, part in _road_and_noise(drive, joint, amplitudes, rng):
         draws[cause] = plain.residual(plain.as_power(part, masses))
-    held_out = _held_out(drive, [_name(component) for component in drive.chosen])
+    held_out = _held_out(drive, [_name(term) for term in drive.chosen])
     mass = 1 / drive.fit.beta[:1]
     return _Powers(
         plain.residual(plain.power),
@@ -272,49 +275,49 @@ def _road_and_noise(
     yield NOISE, errors + white - gusts
 
 
-def _amplitudes(joint: JointLikelihood, components: Sequence[Component], rng: np.random.Generator) -> Floats:
+def _amplitudes(joint: JointLikelihood, terms: Sequence[Term], rng: np.random.Generator) -> Floats:
     """Posterior draws (p, DRAWS) of all amplitudes, in the scaled units of `SetLikelihood`.
 
     The draws that violate the sign constraints least are kept, of MAX_TRIES times as many; the rest is clipped at zero.
     """
-    posterior = joint.posterior(range(len(components)))
+    posterior = joint.posterior(range(len(terms)))
     root = np.linalg.cholesky(posterior.covariance * np.outer(joint.unit, joint.unit))
     mean = (posterior.mean * joint.unit)[:, None]
     draws = mean + root @ rng.standard_normal((len(root), DRAWS * MAX_TRIES))
-    positive = [joint.places[i][0] for i, component in enumerate(components) if component.positive]
+    positive = [joint.term_columns[i][0] for i, term in enumerate(terms) if term.positive]
     wrong = np.sum(np.minimum(draws[positive] / np.sqrt(np.diag(root @ root.T))[positive, None], 0.0) ** 2, axis=0)
     kept: Floats = draws[:, np.argsort(wrong, kind="stable")[:DRAWS]]
     kept[positive] = np.maximum(kept[positive], 0.0)
     return kept
 
 
-def _name(component: Component) -> str:
-    return component.name if component.term is not None else f"{UNKNOWN}{component.name}"
+def _name(term: Term) -> str:
+    return term.name if term.effect_term is not None else f"{UNKNOWN}{term.name}"
 
 
 def _held_out(drive: DriveState, names: Sequence[str]) -> dict[str, Floats]:
     """Acceleration (n,) [m/s^2] by each effect and the road on stretches left out of the fit."""
     strides = drive.strides
-    places = np.flatnonzero(strides.known)
+    driven = np.flatnonzero(strides.known)
     accelerations: dict[str, Floats] = {
-        name: np.zeros(len(places)) for name in (*names, *([] if drive.is_level else [ROAD]))
+        name: np.zeros(len(driven)) for name in (*names, *([] if drive.is_level else [ROAD]))
     }
-    for out in left_out(len(places), FOLDS, STRETCH):
+    for out in left_out(len(driven), FOLDS, STRETCH):
         is_kept = strides.known.copy()
-        is_kept[places[out]] = False
+        is_kept[driven[out]] = False
         rest = replace(strides, known=is_kept)
         state = replace(drive, strides=rest, fit=replace(drive.fit, strides=rest[is_kept]))
         joint = state.joint
         posterior = joint.posterior(range(len(drive.chosen)))
-        left = strides[places[out]]
-        frame = Frame.of(replace(drive.fit, strides=left))
-        for i, component in enumerate(drive.chosen):
-            amplitude = posterior.mean[joint.places[i]]
-            accelerations[names[i]][out] = component.columns(frame) @ amplitude
+        held_out = strides[driven[out]]
+        frame = Frame.of(replace(drive.fit, strides=held_out))
+        for i, term in enumerate(drive.chosen):
+            amplitude = posterior.mean[joint.term_columns[i]]
+            accelerations[names[i]][out] = term.columns(frame) @ amplitude
         if drive.is_level:
             continue
         unknowns = joint.conditioned.unknowns(joint.residual(posterior.mean * joint.unit))
-        accelerations[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(left, unknowns)
+        accelerations[ROAD][out] = -STANDARD_GRAVITY * joint.model.slope_under(held_out, unknowns)
         if drive.stretches is not None:
             accelerations[ROAD][out] += drive.stretches.columns(frame) @ posterior.mean[joint.stretches]
     return accelerations

@@ -1,4 +1,4 @@
-"""One drive: the terms chosen so far, and the fit of road and noise with them."""
+"""Fit road and noise of one drive beside the terms that are chosen so far."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,20 +7,20 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from estimator.components.component import Component, Frame, as_terms, of_effect, of_term
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.one_sided import log_evidence_of_sign
-from estimator.components.set_likelihood import Judged
+from estimator.components.set_likelihood import TermGains
 from estimator.components.switching import Switching
+from estimator.components.term import Frame, Term, as_effect_terms, term_of, untimed_terms
 from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
 from estimator.model.conditioned import Conditioned
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import AtRest, Effect, Timing
 from estimator.model.road import LEVEL
 from estimator.model.road_scales import POWER, SCALES, TORQUE
-from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import Strides
 from estimator.units import STANDARD_GRAVITY
@@ -30,13 +30,14 @@ _SPREADS = np.array([np.hypot(SCALES[i].spread, 0.5 * SCALES[i + 1].spread) for 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Form:
-    """Best form of an effect on one drive.
+class FittedTerm:
+    """Term of an effect with most evidence on one drive.
 
-    ``gain``: log Bayes factor, less the costs, averaged over forms; ``value`` and ``sd`` of its magnitude.
+    ``gain``: log Bayes factor, less the costs, averaged over the terms of the effect that need no fitted times.
+    ``value`` and ``sd`` of its magnitude.
     """
 
-    component: Component
+    term: Term
     gain: float
     value: float
     sd: float
@@ -54,8 +55,8 @@ class DriveState:
     strides: Strides
     fit: RoadFit
     rests: tuple[AtRest, ...] = ()
-    chosen: tuple[Component, ...] = ()
-    stretches: Component | None = None
+    chosen: tuple[Term, ...] = ()
+    stretches: Term | None = None
 
     @property
     def is_level(self) -> bool:
@@ -63,7 +64,7 @@ class DriveState:
         return self.fit.scales.alpha == LEVEL
 
     @property
-    def is_hidden(self) -> bool:
+    def is_road_hidden(self) -> bool:
         """True if the road has slopes and no signal shows them."""
         return not (self.is_level or self.fit.scales.readings)
 
@@ -90,24 +91,24 @@ class DriveState:
             return None
         return cls(strides=strides, fit=fitted, rests=rests)
 
-    def having(
+    def with_terms(
         self,
-        chosen: tuple[Component, ...],
-        processes: tuple[Component, ...] = (),
-        stretches: Component | None = None,
+        chosen: tuple[Term, ...],
+        processes: tuple[Term, ...] = (),
+        stretches: Term | None = None,
     ) -> "DriveState":
         """Copy with other ``chosen`` effects and ``stretches`` of the road, its scales of road and noise refitted.
 
         Nameless ``processes`` are in this fit too, but not among the chosen terms.
         """
         frame, further = Frame.of(self.fit), (*processes, *(() if stretches is None else (stretches,)))
-        terms = [replace(component.term, usual_sds=1.0) for component in chosen if component.term is not None]
-        terms += [term for process in further for term in as_terms(frame, process)]
-        fitted = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), terms, self.rests)
+        effect_terms = [replace(term.effect_term, usual_sds=1.0) for term in chosen if term.effect_term is not None]
+        effect_terms += [effect_term for process in further for effect_term in as_effect_terms(frame, process)]
+        fitted = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), effect_terms, self.rests)
         return replace(self, fit=fitted, chosen=chosen, stretches=stretches)
 
     @property
-    def sizes(self) -> Floats:
+    def magnitudes(self) -> Floats:
         """Magnitudes (c,) of the chosen effects, each in its own unit."""
         return self.fit.theta[LAG + 1 : LAG + 1 + len(self.chosen)]
 
@@ -115,8 +116,8 @@ class DriveState:
     def log_evidence(self) -> float:
         """Log evidence of the drive with the chosen effects, under the priors they have in every hypothesis."""
         sds = np.sqrt(np.diag(self.fit.theta_covariance()))[LAG + 1 : LAG + 1 + len(self.chosen)]
-        positive = np.array([component.positive for component in self.chosen], dtype=np.bool_)
-        signs = log_evidence_of_sign(self.sizes / sds)[positive]
+        positive = np.array([term.positive for term in self.chosen], dtype=np.bool_)
+        signs = log_evidence_of_sign(self.magnitudes / sds)[positive]
         return self.fit.log_evidence + float(signs.sum())
 
     @property
@@ -131,16 +132,16 @@ class DriveState:
         for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):
             values[i] = min(values[i], SCALES[i].centre)
         scales = replace(self.fit.scales, values=values)
-        rng, terms = np.random.default_rng(PROBE_SEED), self.fit.terms
-        fitted = fit_given(self.strides, rng, scales, terms, rests=self.rests)
+        rng, effect_terms = np.random.default_rng(PROBE_SEED), self.fit.terms
+        fitted = fit_given(self.strides, rng, scales, effect_terms, rests=self.rests)
         return self if fitted is None else replace(self, fit=fitted)
 
     def is_possible(self, given: int) -> bool:
         """True if every effect after the first ``given`` ones is within its limits for the fitted road load."""
-        sized = zip(self.chosen[given:], self.sizes[given:].tolist(), strict=True)
-        effects = [(c.term.effect, size) for c, size in sized if c.term is not None]
+        chosen = zip(self.chosen[given:], self.magnitudes[given:].tolist(), strict=True)
+        effects = [(term.effect_term.effect, size) for term, size in chosen if term.effect_term is not None]
         load = Frame.of(self.fit).road_load
-        return all(abs(size) <= effect.limit(load) and size <= effect.highest for effect, size in effects)
+        return all(abs(size) <= effect.limit(load) and size <= effect.max_positive_size for effect, size in effects)
 
     @cached_property
     def _conditioned(self) -> Conditioned:
@@ -151,39 +152,38 @@ class DriveState:
         """Likelihood of the chosen terms; the stretches are in every hypothesis."""
         return self.joint_with(())
 
-    def joint_with(self, candidates: Sequence[Component]) -> JointLikelihood:
+    def joint_with(self, candidates: Sequence[Term]) -> JointLikelihood:
         """Likelihood of the chosen terms followed by ``candidates``; the stretches are in every hypothesis."""
         return self.likelihood_of([*self.chosen, *candidates], self.stretches)
 
-    def likelihood_of(self, components: Sequence[Component], stretches: Component | None = None) -> JointLikelihood:
-        """Likelihood of any ``components`` with the power at standstill; ``stretches`` are in every hypothesis."""
+    def likelihood_of(self, terms: Sequence[Term], stretches: Term | None = None) -> JointLikelihood:
+        """Likelihood of any ``terms`` with the power at standstill; ``stretches`` are in every hypothesis."""
         rng = np.random.default_rng(PROBE_SEED)
-        joint = JointLikelihood(self._conditioned, self.fit, components, rng, stretches)
+        joint = JointLikelihood(self._conditioned, self.fit, terms, rng, stretches)
         for rest in self.rests:
-            terms = {i: component.term for i, component in enumerate(components) if component.term is not None}
-            per_unit = {i: term.at_rest(rest) for i, term in terms.items()}
+            effect_terms = {i: term.effect_term for i, term in enumerate(terms) if term.effect_term is not None}
+            per_unit = {i: effect_term.at_rest(rest) for i, effect_term in effect_terms.items()}
             weights = {i: power / rest.sd for i, power in per_unit.items() if power}
             joint.observe(weights, rest.power / rest.sd)
         return joint
 
-    def forms(self, effects: Sequence[Effect]) -> dict[str, Form]:
-        """Best form of each of ``effects`` that is not chosen and that this drive can test, by name."""
+    def fitted_terms(self, effects: Sequence[Effect]) -> dict[str, FittedTerm]:
+        """Term with most evidence of each of ``effects`` that is not chosen and that this drive can test, by name."""
         quantities, frame = frozenset(self.strides.context), Frame.of(self.fit)
-        present = {component.name for component in self.chosen}
+        present = {term.name for term in self.chosen}
         absent = [effect for effect in effects if effect.name not in present]
-        given = [component for effect in absent for component in of_effect(frame, effect, quantities)]
-        joint, ours = self.joint_with(given), list(range(len(self.chosen)))
-        places = range(len(ours), len(ours) + len(given))
-        judged = joint.gains(ours, places)
-        switching, best_forms = Switching(joint), dict[str, Form]()
+        untimed = [term for effect in absent for term in untimed_terms(frame, effect, quantities)]
+        joint, chosen = self.joint_with(untimed), list(range(len(self.chosen)))
+        gains = joint.gains(chosen, range(len(chosen), len(chosen) + len(untimed)))
+        switching, best_terms = Switching(joint), dict[str, FittedTerm]()
         for effect in absent:
-            alike = [i for i, component in enumerate(given) if component.name == effect.name]
-            if alike:
-                best_forms[effect.name] = _best(frame, given, judged, alike)
-            timed = _timed(switching, joint, ours, effect) if has_free_times(effect) else None
-            if timed is not None and (effect.name not in best_forms or timed.gain > best_forms[effect.name].gain):
-                best_forms[effect.name] = timed
-        return best_forms
+            numbers = [i for i, term in enumerate(untimed) if term.name == effect.name]
+            if numbers:
+                best_terms[effect.name] = _best(frame, untimed, gains, numbers)
+            timed = _with_fitted_times(switching, joint, chosen, effect) if has_free_times(effect) else None
+            if timed is not None and (effect.name not in best_terms or timed.gain > best_terms[effect.name].gain):
+                best_terms[effect.name] = timed
+        return best_terms
 
 
 def slow_noise(scales: Floats) -> Floats:
@@ -199,32 +199,31 @@ def has_free_times(effect: Effect) -> bool:
     return effect.timing in (Timing.WINDOW, Timing.SWITCHING) and None in effect.shapes
 
 
-def _timed(switching: Switching, joint: JointLikelihood, ours: list[int], effect: Effect) -> Form | None:
-    """Form of ``effect`` with fitted times; None if none are found."""
-    times = switching.best(ours, effect)
+def _with_fitted_times(
+    switching: Switching, joint: JointLikelihood, chosen: list[int], effect: Effect
+) -> FittedTerm | None:
+    """Term of ``effect`` with fitted times, beside the ``chosen`` ones; None if no times gain evidence."""
+    times = switching.best(chosen, effect)
     if times is None:
         return None
-    component = of_term(joint.frame, Term(effect, None, times[0]), times[1])
-    column = component.columns(joint.frame)
-    products, score = joint.projected(ours, column)
-    value, sd = map(float, posterior_of(score[0], products[0, 0], component.sd))
-    gain = log_bayes_factor(value, sd, component.sd)
-    gain += log_evidence_of_sign(value / sd) if component.positive else 0.0
-    return Form(
-        component=component,
-        gain=float(gain) - component.cost,
-        value=value,
-        sd=sd,
-        trace=column[:, 0],
-    )
+    term = term_of(joint.frame, EffectTerm(effect, None, times[0]), times[1])
+    column = term.columns(joint.frame)
+    products, score = joint.projected(chosen, column)
+    value, sd = map(float, posterior_of(score[0], products[0, 0], term.sd))
+    gain = log_bayes_factor(value, sd, term.sd)
+    gain += log_evidence_of_sign(value / sd) if term.positive else 0.0
+    return FittedTerm(term=term, gain=float(gain) - term.cost, value=value, sd=sd, trace=column[:, 0])
 
 
-def _best(frame: Frame, given: Sequence[Component], judged: Judged, places: Sequence[int]) -> Form:
-    """Form with most evidence; its gain is the mean of the Bayes factors of forms of equal prior probability."""
-    gains = judged.gain[list(places)] - np.array([given[i].cost for i in places])
-    best = places[int(np.argmax(gains))]
-    gain = float(logsumexp(gains)) - np.log(len(places))
-    column = given[best].columns(frame)[:, 0]
-    return Form(
-        component=given[best], gain=gain, value=float(judged.value[best]), sd=float(judged.sd[best]), trace=column
+def _best(frame: Frame, terms: Sequence[Term], gains: TermGains, numbers: Sequence[int]) -> FittedTerm:
+    """Term with most evidence among those with ``numbers``.
+
+    Its gain is the mean of the Bayes factors of all of them, which have equal prior probability.
+    """
+    net_gains = gains.gain[list(numbers)] - np.array([terms[i].cost for i in numbers])
+    best = numbers[int(np.argmax(net_gains))]
+    gain = float(logsumexp(net_gains)) - np.log(len(numbers))
+    column = terms[best].columns(frame)[:, 0]
+    return FittedTerm(
+        term=terms[best], gain=gain, value=float(gains.value[best]), sd=float(gains.sd[best]), trace=column
     )

@@ -1,4 +1,4 @@
-"""Refinement of fitted times: edges of spans are moved where that adds evidence.
+"""Refine fitted times: move the edges of spans where that adds evidence.
 
 Blocks of `switching.py` end at whole strides, and noise displaces their ends by some strides. Moving an edge changes
 the column of a few strides, so the evidence of any move follows from the products of these strides.
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from estimator.components.exchange import amplitude_evidence
 from estimator.components.likelihood import JointLikelihood
 from estimator.components.time_prior import cost_of_leaving
+from estimator.model.effect_term import EffectTerm
 from estimator.model.spans import Spans
-from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import DURATION
 
@@ -27,17 +27,20 @@ MIN_SWEEP_GAIN = 1e-3  # of log evidence, for another sweep
 TOGETHER = 100  # moves whose products are computed at once: bounds the memory with many edges
 
 
-def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) -> Spans:
-    """Spans of ``term`` with beginnings and ends moved by up to STEPS.max() where that adds evidence.
+def with_refined_edges(joint: JointLikelihood, chosen: list[int], effect_term: EffectTerm) -> Spans:
+    """Spans of ``effect_term`` with beginnings and ends moved by up to STEPS.max() where that adds evidence.
 
     An edge leaves the gap that it lies in if the gain exceeds the cost of leaving.
     """
-    spans, t = term.spans or (), joint.frame.strides.t
+    spans, t = effect_term.spans or (), joint.frame.strides.t
     edges = [(i, side) for i in range(len(spans)) for side in (0, 1) if t[0] < spans[i][side] < t[-1]]
     half = 0.5 * min([2.1 * STEPS.max(), *(b - a for a, b in spans), *(b[0] - a[1] for a, b in pairwise(spans))])
     moves = MOVES[np.abs(MOVES) < half]
-    leaving = [cost_of_leaving(spans[i][side], side == 1, term.effect, t) for i, side in edges]
-    column = _Column(*_products(joint, chosen, term, edges, moves), sd=term.effect.usual(joint.frame.road_load))
+    leaving = [cost_of_leaving(spans[i][side], side == 1, effect_term.effect, t) for i, side in edges]
+    column = _Column(
+        *_products(joint, chosen, effect_term, edges, moves),
+        sd=effect_term.effect.usual_magnitude(joint.frame.road_load),
+    )
     edited = [list(span) for span in spans]
     for (i, side), move in zip(edges, _best_moves(column, leaving, len(moves)), strict=True):
         if move >= 0:
@@ -46,15 +49,15 @@ def with_refined_edges(joint: JointLikelihood, chosen: list[int], term: Term) ->
 
 
 def _products(
-    joint: JointLikelihood, chosen: list[int], term: Term, edges: Sequence[tuple[int, int]], moves: Floats
+    joint: JointLikelihood, chosen: list[int], effect_term: EffectTerm, edges: Sequence[tuple[int, int]], moves: Floats
 ) -> tuple[Floats, Floats, sp.csc_array]:
     """Products (1 + n, 1 + n), scores (1 + n,) and composition (1 + n, 1 + k) of a column and its moves.
 
     Products and scores are of the term's column and of each of n strides near its edges. The composition states the
     column (its first column) and the change by each move of each edge as sums of these.
     """
-    spans, t = term.spans or (), joint.frame.strides.t
-    profile, column = joint.frame.column(replace(term, spans=None)), joint.frame.column(term)
+    spans, t = effect_term.spans or (), joint.frame.strides.t
+    profile, column = joint.frame.column(replace(effect_term, spans=None)), joint.frame.column(effect_term)
     near = _strides_near(t, [spans[i][side] for i, side in edges], float(np.abs(moves).max(initial=0.0)))
     moved = [sp.csc_array((profile[near] * _share_change(t[near], spans[i][side], moves, side)).T) for i, side in edges]
     single = sp.csc_array((np.ones(len(near)), near, np.arange(len(near) + 1)), (len(t), len(near)))

@@ -1,4 +1,4 @@
-"""Blocks of a drive in which an effect is on, found by exchanging runs of blocks.
+"""Find the blocks of a drive in which an effect is on, by exchanging runs of blocks.
 
 The amplitude b and the times z (one of two states for each block) have the log evidence
 
@@ -21,7 +21,7 @@ MAX_RUN = 2000.0  # s, of blocks exchanged at once
 MAX_EXCHANGES = 60  # bounds the run time
 
 
-def exchanged(
+def best_states(
     G: Floats, s: Floats, sd: float, positive: bool, single: bool, lengths: Floats, costs: Sequence[Costs]
 ) -> Mask:
     """Blocks (b,) that are on; ``lengths`` (b,) [s] of blocks, ``costs`` (b - 1,) of changes between them.

@@ -1,4 +1,4 @@
-"""Folds of a record for residuals on stretches left out of a fit."""
+"""Divide a record into folds, for residuals on stretches that are left out of a fit."""
 
 from collections.abc import Iterator
 

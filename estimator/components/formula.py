@@ -1,4 +1,4 @@
-"""Formula of a nameless residual: the product of one or two powers of known quantities with most evidence.
+"""Find the product of one or two powers of known quantities that describes a nameless residual with most evidence.
 
 A factor is x, |x|, x^2, x |x|, x^3, max(x, 0) or x^-1; a formula is a factor, or the product of two of different
 quantities. Its column is scaled to the rms of the residual; the prior of its amplitude is N(0, 1). All formulas have
@@ -73,10 +73,10 @@ def best_formula(variables: Mapping[str, Variable], unit: str, rms: float, judge
     for start in range(0, len(formulas), BATCH):
         batch = formulas[start : start + BATCH]
         columns = np.column_stack([_column(factors) for factors in batch])
-        there = np.flatnonzero(columns.any(axis=0)).tolist()  # a product of two positive parts may be zero everywhere
-        if not there:
+        nonzero = np.flatnonzero(columns.any(axis=0)).tolist()  # a product of two positive parts may be zero everywhere
+        if not nonzero:
             continue
-        columns, batch = columns[:, there], [batch[k] for k in there]
+        columns, batch = columns[:, nonzero], [batch[k] for k in nonzero]
         size = np.sqrt(np.mean(columns**2, axis=0)) / rms
         gains, values, sds = judge(columns / size)
         k = int(np.argmax(gains))

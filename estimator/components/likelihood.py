@@ -1,6 +1,6 @@
-"""Joint likelihood of all terms on a drive: the evidence of any hypothesis beside the road load and the road.
+"""Compute the joint likelihood of all terms on a drive: the evidence of any hypothesis beside road load and road.
 
-K is the covariance of everything that is not a component: road, noise of torque and speed (see `model.road`). All
+K is the covariance of everything that is not a term: road, noise of torque and speed (see `model.road`). All
 hypotheses share it, so the products of all columns are computed once, and each hypothesis is a small linear system. Two
 corrections come first (see `estimation.normal_equations`): for noise of the measured force in the products, and for
 drivers' feedback to slopes in the moments.
@@ -13,9 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from estimator.components.component import Component, Frame
 from estimator.components.set_likelihood import SetLikelihood
-from estimator.estimation.normal_equations import ANSWERED, of_first_order
+from estimator.components.term import Frame, Term
+from estimator.estimation.normal_equations import DRIVER_FEEDBACK, of_first_order
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
 from estimator.model.conditioned import Conditioned
@@ -23,7 +23,7 @@ from estimator.signals import Floats
 
 
 class JointLikelihood(SetLikelihood):
-    """Likelihood of one drive for sets of ``components``.
+    """Likelihood of one drive for sets of ``terms``.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class JointLikelihood(SetLikelihood):
         Road model of the drive at the scales of ``fit``.
     fit
         Fit of the drive.
-    components
+    terms
         All terms that a hypothesis may contain.
     rng
         Source of the simulated noise of the correction.
@@ -43,30 +43,30 @@ class JointLikelihood(SetLikelihood):
         self,
         conditioned: Conditioned,
         fit: RoadFit,
-        components: Sequence[Component],
+        terms: Sequence[Term],
         rng: np.random.Generator,
-        stretches: Component | None = None,
+        stretches: Term | None = None,
     ) -> None:
-        self.frame, self.components = Frame.of(fit), list(components)
+        self.frame, self.terms = Frame.of(fit), list(terms)
         self.conditioned, self.model = conditioned, conditioned.model
         base = Likelihood(self.model, (), fit.theta[:3], fit.scales.lag)
         steep = np.empty((len(self.model.driven), 0)) if stretches is None else stretches.columns(self.frame)
         plain, base_size = base.data.shape[1] - 1, base.data.shape[1] - 1 + steep.shape[1]
-        self.stretches = np.arange(plain, base_size)  # places of the stretches among the amplitudes
-        columns, places = _shared(components, self.frame, base_size)
+        self.stretches = np.arange(plain, base_size)  # their columns among those of all amplitudes
+        columns, term_columns = _shared(terms, self.frame, base_size)
         self.response = base.data[:, 0]
         parts = [sp.csc_array(base.data[:, 1:]), *(self._padded(part) for part in (steep, columns))]
         self.columns = sp.hstack(parts, format="csc")  # of all amplitudes; most entries are zero
         unit = np.concatenate([base.unit, np.ones(self.columns.shape[1] - plain)])
-        of_stretches = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
-        base_precision = np.concatenate([np.diag(base.prior), of_stretches])
-        super().__init__(self._products(self.columns), base_precision, self.components, places, unit)
+        stretch_precision = np.full(len(self.stretches), 1.0 if stretches is None else stretches.sd**-2.0)
+        base_precision = np.concatenate([np.diag(base.prior), stretch_precision])
+        super().__init__(self._products(self.columns), base_precision, self.terms, term_columns, unit)
         widest = np.concatenate([base_precision, np.full(columns.shape[1], np.inf)])
-        for columns_of, component in zip(places, components, strict=True):
-            widest[columns_of] = np.minimum(widest[columns_of], component.sd**-2.0)
-        believed = self._information + np.diag(widest)
-        self._information -= limited(self._noise(base, fit, rng), believed)
-        self._moment = self._moment + ANSWERED * self._answered(base, fit)
+        for numbers, term in zip(term_columns, terms, strict=True):
+            widest[numbers] = np.minimum(widest[numbers], term.sd**-2.0)
+        with_prior = self._information + np.diag(widest)
+        self._information -= limited(self._noise(base, fit, rng), with_prior)
+        self._moment = self._moment + DRIVER_FEEDBACK * self._driver_correction(base, fit)
 
     def _padded(self, columns: Floats | sp.sparray) -> sp.csc_array:
         """Columns (m, c) extended with zero rows to the length of the data (n, c)."""
@@ -82,40 +82,40 @@ class JointLikelihood(SetLikelihood):
         """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
         total = np.zeros((len(self.unit), len(self.unit)))
         for error, rate in force_errors(base.model, fit.scales.values, 1 / float(fit.beta[0]), PROBES, rng):
-            places, data = self._change_by_force(error, rate)
-            total[np.ix_(places, places)] += self.conditioned.gram(data.tocsr()) / PROBES
+            changed, data = self._change_by_force(error, rate)
+            total[np.ix_(changed, changed)] += self.conditioned.gram(data.tocsr()) / PROBES
         return total
 
-    def _answered(self, base: Likelihood, fit: RoadFit) -> Floats:
+    def _driver_correction(self, base: Likelihood, fit: RoadFit) -> Floats:
         """Loss of the moments (p,) of all columns if drivers compensate slopes in full."""
         n = len(self.frame.strides)
-        places, data = self._change_by_force(np.ones(n), np.zeros(n))
-        taken = np.zeros(len(self.unit))
-        taken[places] = self.conditioned.freedom @ data[:n] / float(fit.beta[0])
-        ours, information, _ = self._set(())
-        shift = float(np.linalg.solve(information, taken[ours])[0])
-        return taken * of_first_order(shift, float(fit.beta[0] * base.unit[0]))
+        changed, data = self._change_by_force(np.ones(n), np.zeros(n))
+        loss = np.zeros(len(self.unit))
+        loss[changed] = self.conditioned.leverage @ data[:n] / float(fit.beta[0])
+        base_columns, information, _ = self._set(())
+        shift = float(np.linalg.solve(information, loss[base_columns])[0])
+        return loss * of_first_order(shift, float(fit.beta[0] * base.unit[0]))
 
     def _change_by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
-        """Places and change of the data columns by an ``error`` (n,) [N] of the force with ``rate`` (n,) [N/s]."""
-        components, clean, places = self._noisy
+        """Numbers and change of the data columns by an ``error`` (n,) [N] of the force with ``rate`` (n,) [N/s]."""
+        terms, clean, numbers = self._noisy
         force = self.frame.force
         drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
-        plain = np.column_stack([error, rate, drag]) / self.unit[places[:3]]
-        changed = _shared(components, self.frame.disturbed(error), 0)[0] - clean
-        return places, sp.hstack([self._padded(plain), self._padded(changed)], format="csc")
+        plain = np.column_stack([error, rate, drag]) / self.unit[numbers[:3]]
+        changed = _shared(terms, self.frame.disturbed(error), 0)[0] - clean
+        return numbers, sp.hstack([self._padded(plain), self._padded(changed)], format="csc")
 
     @cached_property
-    def _noisy(self) -> tuple[list[Component], sp.csc_array, NDArray[np.int64]]:
-        """Components that contain the measured force, their columns, and the places of force, lag, drag and these."""
-        noisy = [i for i, component in enumerate(self.components) if component.is_noisy]
-        components = [self.components[i] for i in noisy]
-        columns, columns_of = _shared(components, self.frame, 0)
-        places = np.zeros(3 + columns.shape[1], dtype=np.int64)
-        places[:3] = 0, LAG, DRAG
-        for here, i in zip(columns_of, noisy, strict=True):
-            places[3 + here] = self.places[i]
-        return components, columns, places
+    def _noisy(self) -> tuple[list[Term], sp.csc_array, NDArray[np.int64]]:
+        """Terms that contain the measured force, their columns, and the numbers of force, lag, drag and these."""
+        noisy = [i for i, term in enumerate(self.terms) if term.is_noisy]
+        terms = [self.terms[i] for i in noisy]
+        columns, columns_of_noisy = _shared(terms, self.frame, 0)
+        numbers = np.zeros(3 + columns.shape[1], dtype=np.int64)
+        numbers[:3] = 0, LAG, DRAG
+        for columns_of_term, i in zip(columns_of_noisy, noisy, strict=True):
+            numbers[3 + columns_of_term] = self.term_columns[i]
+        return terms, columns, numbers
 
     def projected(self, chosen: Sequence[int], columns: Floats | sp.sparray) -> tuple[Floats, Floats]:
         """Products (c, c) and scores (c,) of further ``columns``, the terms of a hypothesis eliminated.
@@ -123,42 +123,42 @@ class JointLikelihood(SetLikelihood):
         The columns have shape (m, c), m <= n; their other rows are zero.
         """
         beside = self.columns[:, self._set(chosen)[0]]
-        return self.off(chosen, self._products(sp.hstack([beside, self._padded(columns)], format="csc")))
+        return self.eliminated(chosen, self._products(sp.hstack([beside, self._padded(columns)], format="csc")))
 
     def weighed_residual(self, chosen: Sequence[int]) -> Floats:
         """K^-1 (a - X b) (n,) of the accelerations a given a hypothesis; its products with columns are their scores."""
-        places, information, _ = self._set(chosen)
-        residual = self.response - self.columns[:, places] @ np.linalg.solve(information, self._moment[places])
+        columns, information, _ = self._set(chosen)
+        residual = self.response - self.columns[:, columns] @ np.linalg.solve(information, self._moment[columns])
         return self.conditioned.weighed(residual)[: len(self.frame.strides)]
 
     def residual(self, amplitudes: Floats) -> Floats:
         """Response (n, ...) minus all columns times ``amplitudes`` (p, ...)."""
-        added: Floats = self.columns @ amplitudes
-        return np.subtract(self.response, added.T, out=added.T).T
+        modelled: Floats = self.columns @ amplitudes
+        return np.subtract(self.response, modelled.T, out=modelled.T).T
 
-    def acceleration(self, places: NDArray[np.int64], amplitudes: Floats) -> Floats:
-        """Acceleration (n, ...) [m/s^2] of the strides: columns at ``places`` (k,) times ``amplitudes`` (k, ...)."""
-        added: Floats = self.columns[:, places][: len(self.frame.strides)] @ amplitudes
-        return added
+    def acceleration(self, columns: NDArray[np.int64], amplitudes: Floats) -> Floats:
+        """Acceleration (n, ...) [m/s^2] of the strides: ``columns`` (k,), by number, times ``amplitudes`` (k, ...)."""
+        modelled: Floats = self.columns[:, columns][: len(self.frame.strides)] @ amplitudes
+        return modelled
 
 
-def _shared(components: Sequence[Component], frame: Frame, first: int) -> tuple[sp.csc_array, list[NDArray[np.int64]]]:
-    """Distinct columns (n, k) of ``components``, and the places of each component, numbered from ``first``.
+def _shared(terms: Sequence[Term], frame: Frame, first: int) -> tuple[sp.csc_array, list[NDArray[np.int64]]]:
+    """Distinct columns (n, k) of ``terms``, and the numbers of those of each term, counted from ``first``.
 
     Strengths of one process share its columns; stretches of the road with the same times share theirs.
     """
-    at: dict[object, int] = {}
+    number_of: dict[object, int] = {}
     rows, values = [np.empty(0, dtype=np.int64)], [np.empty(0)]
-    places: dict[int, NDArray[np.int64]] = {}
-    for key, component in {id(component.columns): component for component in components}.items():
-        transposed = component.columns(frame).T
-        names = [column.tobytes() if component.is_slope else (key, k) for k, column in enumerate(transposed)]
+    numbers: dict[int, NDArray[np.int64]] = {}
+    for key, term in {id(term.columns): term for term in terms}.items():
+        transposed = term.columns(frame).T
+        names = [column.tobytes() if term.is_slope else (key, k) for k, column in enumerate(transposed)]
         for column, name in zip(transposed, names, strict=True):
-            if name not in at:
-                at[name] = len(at)
+            if name not in number_of:
+                number_of[name] = len(number_of)
                 rows.append(np.flatnonzero(column))
                 values.append(column[rows[-1]])
-        places[key] = first + np.array([at[name] for name in names], dtype=np.int64)
+        numbers[key] = first + np.array([number_of[name] for name in names], dtype=np.int64)
     ends = np.cumsum([len(part) for part in rows])  # the first, empty list gives the leading 0
-    columns = sp.csc_array((np.concatenate(values), np.concatenate(rows), ends), (len(frame.strides), len(at)))
-    return columns, [places[id(component.columns)] for component in components]
+    columns = sp.csc_array((np.concatenate(values), np.concatenate(rows), ends), (len(frame.strides), len(number_of)))
+    return columns, [numbers[id(term.columns)] for term in terms]

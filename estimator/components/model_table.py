@@ -1,8 +1,8 @@
-"""Table of models: hypotheses (sets of forms of causes) with their posterior probabilities.
+"""Compute the table of models: hypotheses, which are sets of terms, with their posterior probabilities.
 
-The table grows by steps that add or remove one form, from sets within Occam's window of the best (Madigan & Raftery
+The table grows by steps that add or remove one term, from sets within Occam's window of the best (Madigan & Raftery
 1994). A nameless process that first replaces two effects is so removed once both are in the set. The best set also
-exchanges forms, because the form with most evidence alone need not have most beside others. Steps begin at the empty
+exchanges terms, because the term with most evidence alone need not have most beside others. Steps begin at the empty
 set, and at a set from an earlier table: two effects may have most evidence together, and little alone. Probabilities
 are sums over the table.
 """
@@ -21,94 +21,94 @@ from estimator.signals import Floats
 
 WINDOW = 9.0  # in log probability: from sets 8,000 times less probable than the best no step is made
 BEAM = 12  # sets of one step from which the next is made: bounds the cost
-MAX_CAUSES = 5  # in a set
+MAX_TERMS = 5  # in a hypothesis
 
-Chosen = tuple[int, ...]
+Hypothesis = tuple[int, ...]  # numbers of the terms that act together
 
 
 class Evidence(Protocol):
-    """Interface for the evidence of sets of forms, which are given by their numbers."""
+    """Interface for the evidence of hypotheses."""
 
     def log_evidence(self, chosen: Sequence[int]) -> float:
-        """Log evidence of one set, less the costs of its forms."""
+        """Log evidence of one hypothesis, less the costs of its terms."""
 
-    def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """Log evidence (c,) of the set with each of ``others`` added."""
+    def log_evidence_with(self, chosen: Sequence[int], added: Sequence[int]) -> Floats:
+        """`log_evidence` (c,) of the hypothesis with each of ``added``, one at a time."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cause:
-    """Effect or nameless process that may act: numbers of its forms, and log prior odds that it acts.
+class TermGroup:
+    """Terms of one effect or nameless process, of which a hypothesis holds at most one, and log prior odds of any.
 
-    ``log_forms`` is the log of the number of forms that share these odds equally. Forms with a cost are not counted:
-    their cost is their prior probability.
+    ``terms`` are their numbers. ``log_count`` is the log of the number of terms that share the odds equally. Terms with
+    a cost are not counted: their cost is their prior probability.
     """
 
     name: str
     is_named: bool
-    forms: tuple[int, ...]
+    terms: tuple[int, ...]
     log_odds: float
-    log_forms: float
+    log_count: float
 
     @property
     def log_prior(self) -> float:
-        """Log prior odds of each form against the absence of the cause, costs not counted."""
-        return self.log_odds - self.log_forms
+        """Log prior odds of each term against the absence of all of them, costs not counted."""
+        return self.log_odds - self.log_count
 
 
 @dataclass(frozen=True)
 class ModelTable:
-    """Sets of forms and their posterior probabilities (m,), most probable first."""
+    """Hypotheses and their posterior probabilities (m,), most probable first."""
 
-    sets: tuple[Chosen, ...]
+    hypotheses: tuple[Hypothesis, ...]
     probability: Floats
-    log_odds: float  # of any cause against none
+    log_odds: float  # of any term against none
 
     @property
-    def best(self) -> Chosen:
-        """Most probable set."""
-        return self.sets[0]
+    def best(self) -> Hypothesis:
+        """Most probable hypothesis."""
+        return self.hypotheses[0]
 
     @property
-    def none(self) -> float:
-        """Probability of the empty set."""
-        return 1 - self.holding(self._having)
+    def probability_of_none(self) -> float:
+        """Probability of the empty hypothesis."""
+        return 1 - self.probability_of_any(self._numbers_with)
 
     @cached_property
-    def _having(self) -> dict[int, NDArray[np.intp]]:
-        """Numbers of the sets that contain each form."""
+    def _numbers_with(self) -> dict[int, NDArray[np.intp]]:
+        """Numbers of the hypotheses that contain each term."""
         numbers: dict[int, list[int]] = defaultdict(list)
-        for number, chosen in enumerate(self.sets):
-            for form in chosen:
-                numbers[form].append(number)
-        return {form: np.array(sets, dtype=np.intp) for form, sets in numbers.items()}
+        for number, chosen in enumerate(self.hypotheses):
+            for term in chosen:
+                numbers[term].append(number)
+        return {term: np.array(hypotheses, dtype=np.intp) for term, hypotheses in numbers.items()}
 
-    def holding(self, forms: Iterable[int]) -> float:
-        """Probability that any of ``forms`` acts."""
-        held = np.zeros(len(self.sets), dtype=np.bool_)
-        for form in self._having.keys() & set(forms):
-            held[self._having[form]] = True
+    def probability_of_any(self, terms: Iterable[int]) -> float:
+        """Probability that any of ``terms`` acts."""
+        held = np.zeros(len(self.hypotheses), dtype=np.bool_)
+        for term in self._numbers_with.keys() & set(terms):
+            held[self._numbers_with[term]] = True
         return min(float(self.probability[held].sum()), 1.0)  # rounding may add to more
 
-    def rival(self, forms: Sequence[int], others: Mapping[str, Sequence[int]]) -> tuple[str, float]:
-        """Name of the one of ``others`` that most likely acts if ``forms`` do not, and probability that either acts.
+    def rival(self, terms: Sequence[int], alternatives: Mapping[str, Sequence[int]]) -> tuple[str, float]:
+        """Name of the alternative that most likely acts if ``terms`` do not, and probability that either acts.
 
-        ``others`` are forms by name. The name is empty, with the probability of ``forms``, if none of them has a
-        probability above 0.5 given that ``forms`` do not act.
+        ``alternatives`` are terms by name. The name is empty, with the probability of ``terms``, if no alternative has
+        a probability above 0.5 given that ``terms`` do not act.
         """
-        alone = self.holding(forms)
-        either = {name: self.holding([*forms, *other_forms]) for name, other_forms in others.items()}
+        alone = self.probability_of_any(terms)
+        either = {name: self.probability_of_any([*terms, *numbers]) for name, numbers in alternatives.items()}
         rival = max(either, key=lambda name: either[name], default="")
         return (rival, either[rival]) if rival and either[rival] - alone > (1 - alone) / 2 else ("", alone)
 
 
 def weigh(
-    likelihood: Evidence, causes: Sequence[Cause], max_causes: int = MAX_CAUSES, before: Chosen = ()
+    likelihood: Evidence, groups: Sequence[TermGroup], max_terms: int = MAX_TERMS, start: Hypothesis = ()
 ) -> ModelTable:
-    """Make the table from steps from the empty set and the set ``before``, with at most ``max_causes`` in a set."""
-    log = dict[Chosen, float]()
-    for start in dict.fromkeys(((), before)):
-        _grow(start, log, likelihood, causes, max_causes)
+    """Make the table by steps from the empty hypothesis and from ``start``, with at most ``max_terms`` in each."""
+    log = dict[Hypothesis, float]()
+    for first in dict.fromkeys(((), start)):
+        _grow(first, log, likelihood, groups, max_terms)
     order = sorted(log, key=lambda chosen: -log[chosen])
     values = np.array([log[chosen] for chosen in order])
     others = [log[chosen] for chosen in order if chosen]
@@ -117,25 +117,29 @@ def weigh(
 
 
 def _grow(
-    start: Chosen, log: dict[Chosen, float], likelihood: Evidence, causes: Sequence[Cause], max_causes: int
+    start: Hypothesis, log: dict[Hypothesis, float], likelihood: Evidence, groups: Sequence[TermGroup], max_terms: int
 ) -> None:
-    """Add ``start`` and the sets reached from it, with their log posterior up to a constant, to ``log``."""
-    prior = {form: cause.log_prior for cause in causes for form in cause.forms}
+    """Add ``start`` and the hypotheses reached from it to ``log``, with their log posterior up to a constant."""
+    prior = {term: group.log_prior for group in groups for term in group.terms}
 
-    def probable(chosen: Chosen) -> float:
-        return likelihood.log_evidence(chosen) + sum(prior[form] for form in chosen)
+    def probable(chosen: Hypothesis) -> float:
+        return likelihood.log_evidence(chosen) + sum(prior[term] for term in chosen)
 
     frontier, log[start] = [start], probable(start)
-    for _ in range(2 * max_causes):  # up to the largest sets, and down again
-        reached: dict[Chosen, float] = {}
+    for _ in range(2 * max_terms):  # up to the largest hypotheses, and down again
+        reached: dict[Hypothesis, float] = {}
         for chosen in frontier:
-            smaller = [tuple(form for form in chosen if form != gone) for gone in chosen]
+            smaller = [tuple(term for term in chosen if term != gone) for gone in chosen]
             reached |= {subset: probable(subset) for subset in smaller if subset not in log and subset not in reached}
             for base in (chosen, *smaller) if chosen == frontier[0] else (chosen,):
-                added = _addable(base, causes, max_causes)
-                more = likelihood.with_each(base, added) + [prior[form] for form in added] if added else np.empty(0)
-                values = more + sum(prior[form] for form in base)
-                larger = [tuple(sorted((*base, form))) for form in added]
+                added = _addable(base, groups, max_terms)
+                more = (
+                    likelihood.log_evidence_with(base, added) + [prior[term] for term in added]
+                    if added
+                    else np.empty(0)
+                )
+                values = more + sum(prior[term] for term in base)
+                larger = [tuple(sorted((*base, term))) for term in added]
                 reached |= dict(zip(larger, values.tolist(), strict=True))
         new = sorted(reached.keys() - log.keys(), key=lambda chosen: (-reached[chosen], chosen))
         log |= {chosen: reached[chosen] for chosen in new}
@@ -145,8 +149,8 @@ def _grow(
             break
 
 
-def _addable(chosen: Chosen, causes: Sequence[Cause], max_causes: int) -> list[int]:
-    """Forms of the causes that a set lacks; none if it has ``max_causes``."""
-    if len(chosen) >= max_causes:
+def _addable(chosen: Hypothesis, groups: Sequence[TermGroup], max_terms: int) -> list[int]:
+    """Terms of the groups that a hypothesis lacks; none if it has ``max_terms``."""
+    if len(chosen) >= max_terms:
         return []
-    return [form for cause in causes if not set(chosen) & set(cause.forms) for form in cause.forms]
+    return [term for group in groups if not set(chosen) & set(group.terms) for term in group.terms]

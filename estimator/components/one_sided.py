@@ -1,4 +1,4 @@
-"""Gaussian distributions truncated at zero, for magnitudes that cannot be negative."""
+"""Compute moments of Gaussian distributions truncated at zero, for magnitudes that cannot be negative."""
 
 from collections.abc import Iterable
 
@@ -21,12 +21,12 @@ def log_evidence_of_sign(at: Floats | float) -> Floats:
     return gained
 
 
-def cut_at_zero(mean: Floats, covariance: Floats, places: Iterable[int]) -> tuple[Floats, Floats]:
-    """Mean (p,) and covariance (p, p) of a Gaussian with the elements ``places`` truncated at zero, one by one.
+def cut_at_zero(mean: Floats, covariance: Floats, indices: Iterable[int]) -> tuple[Floats, Floats]:
+    """Mean (p,) and covariance (p, p) of a Gaussian with the elements ``indices`` truncated at zero, one by one.
 
-    The other elements change by their regression on the truncated one. The moments are exact for one place.
+    The other elements change by their regression on the truncated one. The moments are exact for one element.
     """
-    for i in places:
+    for i in indices:
         variance = covariance[i, i]
         value, sd = above_zero(mean[[i]], np.sqrt([variance]))
         along = covariance[:, i] / variance

@@ -1,4 +1,4 @@
-"""Plain model of a drive: the road load on a level road, fitted to the power of its strides by least squares.
+"""Fit the plain model of a drive: the road load on a level road, by least squares of the power of its strides.
 
     P = A v + C v^3 + m v a + lag dP/dt + drag min(P, 0)
 
@@ -7,7 +7,7 @@ This is the paper's criterion on strides of one second. Its residual is the gap,
 
 import numpy as np
 
-from estimator.components.component import Frame
+from estimator.components.term import Frame
 from estimator.estimation.long_run import long_run_variance
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, PLAIN, ROAD_LOAD, columns
@@ -89,9 +89,9 @@ class PlainModel:
 def _sd(influence: Floats, parameters: int) -> float:
     """Standard deviation of a parameter from its ``influence`` (n,).
 
-    The variance is multiplied by dof / left, because the fit takes one degree of freedom for each of ``parameters``.
-    It is also multiplied by left / (left - 2), the variance of the Student distribution.
+    The variance is multiplied by dof / remaining, because the fit takes one degree of freedom for each parameter. It is
+    also multiplied by remaining / (remaining - 2), the variance of the Student distribution.
     """
     variance, dof = long_run_variance(influence)
-    left = max(dof - parameters, MIN_DOF)
-    return float(np.sqrt(variance * dof / (left - 2.0)))
+    remaining = max(dof - parameters, MIN_DOF)
+    return float(np.sqrt(variance * dof / (remaining - 2.0)))

@@ -1,4 +1,4 @@
-"""Nameless processes: columns with a prior, for causes that are not in the catalogue.
+"""Make the terms of nameless processes: columns with a prior, for what is not in the catalogue.
 
 Most are hat functions along an axis, times a profile such as the speed. A swing has one period during the whole drive;
 a mass on a spring and a damper oscillates after accelerations; a power or a force may be switched.
@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from estimator.components.component import Columns, Component, Frame
 from estimator.components.likelihood import JointLikelihood
+from estimator.components.term import Columns, Frame, Term
 from estimator.components.time_prior import MAX_ON_SHARE, cost_without_dwell
 from estimator.model.spans import Spans, covered
 from estimator.preparation.recursion import recursive
@@ -44,7 +44,7 @@ SWITCHES = {"a power that switches": "W", "a force that switches": "N"}  # with 
 SWING, RING = "swings", "a mass that rings on after accelerations"
 
 
-def processes(frame: Frame) -> Iterator[Component]:
+def processes(frame: Frame) -> Iterator[Term]:
     """All processes but swings, in all lengths and strengths; a low-pass only if the lag is outside USUAL_LAG."""
     A, C, m = frame.road_load.tolist()
     s = frame.strides
@@ -62,23 +62,23 @@ def processes(frame: Frame) -> Iterator[Component]:
         if (turns > LOWEST_TURNS).any():
             over.append(("force over gear ratio", _geared, 0.3 * A, _gear_ratio(turns, s.speed), GEAR_RATIOS))
         for strength in STRENGTHS:
-            yield Component(name="gain over torque", columns=_gain_over_torque, sd=strength * GAIN_ERROR, is_noisy=True)
+            yield Term(name="gain over torque", columns=_gain_over_torque, sd=strength * GAIN_ERROR, is_noisy=True)
     for name, profile, usual, axis, lengths in over:
         for length in lengths:
             columns = _hats_times(profile, axis, length)
             for strength in STRENGTHS:
-                yield Component(name=name, columns=columns, sd=strength * usual, is_noisy=profile is _measured)
+                yield Term(name=name, columns=columns, sd=strength * usual, is_noisy=profile is _measured)
     if not USUAL_LAG[0] < frame.lag < USUAL_LAG[1]:
-        yield Component(name=LOW_PASS, columns=_force_curvature, sd=LOW_PASS_SD / m)
+        yield Term(name=LOW_PASS, columns=_force_curvature, sd=LOW_PASS_SD / m)
     for period in RING_PERIODS.tolist():
         for ratio in DAMPING_RATIOS:
-            yield Component(name=RING, columns=_ring(period, ratio), sd=RINGING_SHARE * m, positive=True, is_noisy=True)
+            yield Term(name=RING, columns=_ring(period, ratio), sd=RINGING_SHARE * m, positive=True, is_noisy=True)
 
 
-def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Component]:
+def swings(joint: JointLikelihood, hypotheses: Sequence[list[int]]) -> Iterator[Term]:
     """Powers and torques that swing with one period during the whole drive, for the periods of most evidence.
 
-    Periods are searched beside each of the sets ``beside`` of components of the likelihood ``joint``.
+    Periods are searched beside each of the ``hypotheses``, which are terms of the likelihood ``joint``.
     """
     frame, s = joint.frame, joint.frame.strides
     t = s.t - s.t[0]
@@ -86,20 +86,20 @@ def swings(joint: JointLikelihood, beside: Sequence[list[int]]) -> Iterator[Comp
     turns = s.context.get(Quantity.ENGINE_SPEED)
     if turns is not None and np.isfinite(turns).all():
         profiles.append(_torque)
-    rests = [joint.weighed_residual(chosen) for chosen in beside]
+    rests = [joint.weighed_residual(chosen) for chosen in hypotheses]
     for profile in profiles:
         tried = set[float]()
         for rest in rests:
             frequencies, score = spectrum(t, frame.as_acceleration(profile(frame)) * rest)
             tried |= set(frequencies[np.argsort(-score, kind="stable")[:SWINGS]].tolist())
-        # A form has a share of the process' prior; that is of all frequencies, of which few are tried.
+        # A term has a share of the process' prior; that is of all frequencies, of which few are tried.
         cost = float(np.log(len(frequencies) / len(tried)))
         for frequency in sorted(tried):
             angle = 2 * np.pi * frequency * t
             columns = _shapes_times(profile, np.column_stack([np.cos(angle), np.sin(angle)]))
             for strength in STRENGTHS:
                 usual = strength * USUAL_POWER * float(frame.road_load[2])
-                yield Component(name=SWING, columns=columns, sd=usual, cost=cost)
+                yield Term(name=SWING, columns=columns, sd=usual, cost=cost)
 
 
 def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -115,7 +115,7 @@ def spectrum(t: Floats, values: Floats) -> tuple[Floats, Floats]:
     return frequencies, number * np.abs(np.fft.ifft(lowest)[: len(frequencies)])
 
 
-def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
+def switched(frame: Frame, spans: Spans) -> Iterator[Term]:
     """Power and force that are on in ``spans`` only, without the usual dwell of an effect.
 
     There are none for an empty share of the drive, or one above MAX_ON_SHARE: A includes a constant force.
@@ -125,7 +125,7 @@ def switched(frame: Frame, spans: Spans) -> Iterator[Component]:
         return
     m, cost = float(frame.road_load[2]), cost_without_dwell(spans, frame.strides.t)
     for name, profile, usual in zip(SWITCHES, (_power, _force), (SWITCHED_POWER, SWITCHED_FORCE), strict=True):
-        yield Component(name=name, columns=_shapes_times(profile, on), sd=usual * m, cost=cost, spans=spans)
+        yield Term(name=name, columns=_shapes_times(profile, on), sd=usual * m, cost=cost, spans=spans)
 
 
 def _power(frame: Frame) -> Floats:
@@ -220,8 +220,8 @@ def ringing(frame: Frame, period: float, ratio: float) -> Floats:
 def hats(axis: Floats, spacing: float) -> Floats:
     """Hat functions (n, k) with peaks every ``spacing`` along ``axis`` (n,); they sum to one everywhere."""
     position = (axis - axis.min()) / spacing
-    below, every = np.floor(position).astype(np.int64), np.arange(len(axis))
+    below, rows = np.floor(position).astype(np.int64), np.arange(len(axis))
     columns = np.zeros((len(axis), int(below.max()) + 2))
-    columns[every, below] = 1 - (position - below)
-    columns[every, below + 1] = position - below
+    columns[rows, below] = 1 - (position - below)
+    columns[rows, below + 1] = position - below
     return columns[:, columns.any(axis=0)]

@@ -1,4 +1,4 @@
-"""Evidence of any set of components, from the products of all their columns, which are computed once.
+"""Compute the evidence of any set of terms from the products of all their columns, which are computed once.
 
 The data are y = X b + noise of covariance K, with a Gaussian prior of covariance P for the amplitudes b. With the
 products of columns weighted by K^-1, and the posterior mean b^,
@@ -22,7 +22,7 @@ from estimator.signals import Floats, Mask
 
 
 class Prior(Protocol):
-    """Prior of the amplitudes of a component: N(0, ``sd``^2), restricted to positive values if ``positive``."""
+    """Prior of the amplitudes of a term: N(0, ``sd``^2), restricted to positive values if ``positive``."""
 
     @property
     def sd(self) -> float:
@@ -33,16 +33,16 @@ class Prior(Protocol):
         """True if its one amplitude cannot be negative."""
 
     @property
-    def largest(self) -> float:
+    def max_size(self) -> float:
         """Largest possible modulus of an amplitude."""
 
     @property
-    def highest(self) -> float:
+    def max_positive_size(self) -> float:
         """Largest possible amplitude."""
 
     @property
     def cost(self) -> float:
-        """Minus the log probability of its form [nats]; subtracted from its evidence."""
+        """Minus the log probability of its times [nats]; subtracted from its evidence."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,12 @@ class Posterior:
 
     mean: Floats
     covariance: Floats
-    base: int  # how many belong to the base
     log_evidence: float
 
 
 @dataclass(frozen=True)
-class Judged:
-    """Components of one column, each added alone to a set: gain in log evidence, value and sd, all (c,)."""
+class TermGains:
+    """Terms of one column, each added alone to a set: gain in log evidence, value and sd, all (c,)."""
 
     gain: Floats
     value: Floats
@@ -65,8 +64,8 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class _Added:
-    """Components (g,) of k columns, each added alone to a set; in the scaled units of the likelihood."""
+class _Update:
+    """Terms (g,) of k columns, each added alone to a set; in the scaled units of the likelihood."""
 
     gain: Floats  # (g,) in log evidence
     value: Floats  # (g, k) of the amplitudes, x
@@ -74,25 +73,25 @@ class _Added:
     turned: Floats  # (g, k, s) covariance of the set's amplitudes times the products of both, W
 
 
-def places_of(base_size: int, sizes: Sequence[int]) -> list[NDArray[np.int64]]:
-    """Indices of the columns of each component, with ``sizes`` columns, after those of the base."""
+def term_columns_of(base_size: int, sizes: Sequence[int]) -> list[NDArray[np.int64]]:
+    """Indices of the columns of each term, with ``sizes`` columns, after those of the base."""
     ends = base_size + np.cumsum([0, *sizes])
     return [np.arange(start, end) for start, end in pairwise(ends)]
 
 
 class SetLikelihood:
-    """Likelihood of sets of components.
+    """Likelihood of sets of terms.
 
     Parameters
     ----------
     products
-        Products (1 + p, 1 + p) of the data and the p columns of base and components, weighted by K^-1.
+        Products (1 + p, 1 + p) of the data and the p columns of base and terms, weighted by K^-1.
     base_precision
         Prior precision (b,) of the amplitudes of the base; zero where they are free.
     priors
-        Priors of the components.
-    places
-        Indices of the columns of each component among the p.
+        Priors of the terms.
+    term_columns
+        Indices of the columns of each term among the p.
     unit
         Divisor (p,) of each column; amplitudes are divided by it to get physical units.
     """
@@ -102,179 +101,180 @@ class SetLikelihood:
         products: Floats,
         base_precision: Floats,
         priors: Sequence[Prior],
-        places: Sequence[NDArray[np.int64]],
+        term_columns: Sequence[NDArray[np.int64]],
         unit: Floats,
     ) -> None:
-        self.priors, self.places, self.unit = list(priors), list(places), unit
+        self.priors, self.term_columns, self.unit = list(priors), list(term_columns), unit
         self.base_size = len(base_precision)
         self._prior = base_precision
         self._total, self._moment = float(products[0, 0]), products[1:, 0]
         self._information = products[1:, 1:]
-        self._widths = np.array([len(columns) for columns in places])
-        self._sds, self._costs, self._largest, self._highest = (
-            np.array([getattr(prior, name) for prior in priors]) for name in ("sd", "cost", "largest", "highest")
+        self._widths = np.array([len(columns) for columns in term_columns])
+        self._sds, self._costs, self._max_sizes, self._max_positive_sizes = (
+            np.array([getattr(prior, name) for prior in priors])
+            for name in ("sd", "cost", "max_size", "max_positive_size")
         )
         self._positive = np.array([prior.positive for prior in priors], dtype=np.bool_)
 
     def observe(self, weights: Mapping[int, float], value: float) -> None:
         """Add a measurement of a weighted sum of amplitudes: its ``value`` and ``weights``, all divided by its sd.
 
-        ``weights`` are given by the number of a component with one column. Components outside a set add nothing.
+        ``weights`` are given by the number of a term with one column. Terms outside a set add nothing.
         """
-        places = np.array([self.places[index][0] for index in weights], dtype=np.int64)
+        columns = np.array([self.term_columns[index][0] for index in weights], dtype=np.int64)
         factors = np.array(list(weights.values()))
-        self._information[np.ix_(places, places)] += np.outer(factors, factors)
-        self._moment[places] += factors * value
+        self._information[np.ix_(columns, columns)] += np.outer(factors, factors)
+        self._moment[columns] += factors * value
 
     def _precision(self, chosen: Sequence[int]) -> Floats:
         """Prior precision (p,) of the amplitudes of base and set."""
-        return np.concatenate([self._prior, *(np.full(len(self.places[i]), self.priors[i].sd ** -2.0) for i in chosen)])
+        return np.concatenate(
+            [self._prior, *(np.full(len(self.term_columns[i]), self.priors[i].sd ** -2.0) for i in chosen)]
+        )
 
     def _set(self, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats]:
         """Indices (p,) of base and set, their information (p, p) with the prior, and their prior precision (p,)."""
-        places = np.concatenate([np.arange(self.base_size), *(self.places[i] for i in chosen)])
+        columns = np.concatenate([np.arange(self.base_size), *(self.term_columns[i] for i in chosen)])
         prior = self._precision(chosen)
-        return places, self._information[np.ix_(places, places)] + np.diag(prior), prior
+        return columns, self._information[np.ix_(columns, columns)] + np.diag(prior), prior
 
     def posterior(self, chosen: Sequence[int]) -> Posterior:
         """Posterior of the set ``chosen``, and its log evidence up to a constant of the data; costs not counted."""
-        places, information, prior = self._set(chosen)
+        columns, information, prior = self._set(chosen)
         unit = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         scaled = information * np.outer(unit, unit)
         covariance = np.linalg.inv(scaled) * np.outer(unit, unit)
         # solved, not multiplied by the covariance: where two columns have one course, the inverse is mostly rounding
-        mean = unit * np.linalg.solve(scaled, unit * self._moment[places])
+        mean = unit * np.linalg.solve(scaled, unit * self._moment[columns])
         volume = float(np.linalg.slogdet(scaled)[1] - 2 * np.log(unit).sum())
-        log = -0.5 * (volume - np.log(prior[prior > 0]).sum() + self._total - self._moment[places] @ mean)
+        log = -0.5 * (volume - np.log(prior[prior > 0]).sum() + self._total - self._moment[columns] @ mean)
         at = self.base_size
         for i in chosen:
             if self.priors[i].positive:
                 log += float(log_evidence_of_sign(mean[at] / np.sqrt(covariance[at, at])))
-            at += len(self.places[i])
-        units = self.unit[places]
-        return Posterior(mean / units, covariance / np.outer(units, units), self.base_size, float(log))
+            at += len(self.term_columns[i])
+        units = self.unit[columns]
+        return Posterior(mean / units, covariance / np.outer(units, units), float(log))
 
-    def value(self, chosen: Sequence[int], index: int) -> float:
-        """Posterior mean of the amplitude of the component ``index``, of one column, in a set that contains it."""
-        start = sum(len(self.places[i]) for i in chosen[: chosen.index(index)])
+    def amplitude(self, chosen: Sequence[int], index: int) -> float:
+        """Posterior mean of the amplitude of the term ``index``, of one column, in a set that contains it."""
+        start = sum(len(self.term_columns[i]) for i in chosen[: chosen.index(index)])
         return float(self.posterior(chosen).mean[self.base_size + start])
 
-    def base(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
+    def base_posterior(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
         """Mean (b,) and covariance (b, b) of the amplitudes of the base given a set, in physical units.
 
         Unlike in `posterior`, the distribution is truncated at zero for amplitudes that cannot be negative.
         """
-        posterior, sizes = self.posterior(chosen), [len(self.places[i]) for i in chosen]
-        component_places = zip(chosen, places_of(self.base_size, sizes), strict=True)
-        positive = [int(column) for i, places in component_places if self.priors[i].positive for column in places]
+        posterior, sizes = self.posterior(chosen), [len(self.term_columns[i]) for i in chosen]
+        columns_of_chosen = zip(chosen, term_columns_of(self.base_size, sizes), strict=True)
+        positive = [int(column) for i, columns in columns_of_chosen if self.priors[i].positive for column in columns]
         mean, covariance = cut_at_zero(posterior.mean, posterior.covariance, positive)
         b = self.base_size
         return mean[:b], covariance[:b, :b]
 
-    def unlimited(self, chosen: Sequence[int]) -> float:
-        """Log evidence of the set ``chosen``, less its costs, without limits of the sizes."""
-        return self.posterior(chosen).log_evidence - sum(self.priors[i].cost for i in chosen)
+    def log_evidence(self, chosen: Sequence[int], check_limits: bool = True) -> float:
+        """Log evidence of the set ``chosen``, less its costs.
 
-    def log_evidence(self, chosen: Sequence[int]) -> float:
-        """Log evidence of the set ``chosen``, less its costs; minus infinity if a size is impossible."""
+        With ``check_limits`` it is minus infinity if a magnitude is impossible.
+        """
         posterior = self.posterior(chosen)
-        possible = np.all(self._are_possible(chosen, posterior.mean[self.base_size :]))
-        return posterior.log_evidence - sum(self.priors[i].cost for i in chosen) if possible else -np.inf
+        if check_limits and not np.all(self._are_possible(chosen, posterior.mean[self.base_size :])):
+            return -np.inf
+        return posterior.log_evidence - sum(self.priors[i].cost for i in chosen)
 
-    def with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """`log_evidence` (c,) of the set with each of ``others`` added."""
-        evidence, possible = self._with_each(chosen, others)
-        return np.where(possible, evidence, -np.inf)
+    def log_evidence_with(self, chosen: Sequence[int], added: Sequence[int], check_limits: bool = True) -> Floats:
+        """`log_evidence` (c,) of the set with each of ``added``, one at a time."""
+        evidence, possible = self._evidence_with(chosen, added)
+        return np.where(possible, evidence, -np.inf) if check_limits else evidence
 
-    def unlimited_with_each(self, chosen: Sequence[int], others: Sequence[int]) -> Floats:
-        """`unlimited` (c,) of the set with each of ``others`` added."""
-        return self._with_each(chosen, others)[0]
-
-    def _with_each(self, chosen: Sequence[int], others: Sequence[int]) -> tuple[Floats, Mask]:
-        """`unlimited` (c,) of the set with each of ``others`` added, and whether all sizes are possible (c,)."""
-        widths, posterior = self._widths[list(others)], self.posterior(chosen)
-        evidence, possible = np.empty(len(others)), np.empty(len(others), dtype=np.bool_)
+    def _evidence_with(self, chosen: Sequence[int], added: Sequence[int]) -> tuple[Floats, Mask]:
+        """Log evidence (c,) of the set with each of ``added``, and whether all magnitudes are possible (c,)."""
+        widths, posterior = self._widths[list(added)], self.posterior(chosen)
+        evidence, possible = np.empty(len(added)), np.empty(len(added), dtype=np.bool_)
         for width in np.unique(widths):
             alike = np.flatnonzero(widths == width)
-            group = [others[k] for k in alike.tolist()]
-            evidence[alike], possible[alike] = self._with_each_alike(chosen, posterior, group)
+            group = [added[k] for k in alike.tolist()]
+            evidence[alike], possible[alike] = self._evidence_with_alike(chosen, posterior, group)
         return evidence, possible
 
-    def _with_each_alike(
-        self, chosen: Sequence[int], posterior: Posterior, others: Sequence[int]
+    def _evidence_with_alike(
+        self, chosen: Sequence[int], posterior: Posterior, added: Sequence[int]
     ) -> tuple[Floats, Mask]:
-        """`_with_each` for components with equal numbers of columns.
+        """`_evidence_with` for terms with equal numbers of columns.
 
-        They change the amplitudes b of the set to b - W x, and their covariance S to S + W V W'; see `_Added`.
+        They change the amplitudes b of the set to b - W x, and their covariance S to S + W V W'; see `_Update`.
         """
-        added, places = self._added(chosen, others), self._set(chosen)[0]
-        turned, units = added.turned[:, :, self.base_size :], self.unit[places][self.base_size :]
+        update, columns = self._updated(chosen, added), self._set(chosen)[0]
+        turned, units = update.turned[:, :, self.base_size :], self.unit[columns][self.base_size :]
         previous = posterior.mean[self.base_size :] * units
         variance = np.diag(posterior.covariance)[self.base_size :] * units**2
-        mean = previous - np.einsum("gks,gk->gs", turned, added.value)
-        spread = variance + np.einsum("gks,gkl,gls->gs", turned, added.covariance, turned, optimize=True)
-        signed = np.array([self.priors[i].positive for i in chosen for _ in self.places[i]], dtype=np.bool_)
+        mean = previous - np.einsum("gks,gk->gs", turned, update.value)
+        spread = variance + np.einsum("gks,gkl,gls->gs", turned, update.covariance, turned, optimize=True)
+        signed = np.array([self.priors[i].positive for i in chosen for _ in self.term_columns[i]], dtype=np.bool_)
         signs = (log_ndtr(mean / np.sqrt(spread)) - log_ndtr(previous / np.sqrt(variance)))[:, signed].sum(axis=1)
-        numbers = list(others)
+        numbers = list(added)
         costs = sum(self.priors[i].cost for i in chosen) + self._costs[numbers]
-        value = added.value / self.unit[self._places_of(others)]
+        value = update.value / self.unit[self._columns_of(added)]
         possible = np.all(self._are_possible(chosen, mean / units), axis=1)
         possible &= np.all(
-            (np.abs(value) <= self._largest[numbers, None]) & (value <= self._highest[numbers, None]), axis=1
+            (np.abs(value) <= self._max_sizes[numbers, None]) & (value <= self._max_positive_sizes[numbers, None]),
+            axis=1,
         )
-        return posterior.log_evidence + added.gain + signs - costs, possible
+        return posterior.log_evidence + update.gain + signs - costs, possible
 
-    def _places_of(self, others: Sequence[int]) -> NDArray[np.int64]:
-        """Indices (g, k) of the columns of ``others`` (g,), which have k columns each."""
-        width = len(self.places[others[0]]) if others else 1
-        return np.array([self.places[i] for i in others], dtype=np.int64).reshape(len(others), width)
+    def _columns_of(self, added: Sequence[int]) -> NDArray[np.int64]:
+        """Indices (g, k) of the columns of ``added`` (g,), which have k columns each."""
+        width = len(self.term_columns[added[0]]) if added else 1
+        return np.array([self.term_columns[i] for i in added], dtype=np.int64).reshape(len(added), width)
 
-    def _added(self, chosen: Sequence[int], others: Sequence[int]) -> "_Added":
-        """Add each of ``others`` (g,), of k columns each, alone to a set; costs are not counted."""
-        places, information, _ = self._set(chosen)
-        new = self._places_of(others)
-        crossed = self._information[np.ix_(places, new.ravel())]
-        weights = np.linalg.solve(information, np.column_stack([crossed, self._moment[places]]))
-        across, turned = (x.T.reshape(*new.shape, len(places)) for x in (crossed, weights[:, :-1]))
+    def _updated(self, chosen: Sequence[int], added: Sequence[int]) -> "_Update":
+        """Add each of ``added`` (g,), of k columns each, alone to a set; costs are not counted."""
+        columns, information, _ = self._set(chosen)
+        new = self._columns_of(added)
+        crossed = self._information[np.ix_(columns, new.ravel())]
+        weights = np.linalg.solve(information, np.column_stack([crossed, self._moment[columns]]))
+        across, turned = (x.T.reshape(*new.shape, len(columns)) for x in (crossed, weights[:, :-1]))
         score = self._moment[new] - across @ weights[:, -1]
-        usual = self._sds[list(others)]
+        usual = self._sds[list(added)]
         precision = self._information[new[:, :, None], new[:, None, :]] - across @ turned.transpose(0, 2, 1)
         diagonal = np.einsum("gkk->gk", precision)
         diagonal[:] = np.maximum(diagonal, 0.0) + usual[:, None] ** -2.0
         value, covariance = np.linalg.solve(precision, score[:, :, None])[:, :, 0], np.linalg.inv(precision)
         volume = np.linalg.slogdet(precision * usual[:, None, None] ** 2)[1]
-        positive = self._positive[list(others)]
+        positive = self._positive[list(added)]
         signs = np.where(positive, log_evidence_of_sign(value[:, 0] / np.sqrt(covariance[:, 0, 0])), 0.0)
-        return _Added(0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs, value, covariance, turned)
+        return _Update(0.5 * np.sum(score * value, axis=1) - 0.5 * volume + signs, value, covariance, turned)
 
     def _are_possible(self, chosen: Sequence[int], sizes: Floats) -> Mask:
         """True (..., s) where an amplitude of a set is within its limits."""
-        component_of = [i for i in chosen for _ in self.places[i]]
-        possible: Mask = (np.abs(sizes) <= self._largest[component_of]) & (sizes <= self._highest[component_of])
+        term_of_column = [i for i in chosen for _ in self.term_columns[i]]
+        possible: Mask = (np.abs(sizes) <= self._max_sizes[term_of_column]) & (
+            sizes <= self._max_positive_sizes[term_of_column]
+        )
         return possible
 
-    def gains(self, chosen: Sequence[int], candidates: Sequence[int]) -> Judged:
-        """Gain of each of ``candidates``, of one column, added alone to a set; costs are not counted."""
-        added = self._added(chosen, candidates)
-        return Judged(added.gain, added.value[:, 0], np.sqrt(added.covariance[:, 0, 0]))
+    def gains(self, chosen: Sequence[int], added: Sequence[int]) -> TermGains:
+        """Gain of each of ``added``, of one column, added alone to a set; costs are not counted."""
+        update = self._updated(chosen, added)
+        return TermGains(update.gain, update.value[:, 0], np.sqrt(update.covariance[:, 0, 0]))
 
-    def imitated(self, chosen: Sequence[int], index: int) -> Floats:
-        """Omitted-variable bias (p,) of base and set, in physical units, per scaled unit of an omitted component."""
-        places, information, _ = self._set(chosen)
-        (new,) = self.places[index]
-        change: Floats = np.linalg.solve(information, self._information[places, new])
-        in_own_units: Floats = change / self.unit[places]
-        return in_own_units
+    def omission_bias(self, chosen: Sequence[int], index: int) -> Floats:
+        """Omitted-variable bias (p,) of base and set, in physical units, per scaled unit of an omitted term."""
+        columns, information, _ = self._set(chosen)
+        (new,) = self.term_columns[index]
+        bias: Floats = np.linalg.solve(information, self._information[columns, new]) / self.unit[columns]
+        return bias
 
-    def off(self, chosen: Sequence[int], products: Floats) -> tuple[Floats, Floats]:
+    def eliminated(self, chosen: Sequence[int], products: Floats) -> tuple[Floats, Floats]:
         """Products (c, c) and scores (c,) of further columns, with base and set eliminated.
 
         ``products`` (1 + s + c, 1 + s + c) are those of the data, of the s columns of base and set, and of the further
         columns.
         """
-        places, information, _ = self._set(chosen)
-        split = 1 + len(places)
+        columns, information, _ = self._set(chosen)
+        split = 1 + len(columns)
         cross = products[1:split, split:]
-        weights = np.linalg.solve(information, np.column_stack([cross, self._moment[places]]))
+        weights = np.linalg.solve(information, np.column_stack([cross, self._moment[columns]]))
         score: Floats = products[split:, 0] - cross.T @ weights[:, -1]
         return products[split:, split:] - cross.T @ weights[:, :-1], score

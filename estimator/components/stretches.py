@@ -1,4 +1,4 @@
-"""Stretches of a hidden road that are steeper than the rest: part of the road, neither an effect nor a process.
+"""Make the terms of stretches of a hidden road that are steeper than the rest: neither effects nor processes.
 
 The slopes of the road model are a Gaussian process of one sd. Real roads are nearly level for kilometres, and steep on
 a bridge or a hill. On seven trips of a car whose accelerometer shows the slopes, their kurtosis is 2.5 to 8; that of
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from estimator.components.component import Component, Frame
+from estimator.components.term import Frame, Term
 from estimator.components.time_prior import MAX_ON_SHARE, cost_apart
 from estimator.model.effects.effect import Effect, Timing, always
 from estimator.model.spans import Spans, covered
@@ -33,15 +33,15 @@ STRETCHES = Effect(
     symbol="slope",
     unit="1",
     power=lambda view, shape: view.m * STANDARD_GRAVITY * view.v,
-    usual=always(SLOPE_SD),
+    usual_magnitude=always(SLOPE_SD),
     positive=False,
     timing=Timing.SWITCHING,
-    dwells=(12.0, 60.0, 200.0),  # as brakes and loads have: the same times are as likely for either
+    dwell_times=(12.0, 60.0, 200.0),  # as brakes and loads have: the same times are as likely for either
 )
 
 
-def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
-    """Component with one additional slope of the road in each of ``spans``.
+def stretches(frame: Frame, spans: Spans) -> Iterator[Term]:
+    """Term with one additional slope of the road in each of ``spans``.
 
     There is none if they cover more than MAX_ON_SHARE of the drive, because A includes a constant slope, or if one of
     them covers no stride.
@@ -55,12 +55,12 @@ def stretches(frame: Frame, spans: Spans) -> Iterator[Component]:
         on = np.column_stack([covered(frame.strides.t, felt, (span,)) for span in spans])
         return -STANDARD_GRAVITY * on
 
-    yield Component(
+    yield Term(
         name=STRETCHES.name,
         columns=columns,
         sd=SLOPE_SD,
-        largest=STEEPEST,
-        cost=cost_apart(spans, STRETCHES.dwells, frame.strides.t),
+        max_size=STEEPEST,
+        cost=cost_apart(spans, STRETCHES.dwell_times, frame.strides.t),
         is_slope=True,
         spans=spans,
     )

@@ -1,4 +1,4 @@
-"""Times of an effect that no signal shows: the times with most evidence beside a set of components.
+"""Find the times of an effect that no signal shows: those with most evidence beside a set of terms.
 
 The drive is cut into blocks at gaps, and where a change of state has the highest score. Runs of blocks are switched on
 or off (`exchange.py`), and the edges of the resulting times are moved (`edges.py`).
@@ -11,14 +11,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from estimator.components.component import Frame
 from estimator.components.edges import with_refined_edges
-from estimator.components.exchange import exchanged
+from estimator.components.exchange import best_states
 from estimator.components.likelihood import JointLikelihood
+from estimator.components.term import Frame
 from estimator.components.time_prior import MAX_ON_SHARE, least_costs, prior_cost
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
 from estimator.model.spans import Spans
-from estimator.model.term import Term
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION
 
@@ -45,7 +45,7 @@ class _Cut:
 
 
 class Switching:
-    """Finds times of effects beside components of one likelihood; effects with equal profiles share products."""
+    """Finds times of effects beside terms of one likelihood; effects with equal profiles share products."""
 
     def __init__(self, joint: JointLikelihood) -> None:
         self._joint = joint
@@ -54,17 +54,17 @@ class Switching:
     def best(self, chosen: Sequence[int], effect: Effect, earlier: Sequence[int] = ()) -> tuple[Spans, float] | None:
         """Spans in which ``effect`` most likely acts beside a set, and their prior cost [nats]; None if none gain.
 
-        ``earlier`` are components of the effect with earlier times; blocks are also cut at changes from these.
+        ``earlier`` are terms of the effect with earlier times; blocks are also cut at changes from these.
         """
-        column, single = self._joint.frame.column(Term(effect)), effect.timing is Timing.WINDOW
+        column, single = self._joint.frame.column(EffectTerm(effect)), effect.timing is Timing.WINDOW
         size = float(column[np.argmax(np.abs(column))])
         profile = np.round(column / size, PROFILE_DIGITS)
         key = tuple(chosen), tuple(earlier), profile.tobytes()
         if key not in self._cuts:
             self._cuts[key] = self._cut(list(chosen), profile, list(earlier))
-        cut, sd = self._cuts[key], effect.usual(self._joint.frame.road_load)
+        cut, sd = self._cuts[key], effect.usual_magnitude(self._joint.frame.road_load)
         costs = [least_costs(gap, effect) for gap in cut.gaps.tolist()]
-        blocks = exchanged(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
+        blocks = best_states(cut.products * size**2, cut.score * size, sd, effect.positive, single, cut.lengths, costs)
         on = blocks[cut.labels]
         if not on.any() or on.mean() > MAX_ON_SHARE:
             return None
@@ -77,36 +77,34 @@ class Switching:
         steps[likely_steps(self._joint, chosen, column)] = True
         if earlier:
             steps[likely_steps(self._joint, [*chosen, *earlier], column)] = True
-            edges = np.array([edge for i in earlier for span in self._joint.components[i].spans or () for edge in span])
+            edges = np.array([edge for i in earlier for span in self._joint.terms[i].spans or () for edge in span])
             steps[np.clip(np.searchsorted(t, edges), 1, len(t) - 1)] = True
         block = max(BLOCK_DURATION, float(t[-1] - t[0]) / MAX_STEPS)
         regular = np.insert(np.diff(np.floor((t - t[0]) / block)) > 0, 0, False)
         gap = np.diff(t, prepend=t[0]) >= DURATION + MIN_BLOCK_GAP
-        there, label = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
+        blocks, label = np.unique(np.cumsum(steps | regular | gap), return_inverse=True)
         products, score = self._joint.projected(chosen, _parts(column, label))
-        first = np.searchsorted(label, np.arange(len(there)))
+        first = np.searchsorted(label, np.arange(len(blocks)))
         gaps = t[first[1:]] - t[first[1:] - 1] - DURATION
         lengths = np.append(t[first[1:]], t[-1]) - t[first]
         return _Cut(labels=label, lengths=lengths, gaps=gaps, products=products, score=score)
 
     def proposed(self, effect: Effect) -> set[Spans]:
-        """Propose times of ``effect`` beside the other components."""
-        components = self._joint.components
-        others = [i for i, component in enumerate(components) if component.name != effect.name]
-        same_effect = [i for i, component in enumerate(components) if component.name == effect.name and component.spans]
+        """Propose times of ``effect`` beside the other terms."""
+        terms = self._joint.terms
+        others = [i for i, term in enumerate(terms) if term.name != effect.name]
+        same_effect = [i for i, term in enumerate(terms) if term.name == effect.name and term.spans]
         return self._proposals(effect, others, same_effect)
 
     def proposed_instead(self, effect: Effect) -> set[Spans]:
-        """Propose times of ``effect`` in place of all components with times; none if no other component has any."""
-        components = self._joint.components
-        timed = [i for i, component in enumerate(components) if component.is_timed]
-        others = [i for i, component in enumerate(components) if component.name != effect.name and i not in timed]
-        return (
-            self._proposals(effect, others, timed) if any(components[i].name != effect.name for i in timed) else set()
-        )
+        """Propose times of ``effect`` in place of all terms with times; none if no other term has any."""
+        terms = self._joint.terms
+        timed = [i for i, term in enumerate(terms) if term.is_timed]
+        others = [i for i, term in enumerate(terms) if term.name != effect.name and i not in timed]
+        return self._proposals(effect, others, timed) if any(terms[i].name != effect.name for i in timed) else set()
 
     def _proposals(self, effect: Effect, beside: list[int], replaced: list[int]) -> set[Spans]:
-        """Best times beside a set, and times of the components that it may replace, all with refined edges.
+        """Best times beside a set, and times of the terms that it may replace, all with refined edges.
 
         The complements of these times are proposed as well: at a steady speed, one effect on and another one off give
         the same residual (a fan and drafting).
@@ -114,10 +112,10 @@ class Switching:
         is_window = effect.timing is Timing.WINDOW
         best = self.best(beside, effect, replaced)
         earlier_times = {
-            spans for i in replaced if (spans := self._joint.components[i].spans) and not (is_window and spans[1:])
+            spans for i in replaced if (spans := self._joint.terms[i].spans) and not (is_window and spans[1:])
         }
         times = earlier_times | (set() if best is None else {best[0]})
-        refined = {with_refined_edges(self._joint, beside, Term(effect, None, spans)) for spans in times}
+        refined = {with_refined_edges(self._joint, beside, EffectTerm(effect, None, spans)) for spans in times}
         t = self._joint.frame.strides.t
         return refined if is_window else refined | {_complement(spans, t) for spans in refined}
 

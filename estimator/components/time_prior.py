@@ -1,4 +1,4 @@
-"""Prior probability of times that no signal shows, by a Markov chain of two states, off and on.
+"""Compute the prior probability of times that no signal shows, by a Markov chain of two states, off and on.
 
 The chain switches on about once in exp(CHANGE_COST) s, and off after a dwell with an exponential distribution. It
 continues unobserved in gaps without known force, at a standstill or while braking. The longer the gap, the less the
@@ -36,7 +36,7 @@ class Costs:
 
 
 @lru_cache(maxsize=2**14)  # effects with the same dwells ask for the same gaps
-def in_gap(gap: float, dwell: float) -> Costs:
+def gap_costs(gap: float, dwell: float) -> Costs:
     """Costs of the transitions of a chain with mean ``dwell`` [s] over a ``gap`` [s]; none is negative."""
     share, forgotten = _share_and_forgotten(gap, dwell)
     stays_off = 1.0 - share * forgotten
@@ -47,7 +47,7 @@ def in_gap(gap: float, dwell: float) -> Costs:
     )
 
 
-def begun_again(gap: float, dwell: float) -> float:
+def probability_of_restart(gap: float, dwell: float) -> float:
     """Probability that a chain that is on before and after a ``gap`` [s] was off within it."""
     share, forgotten = _share_and_forgotten(gap, dwell)
     return 1.0 - exp(-gap / dwell) / (1.0 - (1.0 - share) * forgotten)
@@ -66,20 +66,20 @@ def least_costs(gap: float, effect: Effect) -> Costs:
     """
     if gap < MIN_GAP or effect.timing is Timing.WINDOW:
         return Costs(CHANGE_COST, CHANGE_COST, 0.0)
-    costs = [in_gap(gap, dwell) for dwell in effect.dwells]
+    costs = [gap_costs(gap, dwell) for dwell in effect.dwell_times]
     return Costs(min(c.begins for c in costs), min(c.ends for c in costs), min(c.stays for c in costs))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Piece:
-    """Part of a span within one run of strides [s]; ``before``, ``after``: adjoining gaps [s], 0 inside the run."""
+    """Part of a span within one run of strides [s]; with the adjoining gaps [s], 0 inside the run."""
 
     span: int
     run: int
     start: float
     stop: float
-    before: float  # endless at the beginning of the drive
-    after: float  # and at its end
+    gap_before: float  # endless at the beginning of the drive
+    gap_after: float  # and at its end
 
     @property
     def duration(self) -> float:
@@ -88,7 +88,7 @@ class _Piece:
 
     def meets(self, other: "_Piece") -> bool:
         """True if only a gap separates this piece from the ``other``, which follows."""
-        return self.run + 1 == other.run and min(self.after, other.before) > 0.0
+        return self.run + 1 == other.run and min(self.gap_after, other.gap_before) > 0.0
 
 
 def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
@@ -107,8 +107,8 @@ def _pieces(spans: Spans, t: Floats) -> list[_Piece]:
             before = 0.0 if start > begin[run] else gaps[run]
             after = 0.0 if stop < end[run] else gaps[run + 1]
             if pieces and pieces[-1].run == run:  # two of one run: neither reaches the gap between runs there
-                pieces[-1], before = replace(pieces[-1], after=0.0), 0.0
-            piece = _Piece(span=number, run=run, start=low, stop=high, before=before, after=after)
+                pieces[-1], before = replace(pieces[-1], gap_after=0.0), 0.0
+            piece = _Piece(span=number, run=run, start=low, stop=high, gap_before=before, gap_after=after)
             pieces.append(piece)
     return pieces
 
@@ -131,7 +131,7 @@ def _periods(pieces: Sequence[_Piece], apart: bool) -> list[list[_Piece]]:
     return periods
 
 
-def seen(spans: Spans, t: Floats) -> Spans:
+def observed_spans(spans: Spans, t: Floats) -> Spans:
     """Part of ``spans`` on strides at ``t`` (n,) [s]; spans with equal parts cannot be distinguished."""
     return tuple((piece.start, piece.stop) for piece in _pieces(spans, t))
 
@@ -149,7 +149,7 @@ def is_usual(spans: Spans, effect: Effect, t: Floats) -> bool:
         return len(spans) == 1
     mean = sum(end - start for start, end in spans) / len(spans)
     longest = max(piece.duration for piece in _pieces(spans, t))
-    return mean > min(effect.dwells) / MAX_DWELL_FACTOR and longest < MAX_DWELL_FACTOR * max(effect.dwells)
+    return mean > min(effect.dwell_times) / MAX_DWELL_FACTOR and longest < MAX_DWELL_FACTOR * max(effect.dwell_times)
 
 
 def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
@@ -160,7 +160,7 @@ def prior_cost(spans: Spans, effect: Effect, t: Floats) -> float:
     if effect.timing is Timing.WINDOW:
         return sum(_cost_of_end(_gap_at(edge, t), t) for span in spans for edge in span if t[0] < edge < t[-1])
     pieces = _pieces(spans, t)
-    return _periods_cost(_periods(pieces, apart=False), effect.dwells, _duration_off(pieces, t), t)
+    return _periods_cost(_periods(pieces, apart=False), effect.dwell_times, _duration_off(pieces, t), t)
 
 
 def _cost_of_end(gap: float, t: Floats) -> float:
@@ -195,7 +195,7 @@ def _periods_cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], 
     for period in periods:
         cost, dwell = min((_period_cost(dwell, period), dwell) for dwell in dwells)
         total += cost
-        begins += 1.0 + sum(begun_again(piece.after, dwell) for piece in period[:-1])
+        begins += 1.0 + sum(probability_of_restart(piece.gap_after, dwell) for piece in period[:-1])
     dwell, gaps = max(dwells), _gaps(t)
     unseen = float((dwell * -np.expm1(-gaps / dwell)).sum())  # s of gaps, after whose beginnings it would be on
     return total + rate_cost(begins, duration + unseen)
@@ -203,11 +203,11 @@ def _periods_cost(periods: Sequence[Sequence[_Piece]], dwells: Sequence[float], 
 
 def _period_cost(dwell: float, period: Sequence[_Piece]) -> float:
     """Prior cost [nats] of one period, with a mean ``dwell`` [s]."""
-    before, after = period[0].before, period[-1].after
+    before, after = period[0].gap_before, period[-1].gap_after
     total = sum(piece.duration for piece in period) / dwell
-    total += sum(in_gap(piece.after, dwell).stays for piece in period[:-1])
-    total += in_gap(before, dwell).begins if before else CHANGE_COST
-    return total + (in_gap(after, dwell).ends if after else log(dwell))
+    total += sum(gap_costs(piece.gap_after, dwell).stays for piece in period[:-1])
+    total += gap_costs(before, dwell).begins if before else CHANGE_COST
+    return total + (gap_costs(after, dwell).ends if after else log(dwell))
 
 
 def _duration_off(pieces: Sequence[_Piece], t: Floats) -> float:
@@ -228,7 +228,7 @@ def cost_without_dwell(spans: Spans, t: Floats) -> float:
     """Prior cost [nats] of times of a state without a usual dwell: ends have the same rate as beginnings."""
     pieces = _pieces(spans, t)
     periods = _periods(pieces, apart=False)
-    ends = [gap for period in periods for gap in (period[0].before, period[-1].after) if gap < inf]
+    ends = [gap for period in periods for gap in (period[0].gap_before, period[-1].gap_after) if gap < inf]
     total = sum(max(CHANGE_COST - log(max(gap, DURATION)), 0.0) for gap in ends) + DWELL_COST * len(periods)
     return total + rate_cost(len(periods), _duration_off(pieces, t))
 
@@ -241,4 +241,4 @@ def cost_of_leaving(edge: float, is_end: bool, effect: Effect, t: Floats) -> flo
     if effect.timing is Timing.WINDOW:
         return _cost_of_end(0.0, t) - _cost_of_end(gap, t)
     least = least_costs(gap, effect)
-    return log(min(effect.dwells)) - least.ends if is_end else CHANGE_COST - least.begins
+    return log(min(effect.dwell_times)) - least.ends if is_end else CHANGE_COST - least.begins

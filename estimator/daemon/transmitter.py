@@ -98,7 +98,7 @@ class Transmitter:
 
     @property
     def events(self) -> Counter[str]:
-        """What happened to our address, by name."""
+        """Number of events of our address, by name."""
         return self._past + self.node.counts
 
     def restart(self) -> None:

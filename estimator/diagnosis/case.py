@@ -1,19 +1,19 @@
-"""A drive with the effects that the configuration gives, and the reasons why a drive cannot be diagnosed."""
+"""Check whether a drive can be diagnosed, and hold it with the effects that the configuration gives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.components.component import Frame, of_term
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of
 from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.shapes import fitted_with_shapes, terms_of
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect, obstacle
-from estimator.model.term import Term
 from estimator.preparation.drive import Drive
 
 UNIFORM = "speed and acceleration vary too little, or power is not positive, so A, C and m cannot be told apart"
@@ -29,7 +29,7 @@ class Case:
 
     drive: Drive
     given: tuple[Effect, ...]
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTerm, ...]
 
     @property
     def is_road_given(self) -> bool:
@@ -45,12 +45,12 @@ class Case:
             amount = f"only {minutes:.1f} minutes" if minutes >= 1 else "less than a minute"
             most = f"; most is: {common[0][0]}" if common and minutes < 1 else ""
             return f"{amount} of driving can be used; it takes {MIN_MINUTES:.0f} at least{most}"
-        if reason := obstacle(tuple(given), drive.known):
+        if reason := obstacle(tuple(given), drive.known_quantities):
             return reason
         driven = drive.strides[drive.strides.known]
         if reason := wrong_sign_of(driven.power, driven.a):
             return reason
-        moving = [effect for effect in given if not (effect.is_gravity or effect.absorbed)]
+        moving = [effect for effect in given if not (effect.is_gravity or effect.is_absorbed)]
         terms = _terms(drive, moving) if moving else ()
         return cls(drive, tuple(given), terms)
 
@@ -63,16 +63,18 @@ class Case:
         if state is None or not PlainModel(state.fit).is_determined:
             return None
         frame = Frame.of(state.fit)
-        return state.having(tuple(of_term(frame, term) for term in self.terms)) if self.terms else state
+        return (
+            state.with_terms(tuple(term_of(frame, effect_term) for effect_term in self.terms)) if self.terms else state
+        )
 
 
-def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[Term, ...]:
+def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[EffectTerm, ...]:
     """Terms of ``effects``; a shape that no signal shows is the one with most evidence."""
     strides = drive.strides
 
-    def fitted(terms: tuple[Term, ...], known: RoadScales | None) -> RoadFit | None:
-        return fit(strides, np.random.default_rng(PROBE_SEED), terms, known)
+    def fitted(terms: tuple[EffectTerm, ...], start: RoadScales | None) -> RoadFit | None:
+        return fit(strides, np.random.default_rng(PROBE_SEED), terms, start)
 
     terms = terms_of(strides, effects, lambda: fitted((), None))
-    found = fitted_with_shapes(strides, terms, fitted)
-    return terms if found is None else found.terms
+    shaped = fitted_with_shapes(strides, terms, fitted)
+    return terms if shaped is None else shaped.terms

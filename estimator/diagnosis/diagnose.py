@@ -1,4 +1,4 @@
-"""Diagnosis of drives: where the gap is, which effects cause it, how far they reduce it, and what remains."""
+"""Diagnose drives: where the gap is, which effects cause it, how far they reduce it, and what remains."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,15 +8,15 @@ import numpy as np
 from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis import facts
 from estimator.diagnosis.case import MIN_MINUTES, UNIFORM, Case
-from estimator.diagnosis.conclusion import Conclusion, conclude
-from estimator.diagnosis.described import described
+from estimator.diagnosis.decision import Decision, decide
 from estimator.diagnosis.experiment import experiments
-from estimator.diagnosis.explanation import explain, started
-from estimator.diagnosis.findings import Findings
+from estimator.diagnosis.findings import candidate_findings, named_findings, remainder
 from estimator.diagnosis.isolability import invisible, isolability, not_testable
-from estimator.diagnosis.localisation import gap_map, places
+from estimator.diagnosis.localisation import biased_parts, gap_map
 from estimator.diagnosis.power_traces import context_of, traces_of
+from estimator.diagnosis.residual_formula import best_residual_formula
 from estimator.diagnosis.result import HIDDEN_GRADE, Diagnosis, Experiment, Finding, NotTestable
+from estimator.diagnosis.road_comparison import fitted_cases, search
 from estimator.diagnosis.surrogates import p_value
 from estimator.diagnosis.thresholds import Thresholds
 from estimator.model.effects import CATALOGUE, Effect
@@ -52,7 +52,9 @@ def diagnose(
     """
     limits = Thresholds() if thresholds is None else thresholds
     if drives:
-        effects = [effect for effect in effects if not all(effect.is_applied(drive.known) for drive in drives)]
+        effects = [
+            effect for effect in effects if not all(effect.is_applied(drive.known_quantities) for drive in drives)
+        ]
     cases = list[Case]()
     reason = "there is no driving in it"
     for drive in drives:
@@ -61,15 +63,15 @@ def diagnose(
             cases.append(case)
         else:
             reason = case
-    missing = tuple(not_testable(effects, frozenset().union(*(drive.known for drive in drives))))
+    missing = tuple(not_testable(effects, frozenset().union(*(drive.known_quantities for drive in drives))))
     if not cases:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=_obstacle(drives, reason), not_testable=missing)
-    fitted, states = started(cases)
+    fitted, states = fitted_cases(cases)
     if not fitted:
         return Diagnosis(verdict=Verdict.CANNOT_TELL, obstacle=UNIFORM, not_testable=missing)
-    conclusion = conclude(explain(fitted, states, effects, limits), fitted, limits, rng)
-    diagnosis = _report(conclusion, effects, missing)
-    return replace(diagnosis, p_value=p_value(conclusion.explained, surrogates, rng)) if surrogates else diagnosis
+    decision = decide(search(fitted, states, effects, limits), fitted, limits, rng)
+    diagnosis = _report(decision, effects, missing)
+    return replace(diagnosis, p_value=p_value(decision.result, surrogates, rng)) if surrogates else diagnosis
 
 
 def _obstacle(drives: Sequence[Drive], reason: str) -> str:
@@ -83,58 +85,57 @@ def _obstacle(drives: Sequence[Drive], reason: str) -> str:
     )
 
 
-def _report(conclusion: Conclusion, effects: Sequence[Effect], missing: tuple[NotTestable, ...]) -> Diagnosis:
-    """Diagnosis that states a conclusion; ``missing``: the effects that these drives cannot test."""
-    verdict, explained, longest = conclusion.verdict(), conclusion.explained, conclusion.longest
-    findings = Findings(conclusion)
-    named = findings.named()
-    which = conclusion.explanation.which
-    base, base_deviation = conclusion.plain
-    final, deviation = conclusion.road_load
-    traces = traces_of(conclusion)
-    is_road_hidden = any(finding.magnitude.name == HIDDEN_GRADE for finding in named)
-    ranking = findings.candidates(named)
-    told = {name for finding in named for name in (finding.name, *finding.equivalent)}
-    others = [effect for effect in effects if effect.name not in told and not effect.is_gravity]
-    forms = [form for one in explained.ranking if (form := one.each[which]) is not None]
-    remaining = conclusion.remaining()
-    addable = facts.streaming_effects(named, conclusion.cases[which].given)
+def _report(decision: Decision, effects: Sequence[Effect], missing: tuple[NotTestable, ...]) -> Diagnosis:
+    """Diagnosis that states a decision; ``missing``: the effects that these drives cannot test."""
+    verdict, result, longest = decision.verdict(), decision.result, decision.longest
+    named = named_findings(decision)
+    number = result.longest_number
+    base, base_deviation = decision.plain_road_load
+    final, deviation = decision.road_load
+    traces = traces_of(decision)
+    is_hidden_named = any(finding.magnitude.name == HIDDEN_GRADE for finding in named)
+    ranking = candidate_findings(decision, named)
+    reported = {name for finding in named for name in (finding.name, *finding.equivalent)}
+    others = [effect for effect in effects if effect.name not in reported and not effect.is_gravity]
+    tested = [term for effect in result.ranking if (term := effect.term_by_drive[number]) is not None]
+    remaining = decision.remaining()
+    addable = facts.streaming_effects(named, decision.cases[number].given)
     return Diagnosis(
         verdict=verdict,
         effects=named,
         candidates=ranking,
         remaining_verdict=remaining,
-        remaining_log_bayes_factor=conclusion.left_over,
-        remainder=findings.remainder(),
-        formula=described(longest) if remaining is Verdict.UNKNOWN or verdict is Verdict.UNKNOWN else None,
-        doubtful=facts.doubtful(explained, verdict, named),
-        noise_floor=conclusion.budget.floor,
-        rms_base=conclusion.budget.base if conclusion.lag is None else conclusion.lag.rms_before,
-        rms_final=conclusion.budget.reached,
+        remaining_log_bayes_factor=decision.log_bf_unknown,
+        remainder=remainder(decision),
+        formula=best_residual_formula(longest) if remaining is Verdict.UNKNOWN or verdict is Verdict.UNKNOWN else None,
+        doubtful=facts.doubtful(result, verdict, named),
+        noise_floor=decision.budget.floor,
+        rms_base=decision.budget.base if decision.lag is None else decision.lag.rms_before,
+        rms_final=decision.budget.held_out_rms,
         base=base,
         base_deviation=base_deviation,
         final=final,
         deviation=deviation,
-        where=tuple(places(traces, context_of(conclusion))),
-        isolability=isolability(longest, forms),
+        where=tuple(biased_parts(traces, context_of(decision))),
+        isolability=isolability(longest, tested),
         not_testable=missing,
-        invisible=invisible(longest, others, conclusion.thresholds.min_expected_log_bf),
-        advice=facts.advice(explained, effects, verdict, named),
-        experiments=_experiments(conclusion, effects, verdict, named, ranking),
+        invisible=invisible(longest, others, decision.thresholds.min_expected_log_bf),
+        advice=facts.advice(result, effects, verdict, named),
+        experiments=_experiments(decision, effects, verdict, named, ranking),
         streaming_effects=addable if verdict is Verdict.EFFECT else (),
-        budget=conclusion.budget,
-        gap_map=gap_map(traces, traces.road_known if is_road_hidden else traces.extended),
+        budget=decision.budget,
+        gap_map=gap_map(traces, traces.road_known if is_hidden_named else traces.extended),
         traces=traces,
     )
 
 
 def _experiments(
-    conclusion: Conclusion,
+    decision: Decision,
     effects: Sequence[Effect],
     verdict: Verdict,
     named: Sequence[Finding],
     ranking: Sequence[Finding],
 ) -> tuple[Experiment, ...]:
-    pairs = facts.unsettled(conclusion.explained, effects, verdict, named)
+    pairs = facts.unsettled(decision.result, effects, verdict, named)
     evidence = {finding.name: finding.log_bayes_factor for finding in ranking}
-    return experiments(conclusion.longest, pairs[:MAX_EXPERIMENTS], evidence)
+    return experiments(decision.longest, pairs[:MAX_EXPERIMENTS], evidence)

@@ -1,4 +1,4 @@
-"""Experiment that separates two effects: a manoeuvre after the drive, and the log Bayes factor to expect from it.
+"""Find the manoeuvre or signal that separates two effects, and the log Bayes factor to expect from it.
 
 If effect i acts with magnitude b, the expected log Bayes factor of i against j is
 
@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.components.component import Component
-from estimator.components.drive_state import DriveState, Form
+from estimator.components.drive_state import DriveState, FittedTerm
+from estimator.components.term import Term
 from estimator.diagnosis.result import Experiment
 from estimator.model.effects import Effect
 from estimator.model.effects.effect import AtRest, Timing
+from estimator.preparation.power_at_rest import IDLE_SD, IDLE_SHARE
 from estimator.preparation.recursion import low_passed
-from estimator.preparation.standing import IDLE_SD, IDLE_SHARE
 from estimator.roles import PAST_SPEEDS
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, ROWS, Strides
@@ -58,65 +58,73 @@ def experiments(
     The second effect is None where the alternative is no effect. A pair that the drive cannot test is left out.
     ``evidence``: log Bayes factors of the effects by name, from the search.
     """
-    found = []
-    for one, other in pairs:
-        effects = [effect for effect in (one, other) if effect is not None]
-        names = {effect.name for effect in effects}
-        rest = replace(state, chosen=tuple(c for c in state.chosen if c.name not in names))
-        forms = rest.forms(effects)
-        if names <= forms.keys() & evidence.keys():
-            possible = choices(rest, forms[one.name], None if other is None else forms[other.name], evidence)
-            found.append(max(possible, key=lambda choice: choice.expected))
-    return tuple(found)
+    best = []
+    for effect, rival in pairs:
+        effects = [effect] if rival is None else [effect, rival]
+        names = {e.name for e in effects}
+        rest = replace(state, chosen=tuple(term for term in state.chosen if term.name not in names))
+        terms = rest.fitted_terms(effects)
+        if names <= terms.keys() & evidence.keys():
+            rival_term = None if rival is None else terms[rival.name]
+            possible = possible_experiments(rest, terms[effect.name], rival_term, evidence)
+            best.append(max(possible, key=lambda experiment: experiment.expected))
+    return tuple(best)
 
 
-def choices(state: DriveState, acting: Form, other: Form | None, evidence: Mapping[str, float]) -> list[Experiment]:
+def possible_experiments(
+    state: DriveState, acting: FittedTerm, rival: FittedTerm | None, evidence: Mapping[str, float]
+) -> list[Experiment]:
     """All experiments for a pair: manoeuvres, idling at rest, and a signal of the state where times were fitted.
 
     The gain of a manoeuvre is scaled by the ratio of the search's evidence to that of this likelihood on the drive
     itself, between 0 and 1.
     """
-    a, b = acting.component.name, "" if other is None else other.component.name
+    a, b = acting.term.name, "" if rival is None else rival.term.name
     now = evidence[a] - (max(evidence[b], 0.0) if b else 0.0)
     trust = float(np.clip(evidence[a] / acting.gain, 0.0, 1.0)) if acting.gain > 0 else 0.0
-    alone = expected(state, acting, other, None)
-    found = [(m.name, m.minutes, trust * (expected(state, acting, other, m) - alone)) for m in manoeuvres(state)]
+    on_drive = expected_log_bf(state, acting, rival, None)
+    gains = [
+        (manoeuvre.name, manoeuvre.minutes, trust * (expected_log_bf(state, acting, rival, manoeuvre) - on_drive))
+        for manoeuvre in manoeuvres(state)
+    ]
     if not state.rests:
-        found.append(("two minutes of idling at rest", 2.0, _at_rest(acting, other)))
-    if acting.component.is_timed:
-        found.append(("its state on the bus", 0.0, acting.component.cost))
-    return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=now + e) for what, minutes, e in found]
+        gains.append(("two minutes of idling at rest", 2.0, _at_rest(acting, rival)))
+    if acting.term.is_timed:
+        gains.append(("its state on the bus", 0.0, acting.term.cost))
+    return [Experiment(a=a, b=b, what=what, minutes=minutes, now=now, expected=now + g) for what, minutes, g in gains]
 
 
-def expected(state: DriveState, acting: Form, other: Form | None, manoeuvre: Manoeuvre | None) -> float:
-    """Expected log Bayes factor of ``acting`` against ``other``, from the drive and a manoeuvre after it.
+def expected_log_bf(
+    state: DriveState, acting: FittedTerm, rival: FittedTerm | None, manoeuvre: Manoeuvre | None
+) -> float:
+    """Expected log Bayes factor of ``acting`` against ``rival``, from the drive and a manoeuvre after it.
 
-    If ``other`` is None, the Occam factor of the prior of ``acting`` is subtracted.
+    If ``rival`` is None, the Occam factor of the prior of ``acting`` is subtracted.
     """
     strides = state.strides if manoeuvre is None else Strides.concatenate([state.strides, driven(state, manoeuvre)])
     fit, end = replace(state.fit, strides=strides[strides.known]), float(strides.t[-1]) + DURATION / 2
-    longer = replace(state, strides=strides, fit=fit, chosen=tuple(_lasting(c, end) for c in state.chosen))
-    joint = longer.joint_with([] if other is None else [_lasting(other.component, end)])
-    chosen = range(len(joint.components))
-    column = _lasting(acting.component, end).columns(joint.frame)
+    longer = replace(state, strides=strides, fit=fit, chosen=tuple(_lasting(term, end) for term in state.chosen))
+    joint = longer.joint_with([] if rival is None else [_lasting(rival.term, end)])
+    chosen = range(len(joint.terms))
+    column = _lasting(acting.term, end).columns(joint.frame)
     strength = max(float(joint.projected(chosen, column)[0][0, 0]), 0.0)
-    width = np.log1p(strength * acting.component.sd**2) if other is None else 0.0
+    width = np.log1p(strength * acting.term.sd**2) if rival is None else 0.0
     return 0.5 * (acting.value**2 * strength - float(width))
 
 
-def _lasting(component: Component, end: float) -> Component:
-    """The component; one that begins at a standstill (a load) is prolonged to ``end`` [s]."""
-    term = component.term
-    if term is None or term.effect.timing is not Timing.STEP or not term.spans:
-        return component
-    longer = replace(term, spans=((term.spans[0][0], end),))
-    return replace(component, term=longer, spans=longer.spans, columns=lambda frame: frame.column(longer)[:, None])
+def _lasting(term: Term, end: float) -> Term:
+    """The term; one that begins at a standstill (a load) is prolonged to ``end`` [s]."""
+    effect_term = term.effect_term
+    if effect_term is None or effect_term.effect.timing is not Timing.STEP or not effect_term.spans:
+        return term
+    longer = replace(effect_term, spans=((effect_term.spans[0][0], end),))
+    return replace(term, effect_term=longer, spans=longer.spans, columns=lambda frame: frame.column(longer)[:, None])
 
 
-def _at_rest(acting: Form, other: Form | None) -> float:
+def _at_rest(acting: FittedTerm, rival: FittedTerm | None) -> float:
     """Expected log Bayes factor of a measurement of the power at idle, by the power that each effect takes at rest."""
-    terms = [(form.value, form.component.term) for form in (acting, other) if form is not None]
-    power = [*(0.0 if term is None else value * term.at_rest(IDLE) for value, term in terms), 0.0]
+    terms = [(fitted.value, fitted.term.effect_term) for fitted in (acting, rival) if fitted is not None]
+    power = [*(0.0 if effect is None else value * effect.at_rest(IDLE) for value, effect in terms), 0.0]
     sd = IDLE_SD + IDLE_SHARE * abs(power[0])
     return 0.5 * ((power[0] - power[1]) / sd) ** 2
 
@@ -126,9 +134,9 @@ def manoeuvres(state: DriveState) -> Iterator[Manoeuvre]:
     strides = state.fit.strides
     top = float(strides.v1.max())
     steady = [share * top for share in SHARES]
-    told = ", ".join(f"{3.6 * speed:.0f}" for speed in steady[:-1]) + f" and {3.6 * steady[-1]:.0f}"
+    speeds = ", ".join(f"{3.6 * speed:.0f}" for speed in steady[:-1]) + f" and {3.6 * steady[-1]:.0f}"
     held = tuple(np.full(STEADY + 1, speed) for speed in steady)
-    yield Manoeuvre(name=f"two minutes each at {told} km/h", parts=held)
+    yield Manoeuvre(name=f"two minutes each at {speeds} km/h", parts=held)
     middle = np.full(STEADY + 1, steady[1])
     yield Manoeuvre(
         name=f"two minutes at {3.6 * steady[1]:.0f} km/h, and two more in the next lower gear",
@@ -179,27 +187,27 @@ def driven(state: DriveState, manoeuvre: Manoeuvre) -> Strides:
     return Strides.concatenate(parts)
 
 
-def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int) -> Strides:
-    """Strides of part ``number`` of a manoeuvre, after the strides ``before``."""
-    t, s = float(before.t[-1]) + PART_GAP, float(before.s1[-1])
+def _part(state: DriveState, previous: Strides, manoeuvre: Manoeuvre, number: int) -> Strides:
+    """Strides of part ``number`` of a manoeuvre, after the strides ``previous``."""
+    t, s = float(previous.t[-1]) + PART_GAP, float(previous.s1[-1])
     speeds, factor = manoeuvre.parts[number], LOWER_GEAR if number in manoeuvre.lowered else 1.0
-    known, n = state.fit.strides, len(speeds) - 1
+    strides, n = state.fit.strides, len(speeds) - 1
     A, C, m = state.fit.theta[:3].tolist()
     v0, v1 = speeds[:-1], speeds[1:]
     v, a = 0.5 * (v0 + v1), (v1 - v0) / DURATION
     ends = s + np.concatenate([[0.0], np.cumsum(v * DURATION)])
-    order = np.argsort(known.speed)
-    gearing = factor * np.interp(v, known.speed[order], known.filled_gearing[order])
+    order = np.argsort(strides.speed)
+    gearing = factor * np.interp(v, strides.speed[order], strides.filled_gearing[order])
     force, unknown, times = A + C * v**2 + m * a, np.full(n, np.nan), t + DURATION * (np.arange(n) + 0.5)
-    own = {
+    driven_context = {
         Quantity.ENGINE_SPEED: gearing * v,
-        Quantity.STOPS: np.full(n, _last(before, Quantity.STOPS) + manoeuvre.from_rest),
-        Quantity.ELAPSED: _last(before, Quantity.ELAPSED) + times - float(before.t[-1]),
-        Quantity.HEADING: np.full(n, _last(state.strides, Quantity.HEADING) + np.pi * manoeuvre.turned),
+        Quantity.STOPS: np.full(n, _last_known(previous, Quantity.STOPS) + manoeuvre.from_rest),
+        Quantity.ELAPSED: _last_known(previous, Quantity.ELAPSED) + times - float(previous.t[-1]),
+        Quantity.HEADING: np.full(n, _last_known(state.strides, Quantity.HEADING) + np.pi * manoeuvre.turned),
         Quantity.LATERAL_ACCELERATION: np.zeros(n),
-        **{q: low_passed(v, _last(before, q), DURATION, time) for q, time in PAST_SPEEDS.items()},
+        **{q: low_passed(v, _last_known(previous, q), DURATION, time) for q, time in PAST_SPEEDS.items()},
     }
-    context = {q: own.get(q, np.full(n, _last(state.strides, q))) for q in state.strides.context}
+    context = {q: driven_context.get(q, np.full(n, _last_known(state.strides, q))) for q in state.strides.context}
     return Strides(
         t=times,
         rows=np.full(n, ROWS),
@@ -212,7 +220,7 @@ def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int)
         speed_squared=v**2,
         force=np.repeat(force[:, None], len(LAGS), axis=1),
         gearing=gearing,
-        density=np.full(n, float(np.nanmean(known.density)) if np.isfinite(known.density).any() else np.nan),
+        density=np.full(n, float(np.nanmean(strides.density)) if np.isfinite(strides.density).any() else np.nan),
         altitude=unknown,
         grade=unknown,
         grade_offset_sd=unknown,
@@ -221,8 +229,8 @@ def _part(state: DriveState, before: Strides, manoeuvre: Manoeuvre, number: int)
     )
 
 
-def _last(strides: Strides, quantity: Quantity) -> float:
+def _last_known(strides: Strides, quantity: Quantity) -> float:
     """The last known value of a quantity; 0 where there is none."""
     values = strides.context.get(quantity, np.empty(0))
-    known = values[np.isfinite(values)]
-    return float(known[-1]) if len(known) else 0.0
+    finite = values[np.isfinite(values)]
+    return float(finite[-1]) if len(finite) else 0.0

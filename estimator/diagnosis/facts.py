@@ -1,53 +1,53 @@
-"""Facts for the sentences of a report: doubtful candidate, advice, unsettled pairs, effects to configure."""
+"""Select facts for the sentences of a report: doubtful candidate, advice, unsettled pairs, effects to configure."""
 
 from collections.abc import Sequence
 
 from estimator.answers.diagnosis import Verdict
-from estimator.components.explained import Explained
+from estimator.components.search_result import SearchResult
 from estimator.diagnosis.result import HIDDEN_GRADE, Advice, Finding
 from estimator.model.effects import BY_NAME, Effect
 
 MIN_RIVAL = 0.05  # probability above which an effect is a rival of the likeliest one
 
 
-def doubtful(explained: Explained, verdict: Verdict, named: Sequence[Finding]) -> str:
+def doubtful(result: SearchResult, verdict: Verdict, named: Sequence[Finding]) -> str:
     """The likeliest candidate of a "cannot tell" without named effects; else empty."""
-    if verdict is not Verdict.CANNOT_TELL or named or not explained.probability:
+    if verdict is not Verdict.CANNOT_TELL or named or not result.probability:
         return ""
-    return _likeliest(explained)[0]
+    return _likeliest(result)[0]
 
 
-def _likeliest(explained: Explained) -> list[str]:
+def _likeliest(result: SearchResult) -> list[str]:
     """Names of effects, the most probable first."""
-    return sorted(explained.probability, key=lambda name: -explained.probability[name])
+    return sorted(result.probability, key=lambda name: -result.probability[name])
 
 
 def advice(
-    explained: Explained, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
+    result: SearchResult, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
 ) -> tuple[Advice, ...]:
     """The signal or manoeuvre that separates each effect from those that are equivalent to it on this drive."""
     unsure: list[str] = []
     if verdict is Verdict.CANNOT_TELL:
-        unsure += [named[0].name, *named[0].equivalent] if named else _likeliest(explained)[:1]
+        unsure += [named[0].name, *named[0].equivalent] if named else _likeliest(result)[:1]
     elif verdict is Verdict.EFFECT:
         unsure += [other for finding in named for other in finding.equivalent]
         unsure += [finding.name for finding in named if finding.magnitude.name == HIDDEN_GRADE]
-    breaks = {effect.name: effect.breaks for effect in effects}
-    return tuple(Advice(name, breaks[name]) for name in dict.fromkeys(unsure) if name in breaks)
+    shown_by = {effect.name: effect.shown_by for effect in effects}
+    return tuple(Advice(name, shown_by[name]) for name in dict.fromkeys(unsure) if name in shown_by)
 
 
 def unsettled(
-    explained: Explained, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
+    result: SearchResult, effects: Sequence[Effect], verdict: Verdict, named: Sequence[Finding]
 ) -> list[tuple[Effect, Effect | None]]:
     """Pairs of effects that the drive does not separate, the likelier one first; None: the alternative is no effect."""
     by_name = {effect.name: effect for effect in effects}
-    pairs = [(found.name, other) for found in named for other in found.equivalent]
+    pairs = [(finding.name, name) for finding in named for name in finding.equivalent]
     if named and (pairs or verdict is Verdict.EFFECT):
         return [(by_name[a], by_name[b]) for a, b in pairs if a in by_name and b in by_name]
-    if verdict is not Verdict.CANNOT_TELL or not explained.probability:
+    if verdict is not Verdict.CANNOT_TELL or not result.probability:
         return []
-    best, *others = _likeliest(explained)
-    rivals = [by_name[name] for name in others if explained.probability[name] > MIN_RIVAL]
+    best, *others = _likeliest(result)
+    rivals = [by_name[name] for name in others if result.probability[name] > MIN_RIVAL]
     return [(by_name[best], rival) for rival in rivals] or [(by_name[best], None)]
 
 
@@ -59,5 +59,5 @@ def streaming_effects(named: Sequence[Finding], given: Sequence[Effect]) -> tupl
     sizes = {effect.symbol for effect in BY_NAME.values()}  # magnitudes that a configuration can hold
     effects = [BY_NAME[f.name] for f in named if f.name in BY_NAME and f.magnitude.name in sizes and not f.span]
     added = [effect for effect in effects if effect.is_streaming and not effect.is_gravity]
-    kept = [effect for effect in given if not effect.is_gravity]
-    return tuple(dict.fromkeys(effect.name for effect in (*kept, *added))) if added else ()
+    moving = [effect for effect in given if not effect.is_gravity]
+    return tuple(dict.fromkeys(effect.name for effect in (*moving, *added))) if added else ()

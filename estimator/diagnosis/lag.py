@@ -1,4 +1,4 @@
-"""Finding of the lag between power and speed: every fit has it as a term, and it is named beyond usual delays."""
+"""Compute the finding of the lag between power and speed: a term of every fit, which is named beyond usual delays."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from estimator.components.budget import SDS_OF_90_PERCENT, Budget, Residuals
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
 from estimator.components.processes import LOW_PASS, USUAL_LAG
-from estimator.diagnosis.explanation import Explanation
+from estimator.components.search_result import SearchResult
 from estimator.diagnosis.result import EARLY, LATE, Finding, GapClosed, Magnitude
 from estimator.estimation.road_likelihood import LAG
 from estimator.model.effects import BY_NAME, Effect
@@ -18,36 +18,36 @@ LAG_DOUBT = 0.005  # s, sd from errors of form of effects: 90 % intervals then h
 MIN_LOG_BF = 8.0  # of a lag outside USUAL_LAG: four standard deviations
 
 
-def evidence_of_lag(explanation: Explanation) -> float | None:
+def evidence_of_lag(result: SearchResult) -> float | None:
     """Log Bayes factor of a lag beyond usual delays, with that of a low-pass of the speed; None if it is not named.
 
     It is not named where an error of form of a large effect can give as much evidence.
     """
-    value, sd = _lag(explanation)
+    value, sd = _lag(result)
     excess = max(value - USUAL_LAG[1], USUAL_LAG[0] - value, 0.0) / sd
-    found = 0.5 * excess**2 + low_pass_gain(explanation)
-    least = max(MIN_LOG_BF, explanation.explained.error_of_form)
-    return found if excess and found >= least and abs(value) <= LONGEST_LAG else None
+    evidence = 0.5 * excess**2 + log_bf_low_pass(result)
+    least = max(MIN_LOG_BF, result.error_of_form)
+    return evidence if excess and evidence >= least and abs(value) <= LONGEST_LAG else None
 
 
-def low_pass_gain(explanation: Explanation) -> float:
+def log_bf_low_pass(result: SearchResult) -> float:
     """Log Bayes factor of a low-pass of the speed if no other nameless process has more, else 0."""
-    nameless = explanation.explained.nameless
-    is_low_pass = any(process.name == LOW_PASS for process in nameless.processes.values())
+    nameless = result.nameless
+    is_low_pass = any(process.name == LOW_PASS for process in nameless.term_by_drive.values())
     return nameless.log_bayes_factor if is_low_pass else 0.0
 
 
-def lag_finding(explanation: Explanation, budget: Budget) -> Finding | None:
+def lag_finding(result: SearchResult, budget: Budget) -> Finding | None:
     """Finding of a lag beyond usual delays, else None.
 
     Its residuals are those of the plain model on power as measured (before) and on power shifted by the lag (after).
     """
-    evidence = evidence_of_lag(explanation)
+    evidence = evidence_of_lag(result)
     if evidence is None:
         return None
-    value, sd = _lag(explanation)
-    effect = effect_of(explanation)
-    drives = zip(explanation.explained.drives, budget.residuals, strict=True)
+    value, sd = _lag(result)
+    effect = lag_effect(result)
+    drives = zip(result.drives, budget.residuals, strict=True)
     unaligned = np.concatenate([unaligned_residual(drive, residuals) for drive, residuals in drives])
     aligned = np.concatenate([residuals.given for residuals in budget.residuals])
     return Finding(
@@ -70,14 +70,14 @@ def unaligned_residual(drive: DriveState, residuals: Residuals) -> Floats:
     return plain.residual(plain.power) - (residuals.plain - residuals.given)
 
 
-def effect_of(explanation: Explanation) -> Effect:
+def lag_effect(result: SearchResult) -> Effect:
     """Catalogue entry of the lag: LATE if power lags speed, else EARLY, as where the speed is low-passed."""
-    return BY_NAME[LATE if _lag(explanation)[0] > 0 else EARLY]
+    return BY_NAME[LATE if _lag(result)[0] > 0 else EARLY]
 
 
-def _lag(explanation: Explanation) -> tuple[float, float]:
+def _lag(result: SearchResult) -> tuple[float, float]:
     """Lag of power behind speed [s] and its sd, by the fit of the longest drive with the chosen effects."""
-    fit = explanation.longest.fit
+    fit = result.longest.fit
     return float(fit.lag), float(np.sqrt(fit.theta_covariance()[LAG, LAG] + LAG_DOUBT**2))
 
 

@@ -1,4 +1,4 @@
-"""Places where model and vehicle disagree: the mean residual of the plain model in parts of each axis.
+"""Find where model and vehicle disagree: the mean residual of the plain model in parts of each axis.
 
 A mean is tested against the spread of sums over blocks of BLOCK seconds, because residuals are autocorrelated. The
 false discovery rate over all parts of all axes is at most MAX_FALSE_DISCOVERY_RATE (Benjamini & Hochberg 1995).
@@ -24,7 +24,7 @@ SPEED_CELL, ACCELERATION_CELL = 2.5, 0.1  # m/s, m/s^2
 MIN_CELL_ROWS = 2  # rows of 2 s in a cell of the map
 
 
-def places(traces: Traces, context: Mapping[Quantity, Floats]) -> list[Place]:
+def biased_parts(traces: Traces, context: Mapping[Quantity, Floats]) -> list[Place]:
     """Parts of axes where the mean residual is not zero, largest share first; ``context`` (n,): further axes."""
     residual, block = traces.measured - traces.base, _blocks(traces)
     total = float(residual @ residual)
@@ -95,8 +95,8 @@ def _equal(x: Floats) -> Floats:
     return edges
 
 
-def gap_map(traces: Traces, after: Floats) -> GapMap:
-    """Mean residual [W] in cells of speed and acceleration: plain model, and a model with power ``after`` [W] (n,)."""
+def gap_map(traces: Traces, extended: Floats) -> GapMap:
+    """Mean residual [W] in cells of speed and acceleration: of the plain model, and of power ``extended`` [W] (n,)."""
     speed = np.arange(0.0, float(traces.speed.max()) + SPEED_CELL, SPEED_CELL)
     low, high = np.quantile(traces.acceleration, [0.001, 0.999])
     acceleration = np.arange(
@@ -112,7 +112,7 @@ def gap_map(traces: Traces, after: Floats) -> GapMap:
     return GapMap(
         speed_edges=speed,
         acceleration_edges=acceleration,
-        before=mean(traces.base),
-        after=mean(after),
+        plain=mean(traces.base),
+        extended=mean(extended),
         samples=count,
     )

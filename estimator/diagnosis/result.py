@@ -1,4 +1,4 @@
-"""Result of a diagnosis: the verdict and its evidence, for tables, JSON and pages."""
+"""Define the result of a diagnosis: the verdict and its evidence, for tables, JSON and pages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -96,7 +96,7 @@ class Invisible:
     name: str
     expected_log_bayes_factor: float
     shift: Shift
-    breaks: str  # signal or manoeuvre that would show it
+    shown_by: str  # signal or manoeuvre that would show it
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class Remainder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Described:
+class ResidualFormula:
     """Formula for the residual that no named effect explains: ``value`` +- ``sd`` [``unit``] x ``text``, a power [W].
 
     ``log_bayes_factor`` is less the cost of all formulas that were tried. ``share``: reduction of the squared residual,
@@ -129,7 +129,7 @@ class Advice:
     """The signal or manoeuvre that separates an effect from those that are equivalent to it on these drives."""
 
     name: str
-    breaks: str
+    shown_by: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,8 +163,8 @@ class GapMap:
 
     speed_edges: Floats  # [m/s]
     acceleration_edges: Floats  # [m/s^2]
-    before: Floats  # plain model
-    after: Floats  # with the named effects
+    plain: Floats  # plain model
+    extended: Floats  # with the named effects
     samples: Floats  # means over 2 s in each cell
 
 
@@ -211,7 +211,7 @@ class Diagnosis:
     remaining_verdict: Verdict = Verdict.CANNOT_TELL
     remaining_log_bayes_factor: float | None = None
     remainder: Remainder | None = None
-    formula: Described | None = None  # of the residual that no named effect explains
+    formula: ResidualFormula | None = None  # of the residual that no named effect explains
     doubtful: str = ""  # the likeliest effect if the verdict is "cannot tell" and none is named
     noise_floor: float | None = None  # [W], rms of sensor noise and white force
     rms_base: float | None = None  # [W], plain model with the given effects
@@ -239,9 +239,9 @@ class Diagnosis:
     @property
     def ranking(self) -> tuple[Finding, ...]:
         """All findings, most evidence first: named ones beside all other terms, the others alone."""
-        named = {found.name for found in self.effects}
-        others = [found for found in self.candidates if found.name not in named]
-        return tuple(sorted((*self.effects, *others), key=lambda found: -found.log_bayes_factor))
+        named = {finding.name for finding in self.effects}
+        others = [finding for finding in self.candidates if finding.name not in named]
+        return tuple(sorted((*self.effects, *others), key=lambda finding: -finding.log_bayes_factor))
 
     @property
     def table(self) -> dict[str, Any]:
@@ -249,25 +249,26 @@ class Diagnosis:
 
         ``pandas.DataFrame`` and ``polars.DataFrame`` accept it.
         """
-        named = {found.name for found in self.effects}
-        others = [found for found in self.candidates if found.name not in named]
-        rows = [_row(found, "named") for found in self.effects] + [_row(found, "candidate") for found in others]
+        named = {finding.name for finding in self.effects}
+        others = [finding for finding in self.candidates if finding.name not in named]
+        rows = [_row(finding, "named") for finding in self.effects]
+        rows += [_row(finding, "candidate") for finding in others]
         return columns(CANDIDATES, rows)
 
 
-def _row(found: Finding, status: str) -> Row:
+def _row(finding: Finding, status: str) -> Row:
     row: dict[str, Any] = {
-        "effect": found.name,
+        "effect": finding.name,
         "status": status,
-        "probability": found.probability,
-        "log_bayes_factor": found.log_bayes_factor,
-        "magnitude": found.magnitude.name,
-        "value": found.magnitude.value,
-        "sd": found.magnitude.sd,
-        "unit": found.magnitude.unit,
+        "probability": finding.probability,
+        "log_bayes_factor": finding.log_bayes_factor,
+        "magnitude": finding.magnitude.name,
+        "value": finding.magnitude.value,
+        "sd": finding.magnitude.sd,
+        "unit": finding.magnitude.unit,
     }
-    if found.gap_closed is not None:
-        row["gap_closed"] = found.gap_closed.fraction
-    if (shift := found.shift) is not None:
+    if finding.gap_closed is not None:
+        row["gap_closed"] = finding.gap_closed.fraction
+    if (shift := finding.shift) is not None:
         row |= {"mass_shift_kg": shift.mass, "A_shift_N": shift.A, "C_shift_N_s2_m2": shift.C}
     return row

@@ -1,4 +1,4 @@
-"""Thresholds that turn the table of models into a diagnosis; docs/how_it_decides.md lists where each is used."""
+"""Define the thresholds that turn the table of models into a diagnosis; docs/how_it_decides.md lists their uses."""
 
 from dataclasses import dataclass
 

@@ -20,7 +20,7 @@ In the simplest case, one regressor, the mass is too large by k R with
     R = s^2 sum_i (K^-1 S)_ii
 
 where s is its relative sd, and the sum is the effective number of parameters of the slopes. The share k depends on the
-driver; its mean is ANSWERED.
+driver; its mean is DRIVER_FEEDBACK.
 
 The covariance includes the uncertainty of both corrections and of the scales, which are estimated from the same drive.
 With V_i the derivative of K by the logarithm of scale i, the moments of a residual r change by
@@ -49,8 +49,8 @@ MAX_NOISE_SHARE = 0.3  # of noise in the information on 1/m: beyond, the whole c
 COARSE_SHARE, COARSE_SD = 0.5, 1.0
 # Share of the slope force that drivers add, and its sd. 54 drives of a simulated driver, who changes the force within
 # 0.6 s, have 1.09 +- 0.05; a speed trace that is followed exactly has 1, a constant pedal 0.
-ANSWERED, ANSWERED_SD = 1.0, 0.4
-MAX_ANSWERED = 0.3  # largest relative change of 1/m by the drivers' response: the correction is of first order
+DRIVER_FEEDBACK, DRIVER_FEEDBACK_SD = 1.0, 0.4
+MAX_DRIVER_CORRECTION = 0.3  # largest relative change of 1/m by the drivers' response: the correction is of first order
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class NormalEquations:
 
     gram: Floats  # (1 + q, 1 + q) products of the data, the response first
     noise: Floats  # (q, q) part of the products of the regressors that is noise
-    answered: Floats  # (q,) moments lost if drivers respond to slopes in full, times 1/m
+    driver_bias: Floats  # (q,) moments lost if drivers respond to slopes in full, times 1/m
     moved: Floats  # (q, d) change of the moments by one sd of each of d independent directions of the scales
     noise_moved: Floats  # (d,) relative change of the noise by one sd of each direction
     prior: Floats  # (p,) precisions
@@ -93,7 +93,7 @@ class NormalEquations:
         found = cls(
             gram=conditioned.gram(data) if shapes.size else plain,
             noise=likelihood.noise_information(scales, conditioned, beta, shapes, rng),
-            answered=float(likelihood.unit[0]) * conditioned.freedom @ by_force,
+            driver_bias=float(likelihood.unit[0]) * conditioned.leverage @ by_force,
             moved=np.zeros((q, 0)),
             noise_moved=np.zeros(0),
             prior=np.diag(likelihood.prior),
@@ -133,31 +133,31 @@ class NormalEquations:
         share = float(direction @ noise @ direction / (direction @ information @ direction))
         corrected = np.linalg.inv(information - limited(noise, information))
         beta: Floats = corrected @ moment
-        by_noise, by_answers = beta - plain, self._answers(corrected, beta, places)
+        by_noise, driver_correction = beta - plain, self._driver_correction(corrected, beta, places)
         by_scales = corrected @ self.moved[places]
         all_moved = by_scales + np.outer(by_noise, self.noise_moved)
         covariance: Floats = corrected @ information @ corrected + by_scales @ by_scales.T + all_moved @ all_moved.T
         covariance += (share > MAX_NOISE_SHARE) * np.outer(by_noise, by_noise)
         return (
-            beta + ANSWERED * by_answers,
-            covariance + ANSWERED_SD**2 * np.outer(by_answers, by_answers),
+            beta + DRIVER_FEEDBACK * driver_correction,
+            covariance + DRIVER_FEEDBACK_SD**2 * np.outer(driver_correction, driver_correction),
             share,
         )
 
-    def _answers(self, corrected: Floats, beta: Floats, places: Places) -> Floats:
+    def _driver_correction(self, corrected: Floats, beta: Floats, places: Places) -> Floats:
         """Return the bias to add to the coefficients if drivers respond to slopes in full, to first order."""
         if not beta[0] > 0:
             return np.zeros_like(beta)
-        taken: Floats = corrected @ self.answered[places] / beta[0]
+        taken: Floats = corrected @ self.driver_bias[places] / beta[0]
         return taken * of_first_order(float(taken[0]), float(beta[0]))
 
 
 def of_first_order(taken: float, coefficient: float) -> float:
-    """Return the factor (at most 1) that limits the correction ``taken`` to MAX_ANSWERED of the ``coefficient`` 1/m.
+    """Return the factor (at most 1) that limits the correction ``taken`` to a share of the ``coefficient`` 1/m.
 
-    0 where the coefficient is not positive, which is no mass.
+    The share is MAX_DRIVER_CORRECTION. The factor is 0 where the coefficient is not positive, which is no mass.
     """
-    return min(1.0, MAX_ANSWERED * max(coefficient, 0.0) / max(taken, 1e-300))
+    return min(1.0, MAX_DRIVER_CORRECTION * max(coefficient, 0.0) / max(taken, 1e-300))
 
 
 def _scale_doubt(

@@ -15,11 +15,11 @@ from estimator.estimation.form_doubt import with_doubt_of_effects, with_doubt_of
 from estimator.estimation.normal_equations import NormalEquations
 from estimator.estimation.road_likelihood import LAG, Likelihood, shapes_of, taken_by
 from estimator.estimation.road_search import RoadScales, Search, first_guess, scaled_by
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import AtRest
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import LEVEL
 from estimator.model.road_scales import LENGTH, SLOPE
-from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -37,7 +37,7 @@ class RoadFit:
     covariance: Floats  # (p, p), with the uncertainties of corrections, scales and form
     scales: RoadScales
     log_evidence: float  # includes the prior of the scales, if these were searched for
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTerm, ...]
     strides: Strides  # those with a known force
     fitted: Floats  # (n,) acceleration of the model, with the road [m/s^2]
     slope: Floats  # (n,) posterior mean of the slope [1] at the strides
@@ -139,7 +139,7 @@ def theta_jacobian(beta: Floats, effects: int) -> Floats:
 def fit(
     strides: Strides,
     rng: np.random.Generator,
-    terms: Sequence[Term] = (),
+    terms: Sequence[EffectTerm] = (),
     known: RoadScales | None = None,
     longest_lag: float = float(LAGS.max()),
     departures: Sequence[float] = (),
@@ -182,7 +182,7 @@ def fit_given(
     strides: Strides,
     rng: np.random.Generator,
     scales: RoadScales,
-    terms: Sequence[Term] = (),
+    terms: Sequence[EffectTerm] = (),
     longest_lag: float = float(LAGS.max()),
     departures: Sequence[float] = (),
     rests: Sequence[AtRest] = (),
@@ -200,7 +200,9 @@ def fit_given(
     return fit(strides, rng, terms, None, longest_lag, departures, scales.alpha == LEVEL, rests)
 
 
-def _search(strides: Strides, terms: Sequence[Term], longest_lag: float, departures: Sequence[float]) -> Search | None:
+def _search(
+    strides: Strides, terms: Sequence[EffectTerm], longest_lag: float, departures: Sequence[float]
+) -> Search | None:
     """Return the search over strides, or None under the conditions of `fit`."""
     driven = strides[strides.known]
     if len(driven) < MIN_STRIDES or not driven.a.any():
@@ -209,7 +211,11 @@ def _search(strides: Strides, terms: Sequence[Term], longest_lag: float, departu
 
 
 def refit(
-    found: RoadFit, strides: Strides, rng: np.random.Generator, terms: Sequence[Term], rests: Sequence[AtRest] = ()
+    found: RoadFit,
+    strides: Strides,
+    rng: np.random.Generator,
+    terms: Sequence[EffectTerm],
+    rests: Sequence[AtRest] = (),
 ) -> RoadFit:
     """Fit the ``strides`` of a fit with other terms: scales are refitted; orders and design of the road are kept.
 
@@ -219,7 +225,9 @@ def refit(
     return _concluded(*search.improved(found.scales), rng, rests, with_changes=False)
 
 
-def _beside(rest: AtRest, beta: Floats, covariance: Floats, terms: Sequence[Term]) -> tuple[Floats, Floats, float]:
+def _beside(
+    rest: AtRest, beta: Floats, covariance: Floats, terms: Sequence[EffectTerm]
+) -> tuple[Floats, Floats, float]:
     """Update coefficients (p,) and covariance with the power at rest; return both and its log predictive density.
 
     The power at rest is the sum over ``terms``. The update is a Kalman filter's, to first order.

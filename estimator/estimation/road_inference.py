@@ -38,10 +38,10 @@ from estimator.estimation.scale_check import ScaleCheck
 from estimator.estimation.shapes import averaged, fitted_with_shapes, terms_of
 from estimator.estimation.usual_vehicles import Size, unusual
 from estimator.estimation.window import Window
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import obstacle
 from estimator.model.road import ALPHAS, ROUGH, SMOOTH
 from estimator.model.road_scales import POWER, SCALES, TORQUE
-from estimator.model.term import Term
 from estimator.preparation.stage import moving_effects
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, LAGS, Strides
@@ -208,7 +208,7 @@ class RoadInference:
         return averaged(strides, found).checked()
 
     def _fitted_beside(
-        self, strides: Strides, terms: tuple[Term, ...], scales: RoadScales | None, is_search: bool
+        self, strides: Strides, terms: tuple[EffectTerm, ...], scales: RoadScales | None, is_search: bool
     ) -> RoadFit | None:
         """Fit ``terms`` at the given ``scales``, or search for scales from there; None: from their prior centres."""
         limit, rng = self._config.kinematics.maximum_lag_s, np.random.default_rng(PROBE_SEED)
@@ -218,7 +218,7 @@ class RoadInference:
 
     def _judge(self, t: float, found: RoadFit, contradicted: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)
-        usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual(found.road_load) for term in found.terms]
+        usual = [posterior.MAX_USUAL_MAGNITUDES * term.effect.usual_magnitude(found.road_load) for term in found.terms]
         lowest = [0.0 if term.effect.positive else -size for term, size in zip(found.terms, usual, strict=True)]
         bounds = np.append(lower, lowest), np.append(upper, usual)
         drive = RoadTarget.of(found, Belief.none(), *bounds)

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from estimator.model.conditioned import Conditioned
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import View
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
@@ -23,7 +24,6 @@ from estimator.model.road import RoadModel
 from estimator.model.road_load import NEW_LOAD_SD
 from estimator.model.road_scales import TORQUE
 from estimator.model.road_score import Score, score
-from estimator.model.term import Term
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
 
@@ -81,7 +81,7 @@ def taken_by(
     strides: Strides,
     force: Floats,
     road_load: Floats,
-    terms: Sequence[Term],
+    terms: Sequence[EffectTerm],
     sizes: Floats,
     density: Floats | None = None,
 ) -> Floats:
@@ -96,7 +96,7 @@ def taken_by(
 def columns(
     strides: Strides,
     lag: int,
-    terms: Sequence[Term],
+    terms: Sequence[EffectTerm],
     road_load: Floats,
     departures: Sequence[float] = (),
     taken: Floats | float = 0.0,
@@ -140,7 +140,7 @@ class Likelihood:
     def __init__(
         self,
         model: RoadModel,
-        terms: Sequence[Term],
+        terms: Sequence[EffectTerm],
         road_load: Floats,
         lag: int,
         departures: Sequence[float] = (),

@@ -11,11 +11,11 @@ import numpy as np
 
 from estimator.estimation.road_likelihood import LAG, ROAD_LOAD, Likelihood, columns, taken_by
 from estimator.estimation.scale_search import most_probable
+from estimator.model.effect_term import EffectTerm
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
 from estimator.model.road import ALPHAS, LEVEL, ROUGH, SMOOTH, RoadModel
 from estimator.model.road_nodes import Place, warping
 from estimator.model.road_scales import LENGTH, POWER, SCALES, SLOPE, TORQUE
-from estimator.model.term import Term
 from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
@@ -108,7 +108,7 @@ class Search:
     def __init__(
         self,
         strides: Strides,
-        terms: Sequence[Term],
+        terms: Sequence[EffectTerm],
         road_load: Floats,
         longest_lag: float = float(LAGS.max()),
         departures: Sequence[float] = (),

@@ -23,18 +23,18 @@ from estimator.estimation.road_likelihood import LAG, Likelihood
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.savage_dickey import log_bayes_factor
 from estimator.model.conditioned import Conditioned
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import Effect
-from estimator.model.term import Term
 from estimator.signals import Floats, Quantity
 from estimator.strides import Strides
 
 MAX_FITS = 5  # each beside finer shapes than the one before; 2 or 3 are usual
 MAX_ROUNDS = 10  # of shapes at the same scales: each takes the magnitudes of the one before
 MIN_GAIN = 0.1  # of log evidence, for another shape
-FitBeside = Callable[[tuple[Term, ...], RoadScales | None], RoadFit | None]  # of terms, with scales to start from
+FitBeside = Callable[[tuple[EffectTerm, ...], RoadScales | None], RoadFit | None]  # of terms, with scales to start from
 
 
-def fitted_with_shapes(strides: Strides, terms: tuple[Term, ...], fitted: FitBeside) -> RoadFit | None:
+def fitted_with_shapes(strides: Strides, terms: tuple[EffectTerm, ...], fitted: FitBeside) -> RoadFit | None:
     """The fit of ``strides`` beside ``terms`` with shapes near theirs that add evidence; None where there is no fit."""
     found = fitted(terms, None)
     for _ in range(MAX_FITS if any(is_free(term) for term in terms) else 0):
@@ -48,13 +48,15 @@ def fitted_with_shapes(strides: Strides, terms: tuple[Term, ...], fitted: FitBes
     return found
 
 
-def terms_of(strides: Strides, effects: Sequence[Effect], plain: Callable[[], RoadFit | None]) -> tuple[Term, ...]:
+def terms_of(
+    strides: Strides, effects: Sequence[Effect], plain: Callable[[], RoadFit | None]
+) -> tuple[EffectTerm, ...]:
     """Each effect with the shape of most evidence beside the ``plain`` fit, which is made where there is a choice.
 
     Of several signals of one quantity the first one is taken.
     """
     known = frozenset(strides.context)
-    shapes = [[Term(effect, shape) for shape in effect.streaming_shapes(known)] for effect in effects]
+    shapes = [[EffectTerm(effect, shape) for shape in effect.streaming_shapes(known)] for effect in effects]
     shapes = [terms[:1] if isinstance(terms[0].shape, Quantity) else terms for terms in shapes if terms]
     if all(len(terms) == 1 for terms in shapes):
         return tuple(terms[0] for terms in shapes)
@@ -62,25 +64,25 @@ def terms_of(strides: Strides, effects: Sequence[Effect], plain: Callable[[], Ro
     return () if fit is None else best_shapes(strides, fit, shapes)
 
 
-def is_free(term: Term) -> bool:
+def is_free(term: EffectTerm) -> bool:
     """Whether its shape is a number that no signal tells."""
-    return term.effect.finer is not None and not isinstance(term.shape, Quantity)
+    return term.effect.finer_shapes is not None and not isinstance(term.shape, Quantity)
 
 
-def near(term: Term, size: float) -> list[Term]:
+def near(term: EffectTerm, size: float) -> list[EffectTerm]:
     """The term, and the same with shapes near its own for the magnitude ``size``; alone where a signal tells it."""
-    finer = term.effect.finer
+    finer = term.effect.finer_shapes
     shapes = () if finer is None or isinstance(term.shape, Quantity) else finer(term.shape, size)
     return [replace(term, shape=shape) for shape in dict.fromkeys((term.shape, *shapes))]
 
 
-def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[Term]]) -> tuple[Term, ...]:
+def best_shapes(strides: Strides, found: RoadFit, shapes: Sequence[Sequence[EffectTerm]]) -> tuple[EffectTerm, ...]:
     """Term of each effect, among its ``shapes``, that adds most to the evidence of a fit; its sign is checked."""
     likelihood = ShapeLikelihood(strides, found)
     return tuple(each[int(np.argmax(likelihood.judged((), each)[0]))] for each in shapes if each)
 
 
-def nearer_shapes(strides: Strides, found: RoadFit) -> tuple[Term, ...]:
+def nearer_shapes(strides: Strides, found: RoadFit) -> tuple[EffectTerm, ...]:
     """The terms of a fit with the shapes near theirs that add most to the evidence, at its scales."""
     likelihood, terms, sizes = ShapeLikelihood(strides, found), list(found.terms), found.theta[LAG + 1 :].tolist()
     for _ in range(MAX_ROUNDS):
@@ -128,7 +130,7 @@ class ShapeLikelihood:
         self._model = found.scales.model_of(strides)
         self._conditioned = Conditioned.of(self._model, found.scales.values)
 
-    def judged(self, beside: tuple[Term, ...], shapes: Sequence[Term]) -> tuple[Floats, Floats]:
+    def judged(self, beside: tuple[EffectTerm, ...], shapes: Sequence[EffectTerm]) -> tuple[Floats, Floats]:
         """Gain (k,) in log evidence of each of ``shapes`` (k,) alone ``beside`` other terms, and coefficients (k, p).
 
         The last coefficient is that of the shape.

@@ -32,7 +32,7 @@ class DriveDiagnosis(Diagnosis):
 
     @property
     def answer(self) -> DiagnosisAnswer:
-        """What ``roadload diagnose --json`` prints."""
+        """The answer that ``roadload diagnose --json`` prints."""
         return of_diagnosis(self)
 
     def summary(self) -> str:

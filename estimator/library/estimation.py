@@ -33,7 +33,7 @@ NAMES = {"mass": "mass [kg]", "A": "A [N]", "C": "C [N s²/m²]"}
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Estimation:
-    """What drives of one vehicle say of it.
+    """Mass, A and C of a vehicle from its drives, with all that led to them.
 
     ``final``: the last estimate, of which ``mass``, ``A`` and ``C`` are the marginals; ``updates``: all, in order of
     time; ``start``: time of the first frame [s]; ``cells``: the coverage map; ``evidence``: trace and draws behind the

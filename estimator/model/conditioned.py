@@ -46,7 +46,7 @@ class Conditioned:
 
     @cached_property
     def _slope_moments(self) -> tuple[Floats, Floats]:
-        """`freedom` (n,) and `slope_variance` (N,), from the covariance of the unknowns."""
+        """`leverage` (n,) and `slope_variance` (N,), from the covariance of the unknowns."""
         n, model = self.model.counts[0], self.model
         if model.is_level:
             return np.zeros(n), np.zeros(len(model.nodes.s))
@@ -54,7 +54,7 @@ class Conditioned:
         return model.shared_with_slopes(products) / self.variance[:n], model.slope_variance(products)
 
     @property
-    def freedom(self) -> Floats:
+    def leverage(self) -> Floats:
         """Share (n,) of each driven stride's acceleration that the slopes may explain.
 
         It is the diagonal of the product of K^-1 and the prior covariance of the accelerations by the slopes alone. Its

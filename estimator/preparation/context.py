@@ -6,7 +6,7 @@ from estimator.samples import Rows
 from estimator.signals import Floats, Quantity, Role
 
 GAS_CONSTANT = 287.05  # J/(kg K), of dry air
-SAME = {
+ROLE_OF = {  # of the quantities that a role gives as it is
     Quantity.ENGINE_SPEED: Role.ENGINE_SPEED,
     Quantity.GEAR: Role.GEAR,
     Quantity.HEADING: Role.HEADING,
@@ -17,10 +17,10 @@ SAME = {
 }
 
 
-def measured(rows: Rows, start: float) -> dict[Quantity, Floats]:
+def quantities_of(rows: Rows, start: float) -> dict[Quantity, Floats]:
     """Quantities of rows, each (n,); elapsed time is counted from ``start`` [s]."""
     quantities = {Quantity.ELAPSED: rows.t - start, **rows.derived}
-    quantities |= {quantity: rows.context[role] for quantity, role in SAME.items() if role in rows.context}
+    quantities |= {quantity: rows.context[role] for quantity, role in ROLE_OF.items() if role in rows.context}
     for role in (Role.BRAKE_PEDAL, Role.BRAKE_SWITCH):
         if role in rows.context:
             quantities[Quantity.BRAKE] = rows.context[role]

@@ -12,16 +12,16 @@ import numpy as np
 
 from estimator.config import Config
 from estimator.model.effects.effect import AtRest
-from estimator.preparation.context import measured
+from estimator.preparation.context import quantities_of
 from estimator.preparation.past_speed import last_known
-from estimator.preparation.standing import rests
+from estimator.preparation.power_at_rest import powers_at_rest
 from estimator.preparation.striding import Strider
 from estimator.samples import STEP, Rows
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, Strides
 
 MAX_STANDING_SPEED = 0.5  # m/s
-MOST = 4  # reasons of unused rows that are listed
+MAX_LISTED_REASONS = 4  # reasons of unused rows that are listed
 MIN_STOP = 10.0  # s, in which a load could change
 MIN_KNOWN_SHARE = 0.5  # of the drive, for which a quantity must be known to be used
 STATES = (Quantity.GEAR, Quantity.BRAKE, Quantity.FROZEN)  # between two of their values there is none
@@ -53,7 +53,7 @@ class Drive:
         return cls(
             pieces=tuple(pieces),
             strides=_strides(pieces, config, start, rejected),
-            rests=rests(pieces, start) if pieces else (),
+            rests=powers_at_rest(pieces, start) if pieces else (),
             rejected=rejected,
             start=start,
             config=config,
@@ -63,8 +63,8 @@ class Drive:
     def __repr__(self) -> str:
         rows, known_strides = sum(map(len, self.pieces)), int(self.strides.known.sum())
         distance = float((self.strides.s1 - self.strides.s0).sum()) / 1e3
-        reasons = [f"{reason} {100 * count / max(rows, 1):.0f} %" for reason, count in self.rejected.most_common(MOST)]
-        unused = ", ".join(reasons) or "nothing"
+        reasons = self.rejected.most_common(MAX_LISTED_REASONS)
+        unused = ", ".join(f"{reason} {100 * count / max(rows, 1):.0f} %" for reason, count in reasons) or "nothing"
         return f"{rows * STEP / 60:.0f} min, {distance:.1f} km, {known_strides:,} strides; not used: {unused}"
 
     @property
@@ -73,7 +73,7 @@ class Drive:
         return float(self.strides.known.sum()) * DURATION / 60.0
 
     @property
-    def known(self) -> frozenset[Quantity]:
+    def known_quantities(self) -> frozenset[Quantity]:
         """Quantities that are known for at least MIN_KNOWN_SHARE of the drive."""
         columns = {
             Quantity.AIR_DENSITY: self.strides.density,
@@ -107,7 +107,7 @@ def _known_quantities(pieces: Sequence[Rows], start: float) -> frozenset[Quantit
     """Quantities of rows that are known for more than MIN_KNOWN_SHARE of the drive."""
     rows_known: Counter[Quantity] = Counter()
     for piece in pieces:
-        rows_known.update({q: int(np.isfinite(values).sum()) for q, values in measured(piece, start).items()})
+        rows_known.update({q: int(np.isfinite(values).sum()) for q, values in quantities_of(piece, start).items()})
     least = MIN_KNOWN_SHARE * sum(len(piece) for piece in pieces)
     return frozenset(quantity for quantity, count in rows_known.items() if count > least)
 

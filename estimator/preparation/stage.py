@@ -9,9 +9,9 @@ import numpy as np
 
 from estimator.checkpoint.validation import Count, State, optional, read, substate
 from estimator.config import Config
+from estimator.model.effect_term import wanted_by
 from estimator.model.effects import Effect, named, unbound
-from estimator.model.term import wanted_by
-from estimator.preparation.context import measured
+from estimator.preparation.context import quantities_of
 from estimator.preparation.standstill import Standstill
 from estimator.preparation.striding import Strider
 from estimator.samples import Rows
@@ -43,8 +43,8 @@ def _needed(effects: tuple[Effect, ...], rows: Rows) -> frozenset[Quantity]:
     """Quantities that the effects need and that the bus carries in ``rows``."""
     if not effects:
         return frozenset()
-    there = measured(rows, 0.0).items()
-    return wanted_by(effects, {q for q, values in there if np.isfinite(values).mean() > MIN_KNOWN_SHARE})
+    quantities = quantities_of(rows, 0.0).items()
+    return wanted_by(effects, {q for q, values in quantities if np.isfinite(values).mean() > MIN_KNOWN_SHARE})
 
 
 class StrideStage:
@@ -131,7 +131,7 @@ class StrideStage:
     def _held_strides(self) -> Iterator[Piece]:
         """Yield the strides that the strider still holds; their rows belong to earlier pieces."""
         assert self._strider is not None
-        held = self._strider.held
+        held = self._strider.waiting_rows
         if held is not None:
             yield Piece(held[:0], self._strider.finish(self.rejected), False)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimator.checkpoint.validation import State, optional, read
 from estimator.errors import StateError
 from estimator.preparation.admission import ADMITTED, MAY_BRAKE, count_reasons, is_coasting, row_reasons
-from estimator.preparation.context import air_density, measured
+from estimator.preparation.context import air_density, quantities_of
 from estimator.preparation.past_speed import last_known
 from estimator.samples import STEP, Rows
 from estimator.settings import Admission
@@ -54,7 +54,7 @@ class Strider:
         self._speed = 0.0  # [m/s] last known before
 
     @property
-    def held(self) -> Rows | None:
+    def waiting_rows(self) -> Rows | None:
         """Rows in no stride yet, and the margin of rows before them; None between two stretches of rows."""
         return self._rows
 
@@ -68,8 +68,8 @@ class Strider:
         if self._rows is None:
             return Strides.none()
         strides = self._cut(self._rows, 0, rejected)
-        left = self._rows[self._next :]
-        count_reasons(self._codes(left)[0], rejected)
+        unused = self._rows[self._next :]
+        count_reasons(self._codes(unused)[0], rejected)
         self._rows, self._next, self._speed = None, 0, 0.0
         return strides
 
@@ -104,8 +104,8 @@ class Strider:
         strides = self._strides(rows, travelled, coasting, first, length, is_known)
         strides = strides[is_known | (strides.s1 > strides.s0)]  # at a standstill nothing of the road is measured
         self._distance, self._speed = float(travelled[begin]), float(held[begin - 1])
-        kept = max(begin - self._margin, 0)
-        self._rows, self._next = rows[kept:], begin - kept
+        first_waiting = max(begin - self._margin, 0)
+        self._rows, self._next = rows[first_waiting:], begin - first_waiting
         return strides
 
     def _strides(
@@ -139,7 +139,7 @@ class Strider:
         turns = signal(Role.ENGINE_SPEED)
         rise = signal(Role.GRADE)
         middle = at[:, SPAN_ROWS // 2]
-        there = measured(rows, self._start)
+        quantities = quantities_of(rows, self._start)
         return Strides(
             t=rows.t[first] + (SPAN_ROWS - 1) / 2 * STEP,
             rows=length.astype(np.int64),
@@ -157,7 +157,7 @@ class Strider:
             grade=mean(rise / np.hypot(1.0, rise)),
             grade_offset_sd=mean(rows.derived.get(Quantity.GRADE_OFFSET_SD, blank)),
             gravity=np.where(is_known, mean(signal(Role.LONGITUDINAL_ACCELERATION)) - a, np.nan),
-            context={q: there.get(q, blank)[middle] for q in sorted(self.wanted | self._fit_quantities(rows))},
+            context={q: quantities.get(q, blank)[middle] for q in sorted(self.wanted | self._fit_quantities(rows))},
         )
 
     def _fit_quantities(self, rows: Rows) -> frozenset[Quantity]:

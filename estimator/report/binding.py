@@ -1,4 +1,4 @@
-"""What a configuration binds, for `roadload check` without a log."""
+"""Signals that a configuration binds, for `roadload check` without a log."""
 
 from collections.abc import Iterable
 

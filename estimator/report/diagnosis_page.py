@@ -141,7 +141,7 @@ def _left(d: Diagnosis) -> str:
 
 
 def terms(limits: Thresholds) -> dict[str, str]:
-    """What the words and figures of the page mean, by the ``limits`` of the diagnosis."""
+    """Meaning of the words and figures of the page, with the ``limits`` of the diagnosis."""
     return {
         "residual": "measured power minus the model's; above zero, the vehicle needs more power than the model says",
         "noise floor": "residual that no road-load model can take away: noise of torque and speed",

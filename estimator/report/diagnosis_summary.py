@@ -5,7 +5,7 @@ import math
 from estimator.answers import diagnosis as answer
 from estimator.answers.diagnosis import DiagnosisAnswer
 from estimator.components.budget import Part
-from estimator.diagnosis.result import Described, Diagnosis, Finding, Invisible, Isolability, Place, Shift
+from estimator.diagnosis.result import Diagnosis, Finding, Invisible, Isolability, Place, ResidualFormula, Shift
 from estimator.report import wording
 
 
@@ -46,7 +46,7 @@ def of_diagnosis(d: Diagnosis) -> DiagnosisAnswer:
     )
 
 
-def _formula(f: Described | None) -> answer.Formula | None:
+def _formula(f: ResidualFormula | None) -> answer.Formula | None:
     if f is None:
         return None
     return answer.Formula(
@@ -81,7 +81,7 @@ def _part(part: Part) -> answer.Part:
         q05=part.q05,
         q95=part.q95,
         rms_kW=_kilowatts(part.rms),
-        reached_kW=_kilowatts(part.reached),
+        reached_kW=_kilowatts(part.held_out_rms),
         expected_kW=_kilowatts(part.expected),
     )
 
@@ -117,7 +117,7 @@ def _invisible(effect: Invisible) -> answer.Invisible:
         name=effect.name,
         expected_log_bayes_factor=effect.expected_log_bayes_factor,
         parameter_shift=_road_load(effect.shift),
-        breaks=effect.breaks,
+        breaks=effect.shown_by,
     )
 
 

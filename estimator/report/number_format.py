@@ -74,5 +74,5 @@ def signed(text: str) -> str:
 
 
 def exponent(x: float) -> int:
-    """Of the first digit; 0 for zero."""
+    """Decimal exponent of the first digit; 0 for zero."""
     return math.floor(math.log10(abs(x))) if x else 0

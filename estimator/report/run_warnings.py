@@ -1,4 +1,4 @@
-"""What widens an estimate or was left out of it: torque that is not bound, wheels that contradict the others."""
+"""Warnings of a wider or incomplete estimate: torque that is not bound, wheels that contradict the others."""
 
 from collections.abc import Mapping
 

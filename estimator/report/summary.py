@@ -54,13 +54,13 @@ def of_run(run: Run) -> RunAnswer:
 
 
 def warnings(run: Run) -> tuple[str, ...]:
-    """What widens the estimate or was left out of it, and what may be wrong in the DBC, a line each."""
+    """One line for each thing that widens the estimate, was left out of it, or may be wrong in the DBC."""
     traffic = run.pipeline.traffic
     return (*traffic.remarks, *warnings_of(run.pipeline.config, traffic.errors))
 
 
 def references(pipeline: Pipeline, estimate: Estimate | None) -> References:
-    """What other control units say as of the newest frame, compared with an estimate."""
+    """Estimates of other control units as of the newest frame, compared with an estimate."""
     traffic, evidence = pipeline.traffic, pipeline.estimator.evidence
     mass = None if estimate is None or estimate.mass is None else (estimate.mass.mean, estimate.mass.sd)
     return traffic.references.answer(traffic.until, mass, None if evidence is None else evidence.fit)
@@ -74,7 +74,7 @@ def parameters(estimate: Estimate) -> answer.Parameters:
 
 
 def coefficients(estimate: Estimate) -> answer.Coefficients:
-    """What follows from mass, A and C, each estimated where these are."""
+    """Coefficients that follow from mass, A and C, each estimated where these are."""
     C, density = estimate.C, estimate.air_density
     return answer.Coefficients(
         c_rr=_derived(estimate, "A", estimate.c_rr),

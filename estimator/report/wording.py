@@ -72,7 +72,7 @@ def reason(d: Diagnosis) -> str:
 
 
 def formula(d: Diagnosis) -> str:
-    """What follows the residual that has no name, and how well; empty if nothing does."""
+    """Formula of the residual that has no name, and how well it describes it; empty if there is none."""
     if d.formula is None:
         return ""
     size = number_format.with_sd(d.formula.value, d.formula.sd, d.formula.unit)
@@ -111,8 +111,8 @@ def _improvement(d: Diagnosis) -> str:
 
 
 def advice(d: Diagnosis) -> list[str]:
-    """What to measure or to drive, effect by effect, and the experiments that are likely to settle what is open."""
-    signals = [f"{each.name}: {each.breaks}" for each in d.advice]
+    """Signals to measure and manoeuvres to drive, by effect, and experiments that likely settle what is open."""
+    signals = [f"{each.name}: {each.shown_by}" for each in d.advice]
     return [*signals, *(_experiment(e) for e in d.experiments if is_worthwhile(d, e))]
 
 

@@ -1,1 +1,1 @@
-"""Diagnosis of the residual of any model: the columns that explain it, their size, and its location."""
+"""Diagnose the residual of any model: the columns that explain it, their size, and its location."""

@@ -1,4 +1,4 @@
-"""Result of the diagnosis of a residual."""
+"""Define the result of the diagnosis of a residual."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,15 @@ from estimator.answers.diagnosis import Verdict
 class Part:
     """Share of one cause in the mean square of the residual, with its 90 % interval.
 
-    Causes are candidates, nameless processes and "sensor noise". ``reached``: rms on held-out stretches, with the cause
-    in the model; None if it is not named. ``expected``: rms if its magnitude were known exactly.
+    Causes are candidates, nameless processes and "sensor noise". ``held_out_rms``: on stretches left out of the fit,
+    with the cause in the model; None if it is not named. ``expected``: rms if its magnitude were known exactly.
     """
 
     cause: str
     share: float
     q05: float
     q95: float
-    reached: float | None
+    held_out_rms: float | None
     expected: float
 
 
@@ -54,8 +54,8 @@ class Disagreement:
 class Description:
     """Formula for the residual that no named cause explains: ``value`` +- ``sd`` [``unit``] x ``text``.
 
-    It describes but names no cause. ``log_bayes_factor`` is less the cost of all formulas that were tried; ``reached``:
-    rms on held-out stretches with the formula.
+    It describes but names no cause. ``log_bayes_factor`` is less the cost of all formulas that were tried.
+    ``held_out_rms``: of the residual on stretches left out of the fit, with the formula.
     """
 
     text: str
@@ -63,7 +63,7 @@ class Description:
     sd: float
     unit: str
     log_bayes_factor: float
-    reached: float
+    held_out_rms: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class ResidualDiagnosis:
     unknown: float  # probability that a nameless process acts
     budget: tuple[Part, ...]  # largest share first
     rms: float
-    reached: float  # rms on held-out stretches with all named causes
+    held_out_rms: float  # on held-out stretches with all named causes
     noise: float  # rms of the noise
     where: tuple[Disagreement, ...]
     formula: Description | None  # if an unknown effect is likely

@@ -1,4 +1,4 @@
-"""Checked inputs of a residual's diagnosis: candidate columns with priors, base, and axes."""
+"""Check the inputs of a residual's diagnosis: candidate columns with priors, base, and axes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -58,12 +58,12 @@ class Record:
         """Root mean square of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    def off(self, columns: Floats) -> Floats:
+    def off_base(self, columns: Floats) -> Floats:
         """Project ``columns`` (n,) or (n, c) off the base: residuals of their least-squares fit by it."""
-        return _off(self.base, columns)
+        return _off_base(self.base, columns)
 
 
-def _off(base: Floats, columns: Floats) -> Floats:
+def _off_base(base: Floats, columns: Floats) -> Floats:
     rest = columns
     for _ in range(2):  # the second projection removes the rounding of the first
         rest = rest - base @ (base.T @ rest) / len(base)
@@ -97,7 +97,7 @@ def checked(
     if not np.any(y):
         raise InputError("residual: zero everywhere; nothing is to be explained")
     columns = _base(base, y)
-    rest = _off(columns, y)
+    rest = _off_base(columns, y)
     if not np.any(rest):
         raise InputError("residual: the base explains all of it; nothing is to be explained")
     axes = {TIME: Axis(t - t[0], "s")} | {name: _axis(name, axis, y) for name, axis in (along or {}).items()}
@@ -153,7 +153,7 @@ def _candidate(name: str, candidate: Candidate, base: Floats) -> Candidate:
     sd = float(_array(f"sd of {what}", np.asarray(candidate.sd), dimensions=0))
     if not sd > 0:
         raise InputError(f"{what}: sd is {sd}; give the usual magnitude, above 0")
-    return Candidate(_off(base, column), sd, candidate.positive, candidate.unit)
+    return Candidate(_off_base(base, column), sd, candidate.positive, candidate.unit)
 
 
 def _base(base: Floats | None, y: Floats) -> Floats:

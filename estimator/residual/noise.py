@@ -1,4 +1,4 @@
-"""Noise of a residual: white noise plus an Ornstein-Uhlenbeck process; cost O(n) in the length of the record.
+"""Fit the noise of a residual: white noise plus an Ornstein-Uhlenbeck process, at a cost O(n) in the record's length.
 
 The correlation time is at most 1/50 of the record: a slower variation is not noise but an effect that the model lacks.
 """

@@ -1,4 +1,4 @@
-"""Parts of each axis where the mean residual is not zero, with one false discovery rate over all parts."""
+"""Find the parts of each axis where the mean residual is not zero, with one false discovery rate over all parts."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -9,8 +9,8 @@ from scipy.special import ndtr
 
 from estimator.false_discovery import false_discovery_rates
 from estimator.residual.answer import Disagreement
-from estimator.residual.causes import ResidualLikelihood
 from estimator.residual.inputs import Record
+from estimator.residual.terms import ResidualLikelihood
 from estimator.signals import Floats
 
 PARTS = 8  # of an axis, with equal numbers of samples; one for each value if there are at most as many

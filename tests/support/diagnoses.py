@@ -7,7 +7,6 @@ import numpy as np
 from estimator.answers.diagnosis import Verdict
 from estimator.diagnosis.result import (
     Advice,
-    Described,
     Diagnosis,
     Finding,
     GapClosed,
@@ -18,6 +17,7 @@ from estimator.diagnosis.result import (
     NotTestable,
     Place,
     Remainder,
+    ResidualFormula,
     Shift,
     Span,
     Traces,
@@ -76,8 +76,8 @@ def drive(minutes: int = 75, seed: int = 3) -> tuple[Traces, GapMap]:
     maps = GapMap(
         speed_edges=speeds,
         acceleration_edges=accelerations,
-        before=mean(measured - base[driving]),
-        after=mean(measured - extended),
+        plain=mean(measured - base[driving]),
+        extended=mean(measured - extended),
         samples=count,
     )
     return traces, maps
@@ -167,7 +167,7 @@ def unknown() -> Diagnosis:
         remaining_verdict=Verdict.UNKNOWN,
         remaining_log_bayes_factor=74.0,
         remainder=Remainder("power over time", 6_100.0, 74.0),
-        formula=Described(text="v t", value=4.1, sd=0.12, unit="W/m", log_bayes_factor=61.0, share=0.84),
+        formula=ResidualFormula(text="v t", value=4.1, sd=0.12, unit="W/m", log_bayes_factor=61.0, share=0.84),
         noise_floor=3_300.0,
         rms_base=9_100.0,
         rms_final=9_100.0,
@@ -175,8 +175,8 @@ def unknown() -> Diagnosis:
         gap_map=GapMap(
             speed_edges=maps.speed_edges,
             acceleration_edges=maps.acceleration_edges,
-            before=maps.before,
-            after=maps.before,
+            plain=maps.plain,
+            extended=maps.plain,
             samples=maps.samples,
         ),
         traces=traces,

@@ -29,13 +29,13 @@ from pysindy.optimizers import STLSQ
 from sklearn.linear_model import LassoLarsIC
 
 from estimator.answers.diagnosis import DiagnosisAnswer, Verdict
-from estimator.components.component import Frame
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
+from estimator.components.term import Frame
 from estimator.config import Config
 from estimator.diagnosis.result import Diagnosis
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects import CATALOGUE
-from estimator.model.term import Term
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.streaming.drive_extraction import drives_of
 
@@ -63,10 +63,10 @@ def library_of(log: Path) -> Library | None:
     effects = [
         effect
         for effect in CATALOGUE
-        if not (effect.absorbed or effect.is_gravity or effect.is_applied(drive.known))
-        and effect.usable_shapes(drive.known)
+        if not (effect.is_absorbed or effect.is_gravity or effect.is_applied(drive.known_quantities))
+        and effect.usable_shapes(drive.known_quantities)
     ]
-    terms = [Term(effect, effect.usable_shapes(drive.known)[0]) for effect in effects]
+    terms = [EffectTerm(effect, effect.usable_shapes(drive.known_quantities)[0]) for effect in effects]
     plain, frame = PlainModel(state.fit), Frame.of(state.fit)
     raw = np.column_stack([plain.power, *(term.column(frame.view) for term in terms)])
     rest = plain.residual(raw)

@@ -72,7 +72,7 @@ class BusSpec:
 
     @property
     def label(self) -> str:
-        """What to call the bus in a message."""
+        """Name of the bus in messages: interface and channel."""
         found = self.resolved()
         return f"{found['interface']} {found['channel']}"
 

@@ -16,7 +16,7 @@ WHOLE_EXTENDED, WHOLE_STANDARD = 0x1FFFFFFF, 0x7FF
 
 
 def input_filters(messages: list[BoundMessage]) -> list[CanFilter]:
-    """What the estimator needs: the bound messages, and the packets that carry those of more than 8 bytes."""
+    """Filters of the frames that are needed: bound messages, and packets that carry those of more than 8 bytes."""
     filters = [each for message in messages for each in _of_message(message)]
     if any(message.by_pgn and _length(message) > CLASSIC_BYTES for message in messages):
         filters += [of_group(pgn) for pgn in (TP_CM, TP_DT)]

@@ -35,7 +35,7 @@ NO_STAMP = bytes(2 * LONG.itemsize)  # struct timespec: seconds and nanoseconds
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
-    """What was drained at once: data frames, and how many others there were."""
+    """Data frames that were drained at once, and the number of other frames."""
 
     frames: Frames = field(default_factory=lambda: Frames.from_messages([]))
     own: Frames = field(default_factory=lambda: Frames.from_messages([]))  # that we sent, and that have been on the bus

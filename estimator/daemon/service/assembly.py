@@ -1,4 +1,4 @@
-"""From a configuration to a daemon: checked as a whole before anything is opened."""
+"""Make a daemon from a configuration, which is checked as a whole before anything is opened."""
 
 import argparse
 import logging

@@ -43,12 +43,12 @@ def of_signals(knowledge: Knowledge, t: float) -> dict[str, answer.Signal]:
 def published(
     latest: Estimate | None, fresh: Estimate | None, state: answer.State, t: float, written: float, stale_after: float
 ) -> PublishedAnswer:
-    """What other programs get at message time ``t`` [s]: values only while the broadcast would have them too.
+    """Answer for other programs at message time ``t`` [s]: values only while the broadcast would have them too.
 
     Parameters
     ----------
     latest, fresh
-        The latest conclusion, and the same unless the load may have changed since.
+        The latest conclusion, and the latest one if the load cannot have changed since, else None.
     written
         Wall time [s].
     stale_after
@@ -78,7 +78,7 @@ def of_road(slope: Slope | None) -> RoadNow | None:
 
 
 def of_references(knowledge: Knowledge, t: float) -> References:
-    """What other control units say, with their age at message time ``t`` [s]."""
+    """Estimates of other control units, with their age at message time ``t`` [s]."""
     known = knowledge.references
     passed = 0.0 if knowledge.t is None else max(t - knowledge.t, 0.0)
     return References(mass_kg=_aged(known.mass_kg, passed), grade_percent=_aged(known.grade_percent, passed))
@@ -103,7 +103,7 @@ def of_worker(worker: Worker, now: float) -> answer.Estimator:
 
 
 def of_transmitter(transmitter: Transmitter | None) -> answer.Transmit:
-    """What is sent, and what is withheld."""
+    """Frames sent, and frames withheld by reason."""
     if transmitter is None:
         return answer.Transmit(enabled=False)
     diagnostics = transmitter.diagnostics

@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 class Signals:
-    """What was asked of the process."""
+    """Requests to the process by signals: to stop, or to reload its configuration."""
 
     def __init__(self) -> None:
         self.stop = threading.Event()

@@ -44,13 +44,13 @@ HEADWIND = Effect(
     symbol="wind",
     unit="m/s",
     power=_wind,
-    usual=always(USUAL_WIND),
+    usual_magnitude=always(USUAL_WIND),
     needs=(Quantity.HEADING,),
     shapes=WINDS,
-    finer=_finer_winds,
-    alike=lambda wind: wind[:2],
+    finer_shapes=_finer_winds,
+    shape_key=lambda wind: wind[:2],
     describe=lambda wind: f"from {degrees(wind[0]) % 360:.0f} deg",
-    breaks="the way back over the same road, with the heading on the bus",
+    shown_by="the way back over the same road, with the heading on the bus",
 )
 
 AIR_DENSITY = Effect(
@@ -60,11 +60,11 @@ AIR_DENSITY = Effect(
     symbol="drift of density per hour",
     unit="1/h",
     power=lambda view, shape: view.C * view.v**3 * view.context[Quantity.ELAPSED] / HOUR,
-    usual=always(0.04),
+    usual_magnitude=always(0.04),
     positive=False,
     needs=(Quantity.ELAPSED,),
     applied_with=(Quantity.AIR_DENSITY,),
-    breaks="ambient temperature and air pressure on the bus",
+    shown_by="ambient temperature and air pressure on the bus",
 )
 
 DRAFTING = Effect(
@@ -74,9 +74,9 @@ DRAFTING = Effect(
     symbol="share of C",
     unit="1",
     power=lambda view, shape: -view.C * view.density * view.v**3,
-    usual=always(0.25),
-    largest=0.5,
+    usual_magnitude=always(0.25),
+    max_size=0.5,
     timing=Timing.SWITCHING,
-    dwells=(200.0, 1000.0),  # behind a vehicle for minutes, or for a stage of a motorway
-    breaks="a change of speed behind the vehicle ahead, or the distance to it on the bus",
+    dwell_times=(200.0, 1000.0),  # behind a vehicle for minutes, or for a stage of a motorway
+    shown_by="a change of speed behind the vehicle ahead, or the distance to it on the bus",
 )

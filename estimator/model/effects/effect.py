@@ -15,7 +15,7 @@ TYPICAL_MASS = 27e3  # kg, a loaded tractor and semi-trailer
 USUAL_TO_LARGEST = 4.0  # largest magnitude over the usual one, where no other is known
 
 Shape = Any  # parameter that an effect is non-linear in: a time constant [s], a direction [rad], a source, None
-Usual = Callable[[Floats], float]  # usual magnitude for a vehicle with road load [A, C, m]
+UsualMagnitude = Callable[[Floats], float]  # usual magnitude for a vehicle with road load [A, C, m]
 
 SOURCES: dict[Quantity, tuple[Role, ...]] = {  # any one of the roles will do
     Quantity.ENGINE_SPEED: (Role.ENGINE_SPEED,),
@@ -88,12 +88,12 @@ class Timing(StrEnum):
     STEP = "step"  # from some standstill onwards
 
 
-def by_mass(value: float) -> Usual:
+def by_mass(value: float) -> UsualMagnitude:
     """Usual magnitude in proportion to the mass; ``value`` is that of a truck of TYPICAL_MASS."""
     return lambda road_load: value * float(road_load[2]) / TYPICAL_MASS
 
 
-def always(value: float) -> Usual:
+def always(value: float) -> UsualMagnitude:
     """Usual magnitude ``value`` for all vehicles, for a magnitude that is relative."""
     return lambda road_load: value
 
@@ -112,21 +112,21 @@ class Effect:
         Symbol and unit of its magnitude.
     power
         Power [W] (n,) per unit of magnitude, given a `View` and one of the ``shapes``.
-    usual
+    usual_magnitude
         Usual magnitude for a vehicle with ``road_load`` = [A, C, m]: scale of its prior.
-    largest
-        Largest plausible size of its coefficient; None: USUAL_TO_LARGEST times the usual magnitude.
-    highest
-        Largest plausible positive coefficient, where that is less than ``largest``.
+    max_size
+        Largest plausible modulus of its coefficient; None: USUAL_TO_LARGEST times the usual magnitude.
+    max_positive_size
+        Largest plausible positive coefficient, where that is less than ``max_size``.
     positive
         True if a negative magnitude is impossible.
     needs
         Quantities that it is computed from, or that every vehicle with this effect has.
     shapes
         Values to try of the parameter that it is non-linear in. A `Quantity` is one of several sources of its input.
-    finer
+    finer_shapes
         Shapes of a finer grid around one of ``shapes``, given the magnitude fitted with it.
-    alike
+    shape_key
         Key of a shape; shapes with equal keys count as one in the search.
     describe
         Description of a shape in words.
@@ -134,7 +134,7 @@ class Effect:
         Kind of times at which it acts.
     at_rest
         Power [W] per unit of magnitude during a standstill, for one of the ``shapes``.
-    dwells
+    dwell_times
         Usual durations [s] for which a switching effect stays on, or off.
     is_noisy
         True if its power is computed from acceleration or power, and so has their noise.
@@ -142,15 +142,15 @@ class Effect:
         True if its magnitude is the mass: in the model it joins m instead of adding a parameter.
     applied_with
         Quantities with which it is applied to the plain columns; a diagnosis then does not search for it.
-    absorbed
+    is_absorbed
         True if A, C and m fit it completely, so that no drive gives evidence of it, whatever its size.
     equivalent
         Effects with the same power to first order on any drive.
-    sized
+    magnitude_from_coefficient
         Magnitude from its coefficient, where the column uses the acceleration that the force would cause without the
         effect; None: they are equal.
-    breaks
-        Signal or manoeuvre that would show it.
+    shown_by
+        Signal or manoeuvre that would show that it acts.
     """
 
     name: str
@@ -159,25 +159,25 @@ class Effect:
     symbol: str
     unit: str
     power: Callable[[View, Shape], Floats]
-    usual: Usual
-    largest: float | None = None
-    highest: float = inf
+    usual_magnitude: UsualMagnitude
+    max_size: float | None = None
+    max_positive_size: float = inf
     positive: bool = True
     needs: tuple[Quantity, ...] = ()
     shapes: tuple[Shape, ...] = (None,)
-    finer: Callable[[Shape, float], tuple[Shape, ...]] | None = None
-    alike: Callable[[Shape], object] = lambda shape: shape
+    finer_shapes: Callable[[Shape, float], tuple[Shape, ...]] | None = None
+    shape_key: Callable[[Shape], object] = lambda shape: shape
     describe: Callable[[Shape], str] | None = None
     timing: Timing = Timing.ALWAYS
     at_rest: Callable[[AtRest, Shape], float] | None = None
-    dwells: tuple[float, ...] = (200.0,)
+    dwell_times: tuple[float, ...] = (200.0,)
     is_noisy: bool = False
     is_gravity: bool = False
     applied_with: tuple[Quantity, ...] = ()
-    absorbed: bool = False
+    is_absorbed: bool = False
     equivalent: tuple[str, ...] = ()
-    sized: Callable[[float], float] | None = None
-    breaks: str = ""
+    magnitude_from_coefficient: Callable[[float], float] | None = None
+    shown_by: str = ""
 
     def usable_shapes(self, known: Set[Quantity]) -> tuple[Shape, ...]:
         """Shapes that can be computed from the quantities ``known``; none if the effect cannot be tested."""
@@ -196,10 +196,10 @@ class Effect:
 
     def limit(self, road_load: Floats) -> float:
         """Largest plausible magnitude for a vehicle with ``road_load`` = [A, C, m]."""
-        return USUAL_TO_LARGEST * self.usual(road_load) if self.largest is None else self.largest
+        return USUAL_TO_LARGEST * self.usual_magnitude(road_load) if self.max_size is None else self.max_size
 
     @property
-    def wanted(self) -> tuple[Role, ...]:
+    def wanted_roles(self) -> tuple[Role, ...]:
         """Roles to name in a message; at least one of them is needed."""
         quantities = [*self.needs, *(shape for shape in self.shapes if isinstance(shape, Quantity))]
         return tuple(role for quantity in quantities for role in SOURCES.get(quantity, ()))
@@ -208,13 +208,13 @@ class Effect:
     def is_streaming(self) -> bool:
         """True if it can be in the streaming model: no search for its times, and not absorbed by A, C and m."""
         signalled = any(isinstance(shape, Quantity) for shape in self.shapes)
-        return not self.absorbed and (self.timing is Timing.ALWAYS or signalled)
+        return not self.is_absorbed and (self.timing is Timing.ALWAYS or signalled)
 
 
 def obstacle(effects: Sequence[Effect], known: Set[Quantity]) -> str:
     """Reason why an effect cannot be in the streaming model with the quantities ``known``; empty if all can."""
     for effect in effects:
         if not effect.streaming_shapes(known):
-            wanted = " or ".join(role.value for role in effect.wanted)
+            wanted = " or ".join(role.value for role in effect.wanted_roles)
             return f"the effect {effect.name} needs {wanted}, which the bus does not carry"
     return ""

@@ -20,11 +20,11 @@ REGENERATION_LOSS = Effect(
     symbol="share lost",
     unit="1",
     power=lambda view, shape: np.maximum(-view.P, 0.0),
-    usual=always(0.25),
-    largest=2.0,
+    usual_magnitude=always(0.25),
+    max_size=2.0,
     needs=(Quantity.BATTERY_CURRENT, Quantity.BRAKE),
     is_noisy=True,
-    breaks="the motor's torque on the bus",
+    shown_by="the motor's torque on the bus",
 )
 
 CABIN_HEATER = Effect(
@@ -34,12 +34,12 @@ CABIN_HEATER = Effect(
     symbol="Ph",
     unit="W",
     power=cold_by_time,
-    usual=by_mass(40e3),
-    largest=40e3,
+    usual_magnitude=by_mass(40e3),
+    max_size=40e3,
     needs=(Quantity.BATTERY_CURRENT, Quantity.ELAPSED),
     shapes=HEATER_TIMES,
-    finer=finer_times,
+    finer_shapes=finer_times,
     describe=told_time,
     at_rest=lambda rest, time: float(np.exp(-rest.elapsed / time)),
-    breaks="the heater's power on the bus",
+    shown_by="the heater's power on the bus",
 )

@@ -51,8 +51,8 @@ VISCOUS_DRAG = Effect(
     symbol="B",
     unit="N s/m",
     power=lambda view, shape: view.v**2,
-    usual=lambda road_load: 0.5 * float(road_load[0]) / 20.0,
-    breaks="a coast-down over a wide range of speed, or A from a data sheet",
+    usual_magnitude=lambda road_load: 0.5 * float(road_load[0]) / 20.0,
+    shown_by="a coast-down over a wide range of speed, or A from a data sheet",
 )
 
 OIL_WARM_UP = Effect(
@@ -62,12 +62,12 @@ OIL_WARM_UP = Effect(
     symbol="B when cold",
     unit="N s/m",
     power=_cold_oil,
-    usual=lambda road_load: 0.25 * float(road_load[0]) / 20.0,
+    usual_magnitude=lambda road_load: 0.25 * float(road_load[0]) / 20.0,
     needs=tuple(PAST_SPEEDS),
     shapes=COLD_OILS,
-    finer=_finer_oils,
+    finer_shapes=_finer_oils,
     describe=told_excess,
-    breaks="a drive that starts with warm oil",
+    shown_by="a drive that starts with warm oil",
 )
 
 COLD_LOSS = Effect(
@@ -77,13 +77,13 @@ COLD_LOSS = Effect(
     symbol="share lost when cold",
     unit="1",
     power=lambda view, time: np.abs(view.P) * cold_by_time(view, time),
-    usual=always(0.05),
+    usual_magnitude=always(0.05),
     needs=(Quantity.ELAPSED,),
     shapes=GEAR_TIMES,
-    finer=finer_times,
+    finer_shapes=finer_times,
     describe=told_time,
     is_noisy=True,
-    breaks="a drive that starts with a warm driveline",
+    shown_by="a drive that starts with a warm driveline",
 )
 
 LOAD_LOSS = Effect(
@@ -93,9 +93,9 @@ LOAD_LOSS = Effect(
     symbol="k",
     unit="1/N",
     power=lambda view, shape: view.P**2 / view.v,
-    usual=lambda road_load: 1e-6 * TYPICAL_MASS / float(road_load[2]),
+    usual_magnitude=lambda road_load: 1e-6 * TYPICAL_MASS / float(road_load[2]),
     is_noisy=True,
-    breaks="the speed of a wheel that is not driven, or GPS speed",
+    shown_by="the speed of a wheel that is not driven, or GPS speed",
 )
 
 AUXILIARY_LOAD = Effect(
@@ -105,10 +105,10 @@ AUXILIARY_LOAD = Effect(
     symbol="P0",
     unit="W",
     power=lambda view, shape: np.ones_like(view.v),
-    usual=by_mass(8e3),
-    largest=40e3,
+    usual_magnitude=by_mass(8e3),
+    max_size=40e3,
     at_rest=lambda rest, shape: 1.0,
-    breaks="two minutes of idling at rest",
+    shown_by="two minutes of idling at rest",
 )
 
 AUXILIARY_CYCLING = Effect(
@@ -118,12 +118,12 @@ AUXILIARY_CYCLING = Effect(
     symbol="Pf",
     unit="W",
     power=_fan,
-    usual=by_mass(25e3),
-    largest=65e3,
+    usual_magnitude=by_mass(25e3),
+    max_size=65e3,
     shapes=(Quantity.FAN_SPEED, None),
     timing=Timing.SWITCHING,
-    dwells=(200.0, 25.0),
-    breaks="the state of the fan on the bus",
+    dwell_times=(200.0, 25.0),
+    shown_by="the state of the fan on the bus",
 )
 
 ROTATING_INERTIA = Effect(
@@ -133,9 +133,9 @@ ROTATING_INERTIA = Effect(
     symbol="J",
     unit="kg m^2",
     power=lambda view, shape: view.context[Quantity.ENGINE_SPEED] ** 2 * view.a / view.v,
-    usual=by_mass(3.0),
-    largest=10.0,
+    usual_magnitude=by_mass(3.0),
+    max_size=10.0,
     needs=(Quantity.ENGINE_SPEED,),
     is_noisy=True,
-    breaks="accelerations in low gears",
+    shown_by="accelerations in low gears",
 )

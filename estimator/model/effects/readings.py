@@ -13,11 +13,11 @@ TORQUE_GAIN = Effect(
     symbol="gain error",
     unit="1",
     power=lambda view, shape: view.P,
-    usual=always(0.05),
+    usual_magnitude=always(0.05),
     positive=False,
-    absorbed=True,
+    is_absorbed=True,
     equivalent=("speed_scale",),
-    breaks="a known mass (weigh ticket)",
+    shown_by="a known mass (weigh ticket)",
 )
 
 TORQUE_BIAS = Effect(
@@ -27,12 +27,12 @@ TORQUE_BIAS = Effect(
     symbol="T0",
     unit="N m",
     power=lambda view, shape: view.context[Quantity.ENGINE_SPEED],
-    usual=by_mass(50.0),
-    largest=300.0,
+    usual_magnitude=by_mass(50.0),
+    max_size=300.0,
     positive=False,
     needs=(Quantity.ENGINE_SPEED,),
     at_rest=lambda rest, shape: rest.engine_speed,
-    breaks="driving the same speed in several gears, or coasting in gear",
+    shown_by="driving the same speed in several gears, or coasting in gear",
 )
 
 SENSOR_DRIFT = Effect(
@@ -42,11 +42,11 @@ SENSOR_DRIFT = Effect(
     symbol="drift per hour",
     unit="1/h",
     power=lambda view, shape: view.P * view.context[Quantity.ELAPSED] / HOUR,
-    usual=always(0.08),
+    usual_magnitude=always(0.08),
     positive=False,
     needs=(Quantity.ELAPSED,),
     is_noisy=True,
-    breaks="the same stretch at the beginning and the end of the drive",
+    shown_by="the same stretch at the beginning and the end of the drive",
 )
 
 SPEED_SCALE = Effect(
@@ -56,11 +56,11 @@ SPEED_SCALE = Effect(
     symbol="scale error",
     unit="1",
     power=lambda view, shape: view.P,
-    usual=always(0.02),
+    usual_magnitude=always(0.02),
     positive=False,
-    absorbed=True,
+    is_absorbed=True,
     equivalent=("torque_gain",),
-    breaks="GPS speed or distance on the bus",
+    shown_by="GPS speed or distance on the bus",
 )
 
 TIME_LAG = Effect(
@@ -70,11 +70,11 @@ TIME_LAG = Effect(
     symbol="lag of power",
     unit="s",
     power=lambda view, shape: np.zeros_like(view.v),
-    usual=always(0.2),
+    usual_magnitude=always(0.2),
     positive=False,
-    absorbed=True,
+    is_absorbed=True,
     equivalent=("speed_filter",),
-    breaks="both signals from one control unit, at a high rate",
+    shown_by="both signals from one control unit, at a high rate",
 )
 
 SPEED_FILTER = Effect(
@@ -84,9 +84,9 @@ SPEED_FILTER = Effect(
     symbol="lag of power",
     unit="s",
     power=lambda view, shape: np.zeros_like(view.v),
-    usual=always(0.2),
+    usual_magnitude=always(0.2),
     positive=False,
-    absorbed=True,
+    is_absorbed=True,
     equivalent=("time_lag",),
-    breaks="both signals from one control unit, at a high rate",
+    shown_by="both signals from one control unit, at a high rate",
 )

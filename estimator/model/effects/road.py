@@ -21,11 +21,11 @@ GRADE = Effect(
     symbol="mass on slopes",
     unit="kg",
     power=_climbing,
-    usual=lambda road_load: 2.0 * float(road_load[2]),
+    usual_magnitude=lambda road_load: 2.0 * float(road_load[2]),
     shapes=(Quantity.CLIMB_BY_GRADE, Quantity.CLIMB_BY_ALTITUDE, Quantity.CLIMB_BY_ACCELEROMETER),
     is_gravity=True,
     is_noisy=True,
-    breaks="altitude, grade or an inertial accelerometer on the bus",
+    shown_by="altitude, grade or an inertial accelerometer on the bus",
 )
 
 MASS_STEP = Effect(
@@ -35,14 +35,14 @@ MASS_STEP = Effect(
     symbol="share of the mass",
     unit="1",
     power=lambda view, shape: (view.A + view.m * view.a) * view.v,
-    usual=always(0.3),
-    largest=3.0,  # three quarters of the mass taken off
-    highest=0.75,  # three times the mass taken on
+    usual_magnitude=always(0.3),
+    max_size=3.0,  # three quarters of the mass taken off
+    max_positive_size=0.75,  # three times the mass taken on
     positive=False,
     timing=Timing.STEP,
     is_noisy=True,
-    sized=lambda share: share / (1 - share),
-    breaks="accelerations after the stop, or axle loads on the bus",
+    magnitude_from_coefficient=lambda share: share / (1 - share),
+    shown_by="accelerations after the stop, or axle loads on the bus",
 )
 
 WARM_UP = Effect(
@@ -52,12 +52,12 @@ WARM_UP = Effect(
     symbol="cold excess of A",
     unit="1",
     power=lambda view, shape: view.A * view.v * excess(cold_by_speed(view, shape[0]), shape[1]),
-    usual=always(0.25),
+    usual_magnitude=always(0.25),
     needs=tuple(PAST_SPEEDS),
     shapes=excesses(TYRE_TIMES),
-    finer=finer_excesses,
+    finer_shapes=finer_excesses,
     describe=told_excess,
-    breaks="a drive that starts with warm tyres",
+    shown_by="a drive that starts with warm tyres",
 )
 
 RESISTANCE_SEGMENT = Effect(
@@ -67,9 +67,9 @@ RESISTANCE_SEGMENT = Effect(
     symbol="share of A",
     unit="1",
     power=lambda view, shape: view.A * view.v,
-    usual=always(0.25),
+    usual_magnitude=always(0.25),
     timing=Timing.WINDOW,
-    breaks="a change of speed inside the window",
+    shown_by="a change of speed inside the window",
 )
 
 CORNERING = Effect(
@@ -79,10 +79,10 @@ CORNERING = Effect(
     symbol="k",
     unit="N s^4/m^2",
     power=lambda view, shape: view.v * view.context[Quantity.LATERAL_ACCELERATION] ** 2,
-    usual=by_mass(600.0),
-    largest=4e3,
+    usual_magnitude=by_mass(600.0),
+    max_size=4e3,
     needs=(Quantity.LATERAL_ACCELERATION,),
-    breaks="yaw rate or lateral acceleration on the bus, and bends taken without braking",
+    shown_by="yaw rate or lateral acceleration on the bus, and bends taken without braking",
 )
 
 BRAKE_USE = Effect(
@@ -92,9 +92,9 @@ BRAKE_USE = Effect(
     symbol="brake force",
     unit="N",
     power=lambda view, shape: view.v,
-    usual=by_mass(4e3),
-    largest=20e3,
+    usual_magnitude=by_mass(4e3),
+    max_size=20e3,
     timing=Timing.SWITCHING,
-    dwells=(12.0,),
-    breaks="brake switch or brake pressure on the bus",
+    dwell_times=(12.0,),
+    shown_by="brake switch or brake pressure on the bus",
 )

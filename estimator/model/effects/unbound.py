@@ -38,12 +38,12 @@ UNBOUND_FRICTION = Effect(
     symbol="T at 1,200 rpm",
     unit="N m",
     power=_friction,
-    usual=by_mass(300.0),
+    usual_magnitude=by_mass(300.0),
     needs=(Quantity.ENGINE_SPEED,),
     shapes=RISES,
-    finer=_finer_rises,
+    finer_shapes=_finer_rises,
     describe=lambda rise: f"{100 * rise:.0f} % of it rises with the engine's speed",
-    breaks="friction_fraction (SPN 514 of EEC3)",
+    shown_by="friction_fraction (SPN 514 of EEC3)",
 )
 
 UNBOUND_FRACTION = Effect(
@@ -53,10 +53,10 @@ UNBOUND_FRACTION = Effect(
     symbol="T",
     unit="N m",
     power=lambda view, shape: view.context[Quantity.ENGINE_SPEED],
-    usual=by_mass(12.0),  # 0.5 % of 2,500 N m
+    usual_magnitude=by_mass(12.0),  # 0.5 % of 2,500 N m
     positive=False,
     needs=(Quantity.ENGINE_SPEED,),
-    breaks="torque_fraction_fine (SPN 4154 of EEC1)",
+    shown_by="torque_fraction_fine (SPN 4154 of EEC1)",
 )
 
 NEARER = {Role.ENGINE_POWER, Role.ENGINE_TORQUE}  # roles that say what reaches the crankshaft

@@ -40,9 +40,9 @@ def improved(d: Diagnosis, traces: Traces) -> Improved | None:
 
 def gap_map(cells: GapMap, better: Improved | None) -> str:
     """Mean residual by speed and acceleration, before and after on one scale."""
-    shown = [("plain model", cells.before)] + ([(better.name, cells.after)] if better else [])
+    shown = [("plain model", cells.plain)] + ([(better.name, cells.extended)] if better else [])
     scale = _scale(np.concatenate([values.ravel() for _, values in shown]) / 1e3)
-    seen = np.isfinite(cells.before) | np.isfinite(cells.after)
+    seen = np.isfinite(cells.plain) | np.isfinite(cells.extended)
     x = _covered(KMH * cells.speed_edges, np.flatnonzero(seen.any(axis=1)), "speed [km/h]")
     y = _covered(cells.acceleration_edges, np.flatnonzero(seen.any(axis=0)), "acceleration [m/s²]")
     maps = "".join(
@@ -112,7 +112,7 @@ def _clock(traces: Traces) -> Floats:
 
 
 def _placed(span: Span, traces: Traces, clock: Floats) -> Floats:
-    """From and to [s] of a span on the running clock (2,)."""
+    """Start and end [s] (2,) of a span on the running clock."""
     own = traces.log == span.log
     order = np.argsort(traces.t[own])
     placed: Floats = np.interp([span.start, span.end], traces.t[own][order], clock[own][order])

@@ -30,7 +30,7 @@ def ranking(candidates: Sequence[Finding], several: bool) -> str:
 
 
 def chosen(d: Diagnosis) -> str:
-    """What was found: size, action, share of the gap closed with its interval."""
+    """Effects that are named: size, action, share of the gap closed with its interval."""
     blocks = []
     for f in d.effects:
         share = _interval_bar(f.gap_closed)
@@ -69,7 +69,7 @@ def budget(whole: Budget) -> str:
         (
             html.escape(wording.label(part.cause)),
             html.escape(wording.interval(GapClosed(part.share, part.q05, part.q95))),
-            *map(wording.kilowatts, (part.rms, part.reached, part.expected)),
+            *map(wording.kilowatts, (part.rms, part.held_out_rms, part.expected)),
         )
         for part in whole.parts
     ]
@@ -106,7 +106,7 @@ def invisible(effects: Sequence[Invisible]) -> str:
             _name(i.name),
             wording.bayes(i.expected_log_bayes_factor),
             html.escape(wording.shift(i.shift)),
-            html.escape(i.breaks),
+            html.escape(i.shown_by),
         )
         for i in effects
     ]

@@ -1,4 +1,4 @@
-"""Candidates of a drive: forms of effects, with signals or fitted times, nameless processes, and stretches of road."""
+"""Propose candidate terms of a drive: effects with signals or fitted times, nameless processes, stretches of road."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence, Set
@@ -7,94 +7,96 @@ from itertools import combinations
 
 import numpy as np
 
-from estimator.components.component import Component, Frame, of_effect, of_term
 from estimator.components.drive_state import DriveState, has_free_times, slow_noise
 from estimator.components.processes import processes, swings, switched
 from estimator.components.stretches import STRETCHES, stretches
 from estimator.components.switching import Switching
-from estimator.components.time_prior import is_usual, prior_cost, seen
+from estimator.components.term import Frame, Term, term_of, untimed_terms
+from estimator.components.time_prior import is_usual, observed_spans, prior_cost
 from estimator.estimation.shapes import is_free, near
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing
 from estimator.model.spans import Spans, cut, union, without
-from estimator.model.term import Term
 from estimator.signals import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """One possible form of a ``cause``, identified among its other forms by ``form``.
+class CandidateTerm:
+    """A ``term`` that may act; ``key`` identifies it among the terms of the same effect or process.
 
-    ``is_event``: the cause is specific to its drive; on another drive it counts as another cause.
+    ``is_event``: it is specific to its drive; on another drive it counts as another effect or process.
     """
 
-    cause: str
+    term: Term
+    key: object
     is_event: bool
-    form: object
-    component: Component
 
 
 @dataclass(frozen=True)
 class _Proposed:
-    """Times proposed for effects ``beside`` the chosen terms, with the slow noise (2,) of that fit."""
+    """Times proposed for effects beside the terms ``chosen`` in a fit, with the slow noise (2,) of that fit."""
 
-    beside: object
+    chosen: object
     noise: Floats
     times: set[Spans]
 
-    def is_outdated(self, beside: object, drive: DriveState) -> bool:
+    def is_outdated(self, chosen: object, drive: DriveState) -> bool:
         """True if the chosen terms or their times differ, or the slow noise of the drive has halved or doubled."""
         changed = np.abs(np.log2(slow_noise(drive.fit.scales.values) / self.noise))
-        return self.beside != beside or bool(changed.max() >= 1.0)
+        return self.chosen != chosen or bool(changed.max() >= 1.0)
 
 
-class FoundForms:
-    """Times and shapes found by searches on the same drives, by drive number.
+class EarlierTerms:
+    """Times and shapes of terms found by earlier searches on the same drives, by drive number.
 
     A search from another start, or with another road, reuses them instead of finding them round by round again.
     """
 
     def __init__(self) -> None:
         self.times: dict[int, set[Spans]] = defaultdict(set)
-        self.shapes: dict[int, dict[str, tuple[Term, float]]] = defaultdict(dict)  # latest term of an effect, size
+        # Latest term of each effect, by its name, and its magnitude.
+        self.effect_terms: dict[int, dict[str, tuple[EffectTerm, float]]] = defaultdict(dict)
 
-    def shape(self, number: int, term: Term, size: float) -> None:
-        """Record a ``term`` with a free shape and its magnitude ``size`` for drive ``number``."""
-        self.shapes[number][term.effect.name] = term, size
+    def add_effect_term(self, number: int, effect_term: EffectTerm, magnitude: float) -> None:
+        """Record an ``effect_term`` with a free shape and its ``magnitude`` for drive ``number``."""
+        self.effect_terms[number][effect_term.effect.name] = effect_term, magnitude
 
-    def add(self, number: int, drive: DriveState) -> None:
+    def add_drive(self, number: int, drive: DriveState) -> None:
         """Record times and terms of everything chosen on a drive, and the times of its stretches of road."""
-        for component, size in zip(drive.chosen, drive.sizes.tolist(), strict=True):
-            if component.is_timed and component.spans:
-                self.times[number].add(component.spans)
-            if component.term is not None:
-                self.shape(number, component.term, size)
+        for term, magnitude in zip(drive.chosen, drive.magnitudes.tolist(), strict=True):
+            if term.is_timed and term.spans:
+                self.times[number].add(term.spans)
+            if term.effect_term is not None:
+                self.add_effect_term(number, term.effect_term, magnitude)
         if drive.stretches is not None and drive.stretches.spans:
             self.times[number].add(drive.stretches.spans)
 
 
-class Candidates:
-    """Candidates on the drives of one vehicle: ``effects`` of the catalogue, beside the terms ``given`` for each drive.
+class CandidateTerms:
+    """Candidate terms on the drives of one vehicle: of ``effects``, beside the terms ``given`` for each drive.
 
     Fitted times of effects come from four proposals. Those beside the latest chosen terms are renewed once these or
     their times change, or the slow noise halves or doubles. Those of fits without timed terms and stretches are kept.
     Those that replace all timed terms are renewed with the first stretches of road, and with effects of other names,
-    because two effects may share times. Those of earlier searches, in ``forms``, are reused.
+    because two effects may share times. Those of earlier searches, in ``earlier_terms``, are reused.
 
-    Shapes near those of chosen effects are candidates, and so are shapes near those in ``forms``.
+    Shapes near those of chosen effects are candidates, and so are shapes near those in ``earlier_terms``.
     Otherwise the effect chosen first would have an advantage by its finer shapes alone.
     """
 
-    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Component]], forms: FoundForms) -> None:
+    def __init__(self, effects: Sequence[Effect], given: Sequence[Sequence[Term]], earlier_terms: EarlierTerms) -> None:
         self._effects, self._timed = tuple(effects), [effect for effect in effects if has_free_times(effect)]
-        self._given, self._forms = given, forms
+        self._given, self._earlier_terms = given, earlier_terms
         self._latest: dict[int, _Proposed] = {}
         self._untimed: dict[int, set[Spans]] = defaultdict(set)
         self._instead: dict[int, tuple[object, set[Spans]]] = {}
         self._steep: dict[int, set[Spans]] = defaultdict(set)
         self._costs: dict[int, dict[object, float | None]] = defaultdict(dict)
 
-    def on(self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool) -> Iterator[Candidate]:
-        """Candidates on the drive with this ``number``; of two equal forms the later one counts.
+    def on_drive(
+        self, number: int, drive: DriveState, with_processes: bool, with_stretches: bool
+    ) -> Iterator[CandidateTerm]:
+        """Candidate terms on the drive with this ``number``; of two with equal keys the later one counts.
 
         ``with_stretches``: include stretches of a road that no signal shows.
         """
@@ -102,7 +104,7 @@ class Candidates:
         yield from self._without_fitted_times(frame, drive)
         yield from self._near_shapes(number, frame, drive)
         yield from self._at_times(number, frame, drive.chosen, times)
-        if drive.is_hidden and with_stretches:
+        if drive.is_road_hidden and with_stretches:
             yield from self._stretches(number, frame, drive, times)
         if with_processes:
             yield from _nameless(frame, drive, times, len(self._given[number]))
@@ -110,53 +112,49 @@ class Candidates:
     def _times(self, number: int, drive: DriveState) -> list[Spans]:
         """Times at which effects may act: those of chosen terms, unions of two of these, and the proposed ones."""
         steep = None if drive.stretches is None else drive.stretches.spans
-        beside = (*((term.effect.name, term.spans) for term in drive.fit.terms), steep)
-        if number not in self._latest or self._latest[number].is_outdated(beside, drive):
-            switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_hidden else [])]
+        chosen = (*((effect_term.effect.name, effect_term.spans) for effect_term in drive.fit.terms), steep)
+        if number not in self._latest or self._latest[number].is_outdated(chosen, drive):
+            switching, timed = Switching(drive.joint), [*self._timed, *([STRETCHES] if drive.is_road_hidden else [])]
             times = set[Spans]().union(*map(switching.proposed, timed))
-            self._latest[number] = _Proposed(beside, slow_noise(drive.fit.scales.values), times)
-            if steep is None and not any(component.is_timed for component in drive.chosen):
+            self._latest[number] = _Proposed(chosen, slow_noise(drive.fit.scales.values), times)
+            if steep is None and not any(term.is_timed for term in drive.chosen):
                 self._untimed[number] |= times
-            names = frozenset(component.name for component in drive.chosen), steep is None
+            names = frozenset(term.name for term in drive.chosen), steep is None
             if number not in self._instead or self._instead[number][0] != names:
                 self._instead[number] = names, set().union(*map(switching.proposed_instead, timed))
-        present = [component.spans for component in drive.chosen if component.is_timed and component.spans]
+        present = [term.spans for term in drive.chosen if term.is_timed and term.spans]
         present += [] if steep is None else [steep]
         both = {union(a, b) for a, b in combinations(present, 2)}
         proposed = self._latest[number].times | self._instead[number][1] | self._untimed[number]
-        proposed |= self._forms.times[number]
+        proposed |= self._earlier_terms.times[number]
         return _different({*present, *both, *proposed}, present, drive.fit.strides.t)
 
-    def _without_fitted_times(self, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+    def _without_fitted_times(self, frame: Frame, drive: DriveState) -> Iterator[CandidateTerm]:
         """Effects that act always, that a signal shows, or that begin at a standstill."""
         quantities = frozenset(drive.strides.context)
         for effect in self._effects:
-            for component in of_effect(frame, effect, quantities):
-                term = component.term
-                assert term is not None
-                yield Candidate(
-                    cause=effect.name,
-                    is_event=effect.timing is not Timing.ALWAYS,
-                    form=term.spans or str(term.shape),
-                    component=component,
-                )
+            for term in untimed_terms(frame, effect, quantities):
+                effect_term = term.effect_term
+                assert effect_term is not None
+                key = effect_term.spans or str(effect_term.shape)
+                yield CandidateTerm(term=term, key=key, is_event=effect.timing is not Timing.ALWAYS)
 
-    def _near_shapes(self, number: int, frame: Frame, drive: DriveState) -> Iterator[Candidate]:
+    def _near_shapes(self, number: int, frame: Frame, drive: DriveState) -> Iterator[CandidateTerm]:
         """Shapes near those of chosen effects and of effects found before; given effects keep their shapes."""
-        chosen = [(c.term, size) for c, size in zip(drive.chosen, drive.sizes.tolist(), strict=True) if c.term]
-        present = {term.effect.name: (term, size) for term, size in chosen}
-        for term, size in (self._forms.shapes[number] | present).values():
-            if not is_free(term) or term.effect not in self._effects:
+        chosen = zip(drive.chosen, drive.magnitudes.tolist(), strict=True)
+        present = {term.name: (term.effect_term, magnitude) for term, magnitude in chosen if term.effect_term}
+        for effect_term, magnitude in (self._earlier_terms.effect_terms[number] | present).values():
+            if not is_free(effect_term) or effect_term.effect not in self._effects:
                 continue
-            for finer in near(term, size):
-                effect, component = term.effect, of_term(frame, finer)
+            for finer in near(effect_term, magnitude):
+                effect, term = effect_term.effect, term_of(frame, finer)
                 # Finer shapes depend on the size, which differs between drives: the key is the coarse shape.
-                shape = finer.shape if finer.shape in effect.shapes else effect.alike(finer.shape)
-                yield Candidate(cause=effect.name, is_event=False, form=str(shape), component=component)
+                shape = finer.shape if finer.shape in effect.shapes else effect.shape_key(finer.shape)
+                yield CandidateTerm(term=term, key=str(shape), is_event=False)
 
     def _at_times(
-        self, number: int, frame: Frame, chosen: Sequence[Component], times: Sequence[Spans]
-    ) -> Iterator[Candidate]:
+        self, number: int, frame: Frame, chosen: Sequence[Term], times: Sequence[Spans]
+    ) -> Iterator[CandidateTerm]:
         """Effects at fitted times, and at the times of chosen effects with other times added or subtracted."""
         last_costs = self._costs[number]  # costs of the last round: most times recur
         costs = self._costs[number] = {}
@@ -164,15 +162,17 @@ class Candidates:
             present = [c.spans for c in chosen if c.name == effect.name and c.is_timed and c.spans]
             changed = {change(spans, other) for spans in present for other in times for change in (union, without)}
             for spans in _different({*times, *changed}, present, frame.strides.t):
-                key = effect.timing, effect.dwells, spans  # many effects share dwells
+                key = effect.timing, effect.dwell_times, spans  # many effects share dwells
                 if key not in costs:
                     costs[key] = last_costs[key] if key in last_costs else _cost(spans, effect, frame.strides.t)
                 cost = costs[key]
                 if cost is not None:
-                    component = of_term(frame, Term(effect, None, spans), cost)
-                    yield Candidate(cause=effect.name, is_event=True, form=spans, component=component)
+                    term = term_of(frame, EffectTerm(effect, None, spans), cost)
+                    yield CandidateTerm(term=term, key=spans, is_event=True)
 
-    def _stretches(self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]) -> Iterator[Candidate]:
+    def _stretches(
+        self, number: int, frame: Frame, drive: DriveState, times: Sequence[Spans]
+    ) -> Iterator[CandidateTerm]:
         """Stretches of the road at fitted times, and at all times of stretches chosen so far.
 
         The times of the latest chosen stretches are also united with, reduced by and cut at the proposed times.
@@ -184,8 +184,8 @@ class Candidates:
         for spans in _different(
             {*times, *changed, *self._steep[number]}, [present] if present else [], frame.strides.t
         ):
-            for component in stretches(frame, spans):
-                yield Candidate(cause=component.name, is_event=True, form=spans, component=component)
+            for term in stretches(frame, spans):
+                yield CandidateTerm(term=term, key=spans, is_event=True)
 
 
 def _different(times: Set[Spans], preferred: Sequence[Spans], t: Floats) -> list[Spans]:
@@ -193,7 +193,7 @@ def _different(times: Set[Spans], preferred: Sequence[Spans], t: Floats) -> list
 
     Times that differ only within gaps have the same column and would be counted several times.
     """
-    alike = {seen(spans, t): spans for spans in [*sorted(times), *preferred]}
+    alike = {observed_spans(spans, t): spans for spans in [*sorted(times), *preferred]}
     return sorted(alike.values())
 
 
@@ -202,15 +202,15 @@ def _cost(spans: Spans, effect: Effect, t: Floats) -> float | None:
     return prior_cost(spans, effect, t) if is_usual(spans, effect, t) else None
 
 
-def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: int) -> Iterator[Candidate]:
+def _nameless(frame: Frame, drive: DriveState, times: Sequence[Spans], given: int) -> Iterator[CandidateTerm]:
     """Nameless processes; ``given`` is the number of given terms of the drive."""
     for spans in times:
         for process in switched(frame, spans):
-            yield Candidate(cause=process.name, is_event=True, form=spans, component=process)
-    number: Counter[str] = Counter()  # forms of each process so far; they are the same on all drives
+            yield CandidateTerm(term=process, key=spans, is_event=True)
+    number: Counter[str] = Counter()  # terms of each process so far; they are the same on all drives
     for process in processes(frame):
-        yield Candidate(cause=process.name, is_event=False, form=number[process.name], component=process)
+        yield CandidateTerm(term=process, key=number[process.name], is_event=False)
         number[process.name] += 1
-    beside = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
-    for i, process in enumerate(swings(drive.joint, beside)):
-        yield Candidate(cause=process.name, is_event=True, form=i, component=process)
+    hypotheses = [list(range(count)) for count in sorted({given, len(drive.chosen)})]
+    for i, process in enumerate(swings(drive.joint, hypotheses)):
+        yield CandidateTerm(term=process, key=i, is_event=True)

@@ -12,7 +12,7 @@ USUAL_SDS = 3.0  # prior sd of the magnitude of an effect that is given, in usua
 
 
 @dataclass(frozen=True)
-class Term:
+class EffectTerm:
     """Effect in the model, with its shape and the ``spans`` [s] in which it acts; None: always.
 
     ``usual_sds`` is the prior sd of its magnitude, in usual magnitudes.
@@ -31,7 +31,7 @@ class Term:
 
     def prior_sd(self, road_load: Floats) -> float:
         """Prior sd of its magnitude, for a vehicle with ``road_load`` = [A, C, m] (3,)."""
-        return self.usual_sds * self.effect.usual(road_load)
+        return self.usual_sds * self.effect.usual_magnitude(road_load)
 
     def at_rest(self, rest: AtRest) -> float:
         """Power [W] per unit of magnitude during a standstill."""

@@ -1,4 +1,4 @@
-"""Formula for the residual that no named effect explains.
+"""Find a formula for the residual that no named effect explains.
 
 A product of speed, acceleration, force, engine speed, time and distance. It describes the residual but names no effect.
 It is judged on the longest drive, beside the road load and the chosen effects, and on stretches left out of the fit.
@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from estimator.components.component import Component
 from estimator.components.drive_state import DriveState
 from estimator.components.folds import cross_validation
 from estimator.components.formula import Variable, best_formula, judged
 from estimator.components.plain_model import PlainModel
-from estimator.diagnosis.result import Described
+from estimator.components.term import Term
+from estimator.diagnosis.result import ResidualFormula
 from estimator.estimation.road_likelihood import ROAD_LOAD
 from estimator.signals import Floats, Quantity
 
@@ -21,38 +21,40 @@ MIN_LOG_BF = 5.0  # of a formula, less the cost of all formulas that were tried
 SMOOTHED = 5  # strides (5 s) over which the acceleration is averaged
 
 
-def described(drive: DriveState) -> Described | None:
+def best_residual_formula(drive: DriveState) -> ResidualFormula | None:
     """The formula with most evidence.
 
     None if its log Bayes factor is below MIN_LOG_BF, or if it does not reduce the residual on held-out stretches.
     """
     joint = drive.joint
-    ours = range(len(drive.chosen))
+    chosen = range(len(drive.chosen))
     power = drive.fit.residual_power
     rms = float(np.sqrt(np.mean(power**2)))
 
     def judge(columns: Floats) -> tuple[Floats, Floats, Floats]:
-        return judged(*joint.projected(ours, joint.frame.as_acceleration(columns)))
+        return judged(*joint.projected(chosen, joint.frame.as_acceleration(columns)))
 
-    found = best_formula(dict(_variables(drive)), "W", rms, judge)
-    if found is None or found.gain < MIN_LOG_BF:
+    formula = best_formula(dict(_variables(drive)), "W", rms, judge)
+    if formula is None or formula.gain < MIN_LOG_BF:
         return None
-    share = _held_out_share(drive, found.column)
+    share = _held_out_share(drive, formula.column)
     if share <= 0:
         return None
-    value, sd = _refitted(drive, found.column, rms)
-    return Described(text=found.text, value=value, sd=sd, unit=found.unit, log_bayes_factor=found.gain, share=share)
+    value, sd = _refitted(drive, formula.column, rms)
+    return ResidualFormula(
+        text=formula.text, value=value, sd=sd, unit=formula.unit, log_bayes_factor=formula.gain, share=share
+    )
 
 
 def _refitted(drive: DriveState, column: Floats, rms: float) -> tuple[float, float]:
     """Factor of a power ``column`` [W] (n,) and its sd, fitted together with A, C, m and the chosen effects."""
-    own = Component(
+    term = Term(
         name="formula",
         columns=lambda frame: frame.as_acceleration(column)[:, None],
         sd=rms / float(np.sqrt(np.mean(column**2))),
     )
-    joint = drive.joint_with([own])
-    posterior = joint.posterior(range(len(joint.components)))
+    joint = drive.joint_with([term])
+    posterior = joint.posterior(range(len(joint.terms)))
     scale = 1 / (float(posterior.mean[0]) * float(joint.frame.road_load[2]))
     return float(posterior.mean[-1]) * scale, float(np.sqrt(posterior.covariance[-1, -1])) * scale
 
@@ -77,8 +79,8 @@ def _variables(drive: DriveState) -> Iterator[tuple[str, Variable]]:
 def _held_out_share(drive: DriveState, column: Floats) -> float:
     """Share of the squared residual that ``column`` (n,) removes on held-out stretches, over means of 2 s."""
     plain = PlainModel(drive.fit)
-    taken = [component.columns(drive.joint.frame)[:, 0] for component in drive.chosen]
-    effects = [plain.residual(plain.as_power(each, 1 / drive.fit.beta[:1])[:, 0]) for each in taken]
+    columns = [term.columns(drive.joint.frame)[:, 0] for term in drive.chosen]
+    effects = [plain.residual(plain.as_power(effect, 1 / drive.fit.beta[:1])[:, 0]) for effect in columns]
     y, extra = plain.residual(plain.power), plain.residual(column)
     n = len(y)
     narrow = np.column_stack([np.ones(n), *effects])

@@ -1,9 +1,7 @@
-"""Terms of the model on one drive: effects, nameless processes and stretches of road as columns with a prior.
+"""Represent effects, nameless processes and stretches of road on one drive as terms: columns with a prior.
 
-A `Component` is one form of such a term: fixed shape, times and prior. A hypothesis is a set of them. A `Term` of
-`model.term` is the effect of the catalogue with its shape and times that a component is made from.
-
-An effect of the catalogue has one column, its power per unit of magnitude. A nameless process has many: hat functions
+A hypothesis is a set of terms. An effect of the catalogue, with one shape and its times, is an `EffectTerm`; its term
+here has one column, the power per unit of magnitude. The term of a nameless process has many columns: hat functions
 along an axis, times a profile (such as the speed), all with the same prior. One likelihood evaluates both.
 
 In the equation of motion a power h appears as the acceleration -h / (m v). Columns computed from the acceleration use
@@ -20,9 +18,9 @@ import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import view_of
+from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import Effect, Timing, View
 from estimator.model.spans import Spans
-from estimator.model.term import Term
 from estimator.signals import Floats, Quantity
 from estimator.strides import DURATION, Strides
 
@@ -35,7 +33,7 @@ class Frame:
     force: Floats  # (n,) [N], at the lag of the drive
     road_load: Floats  # [A, C, m]
     lag: float  # s, by which power comes after speed
-    taken: Floats  # (n,) [N], force of the fit's effects that are not computed from the force
+    effect_force: Floats  # (n,) [N], force of the fit's effects that are not computed from the force
 
     @classmethod
     def of(cls, fit: RoadFit) -> "Frame":
@@ -45,7 +43,7 @@ class Frame:
             force=fit.force,
             road_load=fit.road_load,
             lag=fit.lag,
-            taken=fit.taken,
+            effect_force=fit.taken,
         )
 
     def disturbed(self, error: Floats) -> "Frame":
@@ -55,23 +53,23 @@ class Frame:
     @cached_property
     def view(self) -> View:
         """Quantities that effects are computed from, with the acceleration on level ground."""
-        return view_of(self.strides, self.force, self.road_load, self.taken)
+        return view_of(self.strides, self.force, self.road_load, self.effect_force)
 
-    def column(self, term: Term) -> Floats:
-        """Acceleration [m/s^2] (n,) per unit of a term's magnitude."""
-        return self.as_acceleration(term.column(self.view))
+    def column(self, effect_term: EffectTerm) -> Floats:
+        """Acceleration [m/s^2] (n,) per unit of an effect's magnitude."""
+        return self.as_acceleration(effect_term.column(self.view))
 
     def as_acceleration(self, power: Floats) -> Floats:
         """Acceleration -P / (m v) [m/s^2] (n, ...) caused by a consumed power P [W] (n, ...)."""
-        taken: Floats = -(power.T / (self.strides.speed * self.road_load[2])).T
-        return taken
+        acceleration: Floats = -(power.T / (self.strides.speed * self.road_load[2])).T
+        return acceleration
 
 
 Columns = Callable[[Frame], Floats]
 
 
 class Kind(Enum):
-    """Category of a component in the answer."""
+    """Category of a term in the answer."""
 
     EFFECT = "an effect of the catalogue"
     PROCESS = "what acts and has no name"
@@ -79,76 +77,83 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Component:
-    """One form of a term: columns with a prior.
+class Term:
+    """An effect or process in the model, with shape, times and prior.
 
     ``columns`` of a frame (n, k): acceleration [m/s^2] per unit of each of its k amplitudes. Their prior is N(0,
-    ``sd``^2), restricted to positive values if ``positive``. A magnitude beyond ``largest``, or above ``highest``, is
-    impossible. ``cost`` [nats]: minus the log prior probability of its times, or of a swing's period. ``is_noisy``: its
-    columns contain noise of the measured force. ``is_slope``: it is part of the road.
+    ``sd``^2), restricted to positive values if ``positive``. An amplitude with a modulus above ``max_size``, or itself
+    above ``max_positive_size``, is impossible. ``cost`` [nats]: minus the log prior probability of its times, or of a
+    swing's period. ``is_noisy``: its columns contain noise of the measured force. ``is_slope``: it is part of the road.
     """
 
     name: str
     columns: Columns
     sd: float
     positive: bool = False
-    largest: float = np.inf
-    highest: float = np.inf
+    max_size: float = np.inf
+    max_positive_size: float = np.inf
     cost: float = 0.0
     is_noisy: bool = False
     is_slope: bool = False
-    term: Term | None = None  # None: it is no effect of the catalogue
+    effect_term: EffectTerm | None = None  # None: it is no effect of the catalogue
     spans: Spans | None = None  # when it acts; None: always, or as its columns define
 
     @property
     def kind(self) -> Kind:
-        """Category of the component in the answer."""
-        if self.term is not None:
+        """Category of the term in the answer."""
+        if self.effect_term is not None:
             return Kind.EFFECT
         return Kind.ROAD if self.is_slope else Kind.PROCESS
 
     @property
     def is_timed(self) -> bool:
         """True if its times were fitted: it acts neither always nor from a standstill on."""
-        return self.spans is not None and (self.term is None or self.term.effect.timing is not Timing.STEP)
+        return self.spans is not None and (
+            self.effect_term is None or self.effect_term.effect.timing is not Timing.STEP
+        )
 
 
-def of_effect(frame: Frame, effect: Effect, known: frozenset[Quantity]) -> list[Component]:
-    """All forms of an effect that need no fitted times: its shapes, or the standstills that it may begin at."""
-    shapes = effect.usable_shapes(known)
-    terms = [Term(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None]
+def untimed_terms(frame: Frame, effect: Effect, quantities: frozenset[Quantity]) -> list[Term]:
+    """All terms of an effect that need no fitted times: with its shapes, or from standstills that it may begin at.
+
+    ``quantities`` are those that the drive carries.
+    """
+    shapes = effect.usable_shapes(quantities)
+    effect_terms = [
+        EffectTerm(effect, shape) for shape in shapes if effect.timing is Timing.ALWAYS or shape is not None
+    ]
     if effect.timing is Timing.STEP:
-        terms = [Term(effect, None, spans) for spans in _from_standstills(frame.strides)]
-    return [of_term(frame, term) for term in terms]
+        effect_terms = [EffectTerm(effect, None, spans) for spans in _from_standstills(frame.strides)]
+    return [term_of(frame, effect_term) for effect_term in effect_terms]
 
 
-def of_term(frame: Frame, term: Term, cost: float = 0.0) -> Component:
-    """Component of a term of the catalogue."""
-    effect = term.effect
-    return Component(
+def term_of(frame: Frame, effect_term: EffectTerm, cost: float = 0.0) -> Term:
+    """Term of an effect of the catalogue, with its shape and times; ``cost`` [nats] of these."""
+    effect = effect_term.effect
+    return Term(
         name=effect.name,
-        columns=lambda frame: frame.column(term)[:, None],
-        sd=effect.usual(frame.road_load),
+        columns=lambda frame: frame.column(effect_term)[:, None],
+        sd=effect.usual_magnitude(frame.road_load),
         positive=effect.positive,
-        largest=effect.limit(frame.road_load),
-        highest=effect.highest,
+        max_size=effect.limit(frame.road_load),
+        max_positive_size=effect.max_positive_size,
         cost=cost,
         is_noisy=effect.is_noisy,
-        term=term,
-        spans=term.spans,
+        effect_term=effect_term,
+        spans=effect_term.spans,
     )
 
 
-def as_terms(frame: Frame, process: Component) -> list[Term]:
-    """Columns of a process or of stretches as terms of a fit, each with the prior of its amplitude."""
+def as_effect_terms(frame: Frame, process: Term) -> list[EffectTerm]:
+    """Columns of a process or of stretches as single terms of a fit, each with the prior of its amplitude."""
     power = _Powers(frame, process)
-    return [Term(_of_process(process, power, k), usual_sds=1.0) for k in range(power.count)]
+    return [EffectTerm(_of_process(process, power, k), usual_sds=1.0) for k in range(power.count)]
 
 
 class _Powers:
     """Power [W] (n, k) of a process for the force of a view of the frame's strides; the last view is cached."""
 
-    def __init__(self, frame: Frame, process: Component) -> None:
+    def __init__(self, frame: Frame, process: Term) -> None:
         self._frame, self._process = frame, process
         self._view: View | None = None
         self._power = self._of(frame.force)
@@ -165,7 +170,7 @@ class _Powers:
         return power
 
 
-def _of_process(process: Component, power: _Powers, k: int) -> Effect:
+def _of_process(process: Term, power: _Powers, k: int) -> Effect:
     """Effect whose power is column ``k`` of a process."""
     return Effect(
         name=process.name,
@@ -174,7 +179,7 @@ def _of_process(process: Component, power: _Powers, k: int) -> Effect:
         symbol="",
         unit="1",
         power=lambda view, shape: power(view)[:, k],
-        usual=lambda road_load: process.sd,
+        usual_magnitude=lambda road_load: process.sd,
         positive=False,
         is_noisy=True,  # otherwise its columns would be asked for at other strides than the frame's
         is_gravity=process.is_slope,

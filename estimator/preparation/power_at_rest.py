@@ -20,26 +20,26 @@ INTERVAL, MIN_REST = 60.0, 5.0  # s, of a figure of a battery's power, and at re
 REST_SD, REST_SHARE = 200.0, 0.1
 
 
-def rests(pieces: Sequence[Rows], start: float) -> tuple[AtRest, ...]:
+def powers_at_rest(pieces: Sequence[Rows], start: float) -> tuple[AtRest, ...]:
     """Power at rest in the ``pieces`` of a drive that began at ``start`` [s]; empty if standstills are too short."""
     standing = [_standing(piece, start) for piece in pieces]
     power, engine, elapsed = (np.concatenate(parts) for parts in zip(*standing, strict=True))
     if any(Role.BATTERY_CURRENT in piece.context for piece in pieces):
         minute = np.floor(elapsed / INTERVAL)
         intervals = [minute == k for k in np.unique(minute)]
-        least, sd, share = MIN_REST, REST_SD, REST_SHARE
+        min_duration, sd, share = MIN_REST, REST_SD, REST_SHARE
     else:
         intervals = [np.ones(len(power), dtype=np.bool_)]
-        least, sd, share = MIN_IDLE, IDLE_SD, IDLE_SHARE
+        min_duration, sd, share = MIN_IDLE, IDLE_SD, IDLE_SHARE
     return tuple(
         AtRest(
-            power=(taken := float(np.median(power[part]))),
-            sd=sd + share * abs(taken),
+            power=(median := float(np.median(power[part]))),
+            sd=sd + share * abs(median),
             engine_speed=float(np.median(engine[part])),
             elapsed=float(elapsed[part].mean()),
         )
         for part in intervals
-        if np.count_nonzero(part) >= least / STEP
+        if np.count_nonzero(part) >= min_duration / STEP
     )
 
 
