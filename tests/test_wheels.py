@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator.can_io.frames import Frames
 from estimator.config import from_dict
@@ -45,7 +45,9 @@ def mean_of(speeds: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[np.ndarray,
 
 def test_wheels_that_differ_by_curves_and_slip_are_averaged_bit_by_bit():
     rng = np.random.default_rng(1)
-    speeds = driven(3000) * (1 + 0.06 * rng.uniform(-1, 1, (4, 1)) + 0.05 * np.sin(np.arange(3000) / 90))
+    v = driven(3000)
+    curve = np.outer([1, -1, 1, -1], np.sin(np.arange(3000) / 90)) * 1.8 * 5 / 2 / np.maximum(v, 8)  # 5 m/s^2
+    speeds = v * (1 + 0.02 * rng.uniform(-1, 1, (4, 1))) + curve
     speeds[2, 500:510] *= 0.3  # locks for a second
     speed, undecided, wheels = mean_of(speeds)
     assert_array_equal(speed, speeds.sum(axis=0) / 4)
@@ -72,6 +74,14 @@ def test_a_wheel_in_another_unit_is_left_out_and_an_axle_is_not_told_from_the_ot
     assert undecided.mean() > 0.95
     assert np.isnan(speed[undecided]).all()
     assert wheels.refused[f"wheel_speeds: {UNDECIDED}"] == undecided.sum()
+
+
+@pytest.mark.parametrize("scale", [0.8, 0.9, 1.1])
+def test_a_wheel_of_another_size_is_left_out_from_the_first_fast_stretch_on(scale):
+    v = driven(6000)
+    speed, _, wheels = mean_of(np.array([v, scale * v, v, v]))
+    assert_allclose(speed[1500:], v[1500:], rtol=1e-12)
+    assert set(wheels.refused) == {f"wheel_speeds 2: {DIFFERS}"}
 
 
 def test_two_dead_wheels_of_four_are_told():
