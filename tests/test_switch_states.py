@@ -12,9 +12,11 @@ from estimator.can_io.switch_states import is_on, states_of
 from estimator.config import from_dict, load
 from estimator.errors import MissingInputsError
 from estimator.estimates import Status
+from estimator.samples import Rows
 from estimator.signals import Role
 from estimator.streaming import replay
 from estimator.streaming.inspection import inspect
+from estimator.streaming.remarks import SwitchUse
 
 CASES = Path(__file__).parent / "databases"
 
@@ -115,6 +117,36 @@ def test_a_switch_that_is_on_for_most_of_the_driving_is_told() -> None:
     (remark,) = answer.warnings
     assert remark.startswith("CAR.Brake (brake_switch) is on for 9")
     assert '[bus] states = { "CAR.Brake" = [' in remark
+
+
+def used(speed: np.ndarray, **context: np.ndarray) -> list[str]:
+    """Remarks on a drive with these values, fed in two parts."""
+    roles = {Role(name): value for name, value in context.items()}
+    n = len(speed)
+    rows = Rows(index=np.arange(n), speed=speed, power=np.ones(n), fresh=np.ones((n, 2), bool), context=roles)
+    use = SwitchUse()
+    use.feed([rows[: n // 3], rows[n // 3 :]])
+    return use.remarks({role: f"CAR.{role}" for role in roles})
+
+
+def stop_and_go(stops: int) -> np.ndarray:
+    return np.tile(np.r_[np.full(700, 15.0), np.zeros(100)], stops)
+
+
+@pytest.mark.parametrize("value", [0.0, 3.0, np.nan])
+def test_a_brake_that_never_comes_on_though_the_vehicle_stops_is_told(value: float) -> None:
+    speed = stop_and_go(3)
+    (remark,) = used(speed, brake_switch=np.full(len(speed), value))
+    assert remark.startswith("CAR.brake_switch (brake_switch) never shows a brake, though the vehicle stopped 3 times")
+    assert used(speed, brake_switch=np.full(len(speed), value), brake_pedal=0.3 * (speed == 0)) == []
+    assert used(stop_and_go(1), brake_switch=np.full(800, value)) == []
+    assert used(speed) == []
+
+
+def test_a_brake_pedal_that_is_not_zero_at_rest_is_told() -> None:
+    speed = stop_and_go(3)
+    (remark,) = used(speed, brake_pedal=np.full(len(speed), 0.02))
+    assert remark.startswith("CAR.brake_pedal (brake_pedal) is on for 100 % of the driving above 5 m/s")
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
-"""Remarks on probable errors of the database: ranges that drop values, and switches that exclude most of the driving.
+"""Remarks on probable errors of the database: ranges that drop values, and switches that say the opposite or nothing.
 
-Neither prevents an estimate, and both may bias it: a wrong range drops the largest values, and a switch that is read
-inverted excludes the driving. Remarks are shown beside the verdict.
+None prevents an estimate, and each may bias it: a wrong range drops the largest values, a switch that is read inverted
+excludes the driving, and one that is never on leaves the braking in it. Remarks are shown beside the verdict.
 """
 
 from collections import Counter
@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from estimator.can_io.binding import BoundMessage
+from estimator.preparation.admission import BRAKE_PEDAL, is_braking
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
 
@@ -25,37 +26,52 @@ EXCLUDING = {  # value of a switch that takes rows out of the estimate
     Role.SHIFT_IN_PROCESS: 1,
     Role.DRIVELINE_ENGAGED: 0,
 }
+BRAKES = (Role.BRAKE_SWITCH, Role.BRAKE_PEDAL)
 
 
 class SwitchUse:
-    """Counts the rows above MIN_SPEED that each switch excludes."""
+    """Counts the rows above MIN_SPEED that each switch or the brake pedal excludes, and the stops without a brake."""
 
     def __init__(self) -> None:
         self._known: Counter[Role] = Counter()
         self._excluding: Counter[Role] = Counter()
+        self._stops = 0
+        self._is_driving, self._has_braked = False, False
 
     def feed(self, parts: Iterable[Rows]) -> None:
         """Add rows."""
         for rows in parts:
             with np.errstate(invalid="ignore"):
-                fast = rows.speed > MIN_SPEED
-            for role, value in EXCLUDING.items():
-                if (switch := rows.context.get(role)) is not None:
-                    self._known[role] += int(np.count_nonzero(fast & np.isfinite(switch)))
-                    self._excluding[role] += int(np.count_nonzero(fast & (switch == value)))
+                fast, stands = rows.speed > MIN_SPEED, rows.speed < STEP
+            for role in (*EXCLUDING, Role.BRAKE_PEDAL):
+                if (values := rows.context.get(role)) is not None:
+                    is_excluding = values > BRAKE_PEDAL if role is Role.BRAKE_PEDAL else values == EXCLUDING[role]
+                    self._known[role] += int(np.count_nonzero(fast & np.isfinite(values)))
+                    self._excluding[role] += int(np.count_nonzero(fast & is_excluding))
+            self._has_braked |= bool(is_braking(rows).any())
+            turns = np.concatenate([[self._is_driving], fast[fast | stands]])
+            self._stops += int(np.count_nonzero(turns[:-1] & ~turns[1:]))
+            self._is_driving = bool(turns[-1])
 
     def remarks(self, names: Mapping[Role, str]) -> list[str]:
-        """One line for each switch that excludes most of the driving; ``names`` are MESSAGE.signal by role."""
+        """One line for each signal that excludes most of the driving or no braking; ``names`` are MESSAGE.signal."""
         out = []
         for role, rows_known in self._known.items():
             share = self._excluding[role] / max(rows_known, 1)
             if rows_known * STEP >= MIN_TIME and share > MOSTLY:
-                state = "on" if EXCLUDING[role] else "off"
+                state = "on" if EXCLUDING.get(role, 1) else "off"
                 what = (
                     f"{names[role]} ({role}) is {state} for {100 * share:.0f} % of the driving above {MIN_SPEED:g} m/s"
                 )
-                line = f'[bus] states = {{ "{names[role]}" = [1] }}'
-                out.append(f"{what}, which is left out; if other values mean on, write them as in {line}")
+                line = f'if other values mean on, write them as in [bus] states = {{ "{names[role]}" = [0] }}'
+                remedy = line if role in EXCLUDING else "it should read 0 % at rest, or stay out of [signals]"
+                out.append(f"{what}, which is left out; {remedy}")
+        brakes = ", ".join(f"{names[role]} ({role})" for role in BRAKES if role in self._known)
+        if brakes and self._stops > 1 and not self._has_braked:
+            out.append(
+                f"{brakes} never shows a brake, though the vehicle stopped {self._stops} times, so braking counts as "
+                "road load; bind another signal, or take it out of [signals]"
+            )
         return out
 
 
