@@ -377,3 +377,23 @@ def test_error_lines_of_trc_1_0_are_counted(tmp_path: Path) -> None:
     log = open_log(path)
     assert sum(len(frames) for frames in log) == 2
     assert log.skipped == {"error frame": 1}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "right"),
+    [
+        ("drive.log", gzip.compress(b"(1.0) can0 18FEF100#00\n"), "drive.log.gz"),
+        ("drive.asc", b"LOGG" + bytes(200), "drive.blf"),
+        ("drive.blf", b"MDF     4.10    ", "drive.mf4"),
+        ("drive.log", b"date Tue Nov 14 10:13:20 pm 2023\nbase hex  timestamps absolute\n", "drive.asc"),
+        ("drive.csv", b";$FILEVERSION=2.1\n", "drive.trc"),
+        ("drive.csv", b"(1.000000) can0 18FEF100#00\n", "drive.log"),
+    ],
+)
+def test_a_log_with_the_suffix_of_another_format_is_named(
+    tmp_path: Path, name: str, content: bytes, right: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=f"{name}: begins as .* rename it to {right}$"):
+        open_log(path)

@@ -223,6 +223,18 @@ def test_differences_in_time_are_told(tmp_path: Path) -> None:
     assert "candump -td" in message
 
 
+def test_times_in_microseconds_are_named() -> None:
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.0, 0.006, 2000))
+    zeros = np.zeros((2000, 8), np.uint8)
+    frames = [Frames(time, np.ones(2000, np.uint32), np.full(2000, 8, np.uint8), zeros) for time in (t, 1e6 * t)]
+    TimeCheck(Path("a.log")).check(frames[0])
+    with pytest.raises(LogError, match="if the times are microseconds, divide them by 1,000,000"):
+        TimeCheck(Path("a.log")).check(frames[1])
+    late = np.where(np.arange(2000) < 1000, t, 1.7e9 + t)  # a clock that was set on the way
+    TimeCheck(Path("a.log")).check(Frames(late, frames[0].ident, frames[0].length, zeros))
+
+
 @pytest.mark.parametrize("late", [0.0, 0.9])
 def test_frames_of_two_channels_that_come_late_are_no_differences(late: float) -> None:
     check = TimeCheck(Path("a.log"))

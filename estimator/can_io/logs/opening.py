@@ -1,6 +1,10 @@
-"""Choice of the reader of a log file, by its suffix, or by its first line for logs of candump and OVMS."""
+"""Choice of the reader of a log file, by its suffix, or by its first line for logs of candump and OVMS.
+
+A file that begins as another format does than its suffix says is refused with the right suffix.
+"""
 
 import os
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -34,6 +38,13 @@ FORMATS: dict[str, type[Log]] = {
     ".trc.gz": TrcLog,
 }
 TEXTS: dict[type[Log], Callable[[bytes], Layout]] = {CandumpLog: layout, CrtdLog: crtd_layout}
+STARTS = {  # what files of a format begin with
+    ".gz": rb"\x1f\x8b",
+    ".blf": rb"LOGG",
+    ".mf4": rb"MDF |UnFinMF",
+    ".asc": rb"date [^,;\r\n]*\r?\nbase (hex|dec)",
+    ".trc": rb";\$FILEVERSION",
+}
 
 
 def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
@@ -73,6 +84,9 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
         raise LogError(f"{path}: is empty; give another log")
     name = path.name.lower()
     reader = next((log for suffix, log in FORMATS.items() if name.endswith(suffix)), None)
+    suffix = _suffix_by_start(start)
+    if reader and suffix and not name.endswith(".gz") and FORMATS.get(suffix) is not reader:
+        raise LogError(f"{path}: begins as a {suffix} file does; rename it to {_renamed(path, suffix)}")
     if reader is None:
         reader = next((log for log, parse in TEXTS.items() if _begins_with(parse, start)), None)
     if reader is None:
@@ -81,6 +95,16 @@ def open_log(path: str | os.PathLike[str], channels: Iterable[str] = ()) -> Log:
             "or export it as one of them from the tool that recorded it"
         )
     return reader(path, channels)
+
+
+def _suffix_by_start(start: bytes) -> str:
+    """Suffix of the format that a file of such a ``start`` has; empty if its first bytes do not tell."""
+    named = next((suffix for suffix, begin in STARTS.items() if re.match(begin, start)), "")
+    return named or (".log" if _begins_with(layout, start) else "")
+
+
+def _renamed(path: Path, suffix: str) -> str:
+    return f"{path.name}{suffix}" if suffix == ".gz" else f"{path.stem}{suffix}"
 
 
 def _begins_with(parse: Callable[[bytes], Layout], start: bytes) -> bool:

@@ -2,7 +2,8 @@
 
 A log is read in the order of the file. Frames up to MAX_DELAY late are sorted later; a larger step back begins another
 recording, as in joined logs. Many such steps mean that the times are not those of one clock. More frames per time than
-ten buses carry mean that the clock stands still: the blocks in which frames are judged would exhaust the memory.
+ten buses carry mean that the clock stands still: the blocks in which frames are judged would exhaust the memory. Frames
+of which most come minutes apart have times in a finer unit than seconds: each would be a block of its own.
 """
 
 from pathlib import Path
@@ -12,10 +13,11 @@ import numpy as np
 from estimator.can_io.frames import Frames
 from estimator.can_io.time_order import MAX_DELAY, MAX_TIME, latest_before
 from estimator.errors import LogError
+from estimator.signals import Floats
 
 MAX_STEPS_BACK = 100  # recordings in one log
 SPAN, MAX_IN_SPAN = 5.0, 1 << 20  # s, and frames that are too many for it: ten full buses of 1 Mbit/s carry as many
-
+APART = 100.0  # s from a frame to the next: no bus sends more than half of 1,000 frames so
 
 MIN_FRAMES = 100  # in which rising times can be told
 MIN_RISING = 0.05  # share of the frames that come no earlier than all before; differences in time: 0.01 of 1,000
@@ -32,6 +34,7 @@ class TimeCheck:
         self._first_step = ""
         self._span_start = -np.inf  # s
         self._in_span = 0  # frames since then
+        self._apart = 0  # frames that come more than APART after the one before
         self._rising = 0  # frames that came no earlier than all before
 
     def check(self, frames: Frames) -> None:
@@ -40,10 +43,12 @@ class TimeCheck:
         Raises
         ------
         LogError
-            A time is invalid, steps back by more than MAX_DELAY for the MAX_STEPS_BACK-th time, or stands still.
+            A time is invalid, steps back by more than MAX_DELAY for the MAX_STEPS_BACK-th time, stands still, or is
+            not in seconds.
         """
         t = frames.t
         self._count(float(t[-1]), len(t))
+        self._check_unit(t)
         if max(self._latest, 0.0) <= t[0] and t[-1] <= MAX_TIME and (t[1:] >= t[:-1]).all():  # the rule
             self._latest, self._seen, self._rising = float(t[-1]), self._seen + len(frames), self._rising + len(frames)
             return
@@ -93,6 +98,17 @@ class TimeCheck:
             raise LogError(
                 f"{self._path}: {self._in_span:,} frames up to frame {self._seen + count:,} within {SPAN:g} s, "
                 "which no bus carries; give a log whose times are right"
+            )
+
+    def _check_unit(self, t: Floats) -> None:
+        """Check times (n,) [s] for a finer unit than seconds."""
+        with np.errstate(invalid="ignore"):
+            self._apart += int(np.count_nonzero(np.diff(t) > APART))
+        seen = self._seen + len(t)
+        if seen >= 10 * MIN_FRAMES and 2 * self._apart > seen:
+            raise LogError(
+                f"{self._path}: {self._apart:,} of {seen:,} frames come more than {APART:g} s after the one before, as "
+                "on no bus; if the times are microseconds, divide them by 1,000,000"
             )
 
     def _step_back(self, frame: int, previous: float, t: float) -> None:
