@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from simulated_logs import ask, drive, written
 
 from estimator import estimate, from_table, read
+from estimator.can_io.logs import table_text
 from estimator.can_io.table_columns import split_unit
 from estimator.commands.main import main
 from estimator.config import from_dict
@@ -139,7 +140,7 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
         (steady(t=[0.1 * (i % 150) for i in range(200)]), MAP, "row 151: time steps back from 14.9 to 0 s; sort"),
         (steady(t=[float(i // 2) for i in range(200)]), MAP, "rows 1 and 2 have one time, and so have half"),
         (steady(t=[10.0 * i for i in range(200)]), MAP, "has a row every 10 s; the mass follows from"),
-        (steady(v=["72"] * 20 + ["fast"] + ["72"] * 179), MAP, "row 21, column 'v': 'fast' is no number"),
+        (steady(v=["72"] * 20 + ["fast"] + ["72"] * 179), MAP, "row 21, column 'v': 'fast' is no number; correct"),
         (steady(t=["0.1"] * 5 + [""] + ["0.2"] * 194), MAP, "row 6: has no time; fill it in, or delete the row"),
         (steady(), ["--map", "speed=v", "--map", "power=P"], 'speed = "v" has no unit; write it in brackets'),
         (steady(), ["--map", "speed=v [W]", "--map", "power=P [kW]"], 'speed = "v [W]" needs one of the units km/h'),
@@ -157,6 +158,28 @@ def test_bad_tables_are_refused_in_one_line(
 ) -> None:
     line = refused(capsys, "estimate", written_table(columns, tmp_path / "bad.csv"), *arguments)
     assert said in line
+
+
+def columns_read(text: str, path: Path, encoding: str = "utf-8") -> dict[str, list[str]]:
+    path.write_bytes(text.encode(encoding))
+    (piece,) = table_text.read(path)
+    return {name: list(cells) for name, cells in piece.cells.items()}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_table_as_a_spreadsheet_of_another_country_writes_it(encoding: str, tmp_path: Path) -> None:
+    text = "t;v;P\r\n0,0;72,5;-1\r\n0,1;72,6;50\r\n"
+    expected = {"t": ["0.0", "0.1"], "v": ["72.5", "72.6"], "P": ["-1", "50"]}
+    assert columns_read(text, tmp_path / "a.csv", encoding) == expected
+
+
+def test_commas_beside_decimal_points_are_not_taken_for_decimal_commas(tmp_path: Path) -> None:
+    assert columns_read("t\tn\n0.1\t1,234\n", tmp_path / "a.tsv") == {"t": ["0.1"], "n": ["1,234"]}
+
+
+def test_a_row_with_more_cells_than_names_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RoadloadError, match="row 2 has 4 cells, line 1 has 2 names; correct that row, or write"):
+        columns_read("t,v\n0,72,,\n0,1,72,5\n", tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize("rows", [0, 1, 10, 5000])

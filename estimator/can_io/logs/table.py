@@ -190,7 +190,8 @@ def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
         return np.array([np.nan if text.lower() in NOTHING else float(text) for text in texts])
     except ValueError:
         i = next(i for i, text in enumerate(texts) if text.lower() not in NOTHING and not is_number(text))
-        raise LogError(f"{source}: row {row + i}, column {name!r}: {texts[i][:40]!r} is no number") from None
+        cell = f"row {row + i}, column {name!r}: {texts[i][:40]!r}"
+        raise LogError(f"{source}: {cell} is no number; correct it, or leave the cell empty") from None
 
 
 def _frames(t: Floats, values: Floats) -> Frames:

@@ -1,8 +1,13 @@
-"""Tables of text: a first line of names, then a line of cells a row, in CSV or with another delimiter."""
+"""Tables of text: a first line of names, then a line of cells a row, in CSV or with another delimiter.
 
+A table whose delimiter is no comma may have commas in its numbers, as spreadsheets write them in much of Europe.
+"""
+
+import codecs
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, islice
 from pathlib import Path
 
 from estimator.can_io.logs.source import Source
@@ -19,17 +24,19 @@ def read(path: Path) -> Iterator[Piece]:
     Raises
     ------
     LogError
-        It has no line of names, or a line or cell that is too long.
+        It has no line of names, a line or cell that is too long, or a row with more cells than there are names.
     """
     csv.field_size_limit(MAX_FIELD)
     with Source(path) as source:
-        text = io.TextIOWrapper(source.stream, encoding="utf-8-sig", errors="replace", newline="")
+        is_wide = source.stream.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        encoding = "utf-16" if is_wide else "utf-8-sig"
+        text = io.TextIOWrapper(source.stream, encoding=encoding, errors="replace", newline="")
         try:
             head = text.readline(MAX_FIELD)
             delimiter = max(DELIMITERS, key=head.count)
             heading = [name.strip() for name in next(csv.reader([head], delimiter=delimiter), [])]
             _check_heading(path, heading)
-            reader = csv.reader(_lines(path, text), delimiter=delimiter)
+            reader = _plain(path, heading, csv.reader(_lines(path, text), delimiter=delimiter), delimiter)
             while rows := [row for _, row in zip(range(ROWS), reader, strict=False)]:
                 yield Piece(_columns(heading, rows), source.consumed)
         except csv.Error as error:
@@ -47,6 +54,22 @@ def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
 def _columns(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> Mapping[str, Sequence[str]]:
     cells = [[row[i] if i < len(row) else "" for row in rows] for i in range(len(heading))]
     return dict(zip(heading, cells, strict=True))
+
+
+def _plain(path: Path, heading: Sequence[str], rows: Iterator[list[str]], delimiter: str) -> Iterator[list[str]]:
+    """The rows, with points for decimal commas; refuses a row with more cells than there are names.
+
+    Where the first ROWS rows have a number with a point, commas are not taken for decimal ones.
+    """
+    first = list(islice(rows, ROWS))
+    has_points = delimiter == "," or any("." in cell and is_number(cell) for row in first for cell in row)
+    for number, row in enumerate(chain(first, rows), start=1):
+        if len(row) > len(heading) and any(row[len(heading) :]):
+            raise LogError(
+                f"{path}: row {number} has {len(row)} cells, line 1 has {len(heading)} names; correct that row, or "
+                "write numbers with decimal points"
+            )
+        yield row if has_points else [cell.replace(",", ".") for cell in row]
 
 
 def _check_heading(path: Path, heading: list[str]) -> None:
