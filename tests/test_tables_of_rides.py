@@ -46,9 +46,9 @@ def test_rides_of_bicycle_computers_are_read(kind: str, tmp_path: Path) -> None:
 
 
 def test_signals_of_an_mf4_file_are_read(tmp_path: Path) -> None:
-    """Two groups with times of their own, as a measurement program writes them."""
+    """Two groups with times of their own, as a measurement program writes them, in more than one piece of rows."""
     asammdf = pytest.importorskip("asammdf")
-    fast, slow = np.arange(0.0, 60.0, 0.1), np.arange(0.05, 60.0, 0.5)
+    fast, slow = np.arange(0.0, 1600.0, 0.1), np.arange(0.05, 1600.0, 0.5)
     with asammdf.MDF(version="4.10") as file:
         file.append([asammdf.Signal(10.0 + 0.1 * fast, fast, name="v", unit="m/s")])
         file.append([asammdf.Signal(1e4 + 100.0 * slow, slow, name="P", unit="W")])
@@ -56,6 +56,7 @@ def test_signals_of_an_mf4_file_are_read(tmp_path: Path) -> None:
     rows = rows_of(tmp_path / "drive.mf4", {"speed": "v [m/s]", "power": "P [W]"})
     np.testing.assert_allclose(rows.speed[100:400], 10.0 + 0.1 * rows.t[100:400], atol=0.01)
     np.testing.assert_allclose(rows.power[100:400], 1e4 + 100.0 * rows.t[100:400], rtol=1e-3)
+    assert len(rows) > 15_000
     with pytest.raises(RoadloadError, match="has no column 'w'; there are "):
         rows_of(tmp_path / "drive.mf4", {"speed": "w [m/s]", "power": "P [W]"})
 

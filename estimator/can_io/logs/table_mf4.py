@@ -67,8 +67,7 @@ def _rows(others: dict[str, Any], values: dict[str, tuple[Floats, Any]]) -> Iter
 def _at(times: Floats, t: Floats, value: Any) -> Floats:
     """Values at their own times among ``times`` (n,), NaN at the others; text is not a number."""
     found = np.full(len(times), np.nan)
-    low, high = np.searchsorted(t, [times[0], times[-1]], side="left")
-    inside = slice(low, min(high + 1, len(t)))
+    inside = slice(np.searchsorted(t, times[0], side="left"), np.searchsorted(t, times[-1], side="right"))
     if value.dtype.kind in "fiub":
         found[np.searchsorted(times, t[inside])] = value[inside]
     return found
