@@ -182,6 +182,28 @@ def test_a_row_with_more_cells_than_names_is_refused(tmp_path: Path) -> None:
         columns_read("t,v\n0,72,,\n0,1,72,5\n", tmp_path / "a.csv")
 
 
+def test_masked_values_are_not_known() -> None:
+    """A mask hides what stands in its place: here a speed of 650 km/h."""
+    columns = {name: np.array(values, float) for name, values in steady().items()}
+    hidden = np.arange(200) < 100
+    columns["v"] = np.ma.masked_array(np.where(hidden, 650.0, columns["v"]), mask=hidden)
+    (rows,) = from_table(columns, speed="v [km/h]", power="P [kW]").pieces
+    known = rows.speed[np.isfinite(rows.speed)]
+    assert 90 < len(known) < 110
+    np.testing.assert_allclose(known, 20.0)
+
+
+def test_a_column_of_several_values_a_row_and_a_missing_date_are_refused() -> None:
+    columns = {name: np.array(values, float) for name, values in steady().items()}
+    roles = {"speed": "v [km/h]", "power": "P [kW]"}
+    with pytest.raises(RoadloadError, match="column 'v' holds 2 values a row; give one column for each"):
+        from_table({**columns, "v": np.column_stack([columns["v"], columns["v"]])}, **roles)
+    t = np.datetime64("2026-05-04T06:00") + (1000 * columns["t"]).astype("timedelta64[ms]")
+    t[5] = np.datetime64("NaT")
+    with pytest.raises(RoadloadError, match="row 6: has no time; fill it in, or delete the row"):
+        from_table({**columns, "t": t}, **roles)
+
+
 @pytest.mark.parametrize("rows", [0, 1, 10, 5000])
 def test_a_table_that_says_too_little_is_unestimated_or_refused(
     rows: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.can_io.logs.table import table_frames
 from estimator.can_io.logs.table_piece import ROWS
@@ -111,12 +112,19 @@ def _with_unit(column: str, units: Mapping[str, str]) -> str:
 def _pieces(data: Any) -> Iterable[Mapping[str, Any]]:
     """Rows of columns in memory, ROWS at a time."""
     names = [str(name) for name in (data.keys() if isinstance(data, Mapping) else data.columns)]
-    columns = {name: np.asarray(data[name]) for name in names}
+    columns = {name: _array(data[name]) for name in names}
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         raise InputError(f"table: columns have different lengths: {lengths}")
     for first in range(0, max(lengths.values(), default=0), ROWS):
         yield {name: column[first : first + ROWS] for name, column in columns.items()}
+
+
+def _array(column: Any) -> NDArray[Any]:
+    """Cells (n,) of a column; those that are masked are NaN."""
+    if isinstance(column, np.ma.MaskedArray) and column.dtype.kind in "fiub":
+        return np.ma.filled(column.astype(np.float64), np.nan)
+    return np.asarray(column)
 
 
 def as_drives(drives: Drive | Sequence[Drive]) -> list[Drive]:

@@ -134,7 +134,7 @@ def _times(source: str, table: Table, piece: Mapping[str, Any], row: int) -> Flo
         raise LogError(f"{source}: the unit {unit!r} of the times is not known; write one of {' '.join(TIME_UNITS)}")
     cells = np.asarray(piece[name])
     if cells.dtype.kind == "M":
-        return cells.astype("datetime64[ns]").astype(np.int64) / 1e9
+        return np.where(np.isnat(cells), np.nan, cells.astype("datetime64[ns]").astype(np.int64) / 1e9)
     if cells.dtype.kind in "OUS" and len(cells) and not is_number(str(cells[0])):
         return np.array([_date(source, str(cell), row + i) for i, cell in enumerate(cells.tolist())])
     return factor * _numbers(source, name, cells, row)
@@ -183,6 +183,8 @@ def _values(source: str, columns: Sequence[Column], piece: Mapping[str, Any], ro
 def _numbers(source: str, name: str, cells: Any, row: int) -> Floats:
     """Convert cells (n,) to numbers."""
     given = np.asarray(cells)
+    if given.ndim > 1:
+        raise LogError(f"{source}: column {name!r} holds {given.shape[1]} values a row; give one column for each")
     if given.dtype.kind in "fiub":
         return given.astype(np.float64)
     texts = [str(cell).strip() for cell in given.tolist()]
