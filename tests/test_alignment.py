@@ -13,6 +13,7 @@ from estimator.signals import Role, Series
 from estimator.streaming.alignment import Aligner
 from estimator.streaming.engine_power import despike
 from estimator.streaming.friction import FrictionCurve
+from estimator.streaming.remarks import constant_friction
 from estimator.streaming.resampling import cell_means
 
 REFERENCE = 2500.0  # N.m
@@ -364,6 +365,20 @@ def test_friction_that_jumps_stays_within_half_a_step_of_its_readings():
     reading = np.round(smooth_friction(w) + 0.03 * (rng.random(10_000 // 500).repeat(500) > 0.5), 2)
     refined = in_batches(FrictionCurve(), w, reading)
     assert np.abs(refined - reading)[500:].max() <= 0.005 + 1e-9
+
+
+def test_friction_that_is_the_same_at_all_engine_speeds_is_told():
+    """A sender that repeats its first value: A of a truck was 67 % too large."""
+    w = 120 + 55 * np.sin(np.arange(10_000) / 300)
+    stuck, sound = FrictionCurve(), FrictionCurve()
+    in_batches(stuck, w, np.full(10_000, 0.06))
+    in_batches(sound, w, np.round(smooth_friction(w), 2))
+    assert constant_friction(sound.constant, {}) == []
+    (line,) = constant_friction(stuck.constant, {Role.FRICTION_FRACTION: "EEC3.Friction"})
+    assert line.startswith("EEC3.Friction (friction_fraction) is 6 % at all engine speeds from 6")
+    cruise = FrictionCurve()
+    in_batches(cruise, np.full(1000, 120.0), np.full(1000, 0.06))
+    assert cruise.constant is None
 
 
 def test_friction_at_one_speed_is_the_reading():

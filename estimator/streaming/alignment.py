@@ -100,6 +100,11 @@ class Aligner:
         """Newest reference torque of the engine [N m] that the bus sent."""
         return self._engine.reference_torque
 
+    @property
+    def constant_friction(self) -> tuple[float, float, float] | None:
+        """See `FrictionCurve.constant`."""
+        return self._engine.constant_friction
+
     def forget(self) -> None:
         """Discard the constants of the engine and the past speeds: the vehicle may be another one."""
         self._engine.forget()

@@ -80,6 +80,11 @@ class EnginePower:
         self._friction = FrictionCurve()
         self._reference: float | None = None  # [N m] from before the start, until the bus sends it
 
+    @property
+    def constant_friction(self) -> tuple[float, float, float] | None:
+        """See `FrictionCurve.constant`."""
+        return self._friction.constant
+
     def finish(self) -> None:
         """Start a new track at the end of the traffic; the constants of the engine are kept."""
         self._reference = self.reference_torque

@@ -84,6 +84,18 @@ class FrictionCurve:
                 half_step[i], curve[i] = float(np.diff(self._levels).min()) / 2, self._curve()
         return half_step, curve
 
+    @property
+    def constant(self) -> tuple[float, float, float] | None:
+        """The only reading so far, and the engine speeds between which it was sent [rad/s], the higher twice the lower.
+
+        None where readings differ, or engine speeds do not. Only speeds with as many readings as count are used.
+        """
+        count, speeds, _ = self._sums[:, self._sums[0] >= MAX_BIN_WEIGHT]
+        if len(self._levels) != 1 or not len(count):
+            return None
+        low, high = (float(x) for x in ((speeds / count).min(), (speeds / count).max()))
+        return (float(self._levels[0]), low, high) if high >= 2 * low else None
+
     def state(self) -> dict[str, Any]:
         """State for `restore`."""
         return {"sums": self._sums, "levels": self._levels}

@@ -13,6 +13,7 @@ from estimator.can_io.binding import BoundMessage
 from estimator.preparation.admission import BRAKE_PEDAL, is_braking
 from estimator.samples import STEP, Rows
 from estimator.signals import Role
+from estimator.units import conversion_of
 
 OUT_OF_RANGE = "out of range"
 MIN_DROPPED = 0.01  # share of values: a few odd ones are noise
@@ -26,7 +27,6 @@ EXCLUDING = {  # value of a switch that takes rows out of the estimate
     Role.SHIFT_IN_PROCESS: 1,
     Role.DRIVELINE_ENGAGED: 0,
 }
-BRAKES = (Role.BRAKE_SWITCH, Role.BRAKE_PEDAL)
 
 
 class SwitchUse:
@@ -66,7 +66,9 @@ class SwitchUse:
                 line = f'if other values mean on, write them as in [bus] states = {{ "{names[role]}" = [0] }}'
                 remedy = line if role in EXCLUDING else "it should read 0 % at rest, or stay out of [signals]"
                 out.append(f"{what}, which is left out; {remedy}")
-        brakes = ", ".join(f"{names[role]} ({role})" for role in BRAKES if role in self._known)
+        brakes = ", ".join(
+            f"{names[role]} ({role})" for role in (Role.BRAKE_SWITCH, Role.BRAKE_PEDAL) if role in self._known
+        )
         if brakes and self._stops > 1 and not self._has_braked:
             out.append(
                 f"{brakes} never shows a brake, though the vehicle stopped {self._stops} times, so braking counts as "
@@ -102,3 +104,18 @@ def dropped_values(messages: Iterable[BoundMessage], refused: Mapping[str, int],
                 f"dropped; if the DBC is wrong there, write {line}"
             )
     return out
+
+
+def constant_friction(constant: tuple[float, float, float] | None, names: Mapping[Role, str]) -> list[str]:
+    """One line on a friction torque that does not change with the engine's speed, as `FrictionCurve.constant` gives."""
+    if constant is None:
+        return []
+    rpm = conversion_of("rpm")
+    assert rpm is not None
+    level, low, high = constant[0], constant[1] / rpm.scale, constant[2] / rpm.scale
+    name = f"{names[Role.FRICTION_FRACTION]} ({Role.FRICTION_FRACTION})"
+    return [
+        f"{name} is {100 * level:g} % at all engine speeds from {low:,.0f} to {high:,.0f} rpm, while the "
+        "friction of an engine changes with its speed: A and C are wrong if the sender repeats an old value; bind the "
+        "signals without it then"
+    ]

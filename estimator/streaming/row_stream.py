@@ -28,7 +28,7 @@ from estimator.streaming.alignment import MAX_LINE, SPEEDS, Aligner, Readings, b
 from estimator.streaming.course import MapGrade
 from estimator.streaming.missing_inputs import needed, pids_of, remedy, too_seldom
 from estimator.streaming.references import References
-from estimator.streaming.remarks import SwitchUse, dropped_values
+from estimator.streaming.remarks import SwitchUse, constant_friction, dropped_values
 from estimator.streaming.resampling import block_bounds
 
 BLOCK = 5.0  # s of traffic in which senders are judged, and whose rows are handed on together
@@ -170,7 +170,11 @@ class RowStream:
     @property
     def remarks(self) -> list[str]:
         """Remarks on probable errors of the database, one line each."""
-        return [*dropped_values(self._messages, self.errors, self.seen), *self._switches.remarks(self._names)]
+        return [
+            *dropped_values(self._messages, self.errors, self.seen),
+            *self._switches.remarks(self._names),
+            *constant_friction(self._aligner.constant_friction, self._names),
+        ]
 
     @property
     def sources(self) -> dict[str, int]:
