@@ -142,7 +142,7 @@ def test_readings_out_of_order_or_twice_are_dropped():
 
 def test_speed_is_the_mean_of_the_wheels_where_there_is_no_speed():
     aligner = Aligner(Vehicle(), frozenset({Role.WHEEL_SPEEDS, Role.ENGINE_POWER}))
-    wheels = [every(0.1, 0, 20, 14.0), every(0.1, 0, 20, 16.0, phase=0.03)]
+    wheels = [every(0.1, 0, 20, 14.4), every(0.1, 0, 20, 15.6, phase=0.03)]
     rows = next(aligner.feed({Role.WHEEL_SPEEDS: wheels, Role.ENGINE_POWER: [every(0.02, 0, 20, 1e5)]}, 20.0))
     np.testing.assert_allclose(rows.speed[2:], 15.0)
 
