@@ -1,4 +1,4 @@
-"""Compute the outputs that the README shows, and write them into it.
+"""Compute the outputs that the README and that of examples/own_vehicle show, and write them there.
 
 python tools/readme.py
 
@@ -15,8 +15,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
+OWN_VEHICLE = ROOT / "examples" / "own_vehicle" / "README.md"
 PROGRAM = re.compile(r"(?:\.venv/bin/)?roadload ")
-BLOCK = re.compile(r"(?<=<!-- output of )(\w+)( -->\n+```\n)(.*?)(?=```)", re.DOTALL)
+BLOCK = re.compile(r"(?<=<!-- output of )(\w+)( -->\n+```\w*\n)(.*?)(?=```)", re.DOTALL)
 
 
 def commands(page: str) -> list[list[str]]:
@@ -59,12 +60,38 @@ def hills(folder: Path) -> str:
 EXAMPLES: dict[str, Callable[[Path], str]] = {"demo": demo, "hills": hills}
 
 
+def front_page(folder: Path) -> dict[str, str]:
+    """The outputs that the README shows, by name."""
+    return {name: output(folder) for name, output in EXAMPLES.items()}
+
+
+def own_vehicle(folder: Path) -> dict[str, str]:
+    """Outputs of the commands of examples/own_vehicle: what `init` writes, of `check`, of `estimate` to the road."""
+    (folder / "out").mkdir()
+    (folder / "examples").symlink_to(ROOT / "examples")
+    page = OWN_VEHICLE.read_text(encoding="utf-8")
+    found = {words[0]: "\n".join(output_of(["-m", "estimator", *words], folder)) for words in commands(page)}
+    written = (folder / "out" / "van.toml").read_text(encoding="utf-8")
+    return {
+        "init": written[written.index("[signals]") :].strip(),
+        "check": found["check"],
+        "estimate": found["estimate"].partition("\nlag ")[0],
+    }
+
+
+PAGES: dict[Path, Callable[[Path], dict[str, str]]] = {README: front_page, OWN_VEHICLE: own_vehicle}
+
+
 def main() -> int:
     """Rewrite the blocks."""
-    page = README.read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory() as folder:
-        found = {name: EXAMPLES[name](Path(folder)) for name in blocks(page)}
-    README.write_text(BLOCK.sub(lambda block: f"{block[1]}{block[2]}{found[block[1]]}\n", page), encoding="utf-8")
+    for path, outputs in PAGES.items():
+        with tempfile.TemporaryDirectory() as folder:
+            found = outputs(Path(folder))
+
+        def renewed(block: re.Match[str], found: dict[str, str] = found) -> str:
+            return f"{block[1]}{block[2]}{found[block[1]]}\n"
+
+        path.write_text(BLOCK.sub(renewed, path.read_text(encoding="utf-8")), encoding="utf-8")
     return 0
 
 

@@ -107,7 +107,10 @@ def _without_digits(signal: Signal) -> str:
 
 
 def wheels(fit: Iterable[Candidate]) -> list[Candidate]:
-    """Signals of the wheels of one vehicle: those of one message if it has several, else those with similar names."""
+    """Signals of the wheels of one vehicle: those of one message if it has several, else those with similar names.
+
+    They are in the order of identifiers and bits.
+    """
     groups: dict[tuple[str, str], dict[str, Candidate]] = {}
     for candidate in fit:
         if wheel := corner(candidate.signal):
@@ -115,7 +118,8 @@ def wheels(fit: Iterable[Candidate]) -> list[Candidate]:
             for message in (candidate.message.name, ""):
                 groups.setdefault((message, like), {}).setdefault(wheel, candidate)
     best = max(groups.items(), key=lambda item: (len(item[1]), bool(item[0][0])), default=None)
-    return [] if best is None else list(best[1].values())
+    found = () if best is None else best[1].values()
+    return sorted(found, key=lambda candidate: (candidate.message.frame_id, candidate.signal.start))
 
 
 def spaced(name: str) -> str:

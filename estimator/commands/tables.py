@@ -102,7 +102,7 @@ def print_inspection(console: Console, found: InspectionAnswer) -> None:
         rate = "" if x.rate_Hz is None else f"{x.rate_Hz:.1f} Hz"
         values = "none valid"
         if x.minimum is not None and x.maximum is not None:
-            values = usual_units.between(Role(role), x.minimum, x.maximum)
+            values = usual_units.between(Role(role.partition(" ")[0]), x.minimum, x.maximum)  # as in "wheel_speeds 2"
         gaps = ", ".join(f"{a:.1f}-{b:.1f} s" for a, b in x.gaps_s[:3])
         more = f" (+{len(x.gaps_s) - 3})" if len(x.gaps_s) > 3 else ""
         address = "" if source is None else f"0x{source:02X}"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from estimator.can_io.role_candidates import MENTIONED, Candidate, corner, is_one_of_two, wheels
 from estimator.can_io.switch_states import SWITCHES
+from estimator.report import usual_units
 from estimator.signals import DIMENSION, STATE, Role
 from estimator.streaming.survey import Presence, Survey
 
@@ -33,7 +34,6 @@ OF_POWER = {role for way in POWER_WAYS for role in way} | {
 GOOD = 4.5  # score of a candidate that power may be had from
 SHOWN = 4  # candidates of a role
 ON_THE_BUS, ALIVE = 3.0, 2.0  # points
-SI = {"1": "", STATE: ""}
 
 
 def proposal(
@@ -178,6 +178,5 @@ def _presence(there: Presence, role: Role) -> str:
     rate = f"{there.rate:.3g} Hz"
     if not there.known:
         return f"{rate}, never valid"
-    dimension = DIMENSION[role]
-    span = f"{there.minimum:.4g} .. {there.maximum:.4g} {SI.get(dimension, dimension)}".rstrip()
+    span = usual_units.between(role, there.minimum, there.maximum)
     return f"{rate}, {span}{'' if there.is_alive else ', hardly changes'}"
