@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_logs import ask, drive, written
+from simulated_logs import TRUCK, ask, drive, written
 
 from estimator import estimate, from_table, read
 from estimator.can_io.logs import table_text
@@ -44,6 +44,7 @@ def table(log: Path) -> dict[str, np.ndarray]:
 
 
 def written_table(columns: Mapping[str, Sequence[Any] | np.ndarray], path: Path, delimiter: str = ",") -> Path:
+    path.parent.mkdir(exist_ok=True, parents=True)
     opened = gzip.open if path.suffix == ".gz" else open
     with opened(path, "wt", newline="") as file:
         writer = csv.writer(file, delimiter=delimiter)
@@ -244,3 +245,41 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory,
         reason = str(error)
     assert "\n" not in reason
     assert reason or made.pieces
+
+
+@pytest.mark.slow
+def test_tables_of_one_vehicle_are_a_fleet(log: Path, tmp_path: Path) -> None:
+    """Two drives as tables, in a folder of the vehicle beside a file that is none."""
+    pq = pytest.importorskip("pyarrow.parquet", reason="the extra `fleet` is not installed")
+    start = 0.0
+    for name, other in (("1.csv", log), ("2.csv", written(drive("mixed", 25, 5), tmp_path / "other.blf"))):
+        rows = Rows.concatenate(*read(other).pieces)
+        columns = {"t": rows.t + start, "v": 3.6 * rows.speed, "P": rows.power / 1e3, "h": rows.context[Role.ALTITUDE]}
+        written_table(columns, tmp_path / "tables" / "truck" / name)
+        start += 86_400.0
+    (tmp_path / "tables" / "truck" / "notes.md").write_text("no table")
+    answer = ask("fleet", tmp_path / "tables", "-o", tmp_path / "out", *MAP, "--map", "altitude=h [m]", "--workers", 1)
+    assert (answer["drives"], answer["rows"], answer["vehicles_estimated"]) == (2, {"estimated": 2}, 1)
+    drives = pq.read_table(tmp_path / "out" / "drives.parquet").to_pydict()
+    assert drives["mass_kg_mean"] == pytest.approx([TRUCK.mass] * 2, rel=0.02)
+
+
+def test_a_fleet_of_tables_without_a_column_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A line for each file, and one for all of them."""
+    pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
+    written_table(steady(), tmp_path / "truck" / "a.csv")
+    arguments = [
+        "fleet",
+        str(tmp_path),
+        "-o",
+        str(tmp_path / "out"),
+        *MAP[:2],
+        "--map",
+        "power=W [kW]",
+        "--workers",
+        "1",
+    ]
+    assert main(arguments) == 2
+    unreadable, nothing = capsys.readouterr().err.splitlines()
+    assert "a.csv: has no column 'W'; there are 't', 'v', 'P'" in unreadable
+    assert "none of 1 log can be used" in nothing

@@ -10,7 +10,14 @@ from estimator.answers.fleet import FleetAnswer
 from estimator.columns import Row
 from estimator.commands.arguments import add_output, add_settings, number
 from estimator.commands.complaints import complain
-from estimator.commands.log_options import add_channels, add_effects, add_seed, complain_of_databases, settings
+from estimator.commands.log_options import (
+    add_channels,
+    add_effects,
+    add_map,
+    add_seed,
+    complain_of_databases,
+    settings,
+)
 from estimator.commands.terminal import print_json, progress_bar, say, standard_output
 from estimator.errors import InputError
 from estimator.fleet.cache import Cache
@@ -22,6 +29,7 @@ from estimator.fleet.sources import find_logs
 from estimator.fleet.tables import UNUSED, doubts, require_arrow
 from estimator.report.number_format import counted
 from estimator.report.parameter_text import COEFFICIENTS
+from estimator.streaming.log_frames import suffixes_of
 
 SOURCES = "logs, folders, globs, lists of logs (.txt) or URLs (s3://bucket/folder)"
 
@@ -49,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rate = number(0.0, 1.0, "a rate from 0 to 1")
     parser.add_argument("--fdr", type=rate, default=0.05, metavar="RATE", help="false-discovery rate of outliers: 0.05")
     add_channels(parser)
+    add_map(parser)
     add_seed(parser, "sampler")
     add_effects(parser)
 
@@ -58,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     config = settings(options)
     require_arrow()
     are_named = options.vehicle == BY_ENGINE
-    logs = find_logs(options.source, None if are_named else options.vehicle)
+    logs = find_logs(options.source, None if are_named else options.vehicle, suffixes_of(config))
     check(config)
     complain_of_databases(config)
     if not are_named:

@@ -32,8 +32,10 @@ class LogFile:
     vehicle: str
 
 
-def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFile]:
-    """Find the logs, each once, in the order of vehicles and names.
+def find_logs(
+    sources: Sequence[str], pattern: str | None = None, suffixes: tuple[str, ...] = tuple(FORMATS)
+) -> list[LogFile]:
+    """Find the files that end in ``suffixes``, each once, in the order of vehicles and names.
 
     The vehicle is the first group of ``pattern`` in the path of the log. Without a pattern it is the first folder below
     the source, or the folder of the log if there is none.
@@ -49,11 +51,11 @@ def find_logs(sources: Sequence[str], pattern: str | None = None) -> list[LogFil
     vehicle_of: dict[str, str] = {}
     for source in sources:
         try:
-            logs = list(_logs_of(source))
+            logs = list(_logs_of(source, suffixes))
         except PermissionError as error:
             raise InputError(f"{error.filename}: cannot be read ({error.strerror}); check its permissions") from error
         if not logs:
-            raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(FORMATS)}")
+            raise InputError(f"{source}: no logs there; give a log, folder or glob with {' '.join(suffixes)}")
         for log in logs:
             vehicle_of.setdefault(log.source, _named(log, expression))
     return sorted(
@@ -80,16 +82,16 @@ def _named(log: LogFile, expression: re.Pattern[str] | None) -> str:
     return match[1]
 
 
-def _logs_of(source: str) -> Iterator[LogFile]:
+def _logs_of(source: str, suffixes: tuple[str, ...]) -> Iterator[LogFile]:
     if "://" in source:
-        yield from _remote(source)
+        yield from _remote(source, suffixes)
     elif Path(source).suffix == LIST and Path(source).is_file():
         yield from _listed(Path(source))
     elif Path(source).is_dir():
         for path in _files_below(Path(source), set()):
             if path.is_dir():
                 yield LogFile(str(path), _vehicle(source, str(path / ANY)))
-            elif (log := _log_of(str(path), source)) is not None and path.is_file():
+            elif (log := _log_of(str(path), source, suffixes)) is not None and path.is_file():
                 yield log
     elif is_day(Path(source)) and files_of(Path(source)):
         yield LogFile(source, _device(source))
@@ -98,8 +100,8 @@ def _logs_of(source: str) -> Iterator[LogFile]:
     elif WILD.search(source):
         for name in glob(source, recursive=True):
             if Path(name).is_dir():
-                yield from _logs_of(name)
-            elif (log := _log_of(name, name)) is not None:
+                yield from _logs_of(name, suffixes)
+            elif (log := _log_of(name, name, suffixes)) is not None:
                 yield log
     else:
         raise InputError(f"{source}: no such file or folder; check the path")
@@ -143,7 +145,7 @@ def _listed(path: Path) -> Iterator[LogFile]:
         yield LogFile(log, vehicle.strip() or _vehicle(log, log))
 
 
-def _remote(source: str) -> Iterator[LogFile]:
+def _remote(source: str, suffixes: tuple[str, ...]) -> Iterator[LogFile]:
     files, root = file_system(source)
     try:
         if WILD.search(root):
@@ -154,15 +156,15 @@ def _remote(source: str) -> Iterator[LogFile]:
     except Exception as error:  # of any storage library
         raise InputError(f"{source}: cannot be listed ({_line(error)}); check the name and the credentials") from error
     for name in names:
-        if (log := _log_of(name, root)) is not None:
+        if (log := _log_of(name, root, suffixes)) is not None:
             yield LogFile(files.unstrip_protocol(log.source), log.vehicle)
 
 
-def _log_of(name: str, root: str) -> LogFile | None:
+def _log_of(name: str, root: str, suffixes: tuple[str, ...]) -> LogFile | None:
     """Log that a file is, or belongs to; None if it is no log. ``root`` is the source in which it was found."""
     if PurePath(name).name.startswith("."):
         return None
-    if name.lower().endswith(tuple(FORMATS)):
+    if name.lower().endswith(suffixes):
         return LogFile(name, _vehicle(root, name))
     day = day_of(Path(name).as_posix())
     return None if day is None else LogFile(day, _device(day))

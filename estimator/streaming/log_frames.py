@@ -6,9 +6,9 @@ from pathlib import Path
 
 from estimator.can_io.bound_traffic import bound_messages
 from estimator.can_io.frames import Frames
-from estimator.can_io.logs import Log, open_log
+from estimator.can_io.logs import FORMATS, Log, open_log
 from estimator.can_io.logs.lake import LakeLog, is_day
-from estimator.can_io.logs.table import TableLog
+from estimator.can_io.logs.table import SUFFIXES, TableLog
 from estimator.config import Config
 from estimator.errors import LogError
 
@@ -22,6 +22,11 @@ def no_progress(share: float) -> None:
 def as_paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     """Convert a path, or a sequence of paths, to a list of `Path`."""
     return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+
+
+def suffixes_of(config: Config) -> tuple[str, ...]:
+    """Suffixes of the files that are logs with a configuration: those of tables if it has a table."""
+    return tuple(FORMATS) if config.table is None else SUFFIXES
 
 
 class LogFrames:
