@@ -15,9 +15,10 @@ from fuzzing.formats import FORMATS
 from fuzzing.mutation import spoilt
 
 CORPUS = Path(__file__).parent / "fuzz_corpus"
+NAMES = [pytest.param(name, marks=[pytest.mark.slow] if kind.cost > 1 else []) for name, kind in FORMATS.items()]
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", NAMES)
 def test_every_kept_file_is_read_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
     kept = sorted((CORPUS / name).iterdir())
     assert kept
@@ -25,7 +26,7 @@ def test_every_kept_file_is_read_or_refused_in_one_line(name: str, tmp_path: Pat
         refusal_of(FORMATS[name], Path(shutil.copy(path, tmp_path)))
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", NAMES)
 def test_sound_files_are_read(name: str, tmp_path: Path) -> None:
     for content in FORMATS[name].sound():
         path = tmp_path / f"sound{FORMATS[name].suffix}"

@@ -150,6 +150,8 @@ def steady(n: int = 200, **changes: Any) -> dict[str, Any]:
         (steady(), ["--map", "velocity_of_it=v [m/s]"], "table.columns.velocity_of_it: no such role; the roles are "),
         (steady(), ["--map", "speed"], '--map speed: write ROLE="COLUMN [unit]"'),
         (steady(), ["--map", "power=P [kW]"], "missing inputs: "),
+        (steady(v=[1e308] * 200), MAP, "missing inputs: speed.v; give them columns with numbers, as in --map speed="),
+        (steady(v=["inf"] * 200, P=["nan"] * 200), MAP, "no row with a number in it (nothing at all)"),
         (steady(), [*MAP[:4], "--map", "time=t [fortnights]"], "the unit 'fortnights' of the times is not known"),
         ({"1.0": [1.0] * 9, "2.0": [2.0] * 9}, MAP, "line 1 names no columns ('1.0, 2.0'); put a line of names first"),
     ],

@@ -1,6 +1,7 @@
 """Tables that other programs write: FIT and TCX of bicycle computers, signals in MF4, and what is too much."""
 
 import gzip
+import struct
 import tracemalloc
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_rides import Rows, fit, tcx, written
+from made_rides import Rows, checksum, fit, tcx, written
 
 from estimator import read
 from estimator.can_io.logs import table_parquet
@@ -72,6 +73,15 @@ def test_a_row_between_two_laps_that_repeats_its_time_is_left_out_and_counted(tm
 
 BOMB = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>'
 
+POINT = "<Trackpoint><n{i}>1</n{i}></Trackpoint>"
+
+
+def forged(fields: bytes, records: bytes) -> bytes:
+    """A FIT file whose checksums are right, with one definition, of ``fields``, and records."""
+    body = struct.pack("<BBBHB", 0x40, 0, 0, 20, len(fields) // 3) + fields + records
+    head = struct.pack("<BBHI4sH", 14, 0x10, 2132, len(body), b".FIT", 0)
+    return head + body + struct.pack("<H", checksum(head + body))
+
 
 @pytest.mark.parametrize(
     ("name", "content", "said"),
@@ -79,9 +89,17 @@ BOMB = '<!DOCTYPE a [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>'
         ("cut.fit", fit(ride())[:1500], "is a damaged or cut FIT file ("),
         ("none.fit", b"hello, this is no FIT file at all", "is a damaged or cut FIT file ("),
         ("changed.fit", fit(ride())[:900] + b"!" + fit(ride())[901:], "is a damaged or cut FIT file ("),
+        ("size.fit", forged(bytes([253, 0, 0x86, 6, 2, 0x84]), b"\0\1\2" * 9), "is a damaged or cut FIT file (size)"),
+        ("kind.fit", forged(bytes([253, 4, 0xFF]), b"\0" * 50), "is a damaged or cut FIT file ("),
+        ("back.fit", fit([*ride()[:100], *ride()[50:]]), "row 101: time steps back from "),
         ("cut.tcx", tcx(ride())[:3000], "is no whole XML ("),
         ("bomb.tcx", tcx(ride()).replace("<Training", f"{BOMB}<Training", 1), "declares a document type"),
         ("long.tcx", tcx(ride()).replace("<Time>", f"<Time>{'1' * 5000}", 1), "has a value of over 4096 characters"),
+        ("deep.tcx", "<a>" * 5000, "has over 4096 elements in one another"),
+        ("tag.tcx", f"<a b='{'x' * (5 << 20)}", "has a tag of over 1 MiB"),
+        ("kinds.tcx", f"<a>{''.join(POINT.format(i=i) for i in range(5000))}</a>", "has over 4096 kinds of values"),
+        ("encoding.tcx", tcx(ride()).replace("UTF-8", "UTF-7000"), "is no whole XML (unknown encoding"),
+        ("twice.csv", "t,v,P,v\n0,1,2,3\n", "has the column 'v' 2 times; rename or leave out one"),
         ("other.mf4", b"MDF     4.10" + bytes(200), "cannot be read as MF4 ("),
         ("line.csv", b"t,v,P\n" + b"1," * 70_000, "has a line of over 65536 characters"),
     ],
@@ -95,6 +113,40 @@ def test_damaged_files_are_refused_in_one_line(
         assert main([command, str(written(content, tmp_path / name)), *maps]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"error: {tmp_path / name}: {said}")
+
+
+def measurement(path: Path, v: np.ndarray, t: np.ndarray) -> bytearray:
+    """An MF4 file of two channels, of which the second is constant."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(v, t, name="v", encoding="utf-8"), asammdf.Signal(np.ones(len(t)), t, name="P")])
+        return bytearray(Path(file.save(path / "whole.mf4")).read_bytes())
+
+
+def without_master(content: bytearray) -> bytearray:
+    """The file with the channel of times as a channel like others."""
+    block = -1
+    while (block := content.find(b"##CN", block + 1)) >= 0:
+        (links,) = struct.unpack_from("<Q", content, block + 16)
+        content[block + 24 + 8 * links : block + 26 + 8 * links] = bytes(2)  # kind of channel, and of its times
+    return content
+
+
+@pytest.mark.slow
+def test_measurements_that_give_no_numbers_in_time_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t, v = np.arange(300) / 10, np.full(300, 50.0)
+    for content, said in (
+        (without_master(measurement(tmp_path, v, t)), "the channel 'P' has no times; export it with them"),
+        (measurement(tmp_path, v, t[::-1]), "the times of the channel 'P' step back, or are no numbers"),
+        (measurement(tmp_path, np.full(300, b"fast"), t), "the channel 'v' holds no numbers; choose another one"),
+        (measurement(tmp_path, v, t)[:-100], "cannot be read as MF4 ("),
+    ):
+        (tmp_path / "a.mf4").write_bytes(content)
+        assert main(["inspect", str(tmp_path / "a.mf4"), "--map", "speed=v [m/s]", "--map", "power=P [W]"]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"error: {tmp_path / 'a.mf4'}: {said}")
 
 
 @pytest.mark.slow
@@ -141,3 +193,16 @@ def test_a_long_table_is_read_in_constant_memory(tmp_path: Path) -> None:
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_columns_that_are_not_asked_for_take_no_memory(tmp_path: Path) -> None:
+    """3,000 rows of 1,000 columns, and a blank line at the end."""
+    row = ",1,1" + 998 * ",7"
+    head = "t,v,P," + ",".join(f"c{i}" for i in range(998))
+    (tmp_path / "wide.csv").write_text(head + "".join(f"\n{i / 10}{row}" for i in range(3000)) + "\n\n")
+    log = TableLog(tmp_path / "wide.csv", Table(columns={"speed": "v [m/s]", "power": "P [W]"}))
+    tracemalloc.start()
+    assert sum(len(frames) for frames in log) == 6000
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 << 20

@@ -109,7 +109,8 @@ def values(message: BoundMessage, bound: BoundSignal, frames: Frames) -> tuple[F
         si = _scaled(value.copy(), conversion.scale, conversion.offset)
         if bound.tangent:
             np.tan(si, out=si)
-    masks = _no_values(message, signal, raw, value, np.isfinite(si))
+    is_number = np.abs(si) <= np.finfo(np.float32).max  # a larger one is damage, and sums of it overflow
+    masks = _no_values(message, signal, raw, value, is_number)
     if bound.states is not None:
         si = np.isin(value, bound.states.on).astype(np.float64)
         masks["no state"] = np.isin(value, bound.states.unknown) & ~np.any(list(masks.values()), axis=0)

@@ -297,6 +297,8 @@ class RowStream:
             return f"the logger has to ask for PID {', '.join(pids)}"
         if self._answers:
             return f"{self._answers:,} frames are answers to OBD-II requests: give --config obd2"
+        if self._config.table is not None:
+            return 'give them columns with numbers, as in --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
         return remedy(missing, self.seen, self._config.binding)
 
     def _missing_roles(self) -> list[Role]:

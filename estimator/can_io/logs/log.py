@@ -36,9 +36,12 @@ class Log(ABC):
         Share of the file read so far, 0 to 1.
     batch : int
         Largest number of frames in a batch.
+    content : str
+        Name of what the file should hold, for messages.
     """
 
     batch = BATCH
+    content = "CAN data frame"
 
     def __init__(self, path: Path, channels: Iterable[str] = ()) -> None:
         self.path = path
@@ -73,7 +76,7 @@ class Log(ABC):
             self.channels.check(self.path)
         if empty:
             others = ", ".join(f"{count} {reason}" for reason, count in sorted(self.skipped.items()))
-            raise LogError(f"{self.path}: no CAN data frame in it ({others or 'nothing at all'}); give another log")
+            raise LogError(f"{self.path}: no {self.content} in it ({others or 'nothing at all'}); give another log")
 
     @abstractmethod
     def _read(self) -> Iterator[Frames]:

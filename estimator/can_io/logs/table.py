@@ -33,7 +33,11 @@ from estimator.signals import Floats, Mask, Role
 from estimator.units import conversion_of
 
 Reader = Callable[[Path, Wanted], Iterator[Piece]]
-BINARY: dict[str, Reader] = {
+READERS: dict[str, Reader] = {
+    ".csv": table_text.read,
+    ".csv.gz": table_text.read,
+    ".tsv": table_text.read,
+    ".txt": table_text.read,
     ".parquet": table_parquet.read,
     ".mf4": table_mf4.read,
     ".fit": table_activity.read_fit,
@@ -41,8 +45,7 @@ BINARY: dict[str, Reader] = {
     ".tcx": table_activity.read_tcx,
     ".tcx.gz": table_activity.read_tcx,
 }
-TEXT = (".csv", ".csv.gz", ".tsv", ".txt")
-SUFFIXES = (*TEXT, *BINARY)
+SUFFIXES = tuple(READERS)
 TIMES = ("time", "t", "timestamp", "seconds", "secs", "elapsed", "time_s", "t_s", "date", "datetime")
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
 MAX_STEP = 2.0  # s between rows in the median: slower ones show no change of speed that a force made
@@ -52,6 +55,8 @@ SAME_TIME = "row at the time of the one before"
 
 class TableLog(Log):
     """Log in a table file; ``table`` of the configuration defines its columns."""
+
+    content = "row with a number"
 
     def __init__(self, path: Path, table: Table) -> None:
         super().__init__(path)
@@ -67,17 +72,27 @@ class TableLog(Log):
 
     def _cells(self) -> Iterator[Mapping[str, Any]]:
         name = self.path.name.lower()
-        reader = next((reader for suffix, reader in BINARY.items() if name.endswith(suffix)), None)
-        pieces = table_text.read(self.path) if reader is None else reader(self.path, partial(_named, self._table))
-        for piece in pieces:
+        read = next(reader for suffix, reader in READERS.items() if name.endswith(suffix))
+        for piece in read(self.path, partial(_named, self.path, self._table)):
             self.progress = piece.progress
             yield piece.cells
 
 
-def _named(table: Table, there: Iterable[str]) -> set[str]:
-    """Columns that the configuration of a table names, and those that may hold times."""
-    times = {name for name in there if name.lower() in TIMES} if table.time is None else {split_unit(table.time)[0]}
-    return {column.name for column in columns_of(table)} | times
+def _named(path: Path, table: Table, there: Iterable[str]) -> set[str]:
+    """Columns that the configuration of a table names, and those that may hold times.
+
+    Raises
+    ------
+    LogError
+        Two columns have one of these names.
+    """
+    columns = list(there)
+    times = {name for name in columns if name.lower() in TIMES} if table.time is None else {split_unit(table.time)[0]}
+    named = {column.name for column in columns_of(table)} | times
+    for name in sorted(named & set(columns)):
+        if columns.count(name) > 1:
+            raise LogError(f"{path}: has the column {name!r} {columns.count(name)} times; rename or leave out one")
+    return named
 
 
 def table_frames(

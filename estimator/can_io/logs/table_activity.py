@@ -5,19 +5,19 @@ A row is a record of a FIT file, or a track point of a TCX file; columns have th
 devices are left out.
 """
 
-from collections.abc import Iterator, Sequence
-from itertools import islice
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
 from estimator.can_io.logs.source import PIECE, Source
 from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
-from estimator.errors import LogError
+from estimator.errors import LogError, RoadloadError
 from estimator.extras import how_to_install
 
 RECORD, POINT = "record", "Trackpoint"
-MAX_TEXT = 1 << 12  # characters of a value in XML, and elements of a point: more are none of a ride
+MAX_TEXT = 1 << 12  # characters of a value in XML, levels and kinds of values: more are none of a ride
 Row = dict[str, Any]
 
 
@@ -43,8 +43,10 @@ def read_fit(path: Path, wanted: Wanted) -> Iterator[Piece]:
                     for frame in records
                     if frame.name == RECORD
                 )
-                yield from _pieces(rows, wanted, source)
-        except (fitdecode.FitError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+                yield from _pieces(path, rows, wanted, source)
+        except (RoadloadError, OSError, EOFError, zlib.error):  # of the table, or of the file itself
+            raise
+        except Exception as error:  # of any kind: fitdecode raises those of Python too
             reason = " ".join(str(error).split())[:100]
             raise LogError(f"{path}: is a damaged or cut FIT file ({reason}); copy or export it anew") from error
 
@@ -58,7 +60,7 @@ def read_tcx(path: Path, wanted: Wanted) -> Iterator[Piece]:
         The file is no XML, is cut off, or declares a document type.
     """
     with Source(path) as source:
-        yield from _pieces(_points(path, source), wanted, source)
+        yield from _pieces(path, _points(path, source), wanted, source)
 
 
 def _points(path: Path, source: Source) -> Iterator[Row]:
@@ -67,11 +69,15 @@ def _points(path: Path, source: Source) -> Iterator[Row]:
     parser.StartElementHandler, parser.EndElementHandler = points.start, points.end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = points.text, points.refuse
     try:
+        fed = 0
         while data := source.stream.read(PIECE):
             parser.Parse(data)
             yield from points.take()
+            fed += len(data)
+            if fed - parser.CurrentByteIndex > 2 * PIECE:  # the parser holds a tag until it ends
+                raise LogError(f"{path}: has a tag of over {PIECE >> 20} MiB; export it anew as TCX")
         parser.Parse(b"", True)
-    except expat.ExpatError as error:
+    except (expat.ExpatError, LookupError, ValueError) as error:  # or of an encoding that Python does not know
         raise LogError(f"{path}: is no whole XML ({error}); copy or export it anew") from error
 
 
@@ -83,6 +89,7 @@ class _Points:
         self._done: list[Row] = []
         self._row: Row | None = None
         self._text = ""
+        self._level = 0
 
     def take(self) -> Sequence[Row]:
         """The points that are whole since the last call."""
@@ -91,6 +98,9 @@ class _Points:
 
     def start(self, name: str, _: dict[str, str]) -> None:
         """An element begins."""
+        self._level += 1
+        if self._level > MAX_TEXT:
+            raise LogError(f"{self._path}: has over {MAX_TEXT} elements in one another; export it anew as TCX")
         self._text = ""
         if _local(name) == POINT:
             self._row = {}
@@ -104,6 +114,7 @@ class _Points:
 
     def end(self, name: str) -> None:
         """An element ends."""
+        self._level -= 1
         if self._row is None:
             return
         if _local(name) == POINT:
@@ -111,8 +122,6 @@ class _Points:
             self._row = None
         elif value := self._text.strip():
             self._row.setdefault(_local(name), value)
-            if len(self._row) > MAX_TEXT:
-                raise LogError(f"{self._path}: has a point of over {MAX_TEXT} values; export it anew as TCX")
         self._text = ""
 
     def refuse(self, *_: object) -> None:
@@ -125,11 +134,24 @@ def _local(name: str) -> str:
     return name.rpartition(":")[2]
 
 
-def _pieces(rows: Iterator[Row], wanted: Wanted, source: Source) -> Iterator[Piece]:
-    """Rows as pieces; a value that is missing is NaN. Columns are those that any row had so far."""
-    names = dict[str, None]()
-    while part := list(islice(rows, ROWS)):
-        names |= dict.fromkeys(name for row in part for name in row)
-        chosen = wanted(names)
-        cells = {name: [row.get(name, float("nan")) for row in part] if name in chosen else () for name in names}
-        yield Piece(cells, source.consumed)
+def _pieces(path: Path, rows: Iterator[Row], wanted: Wanted, source: Source) -> Iterator[Piece]:
+    """Rows as pieces, of the wanted values only. Columns are those that any row had so far."""
+    names, chosen, part = dict[str, None](), set[str](), list[Row]()
+    for row in rows:
+        if not row.keys() <= names.keys():
+            names |= dict.fromkeys(row)
+            chosen = wanted(names)
+        if len(names) > MAX_TEXT:
+            raise LogError(f"{path}: has over {MAX_TEXT} kinds of values; export it anew")
+        part.append({name: row[name] for name in chosen & row.keys()})
+        if len(part) == ROWS:
+            yield _piece(names, chosen, part, source)
+            part = []
+    if part:
+        yield _piece(names, chosen, part, source)
+
+
+def _piece(names: Iterable[str], chosen: set[str], rows: Sequence[Row], source: Source) -> Piece:
+    """Cells by column; a value that is missing is NaN."""
+    cells = {name: [row.get(name, float("nan")) for row in rows] if name in chosen else () for name in names}
+    return Piece(cells, source.consumed)

@@ -40,9 +40,10 @@ def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
 
 def _check_size(path: Path, metadata: Any, chosen: list[str]) -> None:
     """Refuse columns whose row groups do not fit into memory."""
-    for group in range(metadata.num_row_groups):
-        columns = (metadata.row_group(group).column(i) for i in range(metadata.num_columns))
-        for column in columns:
+    for group in map(metadata.row_group, range(metadata.num_row_groups)):
+        if group.total_byte_size <= MAX_CHUNK:
+            continue  # a damaged description of a column ends the process, so none is looked at without need
+        for column in map(group.column, range(metadata.num_columns)):
             if column.path_in_schema in chosen and column.total_uncompressed_size > MAX_CHUNK:
                 raise LogError(
                     f"{path}: column {column.path_in_schema!r} unpacks to {column.total_uncompressed_size >> 20:,} MiB "

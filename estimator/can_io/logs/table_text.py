@@ -6,20 +6,20 @@ A table whose delimiter is no comma may have commas in its numbers, as spreadshe
 import codecs
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
 
 from estimator.can_io.logs.source import Source
-from estimator.can_io.logs.table_piece import ROWS, Piece
+from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
 from estimator.errors import LogError
 
 MAX_FIELD = 1 << 16  # characters of a cell, and of a line: a longer one is none of a table
 DELIMITERS = ",;\t|"
 
 
-def read(path: Path) -> Iterator[Piece]:
-    """Pieces of a table of text.
+def read(path: Path, wanted: Wanted) -> Iterator[Piece]:
+    """Pieces of a table of text, of the wanted columns only.
 
     Raises
     ------
@@ -36,9 +36,13 @@ def read(path: Path) -> Iterator[Piece]:
             delimiter = max(DELIMITERS, key=head.count)
             heading = [name.strip() for name in next(csv.reader([head], delimiter=delimiter), [])]
             _check_heading(path, heading)
-            reader = _plain(path, heading, csv.reader(_lines(path, text), delimiter=delimiter), delimiter)
-            while rows := [row for _, row in zip(range(ROWS), reader, strict=False)]:
-                yield Piece(_columns(heading, rows), source.consumed)
+            chosen = wanted(heading)
+            places = {name: i for i, name in enumerate(heading) if name in chosen}
+            reader = csv.reader(_lines(path, text), delimiter=delimiter)
+            rows = _with_points(_cells(path, len(heading), list(places.values()), reader), delimiter)
+            while part := list(islice(rows, ROWS)):
+                cells = dict(zip(places, zip(*part, strict=True), strict=True))
+                yield Piece({**dict.fromkeys(heading, ()), **cells}, source.consumed)
         except csv.Error as error:
             raise LogError(f"{path}: is no table of text ({error}); give a CSV file") from error
 
@@ -51,24 +55,25 @@ def _lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
         yield line
 
 
-def _columns(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> Mapping[str, Sequence[str]]:
-    cells = [[row[i] if i < len(row) else "" for row in rows] for i in range(len(heading))]
-    return dict(zip(heading, cells, strict=True))
+def _cells(path: Path, names: int, places: Sequence[int], rows: Iterator[list[str]]) -> Iterator[list[str]]:
+    """The cells at ``places`` of each row that is not blank; refuses a row with more cells than there are ``names``."""
+    for number, row in enumerate(filter(None, rows), start=1):
+        if len(row) > names and any(row[names:]):
+            raise LogError(
+                f"{path}: row {number} has {len(row)} cells, line 1 has {names} names; correct that row, or "
+                "write numbers with decimal points"
+            )
+        yield [row[i] if i < len(row) else "" for i in places]
 
 
-def _plain(path: Path, heading: Sequence[str], rows: Iterator[list[str]], delimiter: str) -> Iterator[list[str]]:
-    """The rows, with points for decimal commas; refuses a row with more cells than there are names.
+def _with_points(rows: Iterator[list[str]], delimiter: str) -> Iterator[list[str]]:
+    """The rows, with points for decimal commas.
 
     Where the first ROWS rows have a number with a point, commas are not taken for decimal ones.
     """
     first = list(islice(rows, ROWS))
     has_points = delimiter == "," or any("." in cell and is_number(cell) for row in first for cell in row)
-    for number, row in enumerate(chain(first, rows), start=1):
-        if len(row) > len(heading) and any(row[len(heading) :]):
-            raise LogError(
-                f"{path}: row {number} has {len(row)} cells, line 1 has {len(heading)} names; correct that row, or "
-                "write numbers with decimal points"
-            )
+    for row in chain(first, rows):
         yield row if has_points else [cell.replace(",", ".") for cell in row]
 
 

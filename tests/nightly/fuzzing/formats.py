@@ -26,6 +26,7 @@ from estimator.simulation.recording import record
 from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
+from fuzzing import tables
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "systemd" / "roadload.toml"
@@ -67,11 +68,15 @@ mass_kg = [3000.0, 80000.0]
 
 @dataclass(frozen=True)
 class Format:
-    """Sound files of a kind, and what reads a file; RoadloadError where it cannot be used."""
+    """Sound files of a kind, and what reads a file; RoadloadError where it cannot be used.
+
+    A file takes as long to read as ``cost`` others do.
+    """
 
     suffix: str
     sound: Callable[[], list[bytes]]
     read: Callable[[Path], object]
+    cost: int = 1
 
 
 logging.getLogger("can").setLevel(logging.CRITICAL)  # its readers log every line that they cannot read
@@ -191,6 +196,11 @@ FORMATS = {
     "mdf2csv": Format(".csv", partial(_lines, _mdf2csv, MDF2CSV), read_log),
     "mf4": Format(".mf4", _mf4s, read_log),
     "gz": Format(".log.gz", lambda: [gzip.compress(one, mtime=0) for one in _logs(".log")], read_log),
+    "table": Format(".csv", tables.csvs, tables.read_table),
+    "parquet": Format(".parquet", tables.parquets, tables.read_table),
+    "signals": Format(".mf4", tables.measurements, tables.read_table, cost=50),
+    "fit": Format(".fit", tables.fits, tables.read_fit),
+    "tcx": Format(".tcx", tables.tcxs, tables.read_tcx),
     "dbc": Format(".dbc", lambda: [DBC.encode()], _read_database),
     "toml": Format(".toml", _settings, configuration.load),
     "map": Format(".npy", _map, RoadMap.read),
