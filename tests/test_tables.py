@@ -14,12 +14,14 @@ from simulated_logs import TRUCK, ask, drive, written
 
 from estimator import estimate, from_table, read
 from estimator.can_io.logs import table_text
+from estimator.can_io.logs.table import TableLog
 from estimator.can_io.table_columns import split_unit
 from estimator.commands.main import main
 from estimator.config import from_dict
-from estimator.errors import RoadloadError
+from estimator.errors import LogError, RoadloadError
 from estimator.library.estimation import Estimation
 from estimator.samples import Rows
+from estimator.settings import Table
 from estimator.signals import Role
 
 MAP = ["--map", "speed=v [km/h]", "--map", "power=P [kW]", "--map", "time=t [s]"]
@@ -285,3 +287,12 @@ def test_a_fleet_of_tables_without_a_column_is_refused(tmp_path: Path, capsys: p
     unreadable, nothing = capsys.readouterr().err.splitlines()
     assert "a.csv: has no column 'W'; there are 't', 'v', 'P'" in unreadable
     assert "none of 1 log can be used" in nothing
+
+
+def test_rows_that_come_too_seldom_are_refused_before_all_are_read(tmp_path: Path) -> None:
+    """Days of such rows would be processed in vain."""
+    (tmp_path / "slow.csv").write_text("t,v,P\n" + "".join(f"{5 * i},50,9\n" for i in range(100_000)))
+    log = TableLog(tmp_path / "slow.csv", Table(columns={"speed": "v [km/h]", "power": "P [kW]"}))
+    with pytest.raises(LogError, match="has a row every 5 s; the mass follows from changes of speed within"):
+        list(log)
+    assert log.progress < 0.5

@@ -16,7 +16,7 @@ import numpy as np
 from estimator.can_io.frames import CLASSIC_BYTES, Frames
 from estimator.can_io.logs import table_activity, table_mf4, table_parquet, table_text
 from estimator.can_io.logs.log import Log
-from estimator.can_io.logs.table_piece import Piece, Wanted
+from estimator.can_io.logs.table_piece import ROWS, Piece, Wanted
 from estimator.can_io.logs.table_text import is_number
 from estimator.can_io.table_columns import (
     FORCE_UNITS,
@@ -49,7 +49,6 @@ SUFFIXES = tuple(READERS)
 TIMES = ("time", "t", "timestamp", "seconds", "secs", "elapsed", "time_s", "t_s", "date", "datetime")
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
 MAX_STEP = 2.0  # s between rows in the median: slower ones show no change of speed that a force made
-STEPS_SEEN = 1 << 20  # rows whose steps are kept for the median
 SAME_TIME = "row at the time of the one before"
 
 
@@ -108,7 +107,7 @@ def table_frames(
         A column is missing, a cell is not a number, or times do not ascend or are too far apart; it names the row.
     """
     columns = columns_of(table)
-    previous, row, steps, repeated, first = -np.inf, 1, list[Floats](), 0, 0
+    previous, row, steps, is_judged, repeated, first = -np.inf, 1, list[Floats](), False, 0, 0
     for piece in pieces:
         t = _times(source, table, piece, row)
         is_later = _check_forward(source, t, previous, row)
@@ -117,8 +116,11 @@ def table_frames(
             repeated += int(np.count_nonzero(~is_later))
         values = _values(source, columns, piece, row)[is_later]
         row, t = row + len(t), t[is_later]
-        if row <= STEPS_SEEN:
-            steps.append(np.diff(t, prepend=t[:1] if not np.isfinite(previous) else previous))
+        if not is_judged:
+            steps.append(np.diff(t, prepend=t[:0] if not np.isfinite(previous) else previous))
+            is_judged = row > ROWS
+            if is_judged:
+                _check_rate(source, steps)  # before hours of rows are processed that come too seldom
         previous = float(t[-1]) if len(t) else previous
         yield _frames(t, values)
     if skipped is not None and repeated:
@@ -128,7 +130,13 @@ def table_frames(
             f"{source}: rows {first - 1} and {first} have one time, and so have half of the rows; give a column with "
             "fractions of seconds"
         )
-    step = float(np.median(np.concatenate([np.empty(0), *steps]))) if row > 2 else 0.0
+    if not is_judged:
+        _check_rate(source, steps)
+
+
+def _check_rate(source: str, steps: Sequence[Floats]) -> None:
+    """Refuse rows whose steps of time [s] are too long in the median."""
+    step = float(np.median(np.concatenate([[0.0], *steps])))
     if step > MAX_STEP:
         raise LogError(
             f"{source}: has a row every {step:.3g} s; the mass follows from changes of speed within a second or two, "
