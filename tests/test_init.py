@@ -296,3 +296,34 @@ def test_every_key_has_a_comment(table: type[Section]) -> None:
     comments = comments_of(table)
     assert list(comments) == list(table.__struct_fields__)
     assert all(text and "\n" not in text for text in comments.values())
+
+
+def test_answers_that_come_in_segments_are_seen_in_the_log(tmp_path: Path, cli: Cli) -> None:
+    """Voltage and current of an electric car: an answer of 20 bytes in three frames, every 0.2 s."""
+    (tmp_path / "ev.dbc").write_text("""VERSION ""
+BU_: X
+BO_ 902 WHEELS: 8 X
+ SG_ VehicleSpeed : 0|16@1+ (0.01,0) [0|300] "km/h" X
+BO_ 2028 BMS: 20 X
+ SG_ Service M : 7|8@0+ (1,0) [0|0] "" X
+ SG_ DID m98M : 15|16@0+ (1,0) [0|0] "" X
+ SG_ BatteryCurrent m257 : 103|16@0- (0.1,0) [0|0] "A" X
+ SG_ BatteryVoltage m257 : 119|16@0+ (0.1,0) [0|0] "V" X
+
+SG_MUL_VAL_ 2028 DID Service 98-98;
+SG_MUL_VAL_ 2028 BatteryCurrent DID 257-257;
+SG_MUL_VAL_ 2028 BatteryVoltage DID 257-257;
+""")
+    lines = []
+    for i in range(200):
+        values = (10 * i % 900).to_bytes(2, "big") + (3600 + i).to_bytes(2, "big")
+        answer = (bytes([98, 1, 1]).ljust(12, b"\0") + values).ljust(20, b"\0")
+        parts = [b"\x10\x14" + answer[:6], b"\x21" + answer[6:13], b"\x22" + answer[13:]]
+        rows = [(0x386, (50 * i).to_bytes(2, "little") + bytes(6)), *((0x7EC, part) for part in parts)]
+        lines += [
+            f"({1000 + i / 5 + k / 500:.6f}) can0 {ident:03X}#{data.hex()}" for k, (ident, data) in enumerate(rows)
+        ]
+    (tmp_path / "ev.log").write_text("\n".join(lines) + "\n")
+    assert cli("init", tmp_path / "ev.dbc", tmp_path / "ev.log", "-o", tmp_path / "ev.toml")[0] == 0
+    signals = {"battery_voltage": "BMS.BatteryVoltage", "battery_current": "BMS.BatteryCurrent"}
+    assert load(tmp_path / "ev.toml").signals == {"speed": "WHEELS.VehicleSpeed", **signals}

@@ -9,6 +9,7 @@ import numpy as np
 from estimator.can_io.binding import BoundMessage, BoundSignal, bound_message, last_byte
 from estimator.can_io.decoder import is_group, is_message
 from estimator.can_io.frames import EXTENDED, Frames
+from estimator.can_io.iso_tp import IsoTp, is_segmented
 from estimator.can_io.j1939 import GROUP_MASK, pgn_of
 from estimator.can_io.role_candidates import Candidate
 from estimator.can_io.signal_values import present, values
@@ -63,6 +64,7 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
     chosen = {candidate.path: candidate for candidate in candidates}
     presences = {path: Presence() for path in chosen}
     messages = [_bound(candidate, config) for candidate in chosen.values()]
+    joiners = {path: IsoTp(message) for path, message in zip(chosen, messages, strict=True) if is_segmented(message)}
     last: dict[str, float] = {}  # latest value
     by_id, by_group = set[str](), set[str]()
     for frames in LogFrames([path], config, progress):
@@ -72,7 +74,9 @@ def survey(path: Path, candidates: Iterable[Candidate], progress: Progress = no_
             mask = is_message(message, frames.ident, group)
             if mask.any():
                 by_id.add(message.name)
-                _add(presences[path_of_it], message, message.signals[0], frames[mask], last)
+                joiner = joiners.get(path_of_it)
+                sent = frames[mask] if joiner is None else joiner.feed(frames[mask])
+                _add(presences[path_of_it], message, message.signals[0], sent, last)
             elif not message.by_pgn and message.key & EXTENDED:
                 pgn = int(pgn_of(np.array([message.key], dtype=np.uint32))[0])
                 if is_group(pgn, group).any():
