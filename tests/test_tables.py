@@ -167,7 +167,7 @@ def test_bad_tables_are_refused_in_one_line(
 
 def columns_read(text: str, path: Path, encoding: str = "utf-8") -> dict[str, list[str]]:
     path.write_bytes(text.encode(encoding))
-    (piece,) = table_text.read(path)
+    (piece,) = table_text.read(path, set)
     return {name: list(cells) for name, cells in piece.cells.items()}
 
 
