@@ -82,6 +82,7 @@ def test_no_attack_makes_a_wrong_mass_estimated(drive: Frames, clean: list[Look]
         assert outcome.looks > 20
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("when", ["throughout", "in the middle"])
 def test_lone_wrong_speeds_do_no_harm(drive: Frames, clean: list[Look], when: str):
     outcome = attempt(
@@ -92,6 +93,7 @@ def test_lone_wrong_speeds_do_no_harm(drive: Frames, clean: list[Look], when: st
     assert outcome.worst_sd < max(deviations(clean, TRUCK)) + 0.3
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", PASSING)
 def test_an_attack_that_ends_leaves_nothing_behind(drive: Frames, clean: list[Look], name: str):
     outcome = attempt(ATTACKS[name], drive, clean, TRUCK, Config())

@@ -379,6 +379,7 @@ def test_hats_are_a_partition_of_one():
     assert_allclose(hats(axis, 7.0).sum(axis=1), 1.0)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_load_is_found_beside_hidden_hills_and_nothing_where_nothing_is():
     n = 2400
@@ -416,6 +417,7 @@ def test_a_search_is_given_up_where_it_will_not_reach_the_evidence_that_is_asked
         assert (again is not None) == is_reached
 
 
+@pytest.mark.nightly
 def test_times_of_a_load_that_switches_are_found_beside_hidden_hills():
     n = 2400
     on = (np.arange(n) % 800) > 500
@@ -521,6 +523,7 @@ def test_the_spectrum_is_the_sum_over_all_times_at_each_frequency():
     assert_allclose(sizes, np.abs(np.exp(2j * np.pi * np.outer(frequencies, t)) @ values))
 
 
+@pytest.mark.nightly
 def test_a_power_that_switches_and_is_larger_than_any_effect_has_no_name_of_the_catalogue():
     n, size = 2400, 150e3
     spans = ((500.3, 800.0), (1300.0, 1500.7))

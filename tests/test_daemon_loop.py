@@ -343,6 +343,7 @@ def test_a_drive_on_the_bus_is_estimated_as_from_its_log_and_broadcast(drive: Fr
     assert str(last["MassMean"]) == "not available"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_clock_set_by_an_hour_in_mid_drive_does_not_harm_the_estimate(drive: Frames) -> None:
     results = []

@@ -12,7 +12,7 @@ import pytest
 
 from estimator.commands.main import COMMANDS
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 ROOT = Path(__file__).parents[1]
 LONGEST = 600.0  # s to build it, with wheels to be downloaded

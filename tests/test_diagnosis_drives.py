@@ -99,6 +99,7 @@ def test_a_clean_drive_has_no_gap_however_noisy_its_speed(diagnose, speed_noise,
     assert answer["parameters"]["final"]["mass_kg"] == pytest.approx(TRUCK.mass, rel=0.015)
 
 
+@pytest.mark.nightly
 def test_what_a_drive_cannot_show_is_listed_with_what_it_would_do(diagnose):
     """A loss by load is taken up by the mass; the shift foretold for its usual size is the one that happens."""
     clean, lossy = (
@@ -159,6 +160,7 @@ def test_a_wind_has_a_direction(diagnose):
     assert "heading" in {place["axis"] for place in answer["where"]}
 
 
+@pytest.mark.nightly
 def test_a_strong_wind_does_not_move_the_road_load(diagnose):
     """Its drag rises with its square; the rest of that would be taken for A and C, by four standard deviations."""
     answer = diagnose(drive("highway", 22, 2, Effect(name="headwind", magnitude=7.5), shape="out-and-back"))
@@ -171,6 +173,7 @@ def test_a_strong_wind_does_not_move_the_road_load(diagnose):
     assert sd["A_N"] < 30
 
 
+@pytest.mark.nightly
 def test_a_load_taken_on_at_a_stop(diagnose):
     recording = drive("urban", 30, 5, Effect(name="mass_step", magnitude=0.4, start=700.0))
     effect = only(diagnose(recording), "mass_step")
@@ -182,6 +185,7 @@ def test_a_load_taken_on_at_a_stop(diagnose):
     assert ended > 1700
 
 
+@pytest.mark.nightly
 def test_a_stretch_of_wet_road(diagnose):
     effect = only(
         diagnose(drive("mixed", 22, 1, Effect(name="resistance_segment", magnitude=0.4, start=500.0, end=1100.0))),
@@ -221,10 +225,12 @@ def test_air_that_grows_denser_where_no_signal_shows_it(diagnose, denser_air):
     assert "air_density" not in told
 
 
+@pytest.mark.nightly
 def test_air_that_a_thermometer_shows_for_minutes_alone_is_looked_for(diagnose, denser_air):
     assert named(diagnose(part(denser_air, 3500, 3600, THERMOMETER))) == ["air_density"]
 
 
+@pytest.mark.nightly
 def test_cold_oil_is_told_from_cold_tyres(diagnose):
     """The oil drags the more the faster it is churned, and the simulated one is warmed by the power that flows."""
     only(diagnose(drive("highway", 38, 5, Effect(name="oil_drag", magnitude=0.5))), "oil_warm_up")
@@ -248,6 +254,7 @@ def test_a_lag_is_named_in_a_city_with_a_noisy_speed(diagnose):
     assert effect["magnitude"]["sd"] < 0.02
 
 
+@pytest.mark.nightly
 def test_a_brake_that_drags_is_no_lag(diagnose):
     """Without the brake in its model the lag between power and speed comes out at -0.71 +- 0.11 s."""
     brake = only(diagnose(drive("highway", 22, 2, Effect(name="brake_use", magnitude=12e3))), "brake_use")
@@ -345,6 +352,7 @@ def test_the_loop_closes_for_what_no_signal_tells_the_shape_of(tmp_path, truth, 
         assert each["mean"] == pytest.approx(found[key], abs=3 * each["sd"]), key
 
 
+@pytest.mark.nightly
 def test_a_fan_in_the_hills_is_what_is_left(tmp_path):
     log = written(
         drive("mixed", 22, 6, Effect(name="grade", magnitude=0.01), Effect(name="auxiliary_cycling", magnitude=40e3)),
@@ -383,6 +391,7 @@ def test_one_effect_does_not_hide_another(diagnose, seed, large, small):
     assert mass == pytest.approx(TRUCK.mass, abs=4 * sd)
 
 
+@pytest.mark.nightly
 def test_a_filter_of_the_speed_is_all_there_is(diagnose):
     """What a low-pass leaves of its lag is neither a swing nor inertia of the engine, and the mass allows for it."""
     answer = diagnose(drive("highway", 22, 3, Effect(name="speed_filter", magnitude=0.5)))
@@ -395,6 +404,7 @@ def test_a_filter_of_the_speed_is_all_there_is(diagnose):
     assert mass == pytest.approx(TRUCK.mass, abs=3 * sd)
 
 
+@pytest.mark.nightly
 def test_a_filter_whose_lag_is_hardly_unusual_is_known_by_what_it_does_besides(diagnose):
     answer = diagnose(drive("mixed", 30, 3, Effect(name="speed_filter", magnitude=0.14)))
     effect = only(answer, "speed_filter")
@@ -412,6 +422,7 @@ def test_what_has_no_name_is_seen_beside_a_filter(diagnose):
     assert {"speed_filter", "unknown: force over time"} <= {part["cause"] for part in answer["budget"]}
 
 
+@pytest.mark.nightly
 def test_a_lag_too_long_to_be_one_is_a_low_pass_without_a_name(diagnose):
     answer = diagnose(drive("mixed", 22, 3, Effect(name="time_lag", magnitude=1.0)))
     assert answer["verdict"] == "unknown effect"
@@ -432,6 +443,7 @@ def test_two_of_which_one_acts_are_named_together(diagnose):
     assert answer["configuration"] == 'effects = ["warm_up"]'
 
 
+@pytest.mark.nightly
 def test_what_a_short_drive_leaves_open_an_experiment_would_settle(diagnose):
     """A torque offset takes power with the engine speed, a load does not: another gear at the same speed tells."""
     answer = diagnose(drive("highway", 16, 3, Effect(name="torque_bias", magnitude=28.0)))
@@ -464,12 +476,14 @@ def test_what_is_in_no_catalogue_is_unknown(diagnose):
     assert sum(part["share"] for part in answer["budget"]) == pytest.approx(1.0)
 
 
+@pytest.mark.nightly
 def test_a_torque_that_is_not_linear_is_unknown(diagnose):
     answer = diagnose(drive("mixed", 19, 1, Effect(name="torque_saturation", magnitude=0.08)))
     assert (answer["verdict"], named(answer)) == ("unknown effect", [])
     assert answer["candidates"][0]["detail"] == "gain over torque"
 
 
+@pytest.mark.nightly
 def test_a_loss_in_one_gear_is_no_brake(diagnose):
     """It has the force of a brake, at the times of the gear, which the bus does not send."""
     answer = diagnose(drive("mixed", 19, 2, Effect(name="gear_loss", magnitude=120.0)))
@@ -477,6 +491,7 @@ def test_a_loss_in_one_gear_is_no_brake(diagnose):
     assert answer["candidates"][0]["detail"] == "force over gear ratio"
 
 
+@pytest.mark.nightly
 def test_a_tyre_that_loses_air_is_no_air_that_grows_denser(diagnose):
     answer = diagnose(drive("mixed", 30, 3, Effect(name="slow_puncture", magnitude=0.35), without=THERMOMETER))
     assert (answer["verdict"], named(answer)) == ("unknown effect", [])

@@ -182,6 +182,7 @@ def several(tmp_path_factory):
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_evidence_of_an_effect_adds_up_over_logs(several):
     few, many, none = several

@@ -113,6 +113,7 @@ def test_a_cabin_heater_is_named_with_its_size(cold):
     assert abs(heater["value"] - HEATER) < 3 * heater["sd"] + 0.05 * HEATER
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_what_is_lost_in_regeneration_is_named_with_its_size(lossy):
     found = effects_of(ask("diagnose", lossy[0], "--config", lossy[1]))

@@ -237,6 +237,7 @@ def test_what_has_no_name_is_unknown_and_gets_a_formula():
     assert found.formula.held_out_rms < 0.9 * found.rms
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_noise_is_rarely_given_a_name():
     verdicts = [diagnosed(100 + seed) for seed in range(40)]
@@ -245,6 +246,7 @@ def test_noise_is_rarely_given_a_name():
     assert len(wrong) <= 3  # 40 x 0.03 expected at most: four or more have a probability below 4 %
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_magnitudes_are_covered():
     rng = np.random.default_rng(12)

@@ -68,6 +68,7 @@ def hidden(drive) -> Estimate:
 # A road that no signal shows
 
 
+@pytest.mark.nightly
 def test_heavy_trucks_on_hilly_highways_are_as_far_off_as_they_say():
     """At a steady speed nearly all changes of the force are answers to slopes; one of three drives tells no mass."""
     truck = replace(TRUCK, mass=38e3)

@@ -18,6 +18,7 @@ def tool():
         sys.modules.pop(name, None)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_hidden_sine_has_its_amplitude_and_the_truck_its_mass(tool, tmp_path):
     world = tool.World(mass=18e3, amplitude=0.02, length=2000.0, shown="hidden")

@@ -69,6 +69,7 @@ def test_the_configuration_says_the_same_as_the_command_line(hills, graded, tmp_
     assert answer == graded
 
 
+@pytest.mark.nightly
 def test_replay_knows_the_effects_too(hills, graded, tmp_path):
     """On the bus as from the file, to the last bit."""
     replayed = ask("replay", hills, "--config", config(tmp_path, 'effects = ["grade"]\n'))

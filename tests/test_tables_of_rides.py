@@ -180,6 +180,7 @@ def test_a_parquet_file_that_unpacks_to_too_much_is_refused(tmp_path: Path, monk
         rows_of(tmp_path / "bomb.parquet", {"speed": "v [m/s]", "power": "P [W]"})
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_long_table_is_read_in_constant_memory(tmp_path: Path) -> None:
     """400,000 rows take no more than 100,000."""

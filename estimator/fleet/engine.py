@@ -63,22 +63,26 @@ class Distributed:
             The scheduler has gone away.
         """
         from distributed import as_completed
+        from distributed.client import FutureCancelledError
+        from distributed.comm import CommClosedError
 
-        waiting = {self._client.submit(work, item, pure=False): i for i, item in enumerate(items)}
-        suspects = []
-        for future in as_completed(list(waiting), loop=self._client.loop):
-            i, answer = waiting.pop(future), self._answer(future)
-            if isinstance(answer, Failure) and answer.worker_died:
-                suspects.append(i)  # or another task on that worker is the cause
-            else:
-                yield i, answer
-        for i in suspects:  # alone
-            yield i, self._answer(self._client.submit(work, items[i], pure=False))
+        try:
+            waiting = {self._client.submit(work, item, pure=False): i for i, item in enumerate(items)}
+            suspects = []
+            for future in as_completed(list(waiting), loop=self._client.loop):
+                i, answer = waiting.pop(future), self._answer(future)
+                if isinstance(answer, Failure) and answer.worker_died:
+                    suspects.append(i)  # or another task on that worker is the cause
+                else:
+                    yield i, answer
+            for i in suspects:  # alone
+                yield i, self._answer(self._client.submit(work, items[i], pure=False))
+        except (FutureCancelledError, CommClosedError):  # at any of these calls
+            raise RoadloadError(GONE) from None
 
     def _answer(self, future: Any) -> Any:
         """Wait for a task, and return its result or failure."""
         from distributed import KilledWorker
-        from distributed.client import FutureCancelledError
 
         try:
             error = future.exception()
@@ -86,8 +90,6 @@ class Distributed:
                 raise RoadloadError(GONE)
             if error is None:
                 return future.result()
-        except FutureCancelledError:  # the connection may be lost between the two calls, too
-            raise RoadloadError(GONE) from None
         except KilledWorker as died:  # with a result that was not fetched yet: the task was run again
             error = died
         if not isinstance(error, KilledWorker):
