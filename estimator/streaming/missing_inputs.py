@@ -53,7 +53,32 @@ def remedy(missing: Collection[Role], seen: Collection[Role], binding: Mapping[s
     return f"start the configuration (--config FILE.toml) with {' and '.join(lines)}{note}"
 
 
-def pids_of(missing: Collection[Role], messages: Sequence[BoundMessage]) -> list[str]:
+def advice(
+    missing: Collection[Role], seen: Collection[Role], messages: Sequence[BoundMessage], answers: int, config: Config
+) -> str:
+    """Advice on the ``missing`` roles of a log or bus.
+
+    Parameters
+    ----------
+    missing, seen
+        Needed roles without a reading, and roles with readings.
+    messages
+        Messages that the configuration binds.
+    answers
+        Number of frames that answer OBD-II requests, while no bound message came.
+    config
+        All settings.
+    """
+    if pids := _pids_of(missing, messages):
+        return f"the logger has to ask for PID {', '.join(pids)}"
+    if answers:
+        return f"{answers:,} frames are answers to OBD-II requests: give --config obd2"
+    if config.table is not None:
+        return 'give them columns with numbers, as in --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
+    return remedy(missing, seen, config.binding)
+
+
+def _pids_of(missing: Collection[Role], messages: Sequence[BoundMessage]) -> list[str]:
     """PIDs of missing roles that an ECU sends on request."""
     asked = [bound for message in messages if message.of_any_ecu for bound in message.signals if bound.role in missing]
     return [f"0x{pid:02X}" for bound in asked for pid in bound.signal.multiplexer_ids or ()]
@@ -85,7 +110,7 @@ def too_seldom(name: str, interval: float, most: float) -> str:
     if interval <= most:
         return ""
     unit = next((unit for unit, factor in FINER_UNITS.items() if interval / factor <= SLOWEST), "")
-    advice = f"if the times of the log are {unit}, divide them by {FINER_UNITS[unit]:,}" if unit else "record it faster"
+    change = f"if the times of the log are {unit}, divide them by {FINER_UNITS[unit]:,}" if unit else "record it faster"
     return (
-        f"{name} comes every {interval:.3g} s, too seldom to see how it changes (every {most:g} s at least); {advice}"
+        f"{name} comes every {interval:.3g} s, too seldom to see how it changes (every {most:g} s at least); {change}"
     )

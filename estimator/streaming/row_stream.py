@@ -26,7 +26,7 @@ from estimator.samples import STEP, Rows
 from estimator.signals import REFERENCES, Floats, Role
 from estimator.streaming.alignment import MAX_LINE, SPEEDS, Aligner, Readings, between
 from estimator.streaming.course import MapGrade
-from estimator.streaming.missing_inputs import needed, pids_of, remedy, too_seldom
+from estimator.streaming.missing_inputs import advice, needed, too_seldom
 from estimator.streaming.references import References
 from estimator.streaming.remarks import SwitchUse, constant_friction, dropped_values
 from estimator.streaming.resampling import block_bounds
@@ -236,9 +236,8 @@ class RowStream:
                     '(VFrameFormat): write [bus] match = "pgn" into the configuration'
                 )
             there = ", ".join(sorted(self._names[role] for role in self.seen)) or "none"
-            raise MissingInputsError(
-                f"{source}: missing inputs: {', '.join(self.missing)}; {self._remedy(missing)}; found: {there}"
-            )
+            remedy = advice(missing, self.seen, self._messages, self._answers, self._config)
+            raise MissingInputsError(f"{source}: missing inputs: {', '.join(self.missing)}; {remedy}; found: {there}")
         if not self.valid_rows:
             counts = (self.errors + self.unusable).most_common(4)
             reasons = ", ".join(f"{reason} {count}" for reason, count in counts) or "time stands still"
@@ -290,16 +289,6 @@ class RowStream:
         intervals = {role: float(np.median(np.diff(t))) for role, t in self._first.items() if len(t) > MIN_INTERVALS}
         longest = max(intervals, key=intervals.__getitem__, default=None)
         return "" if longest is None else too_seldom(self._names[longest], intervals[longest], MAX_LINE)
-
-    def _remedy(self, missing: list[Role]) -> str:
-        """Advice to the user on the missing roles."""
-        if pids := pids_of(missing, self._messages):
-            return f"the logger has to ask for PID {', '.join(pids)}"
-        if self._answers:
-            return f"{self._answers:,} frames are answers to OBD-II requests: give --config obd2"
-        if self._config.table is not None:
-            return 'give them columns with numbers, as in --map speed="COLUMN [km/h]" --map power="COLUMN [kW]"'
-        return remedy(missing, self.seen, self._config.binding)
 
     def _missing_roles(self) -> list[Role]:
         return [role for role in needed(self._config.vehicle, self._names.keys()) if not self.seen[role]]
