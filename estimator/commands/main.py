@@ -16,7 +16,7 @@ from estimator import __version__
 from estimator.commands.complaints import complain, show_traceback
 from estimator.errors import RoadloadError
 from estimator.freed_memory import keep_freed_memory
-from estimator.lean_import import import_without
+from estimator.lean_import import import_lean
 from estimator.near_names import did_you_mean
 
 COMMANDS = {  # module of this package, and its use
@@ -109,7 +109,7 @@ def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     for name, use in COMMANDS.items():
         command = subparsers.add_parser(name, help=use)
         if name == chosen:
-            module = import_without("asammdf", f"estimator.commands.{name}")
+            module = import_lean(f"estimator.commands.{name}", without=["asammdf"], lazy=["numpy.f2py"])
             module.add_arguments(command)
             command.set_defaults(run=module.run)
     return parser

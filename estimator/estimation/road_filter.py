@@ -26,7 +26,7 @@ import numpy as np
 
 from estimator.estimation.road_fit import RoadFit
 from estimator.estimation.road_likelihood import LAG, PLAIN, columns, taken_by
-from estimator.lean_import import import_deferring
+from estimator.lean_import import import_lean
 from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import START_HEIGHT_SD
 from estimator.model.road_nodes import BEND, MAX_BRIDGE, SLOWEST, SPACING, Nodes, Reading, warping
@@ -115,7 +115,7 @@ class RoadFilter:
         self._sd, self._rate = float(scales.values[SLOPE]), rate(self._alpha, float(scales.values[LENGTH]))
         self._lay_out(strides)
         self._ends()
-        self._kalman: Any = import_deferring("filterpy.stats", "filterpy.kalman").KalmanFilter(self._size, 1)
+        self._kalman: Any = import_lean("filterpy.kalman", deferring=["filterpy.stats"]).KalmanFilter(self._size, 1)
         self._kalman.inv = np.reciprocal  # of the variance of one observation
         self._by_coefficients = np.zeros((self._size, len(fit.beta)))  # S of the module
         self._last: tuple[float, float, float, bool] | None = None  # time, middle [m], warping, whether force is known
