@@ -64,21 +64,21 @@ def strides():
 @pytest.fixture(scope="module")
 def quiet(strides):
     """A fit whose torque noise is next to nothing, so that no correction stands between us and the formula."""
-    found = fit(strides, np.random.default_rng(1))
+    found = fit(strides)
     assert found is not None
     values = found.scales.values.copy()
     values[0] = QUIET
     return replace(found, scales=replace(found.scales, values=values))
 
 
-def joint_likelihood(strides, fit, terms, rng):
-    return JointLikelihood(Conditioned.of(fit.scales.model_of(strides), fit.scales.values), fit, terms, rng)
+def joint_likelihood(strides, fit, terms):
+    return JointLikelihood(Conditioned.of(fit.scales.model_of(strides), fit.scales.values), fit, terms)
 
 
 def joint_of(strides, fit, names=("auxiliary_load", "warm_up", "viscous_drag"), further=()):
     frame = Frame.of(fit)
     given = [c for name in names for c in untimed_terms(frame, BY_NAME[name], frozenset(strides.context))[:2]]
-    return joint_likelihood(strides, fit, [*given, *further], np.random.default_rng(2))
+    return joint_likelihood(strides, fit, [*given, *further])
 
 
 def covariance(strides, fit):
@@ -93,7 +93,7 @@ def test_evidence_is_that_of_the_dense_gaussian(strides, quiet):
         replace(c, positive=False)
         for c in untimed_terms(Frame.of(quiet), BY_NAME["warm_up"], frozenset(strides.context))
     ]
-    joint = joint_likelihood(strides, quiet, [free[0], free[3], wander], np.random.default_rng(2))
+    joint = joint_likelihood(strides, quiet, [free[0], free[3], wander])
     K, base = covariance(strides, quiet), joint.columns[:, : joint.base_size].toarray()
     K = K + base @ np.diag(1 / joint._prior) @ base.T
 
@@ -130,7 +130,7 @@ def test_a_set_with_one_term_more_has_the_evidence_of_that_set(strides, quiet):
     wandering = next(c for c in processes(joint.frame) if c.name == "force over speed")
     own = [replace(term, cost=0.1 * i) for i, term in enumerate([*joint.terms, wandering])]
     own += [replace(own[0], max_size=1e-3), replace(own[1], positive=not own[1].positive)]
-    joint = joint_likelihood(strides, quiet, own, np.random.default_rng(2))
+    joint = joint_likelihood(strides, quiet, own)
     for chosen in ([], [0], [1, 3], [len(joint.terms) - 3, 2]):
         others = [i for i in range(len(own)) if i not in chosen]
         one_by_one = [joint.log_evidence([*chosen, i]) for i in others]
@@ -143,13 +143,13 @@ def test_a_set_with_one_term_more_has_the_evidence_of_that_set(strides, quiet):
 @pytest.mark.parametrize("name", ["rotating_inertia", "auxiliary_load"])
 def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, name, monkeypatch):
     """The column of the one effect holds the force itself."""
-    found = fit(strides, np.random.default_rng(1))
+    found = fit(strides)
     assert found is not None
     terms = untimed_terms(Frame.of(found), BY_NAME[name], frozenset(strides.context))
     free = replace(terms[0], positive=False, sd=USUAL_SDS * terms[0].sd)
 
     def posterior():
-        return joint_likelihood(strides, found, [free], np.random.default_rng(2)).posterior([0])
+        return joint_likelihood(strides, found, [free]).posterior([0])
 
     corrected = posterior()
     monkeypatch.setattr("estimator.components.likelihood.DRIVER_FEEDBACK", 0.0)
@@ -158,7 +158,7 @@ def test_a_set_is_corrected_for_answers_as_a_fit_with_the_same_effect(strides, n
     model, scales = found.scales.model_of(strides), found.scales
     likelihood = Likelihood(model, (free.effect_term,), found.road_load, scales.lag, (), found.taken)
     none = np.empty((len(model.driven), 0))
-    equations = NormalEquations.of(likelihood, scales.values, scales.free, 0.0, none, np.random.default_rng(2))
+    equations = NormalEquations.of(likelihood, scales.values, scales.free, 0.0, none)
     with_answers, without = equations.solve()[0], replace(equations, driver_bias=0 * equations.driver_bias).solve()[0]
     expected = (with_answers - without) / likelihood.unit
     assert expected[0] > 0.5 * sd[0]
@@ -177,8 +177,8 @@ def test_a_fit_gives_an_effect_the_evidence_that_a_table_gives_it(name, size):
     term = untimed_terms(Frame.of(plain.fit), truth, frozenset(strides.context))[0]
     having = plain.with_terms((term,))
     scales = having.fit.scales
-    bare = fit_given(strides, np.random.default_rng(2), scales, (), rests=(rest,))
-    given = fit_given(strides, np.random.default_rng(2), scales, having.fit.terms, rests=(rest,))
+    bare = fit_given(strides, scales, (), rests=(rest,))
+    given = fit_given(strides, scales, having.fit.terms, rests=(rest,))
     with_it, without_it = replace(having, fit=given), replace(plain, fit=bare)
     gain = having.joint.log_evidence([0]) - having.joint.log_evidence([])
     assert with_it.log_evidence - without_it.log_evidence == pytest.approx(gain, abs=0.5)
@@ -194,7 +194,7 @@ def test_power_at_rest_is_a_measurement_of_the_magnitudes():
     strides = driven(600, power=np.full(600, 9e3))
     frame = Frame.of(DriveState.of(strides).fit)
     terms = [untimed_terms(frame, BY_NAME[name], ELAPSED)[0].effect_term for name in ("auxiliary_load", "torque_bias")]
-    found = fit(strides, np.random.default_rng(1), terms)
+    found = fit(strides, terms)
     rests = [AtRest(power=9.5e3, sd=700.0, engine_speed=60.0), AtRest(power=8.5e3, sd=900.0, engine_speed=110.0)]
     beta, covariance, evidence = found.beta, found.covariance, 0.0
     for rest in rests:
@@ -227,7 +227,7 @@ def test_an_effect_alone_has_the_prior_of_its_sign_whether_its_times_are_given_o
 def test_a_positive_magnitude_has_half_a_prior(strides, quiet):
     joint = joint_of(strides, quiet, names=("auxiliary_load",))
     free = replace(joint.terms[0], positive=False)
-    both = joint_likelihood(strides, quiet, [free], np.random.default_rng(2))
+    both = joint_likelihood(strides, quiet, [free])
     posterior = both.posterior([0])
     mean, sd = posterior.mean[-1], np.sqrt(posterior.covariance[-1, -1])
     above = quad(lambda x: np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi)), 0, mean + 12 * sd)[0]
@@ -700,7 +700,7 @@ def test_the_road_load_is_averaged_over_hypotheses(strides, quiet):
 
     terms = [space.term(i) for i in range(len(space.keys))]
     likelihood, rng, draws = (
-        joint_likelihood(strides, quiet, terms, np.random.default_rng(20_042)),
+        joint_likelihood(strides, quiet, terms),
         np.random.default_rng(5),
         [],
     )
@@ -736,7 +736,7 @@ def test_draws_of_the_unknowns_have_the_posterior_mean(strides, quiet):
 
 def test_a_term_states_whether_noise_of_the_force_is_in_it(strides, quiet):
     frame = Frame.of(quiet)
-    disturbed = frame.disturbed(np.full(len(strides), 500.0))
+    disturbed = frame.disturbed(500.0)
     terms: list[Term] = list(processes(frame))
     for effect in CATALOGUE:
         if not effect.is_absorbed and not effect.is_gravity:
@@ -749,7 +749,7 @@ def test_a_term_states_whether_noise_of_the_force_is_in_it(strides, quiet):
 def test_a_load_step_holds_from_the_first_stride_after_the_stop_to_the_last(strides):
     after = np.arange(len(strides)) > 150
     stopped = replace(strides, context=strides.context | {Quantity.STOPS: after.astype(float)})
-    frame = Frame.of(fit(stopped, np.random.default_rng(1)))
+    frame = Frame.of(fit(stopped))
     (step,) = untimed_terms(frame, BY_NAME["mass_step"], frozenset(stopped.context))
     assert_allclose(covered(strides.t, 1.0, step.spans), after)
 
@@ -762,10 +762,10 @@ def test_a_force_that_is_nearly_always_on_is_no_process_of_its_own(quiet):
 
 @pytest.mark.slow
 def test_what_was_climbed_counts_the_road_between_strides_too(strides):
-    whole = fit(replace(strides, altitude=altitude_of(strides)), np.random.default_rng(1))
+    whole = fit(replace(strides, altitude=altitude_of(strides)))
     known = np.ones(len(strides), bool)
     known[100:160] = False
-    gappy = fit(replace(strides, altitude=altitude_of(strides), known=known), np.random.default_rng(1))
+    gappy = fit(replace(strides, altitude=altitude_of(strides), known=known))
     rise = np.diff(altitude_of(strides))
     assert whole.climbed == pytest.approx(rise[rise > 0].sum(), rel=0.05)
     assert gappy.climbed == pytest.approx(whole.climbed, rel=0.05)
@@ -777,7 +777,7 @@ def test_signals_of_the_road_are_told_from_those_of_another_one(strides):
     own = replace(strides, altitude=altitude_of(strides) + noise)
     other = replace(strides, altitude=altitude_of(strides)[::-1] + noise)
     for shown, is_own in ((own, True), (other, False)):
-        found = fit(shown, np.random.default_rng(1))
+        found = fit(shown)
         assert (log_bayes_factor_of_signals(shown, found) > 0) == is_own
         assert log_bayes_factor_of_road(shown, found) > 100
 

@@ -122,7 +122,7 @@ def true_slopes(truth: Truth) -> dict[int, float]:
 @pytest.mark.parametrize("shown", [(), ("grade",)])
 def test_slopes_of_parts_are_those_of_the_dense_gaussian_without_its_prior(shown: Sequence[str]) -> None:
     strides = strides_of(70, seed=3, shown=shown, silence=45)
-    found = fit(strides, np.random.default_rng(0))
+    found = fit(strides)
     assert found is not None
     parts = np.full(len(strides), -1)
     parts[5:13], parts[20:28], parts[50:60] = 0, 1, 2

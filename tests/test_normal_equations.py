@@ -34,10 +34,10 @@ from estimator.model.road_scales import TORQUE
 from estimator.strides import DURATION
 
 
-def equations_of(likelihood, scales, shapes=None, seed=1, chance=0.0):
+def equations_of(likelihood, scales, shapes=None, chance=0.0):
     n = len(likelihood.model.driven)
     shapes = np.empty((n, 0)) if shapes is None else shapes
-    return NormalEquations.of(likelihood, scales, range(len(scales)), chance, shapes, np.random.default_rng(seed))
+    return NormalEquations.of(likelihood, scales, range(len(scales)), chance, shapes)
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids="+".join)
@@ -77,14 +77,14 @@ def test_without_noise_and_answers_they_are_solved_as_they_stand():
     assert share == 0.0
 
 
-def test_an_engine_that_never_drags_has_noise_of_its_own_size():
-    """Divided by the size of a column of zeros, noise that turns the sign of a force would be endless."""
+def test_an_engine_that_never_drags_has_no_noise_of_its_drag():
+    """Divided by the size of a column of zeros, it would be endless."""
     strides = strides_of(80)
     likelihood = likelihood_of(replace(strides, force=np.abs(strides.force) + 1.0))
     equations = equations_of(likelihood, scales_of(likelihood.model, torque_noise=0.1))
     assert likelihood.unit[DRAG] == 1.0
     assert not likelihood.data[:, 1 + DRAG].any()
-    assert 0 < equations.noise[DRAG, DRAG] < likelihood.prior[DRAG, DRAG]
+    assert equations.noise[DRAG, DRAG] == 0.0 < equations.noise[0, 0]
     assert equations.solve()[0][DRAG] == pytest.approx(0.0, abs=1e-6)
 
 
@@ -108,15 +108,14 @@ def test_each_change_has_the_columns_of_the_road_load_once_more():
     equations = equations_of(likelihood, scales, shapes)
     assert_allclose(equations.gram, conditioned.gram(data))
     assert equations.present == np.count_nonzero(model.driven.t > 30)
-    rng, n, p = np.random.default_rng(3), len(model.driven), likelihood.data.shape[1] - 1
-    error, rate = rng.normal(size=(2, n))
-    added = likelihood.disturbed(error, rate, shapes)
+    n, p = len(model.driven), likelihood.data.shape[1] - 1
+    by_force = likelihood.by_force(shapes)
     for k in range(PARTS):
         here = slice(p + ROAD_LOAD * k, p + ROAD_LOAD * (k + 1))
         assert_allclose(data[:n, 1:][:, here], shapes[:, [k]] * data[:n, 1 : 1 + ROAD_LOAD])
-        assert_allclose(added[:, here], shapes[:, [k]] * added[:, :ROAD_LOAD])
-    assert_allclose(added[:, 0] * likelihood.unit[0], error)
-    assert_allclose(added[:, LAG] * likelihood.unit[LAG], rate)
+        assert_allclose(by_force[:, here], shapes[:, [k]] * by_force[:, :ROAD_LOAD])
+    assert_allclose(by_force[:, 0] * likelihood.unit[0], 1.0, rtol=1e-6)
+    assert not by_force[:, LAG].any()
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5])

@@ -38,8 +38,7 @@ def scales():
 
 
 def fitted(strides, scales=None, departures=()):
-    rng = np.random.default_rng(1)
-    found = fit_given(strides, rng, scales, departures=departures) if scales else fit(strides, rng)
+    found = fit_given(strides, scales, departures=departures) if scales else fit(strides)
     assert found is not None
     return found
 

@@ -39,7 +39,7 @@ def driven(slope_sd: float, seed: int, n: int = 900) -> Strides:
 
 def fits(strides: Strides) -> tuple[RoadFit, RoadFit]:
     """On a level road, and on one with slopes."""
-    level, sloping = (fit(strides, np.random.default_rng(1), level=is_level) for is_level in (True, False))
+    level, sloping = (fit(strides, level=is_level) for is_level in (True, False))
     assert level is not None
     assert sloping is not None
     return level, sloping

@@ -243,10 +243,9 @@ def test_the_noise_in_the_regressors_is_the_expectation_over_the_error_of_the_fo
     dense, conditioned, still = Dense(model, scales), Conditioned.of(model, scales), np.empty((len(model.driven), 0))
     beta = np.zeros(likelihood.data.shape[1] - 1)
     beta[0] = likelihood.unit[0] / M
-    rng = np.random.default_rng(11)
-    found = np.array([likelihood.noise_information(scales, conditioned, beta, still, rng) for _ in range(150)])
+    found = likelihood.noise_information(conditioned, beta, likelihood.by_force(still))
     inverse = np.linalg.inv(dense.K) * M**2
-    expected = np.zeros_like(found[0])
+    expected = np.zeros_like(found)
     expected[0, 0] = np.sum(inverse * dense.force)
     expected[0, LAG] = expected[LAG, 0] = np.sum(inverse * dense.force_with_rate)
     expected[LAG, LAG] = np.sum(inverse * dense.rate)
@@ -254,9 +253,10 @@ def test_the_noise_in_the_regressors_is_the_expectation_over_the_error_of_the_fo
         expected[DRAG, DRAG] = expected[0, DRAG] = expected[DRAG, 0] = expected[0, 0]
         expected[LAG, DRAG] = expected[DRAG, LAG] = expected[0, LAG]
     expected /= np.outer(likelihood.unit, likelihood.unit)
-    error = found.std(axis=0) / np.sqrt(len(found))
-    assert np.all(np.abs(found.mean(axis=0) - expected) <= 4 * error + 1e-12)
-    assert error[0, 0] < 0.05 * expected[0, 0]
+    own = np.sqrt(np.maximum(np.diag(expected), 1e-300))
+    assert_allclose(found[LAG, LAG], expected[LAG, LAG], rtol=0.15)
+    found[LAG, LAG] = expected[LAG, LAG]
+    assert_allclose(found / np.outer(own, own), expected / np.outer(own, own), atol=1e-3)
 
 
 def test_loads_before_the_present_one_have_masses_of_their_own():
@@ -323,7 +323,7 @@ def test_a_fit_finds_the_vehicle_and_the_hills_that_the_strides_were_drawn_with(
     a[strides.known] = driven.force[:, MIDDLE] / M - A / M - C / M * driven.speed_squared
     a[strides.known] += drawn(model, truth, rng, 1)[:, 0]
     strides.a[:] = a
-    found = road_fit.fit(strides, np.random.default_rng(15))
+    found = road_fit.fit(strides)
     sd = np.sqrt(np.diag(found.theta_covariance()))
     assert np.all(np.abs(found.theta[:3] - [A, C, M]) < 4 * sd[:3])
     assert sd[2] < 0.02 * M
@@ -341,7 +341,7 @@ def test_the_sd_of_the_slopes_is_that_along_the_road_where_that_of_the_process_i
     strides.gearing[:], strides.density[:] = 10.0, 1.2
     strides.a[:] = force / M - A / M - C / M * strides.speed_squared + rng.normal(0, 2e-3, n)
     strides.a[:] -= STANDARD_GRAVITY * amplitude * np.sin(2 * np.pi * (strides.s0 + strides.s1) / 2 / 2000)
-    found = road_fit.fit(strides, np.random.default_rng(23))
+    found = road_fit.fit(strides)
     assert found.slope_sd == pytest.approx(amplitude / np.sqrt(2), rel=0.1)
     assert found.scales.values[SLOPE] > 1.25 * found.slope_sd
     assert found.slope_length < found.scales.values[LENGTH]
@@ -357,7 +357,7 @@ def test_power_that_no_signal_shows_is_told_from_noise_of_the_torque():
     truth = scales_of(model, torque_noise=1e-4, slope=1e-4, power_noise=0.05, power_noise_time=1.5)
     strides.a[:] = strides.force[:, MIDDLE] / M - A / M - C / M * strides.speed_squared
     strides.a[:] += drawn(model, truth, np.random.default_rng(4), 1)[:, 0]
-    found = road_fit.fit(strides, np.random.default_rng(5), level=True)
+    found = road_fit.fit(strides, level=True)
     assert found.scales.values[POWER] == pytest.approx(0.05, rel=0.2)
     assert found.scales.values[TORQUE] < 0.01
     sd = np.sqrt(np.diag(found.theta_covariance()))
@@ -371,18 +371,18 @@ def test_noise_of_the_torque_is_not_taken_for_that_of_the_power(seed):
     truth = scales_of(model, torque_noise=0.03, torque_noise_time=0.5, slope=1e-4, power_noise=1e-4)
     strides.a[:] = strides.force[:, MIDDLE] / M - A / M - C / M * strides.speed_squared
     strides.a[:] += drawn(model, truth, np.random.default_rng(seed), 1)[:, 0]
-    found = road_fit.fit(strides, np.random.default_rng(5), level=True)
+    found = road_fit.fit(strides, level=True)
     assert not found.scales.has_power
     assert found.scales.values[TORQUE] == pytest.approx(0.03, rel=0.3)
 
 
 def test_too_few_strides_give_no_fit():
-    assert road_fit.fit(strides_of(30), np.random.default_rng(0)) is None
+    assert road_fit.fit(strides_of(30)) is None
 
 
 def test_a_speed_that_is_stuck_gives_no_fit():
     stuck = made_strides(np.full(57, 16.08), np.full(56, 262.7), {})
-    assert road_fit.fit(stuck, np.random.default_rng(0)) is None
+    assert road_fit.fit(stuck) is None
 
 
 def test_an_effect_of_doubtful_form_moves_the_others_as_their_fit_with_another_size_would():

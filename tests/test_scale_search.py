@@ -113,7 +113,7 @@ def test_what_slow_bends_add_to_an_accelerometer_is_no_wander_of_it():
     centripetal = np.where(v < 8.0, 2.0 * (lateral / v) ** 2, 0.0)  # 2 m ahead of the rear axle
     made = made_strides(speed + rng.normal(0.0, 0.02, n + 1), pull + rng.normal(0.0, 30.0, n), {})
     shown = STANDARD_GRAVITY * (slope + wander + rng.normal(0.0, 0.003, n))
-    found = fit(replace(made, gravity=shown + centripetal), rng)
+    found = fit(replace(made, gravity=shown + centripetal))
     assert found is not None
     noise, slow, memory = found.scales.values[-3:]
     assert noise == pytest.approx(0.003, rel=0.25)
@@ -133,7 +133,7 @@ def test_a_road_that_is_designed_for_its_speed_is_told_from_one_whose_slopes_cha
         resistance = A + C * v**2 + m * STANDARD_GRAVITY * np.interp(along, 10.0 * np.arange(len(profile)), profile)
         pull[k] = A + C * v**2 + m * (0.05 * (wanted - v) + 0.1 * np.sin(k / 7))
         speed[k + 1] = max(v + (pull[k] - resistance) / m, 3.0)
-    found = fit(made_strides(speed + rng.normal(0.0, 0.01, n + 1), pull + rng.normal(0.0, 60.0, n), {}), rng)
+    found = fit(made_strides(speed + rng.normal(0.0, 0.01, n + 1), pull + rng.normal(0.0, 60.0, n), {}))
     assert found is not None
     assert found.scales.designed is designed
     assert found.theta[2] == pytest.approx(m, rel=0.02)
@@ -159,7 +159,7 @@ def back_and_forth(turned: bool, seed: int) -> Strides:
 @pytest.mark.parametrize("turned", [True, False])
 def test_a_turn_is_told_from_other_slow_places(turned, seed):
     strides = back_and_forth(turned, seed)
-    found = fit(strides, np.random.default_rng(seed))
+    found = fit(strides)
     assert found is not None
     half_way = float(strides.s1[900])
     assert [begin < half_way < end for begin, end in found.scales.turns] == [True] * turned
@@ -168,11 +168,11 @@ def test_a_turn_is_told_from_other_slow_places(turned, seed):
 
 def test_a_turn_that_gains_nothing_any_more_is_given_up():
     strides = back_and_forth(False, 1)
-    plain = fit(strides, np.random.default_rng(1))
+    plain = fit(strides)
     assert plain is not None
     place = plain.scales.model_of(strides).nodes.slow_places()[1]
     known = replace(plain.scales, turns=(place,))
-    again = fit(strides, np.random.default_rng(1), known=known)
+    again = fit(strides, known=known)
     assert again is not None
     assert again.scales.turns == ()
 
@@ -186,7 +186,7 @@ def test_a_search_goes_on_from_the_orders_that_lost_before(monkeypatch):
 
     def again(known):
         steps.clear()
-        found = fit(strides, np.random.default_rng(1), known=known)
+        found = fit(strides, known=known)
         assert found is not None
         return found, len(steps)
 
@@ -203,7 +203,7 @@ def test_a_search_goes_on_from_the_orders_that_lost_before(monkeypatch):
 def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
     """Those of one part of a drive may lie too far apart for floating point on another."""
     strides, make = back_and_forth(False, 1)[:400], Conditioned.of
-    found = fit(strides, np.random.default_rng(1))
+    found = fit(strides)
     assert found is not None
 
     def fail(model, scales):
@@ -216,8 +216,8 @@ def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
     values[SPEED] = 1e-3
     known = replace(found.scales, values=values)
     again, given = (
-        fit(strides, np.random.default_rng(1), known=known),
-        fit_given(strides, np.random.default_rng(1), known),
+        fit(strides, known=known),
+        fit_given(strides, known),
     )
     assert again is not None
     assert given is not None
@@ -226,8 +226,8 @@ def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
 
 def test_turns_behind_the_window_are_forgotten():
     strides = back_and_forth(True, 1)
-    whole = fit(strides, np.random.default_rng(1))
+    whole = fit(strides)
     assert whole is not None
-    later = fit(strides[1000:], np.random.default_rng(1), known=whole.scales)
+    later = fit(strides[1000:], known=whole.scales)
     assert later is not None
     assert later.scales.turns == ()

@@ -68,7 +68,7 @@ def driven(n=1500, size=0.0, term=COLD[0]):
 
 def fitted(strides):
     def beside(terms, known):
-        return fit(strides, np.random.default_rng(1), terms, known)
+        return fit(strides, terms, known)
 
     return beside
 
@@ -83,7 +83,7 @@ def evidence(strides, found, terms):
 
 def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
     strides = driven(400, 40.0, EffectTerm(OIL, (500.0, 0.0)))
-    found = fit(strides, np.random.default_rng(1), (WINDS[0],))
+    found = fit(strides, (WINDS[0],))
     assert found is not None
     gains, coefficients = ShapeLikelihood(strides, found).judged((WINDS[0],), COLD)
     without, _ = evidence(strides, found, (WINDS[0],))
@@ -94,7 +94,7 @@ def test_the_gain_of_a_shape_is_the_difference_of_log_evidences():
 
 def test_a_shape_with_the_wrong_sign_adds_nothing():
     strides = driven(400, -40.0, EffectTerm(OIL, (500.0, 0.0)))
-    found = fit(strides, np.random.default_rng(1))
+    found = fit(strides)
     assert found is not None
     gains, coefficients = ShapeLikelihood(strides, found).judged((), COLD)
     assert (coefficients[:, -1] > 0).all()  # -b / m
@@ -104,9 +104,9 @@ def test_a_shape_with_the_wrong_sign_adds_nothing():
 @pytest.mark.parametrize("tau", [600.0, 960.0])
 def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
     strides = driven(size=60.0, term=EffectTerm(OIL, (tau, 0.0)))
-    found = fit(strides, np.random.default_rng(1))
+    found = fit(strides)
     guess = best_shapes(strides, found, [COLD])  # beside scales that have taken some of it up
-    beside = fit(strides, np.random.default_rng(1), guess, found.scales)
+    beside = fit(strides, guess, found.scales)
     (term,) = best_shapes(strides, beside, [COLD])
     assert term.shape[0] == pytest.approx(tau, rel=0.7)
 
@@ -118,8 +118,8 @@ def test_of_several_shapes_the_one_that_the_drive_shows_is_taken(tau):
 )
 def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, size, start):
     strides = driven(size=size, term=truth)
-    plain = fit(strides, np.random.default_rng(1))
-    coarse = fit(strides, np.random.default_rng(1), best_shapes(strides, plain, [start]))
+    plain = fit(strides)
+    coarse = fit(strides, best_shapes(strides, plain, [start]))
     found = fitted_with_shapes(strides, coarse.terms, fitted(strides))
     assert isinstance(found, RoadFit)
     (term,), sd = found.terms, np.sqrt(np.diag(found.theta_covariance()))
@@ -138,7 +138,7 @@ def test_a_shape_between_those_of_the_grid_is_found_with_its_magnitude(truth, si
 def test_coefficients_are_averaged_over_shapes_that_fit_alike():
     """The law of total variance, over fits with one shape each."""
     strides = driven(700, 30.0, EffectTerm(OIL, (500.0, 1.0)))
-    found = fit(strides, np.random.default_rng(1), (WINDS[0], COLD[3]))
+    found = fit(strides, (WINDS[0], COLD[3]))
     whole = averaged(strides, found)
     over_cold = averaged(strides, replace(found, terms=(replace(WINDS[0], effect=STEADY_WIND), COLD[3])))
     near = {*OIL.shapes, *OIL.finer_shapes(COLD[3].shape, 0.0)}
@@ -159,7 +159,7 @@ def test_coefficients_are_averaged_over_shapes_that_fit_alike():
 
 def test_without_shapes_a_fit_is_its_own_average():
     strides = driven(300)
-    found = fit(strides, np.random.default_rng(1))
+    found = fit(strides)
     assert averaged(strides, found) is found
 
 
@@ -179,7 +179,7 @@ def test_shapes_that_signals_tell_are_not_varied():
 
     def counted(terms, known):
         calls.append(terms)
-        return fit(strides, np.random.default_rng(1), terms, known)
+        return fit(strides, terms, known)
 
     assert fitted_with_shapes(strides, (fan,), counted) is not None
     assert calls == [(fan,)]
@@ -191,6 +191,6 @@ def test_a_drive_that_cannot_be_fitted_has_no_shapes():
 
 def test_effects_scale_with_the_road_load_that_is_found_when_scales_are_given():
     strides = driven(size=0.5, term=COLD[1])
-    found = fit(strides, np.random.default_rng(1), (COLD[1],))
-    given = fit_given(strides, np.random.default_rng(1), found.scales, found.terms)
+    found = fit(strides, (COLD[1],))
+    given = fit_given(strides, found.scales, found.terms)
     assert_allclose(given.theta, found.theta, rtol=2e-3, atol=1e-3)

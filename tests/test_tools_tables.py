@@ -398,7 +398,7 @@ def test_errors_of_an_accelerometer_are_not_in_the_noise_beside_the_road(tools):
     v, a = 0.5 * (speed[1:] + speed[:-1]), np.diff(speed)
     measured = made_strides(speed + rng.normal(0.0, 0.02, n + 1), pull + noise, {})
     strides = dataclasses.replace(measured, gravity=STANDARD_GRAVITY * (slope + error))
-    found = road_fit.fit(strides, rng)
+    found = road_fit.fit(strides)
     drawn = tools.surrogates.drawn_slope(strides, found, rng)
 
     def slow(slopes, A, C, m):

@@ -12,7 +12,7 @@ from estimator.components.one_sided import log_evidence_of_sign
 from estimator.components.set_likelihood import TermGains
 from estimator.components.switching import Switching
 from estimator.components.term import Frame, Term, as_effect_terms, term_of, untimed_terms
-from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit, fit_given, refit
+from estimator.estimation.road_fit import RoadFit, fit, fit_given, refit
 from estimator.estimation.road_likelihood import LAG
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.savage_dickey import log_bayes_factor, posterior_of
@@ -86,7 +86,7 @@ class DriveState:
 
         ``scales``: scales of an earlier fit to start from.
         """
-        fitted = fit(strides, np.random.default_rng(PROBE_SEED), (), scales, level=is_level, rests=rests)
+        fitted = fit(strides, (), scales, level=is_level, rests=rests)
         if fitted is None or not fitted.beta[0] > 0:
             return None
         return cls(strides=strides, fit=fitted, rests=rests)
@@ -104,7 +104,7 @@ class DriveState:
         frame, further = Frame.of(self.fit), (*processes, *(() if stretches is None else (stretches,)))
         effect_terms = [replace(term.effect_term, usual_sds=1.0) for term in chosen if term.effect_term is not None]
         effect_terms += [effect_term for process in further for effect_term in as_effect_terms(frame, process)]
-        fitted = refit(self.fit, self.strides, np.random.default_rng(PROBE_SEED), effect_terms, self.rests)
+        fitted = refit(self.fit, self.strides, effect_terms, self.rests)
         return replace(self, fit=fitted, chosen=chosen, stretches=stretches)
 
     @property
@@ -132,8 +132,7 @@ class DriveState:
         for i in (TORQUE, TORQUE + 1, POWER, POWER + 1):
             values[i] = min(values[i], SCALES[i].centre)
         scales = replace(self.fit.scales, values=values)
-        rng, effect_terms = np.random.default_rng(PROBE_SEED), self.fit.terms
-        fitted = fit_given(self.strides, rng, scales, effect_terms, rests=self.rests)
+        fitted = fit_given(self.strides, scales, self.fit.terms, rests=self.rests)
         return self if fitted is None else replace(self, fit=fitted)
 
     def is_possible(self, given: int) -> bool:
@@ -158,8 +157,7 @@ class DriveState:
 
     def likelihood_of(self, terms: Sequence[Term], stretches: Term | None = None) -> JointLikelihood:
         """Likelihood of any ``terms`` with the power at standstill; ``stretches`` are in every hypothesis."""
-        rng = np.random.default_rng(PROBE_SEED)
-        joint = JointLikelihood(self._conditioned, self.fit, terms, rng, stretches)
+        joint = JointLikelihood(self._conditioned, self.fit, terms, stretches)
         for rest in self.rests:
             effect_terms = {i: term.effect_term for i, term in enumerate(terms) if term.effect_term is not None}
             per_unit = {i: effect_term.at_rest(rest) for i, effect_term in effect_terms.items()}

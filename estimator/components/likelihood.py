@@ -17,7 +17,7 @@ from estimator.components.set_likelihood import SetLikelihood
 from estimator.components.term import Frame, Term
 from estimator.estimation.normal_equations import DRIVER_FEEDBACK, of_first_order
 from estimator.estimation.road_fit import RoadFit
-from estimator.estimation.road_likelihood import DRAG, LAG, PROBES, Likelihood, force_errors, limited
+from estimator.estimation.road_likelihood import DRAG, LAG, Likelihood, limited
 from estimator.model.conditioned import Conditioned
 from estimator.signals import Floats
 
@@ -33,8 +33,6 @@ class JointLikelihood(SetLikelihood):
         Fit of the drive.
     terms
         All terms that a hypothesis may contain.
-    rng
-        Source of the simulated noise of the correction.
     stretches
         Stretches of the road in every hypothesis; None if all slopes are those of the Gaussian process.
     """
@@ -44,7 +42,6 @@ class JointLikelihood(SetLikelihood):
         conditioned: Conditioned,
         fit: RoadFit,
         terms: Sequence[Term],
-        rng: np.random.Generator,
         stretches: Term | None = None,
     ) -> None:
         self.frame, self.terms = Frame.of(fit), list(terms)
@@ -65,7 +62,7 @@ class JointLikelihood(SetLikelihood):
         for numbers, term in zip(term_columns, terms, strict=True):
             widest[numbers] = np.minimum(widest[numbers], term.sd**-2.0)
         with_prior = self._information + np.diag(widest)
-        self._information -= limited(self._noise(base, fit, rng), with_prior)
+        self._information -= limited(self._noise(fit), with_prior)
         self._moment = self._moment + DRIVER_FEEDBACK * self._driver_correction(base, fit)
 
     def _padded(self, columns: Floats | sp.sparray) -> sp.csc_array:
@@ -78,44 +75,41 @@ class JointLikelihood(SetLikelihood):
         data = sp.hstack([sp.csc_array(self.response[:, None]), columns], format="csc")
         return self.conditioned.gram(data.tocsr())  # via columns: four times as fast as directly to rows
 
-    def _noise(self, base: Likelihood, fit: RoadFit, rng: np.random.Generator) -> Floats:
-        """Mean contribution (p, p) of noise of the measured force to the products of all columns."""
+    def _noise(self, fit: RoadFit) -> Floats:
+        """Mean contribution (p, p) of noise of the measured force to the products of all columns.
+
+        See `Likelihood.noise_information`.
+        """
+        mass, (changed, by_force) = 1 / float(fit.beta[0]), self._change_by_force
         total = np.zeros((len(self.unit), len(self.unit)))
-        for error, rate in force_errors(base.model, fit.scales.values, 1 / float(fit.beta[0]), PROBES, rng):
-            changed, data = self._change_by_force(error, rate)
-            total[np.ix_(changed, changed)] += self.conditioned.gram(data.tocsr()) / PROBES
+        noise = by_force.T @ by_force.multiply(self.conditioned.torque_leverage[:, None])
+        total[np.ix_(changed, changed)] = mass**2 * noise.toarray()
+        total[LAG, LAG] = (mass / self.unit[LAG]) ** 2 * self.conditioned.rate_information
         return total
 
     def _driver_correction(self, base: Likelihood, fit: RoadFit) -> Floats:
         """Loss of the moments (p,) of all columns if drivers compensate slopes in full."""
-        n = len(self.frame.strides)
-        changed, data = self._change_by_force(np.ones(n), np.zeros(n))
+        changed, by_force = self._change_by_force
         loss = np.zeros(len(self.unit))
-        loss[changed] = self.conditioned.leverage @ data[:n] / float(fit.beta[0])
+        loss[changed] = self.conditioned.leverage @ by_force / float(fit.beta[0])
         base_columns, information, _ = self._set(())
         shift = float(np.linalg.solve(information, loss[base_columns])[0])
         return loss * of_first_order(shift, float(fit.beta[0] * base.unit[0]))
 
-    def _change_by_force(self, error: Floats, rate: Floats) -> tuple[NDArray[np.int64], sp.csc_array]:
-        """Numbers and change of the data columns by an ``error`` (n,) [N] of the force with ``rate`` (n,) [N/s]."""
-        terms, clean, numbers = self._noisy
-        force = self.frame.force
-        drag = np.minimum(force + error, 0.0) - np.minimum(force, 0.0)
-        plain = np.column_stack([error, rate, drag]) / self.unit[numbers[:3]]
-        changed = _shared(terms, self.frame.disturbed(error), 0)[0] - clean
-        return numbers, sp.hstack([self._padded(plain), self._padded(changed)], format="csc")
-
     @cached_property
-    def _noisy(self) -> tuple[list[Term], sp.csc_array, NDArray[np.int64]]:
-        """Terms that contain the measured force, their columns, and the numbers of force, lag, drag and these."""
+    def _change_by_force(self) -> tuple[NDArray[np.int64], sp.csc_array]:
+        """Numbers (c,) of the columns that contain the measured force, and their change (n, c) per unit [N] of it."""
         noisy = [i for i, term in enumerate(self.terms) if term.is_noisy]
-        terms = [self.terms[i] for i in noisy]
-        columns, columns_of_noisy = _shared(terms, self.frame, 0)
-        numbers = np.zeros(3 + columns.shape[1], dtype=np.int64)
-        numbers[:3] = 0, LAG, DRAG
+        terms, force = [self.terms[i] for i in noisy], self.frame.force
+        columns, columns_of_noisy = _shared(terms, self.frame, 2)
+        numbers = np.zeros(2 + columns.shape[1], dtype=np.int64)
+        numbers[:2] = 0, DRAG
         for columns_of_term, i in zip(columns_of_noisy, noisy, strict=True):
-            numbers[3 + columns_of_term] = self.term_columns[i]
-        return terms, columns, numbers
+            numbers[columns_of_term] = self.term_columns[i]
+        drag = np.minimum(force + 1.0, 0.0) - np.minimum(force, 0.0)
+        plain = np.column_stack([np.ones(len(force)), drag]) / self.unit[numbers[:2]]
+        changed = _shared(terms, self.frame.disturbed(1.0), 2)[0] - columns
+        return numbers, sp.hstack([sp.csc_array(plain), changed], format="csc")
 
     def projected(self, chosen: Sequence[int], columns: Floats | sp.sparray) -> tuple[Floats, Floats]:
         """Products (c, c) and scores (c,) of further ``columns``, the terms of a hypothesis eliminated.

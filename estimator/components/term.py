@@ -46,8 +46,8 @@ class Frame:
             effect_force=fit.taken,
         )
 
-    def disturbed(self, error: Floats) -> "Frame":
-        """Copy with an ``error`` (n,) [N] added to the measured force."""
+    def disturbed(self, error: float) -> "Frame":
+        """Copy with an ``error`` [N] added to the measured force."""
         return replace(self, force=self.force + error)
 
     @cached_property

@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from estimator.components.drive_state import DriveState
 from estimator.components.plain_model import PlainModel
 from estimator.components.term import Frame, term_of
 from estimator.estimation.gate import wrong_sign_of
-from estimator.estimation.road_fit import PROBE_SEED, RoadFit, fit
+from estimator.estimation.road_fit import RoadFit, fit
 from estimator.estimation.road_search import RoadScales
 from estimator.estimation.shapes import fitted_with_shapes, terms_of
 from estimator.model.effect_term import EffectTerm
@@ -73,7 +71,7 @@ def _terms(drive: Drive, effects: Sequence[Effect]) -> tuple[EffectTerm, ...]:
     strides = drive.strides
 
     def fitted(terms: tuple[EffectTerm, ...], start: RoadScales | None) -> RoadFit | None:
-        return fit(strides, np.random.default_rng(PROBE_SEED), terms, start)
+        return fit(strides, terms, start)
 
     terms = terms_of(strides, effects, lambda: fitted((), None))
     shaped = fitted_with_shapes(strides, terms, fitted)

@@ -3,7 +3,7 @@
 **Noise of the measured torque** is in the regressors and biases 1/m towards zero. The normal matrix is corrected with
 the noise scale of the fit (a corrected score: Nakamura 1990, Stefanski 1989):
 
-    X'K^-1 X  less  the mean over simulated noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
+    X'K^-1 X  less  the mean over the noise d of  dX' K^-1 dX,   dX = X(F + d) - X(F)
 
 The noise scale is an acceleration, estimated with the uncorrected coefficients: the noise of the force is the scale
 times the uncorrected mass. Errors of a speed in coarse steps (OBD-II: whole km/h) last for seconds, and part of them is
@@ -78,21 +78,20 @@ class NormalEquations:
         free: Sequence[int],
         power_chance: float,
         shapes: Floats,
-        rng: np.random.Generator,
     ) -> "NormalEquations":
         """Compute the equations at ``scales``, of which those with the indices ``free`` were estimated.
 
         ``power_chance`` is the probability that the noise of the torque is noise of the power, which needs no
-        correction; ``shapes`` (n, k) of changes at the driven strides; ``rng`` is the source of the simulated noise.
+        correction; ``shapes`` (n, k) of changes at the driven strides.
         """
         conditioned, plain = likelihood.at(scales)
         data = likelihood.with_changes(shapes)
         beta, information, _ = likelihood.solve(plain)
-        by_force = likelihood.disturbed(np.ones(len(shapes)), np.zeros(len(shapes)), shapes)
+        by_force = likelihood.by_force(shapes)
         q = data.shape[1] - 1
         found = cls(
             gram=conditioned.gram(data) if shapes.size else plain,
-            noise=likelihood.noise_information(scales, conditioned, beta, shapes, rng),
+            noise=likelihood.noise_information(conditioned, beta, by_force),
             driver_bias=float(likelihood.unit[0]) * conditioned.leverage @ by_force,
             moved=np.zeros((q, 0)),
             noise_moved=np.zeros(0),

@@ -24,7 +24,6 @@ from estimator.signals import Floats
 from estimator.strides import LAGS, Strides
 from estimator.units import STANDARD_GRAVITY
 
-PROBE_SEED = 20_041  # seed of the simulated noise in the correction of every fit: equal strides give equal numbers
 MIN_STRIDES = 30  # strides with a known force, 30 s: with fewer there is no fit
 MIN_INVERSE_MASS = 1e-6  # 1/kg, of a vehicle of 1000 t
 
@@ -138,7 +137,6 @@ def theta_jacobian(beta: Floats, effects: int) -> Floats:
 
 def fit(
     strides: Strides,
-    rng: np.random.Generator,
     terms: Sequence[EffectTerm] = (),
     known: RoadScales | None = None,
     longest_lag: float = float(LAGS.max()),
@@ -154,8 +152,6 @@ def fit(
     ----------
     strides
         All strides, with and without known force, in order of time.
-    rng
-        Source of the simulated noise of the correction.
     terms
         Effects beyond the road load.
     known
@@ -175,12 +171,11 @@ def fit(
     if known is not None:
         here = tuple(place for place in known.turns if strides.s0[0] < place[1] and place[0] < strides.s1[-1])
         known = replace(known, turns=here) if known.readings == search.model(known).reading_names else None
-    return _concluded(*search.best(known, level), rng, rests)
+    return _concluded(*search.best(known, level), rests)
 
 
 def fit_given(
     strides: Strides,
-    rng: np.random.Generator,
     scales: RoadScales,
     terms: Sequence[EffectTerm] = (),
     longest_lag: float = float(LAGS.max()),
@@ -196,8 +191,8 @@ def fit_given(
         return None
     if scales.readings == search.model(scales).reading_names:
         with suppress(NotPositiveDefiniteError):  # on these strides
-            return _concluded(*search.given(scales), rng, rests)
-    return fit(strides, rng, terms, None, longest_lag, departures, scales.alpha == LEVEL, rests)
+            return _concluded(*search.given(scales), rests)
+    return fit(strides, terms, None, longest_lag, departures, scales.alpha == LEVEL, rests)
 
 
 def _search(
@@ -213,7 +208,6 @@ def _search(
 def refit(
     found: RoadFit,
     strides: Strides,
-    rng: np.random.Generator,
     terms: Sequence[EffectTerm],
     rests: Sequence[AtRest] = (),
 ) -> RoadFit:
@@ -222,7 +216,7 @@ def refit(
     Its equations have no changes of force. ``rests`` is the power while the vehicle stood.
     """
     search = Search(strides, terms, found.road_load, taken=found.taken)
-    return _concluded(*search.improved(found.scales), rng, rests, with_changes=False)
+    return _concluded(*search.improved(found.scales), rests, with_changes=False)
 
 
 def _beside(
@@ -245,7 +239,6 @@ def _concluded(
     likelihood: Likelihood,
     scales: RoadScales,
     evidence: float,
-    rng: np.random.Generator,
     rests: Sequence[AtRest],
     with_changes: bool = True,
 ) -> RoadFit:
@@ -253,7 +246,7 @@ def _concluded(
     model, unit = likelihood.model, likelihood.unit
     conditioned, _ = likelihood.at(scales.values)
     shapes = shapes_of(model.driven.t >= max(likelihood.departures, default=-np.inf))[:, : None if with_changes else 0]
-    equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes, rng)
+    equations = NormalEquations.of(likelihood, scales.values, scales.free, scales.power_chance, shapes)
     beta, covariance, _ = equations.solve()
     beta, covariance = beta / unit, covariance / np.outer(unit, unit)
     for rest in rests:

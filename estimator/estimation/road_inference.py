@@ -30,7 +30,7 @@ from estimator.estimation.gain_changes import gain_changes
 from estimator.estimation.gate import NAMES, PEAK_QUANTILE, Gate, Judged, wrong_sign_of
 from estimator.estimation.load_segments import KEPT_LOADS, SHORT_STOP, Loads, Segment
 from estimator.estimation.model_check import contradiction
-from estimator.estimation.road_fit import MIN_INVERSE_MASS, PROBE_SEED, RoadFit, fit, fit_given
+from estimator.estimation.road_fit import MIN_INVERSE_MASS, RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import LAG_SD, ROAD_LOAD
 from estimator.estimation.road_posterior import RoadTarget
 from estimator.estimation.road_search import RoadScales
@@ -211,10 +211,10 @@ class RoadInference:
         self, strides: Strides, terms: tuple[EffectTerm, ...], scales: RoadScales | None, is_search: bool
     ) -> RoadFit | None:
         """Fit ``terms`` at the given ``scales``, or search for scales from there; None: from their prior centres."""
-        limit, rng = self._config.kinematics.maximum_lag_s, np.random.default_rng(PROBE_SEED)
+        limit = self._config.kinematics.maximum_lag_s
         if scales is None or is_search:
-            return fit(strides, rng, terms, scales, limit, self._departures)
-        return fit_given(strides, rng, scales, terms, limit, self._departures)
+            return fit(strides, terms, scales, limit, self._departures)
+        return fit_given(strides, scales, terms, limit, self._departures)
 
     def _judge(self, t: float, found: RoadFit, contradicted: str, withheld: Withheld) -> Estimate:
         lower, upper = posterior.box(self._config.prior)

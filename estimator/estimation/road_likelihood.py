@@ -9,20 +9,17 @@ where a stop lies between. Noise of the measured force sits in the regressors to
 the rise of their products.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from estimator.model.conditioned import Conditioned
 from estimator.model.effect_term import EffectTerm
 from estimator.model.effects.effect import View
 from estimator.model.linear_gaussian import NotPositiveDefiniteError
-from estimator.model.ornstein_uhlenbeck import mean_given_ends
 from estimator.model.road import RoadModel
 from estimator.model.road_load import NEW_LOAD_SD
-from estimator.model.road_scales import TORQUE
 from estimator.model.road_score import Score, score
 from estimator.signals import Floats, Mask
 from estimator.strides import DURATION, LAGS, Strides
@@ -35,8 +32,6 @@ DRAG_SD = 0.03  # share by which the engine's drag at the wheels may differ from
 VAGUE = (5e-3, 1.0, 1e-2)  # prior sd of 1/m [1/kg], A/m [m/s^2], C/m [1/m]: far beyond any vehicle
 MAX_CORRECTED_SHARE = 0.7  # of the information in any direction, that is subtracted as noise
 PARTS = 4  # of the driving with a load, between which the force may change by a step
-# Shifts are the largest of the mass, in its sd, on three simulated drives of 40 min (hills, highway, city).
-PROBES = 8  # simulated noises that the correction is averaged over; with 4 and 16 the mass shifts by 0.03 sd
 
 
 def earlier_loads(t: Floats, departures: Sequence[float]) -> Mask:
@@ -215,32 +210,29 @@ class Likelihood:
         changing[:n] = _changing(self.data[:n, 1:], shapes)
         return np.column_stack([self.data, changing])
 
-    def disturbed(self, error: Floats, rate: Floats, shapes: Floats) -> Floats:
-        """Change (n, p + 3 k) of the regressors by an ``error`` (n,) [N] of the force with its ``rate`` (n,) [N/s].
+    def by_force(self, shapes: Floats) -> Floats:
+        """Change (n, p + 3 k) of the regressors per unit [N] of an error of the force, without that of its rate.
 
         The regressors are those of `with_changes` for ``shapes`` (n, k), in the scaled units of the likelihood.
         """
         driven, p = self.model.driven, len(self.unit)
         places = np.array([*range(self._plain), *range(p - len(self.terms), p)])
-        change = self._columns(replace(driven, force=driven.force + error[:, None])) - self._clean
-        change[:, LAG] = rate
+        change = self._columns(replace(driven, force=driven.force + 1.0)) - self._clean
         added = np.zeros((len(driven), p))
         added[:, places] = change / self.unit[places]
         return np.column_stack([added, _changing(added, shapes)])
 
-    def noise_information(
-        self, scales: Floats, conditioned: Conditioned, beta: Floats, shapes: Floats, rng: np.random.Generator
-    ) -> Floats:
-        """Mean of dX' K^-1 dX (p + 3 k, p + 3 k) over simulated errors of the measured force; in own units."""
-        size = len(beta) + ROAD_LOAD * shapes.shape[1]
-        total = np.zeros((size, size))
-        for error, rate in force_errors(self.model, scales, float(self.unit[0] / beta[0]), PROBES, rng):
-            change = self.disturbed(error, rate, shapes)
-            at = np.flatnonzero(change.any(axis=0))  # A and C have no force in theirs
-            data = np.zeros((len(self.data), len(at)))
-            data[: len(change)] = change[:, at]
-            total[np.ix_(at, at)] += conditioned.gram(data) / PROBES
-        return total
+    def noise_information(self, conditioned: Conditioned, beta: Floats, by_force: Floats) -> Floats:
+        """Mean of dX' K^-1 dX (q, q) over the noise of the measured force, for changes ``by_force`` (n, q) of X.
+
+        It is m^2 sum_i (K^-1 S)_ii G_i G_i' with S the covariance of the accelerations by the noise, and G = dX / dF.
+        This is exact where G is constant. Where it changes from stride to stride, the squares of 30 such columns of a
+        diagnosis are within 3 % of simulated ones; that of the rate, which is taken as white, within 12 %.
+        """
+        mass = float(self.unit[0] / beta[0])
+        noise: Floats = mass**2 * (by_force.T * conditioned.torque_leverage) @ by_force
+        noise[LAG, LAG] = (mass / self.unit[LAG]) ** 2 * conditioned.rate_information
+        return noise
 
 
 def _changing(columns: Floats, shapes: Floats) -> Floats:
@@ -264,29 +256,3 @@ def limited(noise: Floats, information: Floats) -> Floats:
     kept = np.zeros_like(noise)
     kept[at] = (back * np.minimum(shares, MAX_CORRECTED_SHARE)) @ back.T
     return kept
-
-
-def force_errors(
-    model: RoadModel, scales: Floats, mass: float, number: int, rng: np.random.Generator
-) -> Iterator[tuple[Floats, Floats]]:
-    """Simulated errors [N] (n,) of the measured force of each driven stride, and their rates [N/s] (n,)."""
-    time, size = scales[TORQUE + 1], scales[TORQUE] * mass
-    weight, own = mean_given_ends(DURATION, time)
-    keep = float(np.exp(-DURATION / time))
-    for _ in range(number):
-        before, after = (size * ends for ends in ou_at_ends(model, keep, rng))
-        white = np.sqrt(own) * size * rng.standard_normal(len(model.driven))
-        yield model.weight * (weight * (before + after) + white), model.weight * (after - before) / DURATION
-
-
-def ou_at_ends(model: RoadModel, keep: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """An Ornstein-Uhlenbeck process of variance 1 at the beginning (n,) and the end (n,) of each driven stride."""
-    n = len(model.driven)
-    starts, shocks = rng.standard_normal((2, n))
-    shocks *= np.sqrt(1 - keep**2)
-    # End less keep x beginning is a shock; the beginning is the end before it where strides are joined.
-    band = np.ones((2, n))
-    band[1] = np.append(np.where(model.joined[1:], -keep, 0.0), 0.0)
-    shocks[~model.joined] += keep * starts[~model.joined]
-    after: Floats = dtbtrs(band, shocks[:, None], uplo="L", diag="U")[0][:, 0]
-    return np.where(model.joined, np.roll(after, 1), starts), after

@@ -25,6 +25,7 @@ class Conditioned:
     """Road model with given scales; K is the covariance of the data."""
 
     model: RoadModel
+    scales: Floats
     variance: Floats
     factor: Factor = field(repr=False)
     log_determinant: float  # log|K|
@@ -42,16 +43,20 @@ class Conditioned:
         precision, log_prior = model.precision(scales, variances)
         factor = Factor.of(precision)
         log_noise = float(sum(np.log(variance).sum() for variance in variances))
-        return cls(model, np.concatenate(variances), factor, log_noise + factor.log_determinant - log_prior)
+        log_determinant = log_noise + factor.log_determinant - log_prior
+        return cls(model, scales, np.concatenate(variances), factor, log_determinant)
 
     @cached_property
-    def _slope_moments(self) -> tuple[Floats, Floats]:
-        """`leverage` (n,) and `slope_variance` (N,), from the covariance of the unknowns."""
-        n, model = self.model.counts[0], self.model
+    def _moments(self) -> tuple[Floats, Floats, Floats, float]:
+        """`leverage` (n,), `slope_variance` (N,), `torque_leverage` (n,) and `rate_information`."""
+        model, scales, n = self.model, self.scales, self.model.counts[0]
+        variance, products = self.variance[:n], both_triangles(self.factor.covariance())
+        inverse = (1 - model.motion_variance(products) / variance) / variance  # diagonal of K^-1
+        of_torque = model.shared_with_torque(products) / variance + inverse * model.torque_variance(scales)
+        rates = float(inverse @ model.torque_rate_variance(scales))
         if model.is_level:
-            return np.zeros(n), np.zeros(len(model.nodes.s))
-        products = both_triangles(self.factor.covariance())
-        return model.shared_with_slopes(products) / self.variance[:n], model.slope_variance(products)
+            return np.zeros(n), np.zeros(len(model.nodes.s)), of_torque, rates
+        return model.shared_with_slopes(products) / variance, model.slope_variance(products), of_torque, rates
 
     @property
     def leverage(self) -> Floats:
@@ -60,12 +65,22 @@ class Conditioned:
         It is the diagonal of the product of K^-1 and the prior covariance of the accelerations by the slopes alone. Its
         sum is the effective number of parameters of the slopes.
         """
-        return self._slope_moments[0]
+        return self._moments[0]
 
     @property
     def slope_variance(self) -> Floats:
         """Posterior variance (N,) [1] of the slope at each node of the road, given the parameters."""
-        return self._slope_moments[1]
+        return self._moments[1]
+
+    @property
+    def torque_leverage(self) -> Floats:
+        """Share (n,) of each driven stride's acceleration that noise of the torque may explain, like `leverage`."""
+        return self._moments[2]
+
+    @property
+    def rate_information(self) -> float:
+        """Sum over the driven strides of (K^-1)_ii times the variance [m^2/s^6] of the rate of the torque's noise."""
+        return self._moments[3]
 
     def gram(self, data: Rows) -> Floats:
         """Y' K^-1 Y (c, c) of data columns."""

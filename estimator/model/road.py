@@ -299,11 +299,18 @@ class RoadModel:
 
     def noise_variance(self, scales: Floats) -> Floats:
         """Variance [m^2/s^4] (n,) of the mean f and p of each stride, given their values at both ends."""
-        total = np.zeros(self.counts[0])
-        for at, share in self._shares:
-            _, remaining = mean_given_ends(DURATION, scales[at + 1])
-            total += scales[at] ** 2 * remaining * share**2
+        total: Floats = np.sum([_remaining(scales, at, share) for at, share in self._shares], axis=0)
         return total
+
+    def torque_variance(self, scales: Floats) -> Floats:
+        """Part (n,) of `noise_variance` by the torque."""
+        return _remaining(scales, *self._shares[0])
+
+    def torque_rate_variance(self, scales: Floats) -> Floats:
+        """Variance [m^2/s^6] (n,) of the rate of f over each driven stride, between its ends."""
+        keep = np.exp(-DURATION / scales[TORQUE + 1])
+        variance: Floats = 2 * (1 - keep) * (scales[TORQUE] * self.weight / DURATION) ** 2
+        return variance
 
     def variances(self, scales: Floats) -> list[Floats]:
         """Variances of the observations of each kind, for ``scales`` (k,)."""
@@ -365,6 +372,10 @@ class RoadModel:
         """A times unknowns (size,)."""
         return np.concatenate([observed.observed(unknowns) for observed in self._maps])
 
+    def motion_variance(self, products: Floats) -> Floats:
+        """Part (n,) of `variance` of the driven strides."""
+        return self._maps[0].variance(products)
+
     def variance(self, products: Floats) -> Floats:
         """Variance (sum of counts,) of all observations by unknowns whose covariance is given as `both_triangles`."""
         return np.concatenate([observed.variance(products) for observed in self._maps])
@@ -410,11 +421,20 @@ class RoadModel:
 
         ``products`` is the covariance of the unknowns, as `both_triangles`.
         """
-        (places, weights), (slopes, hats) = self._motion(), self._slopes
-        apart = places[:, :, None] - slopes[:, None, :]
-        covariance = products[np.abs(apart), np.minimum(places[:, :, None], slopes[:, None, :])]
+        return self._shared(products, *self._slopes)
+
+    def shared_with_torque(self, products: Floats) -> Floats:
+        """Covariance as in `shared_with_slopes`, with the part by the noise of the torque at both ends."""
+        ends = self._force_errors[0][np.column_stack([self._before, self._after])]
+        return self._shared(products, ends, -0.5 * np.repeat(self.weight[:, None], 2, axis=1))
+
+    def _shared(self, products: Floats, part: Places, part_weights: Floats) -> Floats:
+        """Covariance (n,) of the acceleration of each driven stride with a sum of unknowns at ``part`` (n, q)."""
+        places, weights = self._motion()
+        apart = places[:, :, None] - part[:, None, :]
+        covariance = products[np.abs(apart), np.minimum(places[:, :, None], part[:, None, :])]
         covariance[apart != 0] /= 2
-        shared: Floats = np.einsum("ni,nij,nj->n", weights, covariance, hats)
+        shared: Floats = np.einsum("ni,nij,nj->n", weights, covariance, part_weights)
         return shared
 
     def slope_variance(self, products: Floats) -> Floats:
@@ -440,6 +460,13 @@ def _force_noise(process: Chain, scales: Floats, at: int) -> Acting:
     return Acting(
         process=process, sd=2 * weight * scales[at], memory=time, by=np.array([unit[at] + turned, unit[at + 1]])
     )
+
+
+def _remaining(scales: Floats, at: int, share: Floats) -> Floats:
+    """Variance (n,) of the mean of a noise over each stride, given its values at both ends."""
+    _, variance = mean_given_ends(DURATION, scales[at + 1])
+    remaining: Floats = scales[at] ** 2 * variance * share**2
+    return remaining
 
 
 def _largest_distance(places: Places, step: int) -> int:

@@ -60,7 +60,7 @@ class Original:
 def original(log: Path, config: Config, rng: np.random.Generator) -> Original | None:
     """The drive in ``log`` and the residual beside a draw of its road; None where it cannot be fitted."""
     drive = drives_of(log, config)[0]
-    found = fit(drive.strides, rng)
+    found = fit(drive.strides)
     if found is None:
         return None
     rows = Rows.concatenate(*drive.pieces)
