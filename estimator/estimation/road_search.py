@@ -33,6 +33,7 @@ DESIGNED_PRICE = 8.0
 # 3.4, and the turns of these routes there and back have 43 to 213.
 TURN_PRICE = 8.0
 TRIED_TURNS = 3  # slow places where the slope bends most, for each one that is found: bounds the cost
+CLEAR = 5.0  # log evidence by which scales of other orders are clearly less probable: how much less is of no interest
 MIN_ROLLING, MIN_DRAG = 0.002, 2e-5  # coefficient of rolling [1] and C over mass [1/m], below those of any vehicle
 MAX_EXPONENT = 500.0  # of the exponential function in floating point
 PASSES = 2  # of the coefficients, given the scales, that effects scale with
@@ -117,7 +118,7 @@ class Search:
         self._strides, self._terms, self._road_load, self._longest_lag = strides, terms, road_load, longest_lag
         self._departures, self._taken = departures, taken
         self._models: dict[tuple[int, int, bool, bool, tuple[Place, ...]], RoadModel] = {}
-        self._lost_before: tuple[RoadScales, ...] = ()  # of the search before
+        self._known: RoadScales | None = None  # of the search before
         self._lost: list[RoadScales] = []
 
     def model(self, scales: RoadScales) -> RoadModel:
@@ -154,27 +155,26 @@ class Search:
 
     def best(self, known: RoadScales | None, level: bool) -> tuple[Likelihood, RoadScales, float]:
         """Most probable scales and orders, their likelihood and log evidence, from ``known`` or the prior centres."""
-        self._lost_before = () if known is None else known.lost
+        self._known = known
         try:
             scales, evidence = self._lagged(known or self._central(level))
         except NotPositiveDefiniteError:  # scales of another part of the drive
             if known is None:
                 raise
             scales, evidence = self._lagged(self._central(level))
-        other, found = self._improved(_other_noise(scales))
-        if found > evidence:
-            scales, evidence, found = other, found, evidence
-        chance = 0.0 if scales.has_power else 1 / (1 + float(np.exp(min(evidence - found, MAX_EXPONENT))))
+        scales, evidence, lead = self._better(scales, evidence, _other_noise(scales))
+        chance = 0.0 if scales.has_power else 1 / (1 + float(np.exp(min(lead, MAX_EXPONENT))))
         scales = replace(scales, power_chance=chance)
         if scales.readings:
             order = SMOOTH if scales.wander == ROUGH else ROUGH
-            scales, evidence = self._better(scales, evidence, replace(scales, wander=order))
+            scales, evidence, _ = self._better(scales, evidence, replace(scales, wander=order))
         if scales.alpha != LEVEL:
             scales, evidence = self._turned(scales, evidence)
-            scales, evidence = self._better(scales, evidence, replace(scales, designed=not scales.designed, turns=()))
+            design = replace(scales, designed=not scales.designed, turns=())
+            scales, evidence, _ = self._better(scales, evidence, design)
         for alpha in () if scales.alpha == LEVEL else ALPHAS:
             if alpha != scales.alpha:
-                scales, evidence = self._better(scales, evidence, replace(scales, alpha=alpha))
+                scales, evidence, _ = self._better(scales, evidence, replace(scales, alpha=alpha))
         return self.likelihood(scales), replace(scales, lost=tuple(self._lost)), evidence
 
     def _central(self, level: bool) -> RoadScales:
@@ -188,18 +188,28 @@ class Search:
             values=values, alpha=model.alpha, wander=ROUGH, readings=model.reading_names, lag=len(LAGS) // 2
         )
 
-    def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float]:
-        """The ``scales``, or the most probable of ``other`` orders where these have more evidence."""
-        varied, found = self._improved(self._start(other))
+    def _better(self, scales: RoadScales, evidence: float, other: RoadScales) -> tuple[RoadScales, float, float]:
+        """The ``scales``, or the most probable of ``other`` orders where these have more evidence, and their lead.
+
+        A lead [nats] above CLEAR is not exact.
+        """
+        varied, found = self._improved(self._start(other, scales), evidence - CLEAR)
         if found > evidence:
             scales, evidence, varied, found = varied, found, scales, evidence
         if np.isfinite(found):
             self._lost.append(replace(varied, lost=()))
-        return scales, evidence
+        return scales, evidence, evidence - found
 
-    def _start(self, other: RoadScales) -> RoadScales:
-        """``other``, or its orders with the values that the search before ended with, if these have more evidence."""
-        ended = [replace(other, values=lost.values) for lost in self._lost_before if lost.orders == other.orders]
+    def _start(self, other: RoadScales, scales: RoadScales) -> RoadScales:
+        """``other``, or its orders with values from the search before, if these have more evidence.
+
+        The values have since changed as those of the ``scales`` have.
+        """
+        known = self._known
+        if known is None:
+            return other
+        change = scales.values / known.values if known.orders == scales.orders else np.ones(len(scales.values))
+        ended = [replace(other, values=lost.values * change) for lost in known.lost if lost.orders == other.orders]
         evidence = self.likelihood(other).log_evidence
         return max([other, *ended], key=lambda scales: evidence(scales.values)) if ended else other
 
@@ -227,10 +237,10 @@ class Search:
             for likelihood, other in zip(likelihoods, others, strict=True)
         ]
 
-    def _improved(self, scales: RoadScales) -> tuple[RoadScales, float]:
-        """The most probable scales from those given."""
+    def _improved(self, scales: RoadScales, worth: float = -np.inf) -> tuple[RoadScales, float]:
+        """The most probable scales from those given; others where they cannot have the log evidence ``worth``."""
         likelihood = self.likelihood(scales)
-        values, evidence = most_probable(likelihood, scales.values, scales.free)
+        values, evidence = most_probable(likelihood, scales.values, scales.free, worth + scales.price)
         return replace(scales, values=values), evidence - scales.price
 
     def _lagged(self, scales: RoadScales) -> tuple[RoadScales, float]:

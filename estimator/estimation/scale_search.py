@@ -15,6 +15,7 @@ from estimator.signals import Floats, Mask
 # standard deviation, and effects are judged by differences of several.
 MIN_GAIN = 0.05
 MAX_STEPS = 50  # bounds the cost; 5 to 20 are usual
+MAX_RATIO = 3.0  # of the gain to the mode, over that of the parabola at the start and 1; in 107 searches at most 2.8
 MAX_STEP = 2.0  # of the logarithm of a scale at once: the parabola holds no further
 DAMPING = 0.01  # of the first step, as a share of the curvature
 MAX_DAMPING = 1e6  # beyond, no step gains
@@ -22,13 +23,15 @@ GOOD, POOR = 0.75, 0.25  # share of the expected gain above which damping is red
 LESS, MORE, MUCH_MORE = 0.1, 4.0, 10.0  # factors of the damping: after a good step, a poor one, and one that loses
 
 
-def most_probable(likelihood: Likelihood, start: Floats, free: Sequence[int]) -> tuple[Floats, float]:
+def most_probable(
+    likelihood: Likelihood, start: Floats, free: Sequence[int], worth: float = -np.inf
+) -> tuple[Floats, float]:
     """Scales (k,) at the mode of their posterior, from ``start``, and the log evidence there with their prior.
 
-    Those with numbers in ``free`` are varied.
+    Those with numbers in ``free`` are varied. The search ends early where the evidence cannot come to ``worth``.
     """
     search = _Search(likelihood, free)
-    logs, value = search.climbed(search.inside(np.log(start)))
+    logs, value = search.climbed(search.inside(np.log(start)), worth)
     best = start.copy()
     best[list(free)] = np.exp(logs[list(free)])
     return best, value
@@ -59,13 +62,17 @@ class _Search:
         out = ((logs <= self._low) & (gradient < 0)) | ((logs >= self._high) & (gradient > 0))
         return gradient, curvature, self._free & ~out
 
-    def climbed(self, logs: Floats) -> tuple[Floats, float]:
-        """The mode that is reached from ``logs`` (k,), and the log posterior there."""
+    def climbed(self, logs: Floats, worth: float) -> tuple[Floats, float]:
+        """The mode that is reached from ``logs`` (k,), and the log posterior there; less where it is not ``worth``."""
         value, damping = self._value(logs), DAMPING
         if not np.isfinite(value):
             return logs, value
         for _ in range(MAX_STEPS):
             gradient, curvature, moving = self._slopes(logs)
+            own = np.ix_(moving, moving)
+            parabolic = 0.5 * float(gradient[moving] @ np.linalg.solve(curvature[own], gradient[moving]))
+            if value + MAX_RATIO * (parabolic + 1.0) < worth:
+                break
             gain = expected = 0.0
             while gain <= 0 and damping < MAX_DAMPING:
                 new = self._stepped(logs, gradient, curvature, moving, damping)
