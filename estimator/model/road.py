@@ -186,6 +186,7 @@ class RoadModel:
         self._wander = [next(parts) for _ in self.readings]
         self.size = len(order)
 
+    @cached_property
     def _motion(self) -> tuple[Places, Floats]:
         """Unknowns that the acceleration of each driven stride depends on (n, q), and their weights (n, q)."""
         places, weights = zip(self._errors(), self._slopes, strict=True)
@@ -237,7 +238,7 @@ class RoadModel:
 
     def _observe(self) -> None:
         """Set up the linear maps from unknowns to data, and the bands of the priors."""
-        maps = [self._motion(), *(self._heights() if self.has_altitude else [])]
+        maps = [self._motion, *(self._heights() if self.has_altitude else [])]
         maps += [self._measured(reading, wander) for reading, wander in zip(self.readings, self._wander, strict=True)]
         slopes = [_largest_distance(self._slope, k) for k in range(1, self.alpha + 1)]
         chains = [_largest_distance(places, k) for places in self._wander for k in range(1, self.wander + 1)]
@@ -430,7 +431,7 @@ class RoadModel:
 
     def _shared(self, products: Floats, part: Places, part_weights: Floats) -> Floats:
         """Covariance (n,) of the acceleration of each driven stride with a sum of unknowns at ``part`` (n, q)."""
-        places, weights = self._motion()
+        places, weights = self._motion
         apart = places[:, :, None] - part[:, None, :]
         covariance = products[np.abs(apart), np.minimum(places[:, :, None], part[:, None, :])]
         covariance[apart != 0] /= 2
