@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -17,9 +16,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.report.diagnosis_summary import of_diagnosis
 from estimator.signals import Role
 
-DRIVES = int(os.environ.get("BLIND_DRIVES", "9"))  # of the fixed set
-MINUTES = float(os.environ.get("BLIND_MINUTES", "20"))
-SEED = 7
+DRIVES, MINUTES, SEED = 9, 20.0, 7  # of the fixed set
 
 FAKE = """
 import sys
@@ -334,7 +331,7 @@ def test_answers_are_kept_with_their_cost_and_failures_with_their_reason(tmp_pat
 def test_logs_and_truths_lie_apart_and_come_again_from_the_same_seed(tmp_path):
     from blind import draw, seal, world
 
-    plans = draw.draw(4, seed=5, minutes=4.0, hilly=1.0)
+    plans = draw.draw(2, seed=5, minutes=2.0, hilly=1.0)
     for out in ("one", "two"):
         list(world.make_all(plans, 5, tmp_path / out, workers=1))
     one, two = (seal.unseal(tmp_path / out) for out in ("one", "two"))
@@ -408,32 +405,39 @@ def test_pages_and_json_show_every_measure():
     assert "| clean | no gap |" in page
 
 
-@pytest.fixture(scope="module")
-def cases(tmp_path_factory):
-    """The fixed set, made and diagnosed."""
-    folder = Path(__file__).parents[1] / "tools"
-    sys.path.insert(0, str(folder))
+def diagnosed(folder, kinds=None):
+    """Cases of the fixed set, made and diagnosed; of ``kinds`` alone the first drive of each."""
     from blind import diagnose, draw, score, seal, world
 
-    out = tmp_path_factory.mktemp("blind")
-    list(world.make_all(draw.draw(DRIVES, SEED, MINUTES), SEED, out, workers=2))
-    list(diagnose.diagnose_all(out, workers=2))
-    sys.path.remove(str(folder))
-    return score.pair(seal.unseal(out), diagnose.answers(out))
+    plans = draw.draw(DRIVES, SEED, MINUTES)
+    if kinds is not None:
+        plans = [next(plan for plan in plans if plan.kind == kind) for kind in kinds]
+    list(world.make_all(plans, SEED, folder, workers=2))
+    list(diagnose.diagnose_all(folder, workers=2))
+    return score.pair(seal.unseal(folder), diagnose.answers(folder))
 
 
-@pytest.mark.slow
-def test_fixed_set_is_diagnosed_as_promised(cases):
-    """Floors against getting worse, far below the goals: a few drives of each kind can say no more.
-
-    How near the goals are is for the full run to say, also where no floor stands here.
-    """
+def missed(cases, *names):
+    """Drives that fail a measure of ``names``, each of which judges one at least."""
     from blind.score import score
 
     result = score(cases)
-    found = {m.name: m.estimate for m in result.measures}
-
     assert result.failed == ()
-    assert found["false alarm on a clean drive"].value <= 1 / 7
-    assert found["named first, or its class: oracle > 10"].value >= 0.5  # of four: a compressor, cold oil
-    assert found["two effects: at least one named"].value >= 0.5
+    found = {m.name: m for m in result.measures}
+    assert all(found[name].estimate.n for name in names)
+    return [drive for name in names for drive in found[name].failures]
+
+
+CLEAN, SINGLE = "false alarm on a clean drive", "named first, or its class: oracle > 10"
+
+
+@pytest.mark.slow
+def test_a_clean_drive_and_one_with_an_effect_are_diagnosed_as_promised(tmp_path):
+    """The first of either kind of the fixed set; the oracle tells what has to be named."""
+    assert missed(diagnosed(tmp_path, ("clean", "single")), CLEAN, SINGLE) == []
+
+
+@pytest.mark.nightly
+def test_the_fixed_set_is_diagnosed_as_promised(tmp_path):
+    """All that the oracle sees is named, so that one name fewer is noticed; larger sets are for the full run."""
+    assert missed(diagnosed(tmp_path), CLEAN, SINGLE, "two effects: both named") == []
