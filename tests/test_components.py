@@ -541,7 +541,7 @@ def test_a_power_that_switches_and_is_larger_than_any_effect_has_no_name_of_the_
 @pytest.mark.slow
 def test_an_effect_that_is_given_may_be_larger_than_one_that_is_found():
     """It is the user's choice; others are found beside it."""
-    n, spans = 2400, ((500.0, 800.0), (1300.0, 1600.0))
+    n, spans = 1200, ((250.0, 400.0), (650.0, 800.0))
     power = 15e3 + 150e3 * covered(np.arange(n) + 0.5, 1.0, spans)
     plain = DriveState.of(driven(n, power=power), (AtRest(power=15e3, sd=800.0, engine_speed=60.0),))
     fan = term_of(Frame.of(plain.fit), EffectTerm(BY_NAME["auxiliary_cycling"], None, spans))
@@ -608,7 +608,7 @@ def test_an_engine_that_rests_is_in_no_gear(strides):
 @pytest.mark.slow
 def test_what_is_smaller_than_the_error_of_a_large_effects_form_is_not_added():
     """A fan whose power rises by a tenth towards the end of each time it is on."""
-    n = 2400
+    n = 1600
     t = np.arange(n) % 800
     power = 55e3 * ((t > 500) + 0.1 * (t > 700))
     state = DriveState.of(driven(n, power=power))
@@ -618,7 +618,7 @@ def test_what_is_smaller_than_the_error_of_a_large_effects_form_is_not_added():
 
 @pytest.mark.slow
 def test_parts_of_the_budget_sum_to_the_whole_and_are_those_of_the_truth():
-    n = 2400
+    n = 1600
     on = (np.arange(n) % 800) > 500
     power = 60e3 * on
     strides = driven(n, power=power)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ STILL = {
     Role.GEAR: 12.0,
     Role.PARK_BRAKE: 0.0,
 }
+Answer = dict[str, Any]
 NOTHING = ("effects", "candidates", "where", "invisible", "advice")
 
 
@@ -97,7 +99,7 @@ def test_a_log_in_which_nothing_changes(urban, log):
 
 @pytest.mark.slow
 def test_a_log_whose_engine_never_pulls(log):
-    assert "power is not positive" in cannot_tell(log(drive("mixed", 20, 1), {Role.TORQUE_FRACTION: 0.0}))
+    assert "power is not positive" in cannot_tell(log(drive("highway", 11, 3), {Role.TORQUE_FRACTION: 0.0}))
 
 
 def test_the_reason_is_read_on_the_terminal_and_on_the_page(urban, log, tmp_path, capsys):
@@ -139,7 +141,7 @@ def test_an_effect_that_cannot_be_given(urban, log, capsys):
 
 @pytest.mark.slow
 def test_a_given_effect_without_its_signal_is_said(log):
-    recording = drive("highway", 15, 1, without=[Role.ALTITUDE, Role.GRADE])
+    recording = drive("highway", 10, 3, without=[Role.ALTITUDE, Role.GRADE])
     assert "grade needs" in cannot_tell(log(recording), "--effect", "grade")
 
 
@@ -172,20 +174,21 @@ def test_a_report_that_cannot_be_is_refused_before_the_work(urban, log, tmp_path
 
 
 @pytest.fixture(scope="module")
-def several(tmp_path_factory):
-    """Bends that cost something on a road with few of them, on one with many, and a drive where they cost nothing."""
-    folder = tmp_path_factory.mktemp("several")
-    bends = Effect(name="cornering", magnitude=550.0)
-    return [
-        written(drive("mixed", 20, seed, *effects), folder / f"{seed}.blf")
-        for seed, effects in ((41, [bends]), (42, [bends]), (43, []))
-    ]
+def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Answer]:
+    """A drive without any effect, and what is said of it."""
+    path = written(drive("mixed", 16, 43), tmp_path_factory.mktemp("clean") / "clean.blf")
+    return path, ask("diagnose", path)
 
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_evidence_of_an_effect_adds_up_over_logs(several):
-    few, many, none = several
+def test_evidence_of_an_effect_adds_up_over_logs(tmp_path):
+    """Bends that cost something on a road with few of them, on one with many, and a drive where they cost nothing."""
+    bends = Effect(name="cornering", magnitude=550.0)
+    few, many, none = (
+        written(drive("mixed", 20, seed, *effects), tmp_path / f"{seed}.blf")
+        for seed, effects in ((41, [bends]), (42, [bends]), (43, []))
+    )
 
     def evidence(*logs: Path) -> float:
         answer = ask("diagnose", *logs)
@@ -199,10 +202,10 @@ def test_evidence_of_an_effect_adds_up_over_logs(several):
 
 
 @pytest.mark.slow
-def test_an_event_may_be_in_one_log_only(several, tmp_path):
-    wet = Effect(name="resistance_segment", magnitude=0.4, start=500.0, end=900.0)
-    log = written(drive("highway", 20, 3, wet), tmp_path / "wet.blf")
-    alone, beside = ask("diagnose", log), ask("diagnose", several[2], log)
+def test_an_event_may_be_in_one_log_only(clean, tmp_path):
+    wet = Effect(name="resistance_segment", magnitude=0.4, start=300.0, end=550.0)
+    log = written(drive("highway", 13, 3, wet), tmp_path / "wet.blf")
+    alone, beside = ask("diagnose", log), ask("diagnose", clean[0], log)
     assert named(alone) == named(beside) == ["resistance_segment"]
     for key in ("value", "sd"):
         assert beside["effects"][0]["magnitude"][key] == pytest.approx(alone["effects"][0]["magnitude"][key], rel=1e-3)
@@ -241,30 +244,28 @@ def test_hills_of_a_shorter_drive_are_hills_beside_a_longer_flat_one(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_same_log_gives_the_same_bytes(several, capsys):
+def test_the_same_log_gives_the_same_bytes(clean):
     """In another process, with sets in another order, too."""
-    arguments = ["diagnose", str(several[1]), "--json"]
-    assert main(arguments) == 0
+    path, answer = clean
     other = subprocess.run(
-        [sys.executable, "-m", "estimator", *arguments],
+        [sys.executable, "-m", "estimator", "diagnose", str(path), "--json"],
         capture_output=True,
         check=True,
         text=True,
         env=os.environ | {"PYTHONHASHSEED": "7"},
     )
-    assert other.stdout == capsys.readouterr().out
-    assert named(json.loads(other.stdout)) == ["cornering"]
+    assert json.loads(other.stdout) == answer
+    assert len(answer["candidates"]) > 10
 
 
 @pytest.mark.slow
-def test_of_several_drives_one_that_cannot_be_fitted_is_left_out(tmp_path, monkeypatch):
-    longer = written(drive("mixed", 25, 2), tmp_path / "longer.blf")
-    shorter = written(drive("mixed", 20, 2), tmp_path / "shorter.blf")
-    alone = ask("diagnose", longer)
+def test_of_several_drives_one_that_cannot_be_fitted_is_left_out(clean, tmp_path, monkeypatch):
+    longer, alone = clean
+    shorter = written(drive("highway", 11, 3), tmp_path / "shorter.blf")
     state = Case.state
 
     def of_the_longer(case, is_level):
-        return state(case, is_level) if case.drive.strides.t[-1] - case.drive.start > 1300.0 else None
+        return state(case, is_level) if case.drive.strides.t[-1] - case.drive.start > 900.0 else None
 
     monkeypatch.setattr(Case, "state", of_the_longer)
     both = ask("diagnose", longer, shorter)

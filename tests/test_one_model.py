@@ -35,18 +35,23 @@ def mean_square(d: Diagnosis, which: str) -> float:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    recording = drive("mixed", 30, 7, HILLS, altitude_noise=0.5)
+    recording = drive("mixed", 15, 7, HILLS, altitude_noise=0.5)
     return written(recording, tmp_path_factory.mktemp("shown") / "hills.blf")
 
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    recording = drive("mixed", 30, 7, HILLS, without=CLIMB)
+    recording = drive("mixed", 15, 7, HILLS, without=CLIMB)
     return written(recording, tmp_path_factory.mktemp("hidden") / "hills.blf")
 
 
-def test_hills_that_an_altimeter_shows_are_drawn_as_they_are_stated(shown):
-    d = diagnose_logs(shown, from_dict({}))
+@pytest.fixture(scope="module")
+def diagnosed(shown: Path) -> Diagnosis:
+    return diagnose_logs(shown, from_dict({}))
+
+
+def test_hills_that_an_altimeter_shows_are_drawn_as_they_are_stated(diagnosed):
+    d = diagnosed
     assert [effect.name for effect in d.effects] == ["grade"]
     traces = d.traces
     assert rms(traces.measured - traces.base) == pytest.approx(d.rms_base, rel=1e-9)
@@ -60,6 +65,10 @@ def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
     """What a signal could reach: the curve is of the posterior's mean, the figure counts its doubt as well."""
     d = diagnose_logs(hidden, from_dict({}))
     (grade,) = d.effects
+    assert (d.verdict, grade.name, d.streaming_effects) == ("effect", "grade", ())
+    assert grade.magnitude.value == pytest.approx(HILLS.magnitude, rel=0.5)  # what can be foretold of it
+    assert "no signal" in grade.detail
+    assert any("altitude" in advice.shown_by for advice in d.advice)
     traces = d.traces
     assert rms(traces.measured - traces.base) == pytest.approx(d.rms_base, rel=1e-9) == grade.rms_before
     known = rms(traces.measured - traces.road_known)
@@ -70,8 +79,8 @@ def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
     assert mean_square(d, "extended") < 0.3 * mean_square(d, "plain")
 
 
-def test_the_plain_model_is_the_one_whose_parameters_are_given(shown):
-    d = diagnose_logs(shown, from_dict({}))
+def test_the_plain_model_is_the_one_whose_parameters_are_given(diagnosed):
+    d = diagnosed
     v, a = d.traces.speed, d.traces.acceleration
     power = (d.base.A + d.base.C * v**2 + d.base.mass * a) * v
     assert rms(power - d.traces.base) < 0.2 * rms(d.traces.base)  # but for the lag and the drag of the engine
@@ -89,6 +98,7 @@ def test_estimate_and_diagnosis_fit_a_drive_alike(kind, request):
     assert state.fit.equations.solve()[0].tolist() == fit.equations.solve()[0].tolist()
 
 
+@pytest.mark.nightly
 def test_a_real_trip_is_drawn_as_it_is_stated(recordings):
     folder = recordings / "bmw_i3"
     settings = load(Path(__file__).parents[1] / "dbc" / "bmw_i3.toml")

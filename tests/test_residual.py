@@ -260,8 +260,8 @@ def test_magnitudes_are_covered():
 
 @pytest.mark.slow
 def test_surrogates_give_a_p_value():
-    assert diagnosed(3, {"slide": 0.9}, surrogates=19).p_value == pytest.approx(0.05)
-    assert diagnosed(9, surrogates=19).p_value > 0.05
+    assert diagnosed(3, {"slide": 0.9}, surrogates=4).p_value == pytest.approx(0.2)
+    assert diagnosed(9, surrogates=4).p_value > 0.2
     assert diagnosed(9).p_value is None
 
 

@@ -15,7 +15,7 @@ from estimator.streaming.drive_extraction import drives_of
 
 @pytest.mark.slow
 def test_an_effect_is_named_where_its_probability_exceeds_the_threshold(tmp_path):
-    recording = drive("mixed", 25, 1, Effect(name="cornering", magnitude=900.0))
+    recording = drive("mixed", 13, 42, Effect(name="cornering", magnitude=900.0))
     records = drives_of(written(recording, tmp_path / "log.blf"), Config(), lambda share: None)
     effects = [BY_NAME["cornering"], BY_NAME["viscous_drag"]]
 
