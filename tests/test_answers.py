@@ -38,6 +38,7 @@ def test_fleet_prints_its_type(log: Path, tmp_path: Path) -> None:
     assert ask("fleet", log, "-o", tmp_path / "fleet", "--workers", 1)["drives"] == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_fleet_says_why_a_vehicle_is_not_estimated(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

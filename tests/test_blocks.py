@@ -80,7 +80,7 @@ def readings(block: Block) -> list[object]:
     return [len(block.frames), sorted((role, part.t.tobytes(), part.value.tobytes()) for role, part in parts)]
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(st.lists(st.sampled_from(TROUBLES), max_size=5), st.integers(0, 2**32 - 1))
 def test_many_blocks_at_once_are_as_one_after_the_other(drive: Frames, troubles: list[str], seed: int) -> None:
     rng = np.random.default_rng(seed)

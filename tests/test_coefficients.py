@@ -137,7 +137,7 @@ def test_the_tables_of_a_fleet_have_them() -> None:
 @pytest.mark.parametrize("without", [(), AIR])
 def test_the_truth_of_a_simulated_truck_is_found(tmp_path: Path, without: tuple[Role, ...]) -> None:
     """In `--json` and from the draws: c_rr of the truck, and the drag area in the air that was measured or assumed."""
-    log, draws = written(drive("mixed", 20, 11, without=without), tmp_path / "drive.blf"), tmp_path / "draws.json"
+    log, draws = written(drive("mixed", 13, 11, without=without), tmp_path / "drive.blf"), tmp_path / "draws.json"
     answer = ask("estimate", log, "--draws", draws)
     found: dict[str, Any] = answer["coefficients"]
     assert found["is_density_measured"] == (not without)

@@ -47,6 +47,9 @@ STEPS = {  # of an update, in order
 }
 
 
+BY_DAY = ("window", "fit", "target", "sampling", "load")  # others by night
+
+
 def driven(n: int = ROWS) -> Rows:
     """Rows of a level drive."""
     rng = np.random.default_rng(1)
@@ -116,7 +119,9 @@ def judge(estimator: Estimator, failed: Estimate, why: str, following: Rows) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize(
+    "step", [step if step in BY_DAY else pytest.param(step, marks=pytest.mark.nightly) for step in STEPS]
+)
 def test_a_step_that_fails_costs_its_update_alone(
     rows: Rows, before: bytes, step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -196,13 +201,15 @@ def test_the_likelihood_of_the_paper_outlives_a_failure_too(
 def test_the_failures_of_a_log_are_told(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = written(drive("mixed", 12, 1), tmp_path / "drive.blf")
     monkeypatch.setattr(posterior, "sample", raising(np.linalg.LinAlgError("Singular matrix")))
-    answer = ask("estimate", log)
+    config = tmp_path / "c.toml"
+    config.write_text("[gate]\ninterval_s = 300\n")
+    answer = ask("estimate", log, "--config", config)
     assert answer["status"] == "unestimated"
     assert "failed numerically (Singular matrix)" in answer["reason"]
     assert 1 <= answer["failed_updates"] <= len(answer["updates"])
     text = StringIO()
     with redirect_stdout(text):
-        assert main(["estimate", str(log)]) == 0
+        assert main(["estimate", str(log), "--config", str(config)]) == 0
     count, updates = answer["failed_updates"], len(answer["updates"])
     assert f"failed    {count} of {updates} updates, numerically" in text.getvalue()
 

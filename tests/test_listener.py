@@ -35,7 +35,7 @@ IRRELEVANT = can.Message(arbitration_id=0x18FEFF00, data=b"\xff" * 8, is_extende
 def drive() -> Frames:
     rng = np.random.default_rng(4)
     truck = Truck(mass=27_190.0, A=1739.0, C=3.74)
-    return frames_of(record(truck, generate_route("mixed", 20e3, rng), 400.0, rng).signals)
+    return frames_of(record(truck, generate_route("mixed", 20e3, rng), 260.0, rng).signals)
 
 
 @pytest.fixture(scope="module")

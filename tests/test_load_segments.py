@@ -17,7 +17,7 @@ from estimator.simulation.route import generate_route
 from estimator.simulation.truck import Truck
 from estimator.streaming.pipeline import Pipeline
 
-SPARSE = from_dict({"gate": {"interval_s": 180.0}})
+SPARSE = from_dict({"gate": {"interval_s": 240.0}})
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(1, 80)), max_size=20), st.randoms(use_true_random=False))
@@ -95,9 +95,9 @@ def shift() -> list[list[Estimate]]:
     updates, start = [], 0.0
     for mass, A in ((15_000.0, 1000.0), (32_000.0, 2100.0), (32_000.0, 2100.0)):
         route = generate_route("mixed", 50e3, rng)
-        frames = frames_of(record(Truck(mass=mass, A=A, C=3.7), route, 1500.0, rng).signals)
+        frames = frames_of(record(Truck(mass=mass, A=A, C=3.7), route, 960.0, rng).signals)
         updates.append(list(pipeline.feed(Frames(frames.t + start, frames.ident, frames.length, frames.data))))
-        start += 1500.0 + 600.0
+        start += 960.0 + 600.0
     updates[-1] += pipeline.finish()
     return updates
 

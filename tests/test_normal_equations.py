@@ -118,7 +118,7 @@ def test_each_change_has_the_columns_of_the_road_load_once_more():
     assert not by_force[:, LAG].any()
 
 
-@pytest.mark.parametrize("share", [1.0, 0.5])
+@pytest.mark.parametrize("share", [1.0, pytest.param(0.5, marks=pytest.mark.nightly)])
 def test_a_driver_who_answers_slopes_makes_the_mass_too_large_by_what_is_corrected(share):
     """Many drives over roads of the model, with the same driving but for the answers."""
     strides = strides_of(150, unknown=(), silence=150, seed=4)

@@ -21,10 +21,11 @@ from estimator.streaming.pipeline import Pipeline
 from estimator.streaming.row_stream import MIN_NEW_DRIVE_SILENCE
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)  # the dyno truth of the paper
-MINUTES = 25
+MINUTES = 16
 EAGER = {
-    "gate": {"interval_s": 120, "minimum_samples": 300, "coverage": 0.0, "minimum_cells": 1, "relative_sd": [9, 9, 9]}
+    "gate": {"interval_s": 200, "minimum_samples": 300, "coverage": 0.0, "minimum_cells": 1, "relative_sd": [9, 9, 9]}
 }
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))]
 
 
 def recorded(minutes: float, seed: int, grade_sd: float = 0.0) -> Recording:
@@ -39,7 +40,7 @@ def drive() -> Frames:
 
 @pytest.fixture(scope="module")
 def short(drive) -> Frames:
-    return between(drive, 0, 480)
+    return between(drive, 0, 360)
 
 
 def moved(frames: Frames, by: float) -> Frames:
@@ -89,14 +90,13 @@ def test_truth_comes_back_through_frames(drive):
 @pytest.mark.parametrize(
     "sampler",
     [
-        {"seed": 2},
         {"kernel": "random_walk", "chains": 8, "burn_in": 300, "draws": 1500},
         {"likelihood": "paper"},
     ],
-    ids=["other seed", "random walk", "paper"],
+    ids=["random walk", "paper"],
 )
 def test_other_samplers_agree(drive, sampler):
-    final = run([drive], sampler=sampler, gate={"interval_s": 1200})[1][-1]
+    final = run([drive], sampler=sampler, gate={"interval_s": 3600})[1][-1]
     # The paper's likelihood knows nothing of noise in the regressors.
     assert near(final, 0.05, 0.2, 0.2) if sampler.get("likelihood") == "paper" else near(final)
 
@@ -128,9 +128,12 @@ def pieces(frames: Frames, cuts) -> list[Frames]:
 
 @pytest.mark.slow
 def test_one_by_one_or_all_at_once_is_the_same_to_the_bit(short):
-    part = between(short, 0, 360)
+    """Around an update; the frames before and after come at once."""
+    part = between(short, 0, 300)
+    alone = slice(*np.searchsorted(part.t, [EPOCH + 190, EPOCH + 230]))
     whole = run([part], **EAGER)
-    single = run((part[i : i + 1] for i in range(len(part))), **EAGER)
+    single = run(pieces(part, range(alone.start, alone.stop + 1)), **EAGER)
+    assert EPOCH + 195 < whole[1][0].t < EPOCH + 225
     assert whole[1][-1].status == Status.ESTIMATED
     assert single[1] == whole[1]
     assert single[0].estimator.rejected == whole[0].estimator.rejected
@@ -138,18 +141,18 @@ def test_one_by_one_or_all_at_once_is_the_same_to_the_bit(short):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_batches_of_any_size_are_the_same_to_the_bit(short, seed):
     rng = np.random.default_rng(seed)
-    gappy = short[(short.t < EPOCH + 350) | (short.t > EPOCH + 395)]
+    gappy = short[(short.t < EPOCH + 250) | (short.t > EPOCH + 295)]
     random = pieces(gappy, rng.integers(0, len(gappy), int(rng.integers(5, 300))))
     assert run(random, **EAGER)[1] == run([gappy], **EAGER)[1]
 
 
 @pytest.mark.slow
 def test_two_halves_with_following_times_are_the_whole(drive):
-    first, second = between(drive, 0, 600), between(drive, 600, 1200)
-    whole = run([between(drive, 0, 1200)], **EAGER)[1][-1]
+    first, second = between(drive, 0, 400), between(drive, 400, 800)
+    whole = run([between(drive, 0, 800)], **EAGER)[1][-1]
     assert run([first, second], **EAGER)[1][-1] == whole
     # As two loggers' files with their own clocks, the second a few seconds later.
     later = run([first, moved(second, 8.0)], **EAGER)[1][-1]
@@ -162,7 +165,7 @@ def test_two_halves_with_following_times_are_the_whole(drive):
 
 @pytest.mark.slow
 def test_a_silence_is_a_gap_and_not_bridged(short):
-    pipeline, updates = run([between(short, 0, 200), moved(between(short, 200, 480), 100)])
+    pipeline, updates = run([between(short, 0, 200), moved(between(short, 200, 360), 100)])
     gaps = pipeline.traffic.gaps
     assert any(a == pytest.approx(EPOCH + 200, abs=1) and b == pytest.approx(EPOCH + 300, abs=1) for a, b in gaps)
     strides = pipeline.estimator.window.strides
@@ -195,7 +198,7 @@ def test_one_signal_missing_for_a_while_is_a_gap(short):
 @pytest.mark.slow
 @pytest.mark.parametrize(("silence", "kept"), [(200, True), (MIN_NEW_DRIVE_SILENCE + 60, False)])
 def test_a_long_silence_starts_a_new_window(short, silence, kept):
-    pipeline, _ = run([between(short, 0, 300), moved(between(short, 300, 480), silence)])
+    pipeline, _ = run([between(short, 0, 300), moved(between(short, 300, 360), silence)])
     t = pipeline.estimator.window.strides.t - EPOCH
     assert np.any(t < 300) == kept
     assert np.any(t > 300 + silence)
@@ -204,7 +207,7 @@ def test_a_long_silence_starts_a_new_window(short, silence, kept):
 
 @pytest.mark.slow
 def test_a_step_back_of_an_hour(short):
-    parts = [between(short, 0, 300), moved(between(short, 300, 480), -3600)]
+    parts = [between(short, 0, 300), moved(between(short, 300, 360), -3600)]
     pipeline, updates = run(parts)
     gaps = pipeline.traffic.gaps
     assert any(a == pytest.approx(EPOCH + 300, abs=1) and b == pytest.approx(EPOCH - 3300, abs=1) for a, b in gaps)
@@ -223,7 +226,7 @@ def test_duplicates_change_nothing(short):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_frames_up_to_a_second_late_change_nothing(short, seed):
     rng = np.random.default_rng(seed)
     part = short[np.unique(short.t, return_index=True)[1]]  # frames of equal time have no order but that of arrival
@@ -266,7 +269,7 @@ def test_the_pipeline_goes_on_after_its_end(short):
     pipeline = Pipeline(from_dict(EAGER))
     list(pipeline.feed(between(short, 0, 240)))
     assert list(pipeline.finish())
-    list(pipeline.feed(between(short, 240, 480)))
+    list(pipeline.feed(between(short, 240, 360)))
     list(pipeline.finish())
     assert pipeline.traffic.frames == len(short)
     assert list(pipeline.finish()) == []
@@ -329,7 +332,7 @@ def test_values_that_are_never_available_are_named(short):
 def test_wheel_speeds_stand_in_for_speed(drive):
     binding = {role: signal for role, signal in J1939_BINDING.items() if role != Role.SPEED}
     binding[Role.WHEEL_SPEEDS] = ["EBC2.FrontAxleSpeed"]
-    assert near(run([drive], signals=binding, gate={"interval_s": 1200})[1][-1])
+    assert near(run([drive], signals=binding, gate={"interval_s": 3600})[1][-1])
 
 
 @pytest.mark.slow

@@ -31,7 +31,8 @@ from estimator.strides import DURATION
 pytestmark = pytest.mark.slow
 
 TRUCK = Truck(mass=27_190.0, A=1739.0, C=3.74)
-SAVED = 1200.0  # s into the drive
+SAVED, END = 720.0, 1080.0  # s into the drive
+SPARSE = {"gate": {"interval_s": 240.0}}
 REBUILT = {  # what traffic or the configuration shows again
     Estimator: {"_config", "_resting", "failed_updates", "segment"},
     StrideStage: {"_config", "_effects", "wanted"},
@@ -62,6 +63,10 @@ REBUILT = {  # what traffic or the configuration shows again
 }
 
 
+def new(**tables) -> Pipeline:
+    return Pipeline(from_dict(SPARSE | tables))
+
+
 def stored(state) -> dict:
     """As it comes back from the disk."""
     return unpack(pack(state, "k"), "k")
@@ -70,7 +75,7 @@ def stored(state) -> dict:
 @pytest.fixture(scope="module")
 def drive() -> Frames:
     rng = np.random.default_rng(1)
-    return frames_of(record(TRUCK, generate_route("mixed", 3e4, rng), 1800.0, rng).signals)
+    return frames_of(record(TRUCK, generate_route("mixed", 3e4, rng), END, rng).signals)
 
 
 def between(frames: Frames, low: float, high: float) -> Frames:
@@ -83,14 +88,14 @@ def moved(frames: Frames, by: float) -> Frames:
 
 @pytest.fixture(scope="module")
 def state(drive) -> dict:
-    pipeline = Pipeline(from_dict({}))
+    pipeline = new()
     list(pipeline.feed(between(drive, 0, SAVED)))
     assert pipeline.estimator.latest.status == Status.ESTIMATED
     return stored(pipeline.state())
 
 
 def restored(state, **tables) -> Pipeline:
-    pipeline = Pipeline(from_dict(tables))
+    pipeline = new(**tables)
     pipeline.restore(state)
     return pipeline
 
@@ -120,24 +125,24 @@ def rows_of(n: int, first: int = 0) -> Rows:
 
 @pytest.mark.parametrize(
     ("n", "likelihood"),
-    [(n, "road") for n in (0, 50, 2500, 9000)] + [(9000, "paper")],
+    [(n, "road") for n in (0, 50, 4000)] + [(4000, "paper")],
 )
 def test_an_estimator_goes_on_to_the_bit(n, likelihood):
     """Also when nothing has come yet."""
     config = from_dict({"sampler": {"likelihood": likelihood}, "gate": {"interval_s": 180.0}})
 
-    def new() -> Estimator:
+    def made() -> Estimator:
         return Estimator(config, np.random.default_rng(1))
 
-    before, after = rows_of(n), rows_of(9000, first=n + 100)
-    whole, first, second = new(), new(), new()
+    before, after = rows_of(n), rows_of(4000, first=n + 100)
+    whole, first, second = made(), made(), made()
     for i in range(0, n, 50):
         list(whole.feed(before[i : i + 50]))
         list(first.feed(before[i : i + 50]))
     second.restore(stored(first.state()))
     assert second.latest is None
     assert list(second.resume(same_load=True)) == list(whole.finish())
-    for i in range(0, 9000, 50):
+    for i in range(0, 4000, 50):
         assert list(second.feed(after[i : i + 50])) == list(whole.feed(after[i : i + 50]))
     assert list(second.finish()) == list(whole.finish())
     assert second.latest.status == Status.ESTIMATED
@@ -150,7 +155,7 @@ def test_an_estimator_goes_on_to_the_bit(n, likelihood):
 
 @pytest.fixture(scope="module")
 def uninterrupted(drive) -> Pipeline:
-    pipeline = Pipeline(from_dict({}))
+    pipeline = new()
     run(pipeline, drive)
     return pipeline
 
@@ -158,7 +163,7 @@ def uninterrupted(drive) -> Pipeline:
 @pytest.mark.parametrize("away", [0.0, 20.0])
 def test_a_short_absence_changes_next_to_nothing(drive, state, uninterrupted, away):
     pipeline = restored(state)
-    estimate, expected = run(pipeline, between(drive, SAVED + away, 1800)), uninterrupted.estimator.latest
+    estimate, expected = run(pipeline, between(drive, SAVED + away, END)), uninterrupted.estimator.latest
     assert estimate.status == Status.ESTIMATED
     for name in ("mass", "A", "C"):
         one, other = getattr(estimate, name), getattr(expected, name)
@@ -193,14 +198,14 @@ def test_after_a_long_absence_the_load_is_another(drive, state, away):
     list(pipeline.feed(moved(between(drive, SAVED, SAVED + 60), away)))
     assert len(pipeline.estimator.window) == 0 or pipeline.estimator.window.strides.t[0] > EPOCH + SAVED + away
     assert pipeline.estimator.latest is None
-    estimate = run(pipeline, moved(between(drive, SAVED + 60, 1800), away))
+    estimate = run(pipeline, moved(between(drive, SAVED + 60, END), away))
     assert estimate.status == Status.ESTIMATED
     assert estimate.load.before == pytest.approx(TRUCK.mass, rel=0.02)
     assert estimate.load.probability < 0.5
 
 
 def test_a_clock_that_starts_anew_with_the_power_tells_no_absence(drive):
-    pipeline = Pipeline(from_dict({}))
+    pipeline = new()
     list(pipeline.feed(moved(between(drive, 0, SAVED), -EPOCH)))
     pipeline = restored(stored(pipeline.state()))
     list(pipeline.feed(moved(between(drive, SAVED + 10, SAVED + 20), -EPOCH)))
@@ -209,12 +214,12 @@ def test_a_clock_that_starts_anew_with_the_power_tells_no_absence(drive):
 
 def test_no_clock_tells_for_how_long_the_machine_was_off(drive, state):
     """It may have gone on from where it stood when the power went."""
-    pipeline = Pipeline(from_dict({}))
+    pipeline = new()
     pipeline.restore(state, same_clock=False)
     list(pipeline.feed(between(drive, SAVED + 10, SAVED + 20)))
     assert len(pipeline.estimator.window) == 0
     assert pipeline.estimator.latest is None
-    estimate = run(pipeline, between(drive, SAVED + 20, 1800))
+    estimate = run(pipeline, between(drive, SAVED + 20, END))
     assert estimate.load.before == pytest.approx(TRUCK.mass, rel=0.02)
 
 
@@ -226,7 +231,7 @@ def test_nothing_is_claimed_before_the_absence_is_known(state):
 
 
 def test_columns_of_effects_come_back(drive):
-    pipeline = Pipeline(from_dict({"effects": ["warm_up"]}))
+    pipeline = new(effects=["warm_up"])
     list(pipeline.feed(between(drive, 0, SAVED)))
     state = stored(pipeline.state())
     again = restored(state, effects=["warm_up"])
@@ -248,7 +253,7 @@ def test_the_engine_is_remembered(drive, state):
 
 
 def test_the_engine_is_remembered_over_a_silence_and_forgotten_when_time_steps_back(drive):
-    pipeline = Pipeline(from_dict({}))
+    pipeline = new()
     list(pipeline.feed(between(drive, 0, 100)))
     learnt = pipeline.state()["aligner"]["engine"]
     assert learnt["reference"] is not None
@@ -308,7 +313,7 @@ def test_the_orders_that_lost_come_back_and_those_of_other_signals_are_refused(s
 def test_whatever_a_run_keeps_is_saved_or_known_to_come_again(state, kind):
     """A new attribute belongs into the state, or into REBUILT."""
     is_paper = kind is PaperInference
-    pipeline = Pipeline(from_dict({"sampler": {"likelihood": "paper"}} if is_paper else {}))
+    pipeline = new(sampler={"likelihood": "paper"}) if is_paper else new()
     if is_paper:
         state = pipeline.state()
     one, saved = {
@@ -362,9 +367,11 @@ def spoilt(state, path, how):
 HOWS = ["gone", "other type", "none", "negative", "not finite", "cut"]
 
 
-@pytest.mark.parametrize("how", HOWS)
+@pytest.mark.parametrize(
+    "how", [how if how == "negative" else pytest.param(how, marks=pytest.mark.nightly) for how in HOWS]
+)
 def test_a_spoilt_state_is_refused_whole_or_harmless(state, drive_end, how):
-    pipeline = Pipeline(from_dict({}))
+    pipeline = new()
     untouched, refused = pack(pipeline.state(), "k"), 0
     for number, path in enumerate(leaves(state)):
         try:
@@ -377,7 +384,7 @@ def test_a_spoilt_state_is_refused_whole_or_harmless(state, drive_end, how):
         for estimate in pipeline.feed(drive_end) if number % 5 == HOWS.index(how) % 5 else ():
             if estimate.status == Status.ESTIMATED:
                 assert estimate.mass.mean == pytest.approx(TRUCK.mass, rel=0.1)
-        pipeline = Pipeline(from_dict({}))
+        pipeline = new()
     assert refused > 20
 
 

@@ -221,11 +221,11 @@ def test_a_late_torque_is_a_wrong_time_stamp_unless_the_configuration_expects_it
 
 def test_a_torque_that_drifts_is_withheld_because_parts_of_the_drive_contradict():
     rng = np.random.default_rng(4)
-    road = generate_route("mixed", 1500.0 * 45, rng, 0.01)
-    signals = dict(record(TRUCK, road, 2700.0, rng, sensors=Sensors(without=CLIMB, torque_resolution=0.01)).signals)
+    road = generate_route("mixed", 1500.0 * 30, rng, 0.01)
+    signals = dict(record(TRUCK, road, 1800.0, rng, sensors=Sensors(without=CLIMB, torque_resolution=0.01)).signals)
     torque, friction = signals[Role.TORQUE_FRACTION], signals[Role.FRICTION_FRACTION]
     lost = np.interp(torque.t, friction.t, friction.value)
-    net = (torque.value - lost) * (1 + 0.3 * torque.t / 2700.0)
+    net = (torque.value - lost) * (1 + 0.3 * torque.t / 1800.0)
     signals[Role.TORQUE_FRACTION] = replace(torque, value=np.clip(np.round((net + lost) * 100) / 100, -1.25, 1.25))
     found = concluded(signals)
     assert found.status is Status.UNESTIMATED

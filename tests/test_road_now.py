@@ -220,12 +220,13 @@ def test_heights_that_cannot_be_are_refused(heights):
 
 
 def test_a_replay_records_the_road_and_tells_it_at_each_update(frames, sent, tmp_path):
-    write_log(frames, tmp_path / "drive.blf")
+    seconds = 600.0
+    write_log(frames[frames.t < EPOCH + seconds], tmp_path / "drive.blf")
     run = replay([tmp_path / "drive.blf"], EAGER, output=tmp_path / "out.blf")
     with can.LogReader(tmp_path / "out.blf") as reader:
         recorded = heard([message for message in reader if message.arbitration_id >> 8 & 0xFFFF == ROAD])
     there = np.flatnonzero(np.isfinite(recorded.grade))
-    assert len(there) > 0.6 * SECONDS
+    assert len(there) > 0.6 * seconds
     assert there[-1] == len(recorded.t) - 1  # also when the log has ended
     assert recorded.status[-1] == "estimated"
     assert abs(recorded.grade[-1] - recorded.grade[there[-2]]) < 1.0

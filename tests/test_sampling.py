@@ -150,7 +150,7 @@ def test_corner_of_the_box():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("p", [1, 2, 3])
+@pytest.mark.parametrize("p", [*(pytest.param(p, marks=pytest.mark.nightly) for p in (1, 2)), 3])
 def test_two_modes_are_both_found(p):
     result = run(TwoModes(p, 6.0), "independence", 64, 20, 100, np.random.default_rng(p))
     assert result.kernel == "random_walk"
@@ -162,7 +162,7 @@ def test_two_modes_are_both_found(p):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("p", [1, 2, 3])
+@pytest.mark.parametrize("p", [*(pytest.param(p, marks=pytest.mark.nightly) for p in (1, 2)), 3])
 def test_a_proposal_that_hits_a_mode_far_away_is_enough_to_change_the_kernel(p):
     """Nearly all are accepted, and nearly all draws are from the first mode."""
     target = TwoModes(p, 7.0)

@@ -1,6 +1,7 @@
 """The mode of the scales: no other scales near it have more evidence, and a general optimiser finds none better."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
-from estimator.estimation.road_fit import fit, fit_given
+from estimator.estimation.road_fit import RoadFit, fit, fit_given
 from estimator.estimation.road_likelihood import Likelihood
 from estimator.estimation.scale_search import MIN_GAIN, most_probable
 from estimator.model.conditioned import Conditioned
@@ -36,7 +37,11 @@ def log_posterior(found, scales, free) -> float:
     return found.log_evidence(scales) - 0.5 * float(np.sum(np.square(z)))
 
 
-@pytest.mark.parametrize("shown", [(), ("altitude",), ("altitude", "grade", "gravity")], ids="+".join)
+@pytest.mark.parametrize(
+    "shown",
+    [(), ("altitude",), pytest.param(("altitude", "grade", "gravity"), marks=pytest.mark.nightly)],
+    ids="+".join,
+)
 def test_the_mode_is_that_of_a_general_optimiser(shown):
     found = likelihood(shown)
     scales, free = found.model.scales, range(len(found.model.scales))
@@ -123,7 +128,7 @@ def test_what_slow_bends_add_to_an_accelerometer_is_no_wander_of_it():
 
 @pytest.mark.parametrize("designed", [True, False])
 def test_a_road_that_is_designed_for_its_speed_is_told_from_one_whose_slopes_change_with_distance_alone(designed):
-    rng, n, (A, C, m) = np.random.default_rng(1), 2400, (1500.0, 3.5, 20e3)
+    rng, n, (A, C, m) = np.random.default_rng(1), 1500, (1500.0, 3.5, 20e3)
     profile = gaussian_filter1d(rng.standard_normal(60_000), 60.0)  # every 10 m, over 600 m
     profile *= 0.01 / profile.std()
     speed, pull, along = np.full(n + 1, 20.0), np.zeros(n), 0.0
@@ -155,21 +160,26 @@ def back_and_forth(turned: bool, seed: int) -> Strides:
     return made_strides(speed + rng.normal(0.0, 0.01, n + 1), pull + rng.normal(0.0, 60.0, n), {})
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("turned", [True, False])
-def test_a_turn_is_told_from_other_slow_places(turned, seed):
+@cache
+def fitted(turned: bool, seed: int) -> tuple[Strides, RoadFit]:
+    """Such a drive, and what is found from it alone."""
     strides = back_and_forth(turned, seed)
     found = fit(strides)
     assert found is not None
+    return strides, found
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3))])
+@pytest.mark.parametrize("turned", [True, False])
+def test_a_turn_is_told_from_other_slow_places(turned, seed):
+    strides, found = fitted(turned, seed)
     half_way = float(strides.s1[900])
     assert [begin < half_way < end for begin, end in found.scales.turns] == [True] * turned
     assert found.theta[2] == pytest.approx(20e3, rel=0.03)
 
 
 def test_a_turn_that_gains_nothing_any_more_is_given_up():
-    strides = back_and_forth(False, 1)
-    plain = fit(strides)
-    assert plain is not None
+    strides, plain = fitted(False, 1)
     place = plain.scales.model_of(strides).nodes.slow_places()[1]
     known = replace(plain.scales, turns=(place,))
     again = fit(strides, known=known)
@@ -225,9 +235,7 @@ def test_scales_that_cannot_be_computed_with_are_found_anew(monkeypatch):
 
 
 def test_turns_behind_the_window_are_forgotten():
-    strides = back_and_forth(True, 1)
-    whole = fit(strides)
-    assert whole is not None
+    strides, whole = fitted(True, 1)
     later = fit(strides[1000:], known=whole.scales)
     assert later is not None
     assert later.scales.turns == ()

@@ -13,7 +13,7 @@ from estimator.streaming.pipeline import Pipeline
 
 pytestmark = pytest.mark.slow
 
-STOPS = 14
+STOPS = 12
 
 
 @pytest.fixture(scope="module")

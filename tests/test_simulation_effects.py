@@ -67,19 +67,19 @@ def accounted(truth: Truth) -> np.ndarray:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_power_read_is_road_load_plus_what_the_effect_adds(name):
-    truth = drive_with(
-        Effect(name=name, magnitude=KINDS[name].usual, start=100.0, end=350.0), duration=400.0, kind="highway"
-    )
+    end = 400.0 if name == "mass_step" else 240.0  # s; a load is taken on in minutes of standing
+    effect = Effect(name=name, magnitude=KINDS[name].usual, start=50.0, end=end - 40.0)
+    truth = drive_with(effect, seed=3, duration=end, kind="highway")
     free = truth.engaged & ~truth.shifting
 
-    assert free.sum() > 10_000
+    assert free.sum() > 5_000
     np.testing.assert_allclose(gap(truth)[free], accounted(truth)[free], atol=1e-4)
     assert truth.rms_power(name) > 5.0
 
 
 @pytest.mark.parametrize("shape", ["one-way", "out-and-back", "loop"])
 def test_the_books_balance_with_everything_at_once(shape):
-    truth = drive_with(*KINDS, shape=shape, duration=400.0)
+    truth = drive_with(*KINDS, shape=shape, duration=240.0)
     free = truth.engaged & ~truth.shifting
 
     np.testing.assert_allclose(gap(truth)[free], accounted(truth)[free], atol=1e-4)
@@ -169,9 +169,9 @@ def test_wind_from_ahead_costs_and_from_behind_helps(from_where, sign):
 
 def test_a_steady_wind_helps_on_the_way_back():
     rng = np.random.default_rng(2)
-    route = plan_route("highway", 1800.0, rng, "out-and-back")
+    route = plan_route("highway", 1200.0, rng, "out-and-back")
     truth = drive(
-        TRUCK, route, 1800.0, rng, [Effect(name="headwind", magnitude=6.0, direction=float(route.heading[100]))]
+        TRUCK, route, 1200.0, rng, [Effect(name="headwind", magnitude=6.0, direction=float(route.heading[100]))]
     )
     quick = truth.v > 15.0
     turned = truth.s > route.length / 2
@@ -182,7 +182,7 @@ def test_a_steady_wind_helps_on_the_way_back():
 
 
 def test_cold_tyres_roll_harder_until_rolling_has_warmed_them():
-    truth = drive_with(Effect(name="warm_up", magnitude=0.3), duration=3600.0)
+    truth = drive_with(Effect(name="warm_up", magnitude=0.3), duration=1500.0)
     rolling = truth.v > 2.0
     share = (truth.effect_power["warm_up"] / TRUCK.A)[rolling] / truth.v[rolling]
 
@@ -205,7 +205,7 @@ def test_tyres_settle_at_the_temperature_of_a_steady_speed(speed):
     scene = Scene(truck=TRUCK, route=straight_road(), duration=0.0, rng=np.random.default_rng(1))
     rolling, now = warm_up(scene, Effect(name="warm_up", magnitude=0.3)).force, Moment(v=speed)
     assert rolling is not None
-    for _ in range(round(8 * 3600 / STEP)):
+    for _ in range(round(6 * 3600 / STEP)):
         force = rolling(now)
     assert force == pytest.approx(TRUCK.A * settled_excess(0.3, speed), rel=1e-3, abs=1e-3 * TRUCK.A)
     assert settled_excess(0.3, CRUISE) == pytest.approx(-0.02, abs=0.03)
@@ -245,9 +245,9 @@ def test_warmer_air_resists_less():
     assert truth.ambient_temperature[-1] - truth.ambient_temperature[0] == pytest.approx(20.0, abs=4.0)
 
 
-@pytest.mark.parametrize("seed", range(4))  # both ways to switch the fan come up
-def test_a_fan_takes_its_power_or_what_its_slip_takes_and_its_speed_tells(seed):
-    truth = drive_with(Effect(name="auxiliary_cycling", magnitude=30e3), seed=seed, duration=1800.0)
+@pytest.mark.parametrize(("seed", "duration"), [(1, 1200.0), (3, 600.0)], ids=["by the coolant", "at random"])
+def test_a_fan_takes_its_power_or_what_its_slip_takes_and_its_speed_tells(seed, duration):
+    truth = drive_with(Effect(name="auxiliary_cycling", magnitude=30e3), seed=seed, duration=duration)
     power = truth.effect_power["auxiliary_cycling"]
     on = np.zeros(len(truth.t), bool)
     for start, end in truth.active["auxiliary_cycling"]:
@@ -323,9 +323,9 @@ def test_surging_liquid_swings_and_takes_no_power_in_the_long_run():
 
 
 def test_lane_by_lane_the_same_ground_on_the_way_back():
-    truth = drive_with("road_surface", "grade", duration=1500.0, shape="out-and-back")
+    truth = drive_with("road_surface", "grade", duration=900.0, shape="out-and-back")
     rng = np.random.default_rng(1)
-    home = plan_route("mixed", 1500.0, rng, "out-and-back").length
+    home = plan_route("mixed", 900.0, rng, "out-and-back").length
     out = (truth.s < home / 2 - 100.0) & (truth.v > 3.0)
     back = (truth.s > home / 2 + 100.0) & (truth.v > 3.0)
     force = truth.effect_power["road_surface"] / np.maximum(truth.v, 0.1)

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def hills(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("hills") / "hills.blf"
-    return written(drive("mixed", 30, 6, Effect(name="grade", magnitude=0.01)), path)
+    return written(drive("mixed", 20, 6, Effect(name="grade", magnitude=0.01)), path)
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +29,13 @@ def bends(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def graded(hills) -> dict[str, Any]:
-    return ask("estimate", hills, "--effect", "grade")
+    return ask("estimate", hills, "--config", config(hills.parent), "--effect", "grade")
 
 
-def config(folder: Path, text: str) -> Path:
+def config(folder: Path, text: str = "") -> Path:
+    """A configuration with ``text`` and one update, of the whole drive."""
     path = folder / "c.toml"
-    path.write_text(text)
+    path.write_text(f"{text}[gate]\ninterval_s = 1e6\n")
     return path
 
 
@@ -51,7 +52,7 @@ def holds(marginal: dict[str, float], truth: float, sds: float = 3.0) -> bool:
 
 
 def test_signals_of_the_road_are_used_without_being_asked_for(hills, graded):
-    plain = ask("estimate", hills)
+    plain = ask("estimate", hills, "--config", config(hills.parent))
     assert (plain["effects"], graded["effects"]) == ([], ["grade"])
     assert plain["parameters"] == graded["parameters"]
     assert "altitude" in graded["road"]["shown_by"]
@@ -78,7 +79,8 @@ def test_replay_knows_the_effects_too(hills, graded, tmp_path):
 
 
 def test_an_effect_of_its_own_size_has_a_posterior(bends):
-    plain, bent = ask("estimate", bends), ask("estimate", bends, "--effect", "cornering")
+    once = "--config", config(bends.parent)
+    plain, bent = ask("estimate", bends, *once), ask("estimate", bends, *once, "--effect", "cornering")
     size = bent["magnitudes"]["cornering"]
     assert set(size) == {"mean", "sd", "q05", "q50", "q95"}
     assert holds(size, 900.0)
@@ -96,7 +98,7 @@ def test_an_effect_of_its_own_size_has_a_posterior(bends):
     ],
 )
 def test_an_effect_without_its_signal_is_a_reason_not_a_guess(bends, name, needs):
-    answer = ask("estimate", bends, "--effect", name)
+    answer = ask("estimate", bends, "--config", config(bends.parent), "--effect", name)
     assert answer["status"] == "unestimated"
     assert answer["reason"] == f"the effect {name} needs {needs}, which the bus does not carry"
     mass = answer["parameters"]["mass_kg"]

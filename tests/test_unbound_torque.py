@@ -56,7 +56,7 @@ def test_a_torque_or_power_at_the_crankshaft_lacks_nothing(nearer):
 
 @pytest.fixture(scope="module")
 def drive():
-    return frames_of(simulate(TRUCK, "mixed", 2400.0, np.random.default_rng(3)).signals)
+    return frames_of(simulate(TRUCK, "mixed", 1500.0, np.random.default_rng(3)).signals)
 
 
 @pytest.mark.slow
