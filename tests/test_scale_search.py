@@ -74,6 +74,21 @@ def test_from_far_away_where_steps_meet_bounds_the_same_mode_is_reached(factor):
     assert value == pytest.approx(near, abs=0.05)
 
 
+def test_a_search_ends_early_only_where_the_mode_is_not_worth_it():
+    found = likelihood(("grade",))
+    start, free = scales_of(found.model, 2), range(len(found.model.scales))
+    mode, value = most_probable(found, start, free)
+    for short in (0.1, 3.0, 30.0):
+        assert_array_equal(most_probable(found, start, free, value - short)[0], mode)
+    for above in (40.0, 1e6):
+        early, lower = most_probable(found, start, free, value + above)
+        assert lower <= value
+        assert lower == pytest.approx(log_posterior(found, early, free))
+    beside = mode * 1.05
+    stopped, _ = most_probable(found, beside, free, value + 40.0)
+    assert_allclose(stopped, beside, rtol=1e-12)
+
+
 def test_scales_that_are_not_free_stay_and_count_no_prior():
     found = likelihood()
     start = centres(found.model)
