@@ -41,12 +41,12 @@ def example(name: str) -> Callable[[list[str]], None]:
 
 
 @pytest.fixture(scope="module")
-def mixed() -> Recording:
-    return drive("mixed", 20, 4)
+def highway() -> Recording:
+    return drive("highway", 8, 3)
 
 
-def test_offline_estimate(mixed: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    example("offline_estimate")([str(written(mixed, tmp_path / "drive.blf"))])
+def test_offline_estimate(highway: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("offline_estimate")([str(written(highway, tmp_path / "drive.blf"))])
     out = capsys.readouterr().out
     found = {name: float(value) for name, value in re.findall(r"^(mass|A|C) ([0-9.]+) ±", out, re.MULTILINE)}
     assert found["mass"] == pytest.approx(TRUCK.mass, rel=0.02)
@@ -55,12 +55,12 @@ def test_offline_estimate(mixed: Recording, tmp_path: Path, capsys: pytest.Captu
     assert "unestimated: not yet" in out
 
 
-def test_live_listener(mixed: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_live_listener(highway: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     buses: list[PlayedBus] = []
 
     def open_bus(interface: str, channel: str) -> PlayedBus:
         assert (interface, channel) == ("virtual", "example")
-        buses.append(PlayedBus(frames_of(mixed.signals).messages()))
+        buses.append(PlayedBus(frames_of(highway.signals).messages()))
         return buses[-1]
 
     monkeypatch.setattr(can, "Bus", open_bus)
@@ -101,7 +101,7 @@ def test_a_car_in_another_simulator(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_own_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording = with_pump(drive("mixed", 60, 5), 1.5)
+    recording = with_pump(drive("mixed", 25, 6), 1.5)
     example("own_effect")([str(written(recording, tmp_path / "drive.blf"))])
     verdict, *effects = capsys.readouterr().out.splitlines()
     assert verdict == "effect"

@@ -1,5 +1,6 @@
 """The notebooks of the examples: their cells run in order, find the truth, and are stored without outputs."""
 
+import ast
 import json
 import os
 import subprocess
@@ -63,6 +64,7 @@ def test_notebooks_are_stored_without_outputs(path: Path) -> None:
     for cell in stored:
         assert "".join(cell["source"]).strip()
         if cell["cell_type"] == "code":
+            ast.parse("".join(cell["source"]))
             assert cell["outputs"] == []
             assert cell["execution_count"] is None
 
@@ -78,6 +80,7 @@ def test_first_estimate_finds_the_truck(tmp_path: Path) -> None:
     assert shown["chains"] > 1
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_diagnosis_names_the_hills(tmp_path: Path) -> None:
     pytest.importorskip("pandas")

@@ -40,7 +40,12 @@ def output_of(command: list[str], folder: Path) -> list[str]:
 
 def demo(folder: Path) -> str:
     """The table of the demonstration, and the line that counts its frames."""
-    lines = output_of(["-m", "estimator", "demo"], folder)
+    return first_table("\n".join(output_of(["-m", "estimator", "demo"], folder)))
+
+
+def first_table(printed: str) -> str:
+    """What the demonstration prints to the end of its first table, without blank lines."""
+    lines = [line.rstrip() for line in printed.splitlines() if line.strip()]
     last = next(i for i, line in enumerate(lines) if line.lstrip().startswith("C "))
     return "\n".join(lines[: last + 1])
 
