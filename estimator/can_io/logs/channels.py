@@ -57,7 +57,7 @@ class Channels:
         if (channel == first).all():  # the rule
             return slice(None) if self._take(ident, name(int(first))) else slice(0)
         wanted = np.zeros(len(ident), np.bool_)
-        for number in np.unique(channel).tolist():
+        for number in np.unique(channel)[: MAX_CHANNELS + 1].tolist():  # so many are refused by `check_number`
             part = channel == number
             if self._take(ident[part], name(number)):
                 wanted |= part
