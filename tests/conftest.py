@@ -61,6 +61,16 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
+def without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`roadload fleet` estimates in this process: Dask takes two seconds to start a worker."""
+    from contextlib import nullcontext
+
+    from estimator.fleet.engine import Serial  # not in the machine of tests/socketcan
+
+    monkeypatch.setattr("estimator.commands.fleet.dask_engine", lambda scheduler, workers: nullcontext(Serial()))
+
+
+@pytest.fixture
 def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Runs a command of the program: exit status, standard output, standard error."""
     from estimator.commands.main import main  # not in the machine of tests/socketcan

@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -31,7 +31,7 @@ from estimator.errors import ConfigError, RoadloadError
 from estimator.fleet import cache, output
 from estimator.fleet.cache import Cache
 from estimator.fleet.drive_result import DriveResult
-from estimator.fleet.engine import Distributed, Failure, Serial, dask_engine
+from estimator.fleet.engine import Distributed, Engine, Failure, Serial, dask_engine
 from estimator.fleet.output import check_names
 from estimator.fleet.rows import drive_rows
 from estimator.fleet.run import run_fleet
@@ -235,18 +235,21 @@ def test_results_of_another_program_are_not_used(tmp_path: Path, monkeypatch: py
 
 @pytest.fixture(scope="module")
 def outputs(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, dict[str, Any], list[str]]]:
-    """The command on one worker and on two."""
+    """The command in this process and on two workers."""
     pytest.importorskip("distributed")
     made = []
-    for workers in (1, 2):
+    for is_serial in (True, False):
         out = tmp_path_factory.mktemp("out") / "fleet"
-        status, answer, lines = ask(fleet, "-o", out, "--workers", workers, "--report")
+        with pytest.MonkeyPatch.context() as patch:
+            if is_serial:
+                patch.setattr("estimator.commands.fleet.dask_engine", lambda *_: nullcontext(Serial()))
+            status, answer, lines = ask(fleet, "-o", out, "--workers", 2, "--report")
         assert status == 0
         made.append((out, answer, lines))
     return made
 
 
-def test_one_worker_and_two_give_the_same_bits(outputs: list[tuple[Path, dict[str, Any], list[str]]]) -> None:
+def test_one_process_and_two_workers_give_the_same_bits(outputs: list[tuple[Path, dict[str, Any], list[str]]]) -> None:
     (one, first, _), (two, second, _) = outputs
     names = sorted(str(path.relative_to(one)) for path in one.rglob("*") if path.is_file())
     assert names == sorted(str(path.relative_to(two)) for path in two.rglob("*") if path.is_file())
@@ -417,11 +420,11 @@ def test_a_folder_that_must_not_be_written_to_is_refused_before_the_work(
         output.prepare(Path("/proc/fleet"))
 
 
+@pytest.mark.usefixtures("without_workers")
 def test_a_run_that_can_use_no_log_writes_nothing_and_ends_with_status_2(fleet: Path, tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
     out = tmp_path / "out"
     logs = [fleet / "truck-2" / name for name in ("cut.blf", "idle.blf")]
-    status, _, lines = ask(*logs, "-o", out, "--workers", 1)
+    status, _, lines = ask(*logs, "-o", out)
     assert status == 2
     assert [line.split(":")[0] for line in lines] == ["failed", "unreadable", "error"]
     assert lines[2] == f"error: none of 2 logs can be used, for the reasons above; nothing was written to {out}"
@@ -477,15 +480,23 @@ def test_a_cluster_without_workers_is_one_line(monkeypatch: pytest.MonkeyPatch) 
             pass
 
 
-def test_a_worker_that_dies_costs_its_task_only() -> None:
+@pytest.fixture(scope="module")
+def worker() -> Iterator[Engine]:
+    """An engine of one worker, which gives a task up at the first death."""
     pytest.importorskip("distributed")
-    with dask_engine(None, 1) as engine:
-        answers = dict(engine.map(_fragile, [1, 0, 2, 13]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("estimator.fleet.engine.DEATHS", 0)
+        with dask_engine(None, 1) as engine:
+            yield engine
+
+
+def test_a_worker_that_dies_costs_its_task_only(worker: Engine) -> None:
+    answers = dict(worker.map(_fragile, [1, 0, 2, 13]))
     assert (answers[0], answers[2]) == (1, 2)
     assert isinstance(answers[1], Failure)
     assert answers[1].reason.startswith("ZeroDivisionError")
     assert isinstance(answers[3], Failure)
-    assert answers[3].reason.startswith("2 workers died of it")
+    assert answers[3].reason.startswith("1 workers died of it")
 
 
 def test_a_worker_that_dies_with_a_result_that_was_not_fetched_yet_is_no_traceback() -> None:
@@ -503,12 +514,9 @@ def test_a_worker_that_dies_with_a_result_that_was_not_fetched_yet_is_no_traceba
     assert answer.worker_died
 
 
-def test_workers_keep_no_record_of_what_they_did() -> None:
+def test_workers_keep_no_record_of_what_they_did(worker: Engine) -> None:
     """Dask's profiler keeps one for an hour, which grows by 0.3 MiB/s."""
-    pytest.importorskip("distributed")
-    with dask_engine(None, 1) as engine:
-        answers = dict(engine.map(_is_profiled, [0]))
-    assert answers == {0: False}
+    assert dict(worker.map(_is_profiled, [0])) == {0: False}
 
 
 def _is_profiled(_: int) -> bool:

@@ -109,10 +109,16 @@ def test_damaged_files_are_refused_in_one_line(
 ) -> None:
     columns = FIT if "fit" in name else TCX if "tcx" in name else {"speed": "v [m/s]", "power": "P [W]"}
     maps = [part for role, column in columns.items() for part in ("--map", f"{role}={column}")]
-    for command in ("estimate", "inspect", "diagnose"):
-        assert main([command, str(written(content, tmp_path / name)), *maps]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith(f"error: {tmp_path / name}: {said}")
+    assert main(["estimate", str(written(content, tmp_path / name)), *maps]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {tmp_path / name}: {said}")
+
+
+@pytest.mark.parametrize("command", ["inspect", "diagnose"])
+def test_each_command_refuses_a_damaged_file(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([command, str(written(fit(ride())[:1500], tmp_path / "a.fit")), "--map", f"speed={FIT['speed']}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {tmp_path / 'a.fit'}: is a damaged or cut FIT file (")
 
 
 def measurement(path: Path, v: np.ndarray, t: np.ndarray) -> bytearray:
@@ -150,7 +156,7 @@ def test_measurements_that_give_no_numbers_in_time_are_refused(
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.data())
 def test_spoilt_rides_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     files = [("a.fit", fit(ride(30)), FIT), ("a.tcx", tcx(ride(30)).encode(), TCX)]
