@@ -289,16 +289,16 @@ def test_on_leaving_receivers_are_told_that_nothing_is_known(tmp_path: Path) -> 
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Frames:
     rng = np.random.default_rng(3)
     truck = Truck(mass=20_000.0, A=1200.0, C=3.5)
-    return frames_of(record(truck, generate_route("mixed", 20e3, rng), 900.0, rng).signals)
+    return frames_of(record(truck, generate_route("mixed", 20e3, rng), 480.0, rng).signals)
 
 
 def play(bench: Bench, frames: Frames, ahead: float = 0.0) -> None:
     """Put a recorded drive on the bus, now, with stamps ``ahead`` [s]."""
     t = frames.t - frames.t[0]
     began = bench.now
-    edges = np.searchsorted(t, np.arange(0.2, t[-1] + 0.2, 0.2))
+    edges = np.searchsorted(t, np.arange(0.5, t[-1] + 0.5, 0.5))
     for first, last in zip([0, *edges[:-1].tolist()], edges.tolist(), strict=True):
-        bench.now += 0.2
+        bench.now += 0.5
         stamps = t[first:last] + began + bench.ahead + ahead
         batch = frames[first:last]
         bench.bus.waiting.append(Batch(frames=Frames(stamps, batch.ident, batch.length, batch.data)))
@@ -406,18 +406,18 @@ def test_a_vehicle_at_rest_costs_no_writes() -> None:
     def at(km_h: int, seconds: int) -> int:
         nonlocal now
         before = disk.saves
-        for _ in range(10 * seconds):
-            now += 0.1
+        for _ in range(5 * seconds):
+            now += 0.2
             speed = frame(0x18FEF100, bytes([0xFF, 0, km_h]) + b"\xff" * 5)
             speed.timestamp = EPOCH + now
             worker.offer(Frames.from_messages([speed]))
             worker.turn()
         return disk.saves - before
 
-    assert at(80, 330) == 5
-    assert at(0, 900) <= 1
-    assert at(80, 120) in (1, 2)
+    assert at(80, 210) == 3
     assert at(0, 300) <= 1
+    assert at(80, 120) in (1, 2)
+    assert at(0, 200) <= 1
     before = disk.saves
     worker.close()
     assert disk.saves == before + 1
@@ -508,7 +508,7 @@ MESSAGES = st.builds(
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.floats(0, 50), st.lists(MESSAGES, max_size=20)), max_size=12))
 def test_nothing_on_a_bus_breaks_the_loop(turns: list[tuple[float, list[can.Message]]]) -> None:
     from estimator.daemon.reception.reader import pack
