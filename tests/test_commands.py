@@ -74,7 +74,7 @@ def test_json_is_one_object_with_the_agreed_keys(cli: Cli, log: Path, command: s
 @pytest.mark.slow
 def test_simulate_then_estimate(cli: Cli, tmp_path: Path) -> None:
     path = tmp_path / "truck.asc"
-    status, out, _ = cli("simulate", path, "--minutes", 20, "--seed", 5, "--mass", 30_000, "--json")
+    status, out, _ = cli("simulate", path, "--minutes", 8, "--seed", 5, "--mass", 30_000, "--json")
     truth = json.loads(out)["truth"]
     assert status == 0
     assert truth["mass_kg"] == 30_000

@@ -58,7 +58,7 @@ def speeds(minutes: float, rng: np.random.Generator) -> Floats:
     return v
 
 
-def car(folder: Path, heater: float, regained: float, minutes: float = 30.0) -> tuple[Path, Path]:
+def car(folder: Path, heater: float, regained: float, minutes: float = 12.0) -> tuple[Path, Path]:
     """A log of the car, and its configuration."""
     rng = np.random.default_rng(3)
     v = speeds(minutes, rng)
@@ -96,7 +96,7 @@ def cold(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def lossy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    return car(tmp_path_factory.mktemp("lossy"), 0.0, REGAINED)
+    return car(tmp_path_factory.mktemp("lossy"), 0.0, REGAINED, 30.0)
 
 
 def effects_of(answer: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from html.parser import HTMLParser
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,13 @@ VIEWS = {
     "unestimated": (unestimated, 1),
     "empty": (empty, 0),
 }
+BY_DAY = [  # a view, a width and a scheme of the browser
+    ("estimated", 1280, "light"),
+    ("estimated", 400, "dark"),
+    ("once", 400, "light"),
+    ("unestimated", 1280, "dark"),
+    ("empty", 400, "light"),
+]
 
 
 @pytest.mark.parametrize("name", VIEWS)
@@ -150,9 +158,13 @@ def test_a_value_that_is_withheld_at_the_end_has_no_dot_for_an_answer() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 400])
-@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize(
+    ("name", "width", "scheme"),
+    [
+        pytest.param(*opening, marks=() if opening in BY_DAY else pytest.mark.nightly)
+        for opening in product(VIEWS, (1280, 400), ("light", "dark"))
+    ],
+)
 def test_the_page_opens_in_a_browser(browser: Any, tmp_path: Path, name: str, width: int, scheme: str) -> None:
     make, plots = VIEWS[name]
     path = tmp_path / "estimate.html"
@@ -174,7 +186,7 @@ def test_the_page_opens_in_a_browser(browser: Any, tmp_path: Path, name: str, wi
 def estimated(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     """The JSON of `estimate` and the page that it wrote, of a drive."""
     folder = tmp_path_factory.mktemp("page")
-    log, path = written(drive("mixed", 20, 11), folder / "drive.blf"), folder / "out.html"
+    log, path = written(drive("mixed", 8, 5), folder / "drive.blf"), folder / "out.html"
     return ask("estimate", log, "--plot", path), path
 
 

@@ -9,6 +9,7 @@ from simulated_logs import ask, drive, written
 from estimator import diagnose, estimate, from_table, read, read_drives
 from estimator.config import from_dict
 from estimator.errors import InputError, RoadloadError
+from estimator.library.diagnosis import DriveDiagnosis
 from estimator.simulation.effects.effect import Effect
 
 pytestmark = pytest.mark.slow
@@ -16,13 +17,13 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    recording = drive("highway", 25, 3, Effect(name="auxiliary_load", magnitude=12e3))
+    recording = drive("highway", 8, 3, Effect(name="auxiliary_load", magnitude=12e3))
     return written(recording, tmp_path_factory.mktemp("drive") / "drive.blf")
 
 
 def test_an_estimate_is_that_of_the_command(log: Path, tmp_path: Path) -> None:
     made = read(log)
-    assert repr(made).startswith("25 min, ")
+    assert repr(made).startswith("8 min, ")
     est = estimate(made)
     answer = ask("estimate", log)["parameters"]
     assert est.mass is not None
@@ -39,8 +40,13 @@ def test_an_estimate_is_that_of_the_command(log: Path, tmp_path: Path) -> None:
     assert "my &lt;drive&gt;" in text
 
 
-def test_a_diagnosis_is_that_of_the_command(log: Path, tmp_path: Path) -> None:
-    dia, answer = diagnose(read(log)), ask("diagnose", log)
+@pytest.fixture(scope="module")
+def dia(log: Path) -> DriveDiagnosis:
+    return diagnose(read(log))
+
+
+def test_a_diagnosis_is_that_of_the_command(log: Path, dia: DriveDiagnosis, tmp_path: Path) -> None:
+    answer = ask("diagnose", log)
     assert (dia.verdict.value, dia.answer.reason) == (answer["verdict"], answer["reason"])
     assert [part.share for part in dia.budget.parts] == [part["share"] for part in answer["budget"]]
     assert dia.summary().endswith(answer["reason"])
@@ -51,8 +57,7 @@ def test_a_diagnosis_is_that_of_the_command(log: Path, tmp_path: Path) -> None:
         dia.plot("pie")
 
 
-def test_a_figure_draws_the_residual_that_is_stated(log: Path) -> None:
-    dia = diagnose(read(log))
+def test_a_figure_draws_the_residual_that_is_stated(dia: DriveDiagnosis) -> None:
     figure = dia.plot("gap")
     for axes, rms in zip(figure.axes, (dia.rms_base, dia.rms_final), strict=True):
         drawn = axes.lines[0].get_ydata()

@@ -47,7 +47,7 @@ def assert_same(frames: Frames, messages: list[can.Message], tolerance: float) -
     ],
 )
 def test_what_python_can_writes_is_read_back(suffix: str, tolerance: float, fd: bool, others: bool) -> None:
-    @settings(max_examples=60, deadline=None, derandomize=True)
+    @settings(max_examples=30, deadline=None, derandomize=True)
     @given(messages=recorded(fd, others))
     def check(messages: list[can.Message]) -> None:
         with tempfile.TemporaryDirectory() as folder:

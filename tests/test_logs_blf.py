@@ -104,7 +104,7 @@ def stream(draw: st.DrawFn) -> bytes:
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=120, deadline=None, derandomize=True)
 @given(
     payload=stream(),
     container=st.sampled_from([61, 200, 1000, 1 << 17]),

@@ -80,7 +80,7 @@ def line(draw: st.DrawFn) -> tuple[str, int, bytes]:
     return text, ident | (EXTENDED if extended else 0), data
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(lines=st.lists(line(), min_size=1, max_size=40), start=st.integers(0, 2_000_000_000), digits=st.integers(1, 9))
 def test_mixed_lines_are_read_exactly(lines: list[tuple[str, int, bytes]], start: int, digits: int) -> None:
     times = [f"{start + i // 10}.{i % 10:0{digits}d}" for i in range(len(lines))]
@@ -162,7 +162,7 @@ def test_a_long_run_of_blanks_takes_no_time(path: Path) -> None:
         read(path, "(1.0) can0 123#11" + " \t" * 200_000 + "\x01\n")
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=120, deadline=None, derandomize=True)
 @pytest.mark.slow
 @given(
     lines=st.lists(line(), min_size=1, max_size=4),

@@ -111,7 +111,7 @@ def outcome(path: Path) -> tuple[list[float], list[int], list[bytes], dict[str, 
     return frames.t.tolist(), frames.ident.tolist(), payloads, dict(log.skipped), error
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(
     st.lists(csv_line().map(lambda line: line[0]) | odd_csv_line(), min_size=1, max_size=6),
     st.sampled_from(["\n", "\r\n"]),

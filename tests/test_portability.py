@@ -27,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("elsewhere")
     (folder / "logs").mkdir()
     shutil.copy(VAN, folder)
-    written(drive("highway", 12, 1), folder / "logs" / "drive.blf")
+    written(drive("highway", 8, 3), folder / "logs" / "drive.blf")
     return folder
 
 

@@ -47,7 +47,7 @@ def estimates_of(recording: Recording) -> Frames:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    recording = drive("mixed", 17, 5)
+    recording = drive("highway", 8, 3)
     frames = Frames.concatenate([frames_of(recording.signals), estimates_of(recording)])
     path = tmp_path_factory.mktemp("others") / "drive.blf"
     write_log(frames[np.argsort(frames.t, kind="stable")], path)
@@ -67,7 +67,7 @@ def test_the_estimate_has_the_same_bytes_without_them(log: Path, with_others: Ru
     assert one is not None
     assert other is not None
     assert one.posterior.draws.tobytes() == other.posterior.draws.tobytes()
-    assert with_others.pipeline.traffic.seen[Role.MASS_REFERENCE] > 7000
+    assert with_others.pipeline.traffic.seen[Role.MASS_REFERENCE] > 4500
 
 
 @pytest.mark.slow

@@ -116,7 +116,7 @@ def test_the_wheel_runs_in_an_empty_folder(installed: Path, tmp_path: Path) -> N
     assert Path(run("python", "-c", code).strip()).is_relative_to(installed.parent)
     assert run("roadload", "--version") == f"roadload {__version__}\n"
     assert "OUT.blf" in run("roadload", "demo", "--help")
-    run("roadload", "simulate", "drive.blf", "--minutes", "8")
+    run("roadload", "simulate", "drive.blf", "--minutes", "6")
     assert "mass" in run("roadload", "estimate", "drive.blf")
     assert "OBD2.VehicleSpeed" in run("roadload", "check", "--config", "obd2")
     run("roadload", "diagnose", "drive.blf", "--report", "page.html")

@@ -19,7 +19,7 @@ from estimator.report.estimate_view import EstimateView
 from estimator.report.plots import write_plot
 
 FIRST = 1_700_000_000.0  # s, time of the first frame
-KINDS, DRAWINGS = ("svg", "pdf"), 2  # of pictures
+KINDS = ("svg", "pdf")  # of pictures
 
 
 def made_evidence(n: int = 300) -> Evidence:
@@ -91,20 +91,18 @@ def made_view(updates: int = 12, title: str = "a title") -> EstimateView:
     )
 
 
-def main(folder: Path) -> None:
-    """Draw everything, with files in a folder."""
+def hashes(folder: Path) -> dict[str, str]:
+    """Draw everything, with files in a folder; the hash of each by name."""
     pages = {"rich": page(rich()), "several": page(several()), "unknown": page(unknown())}
     pages["estimate"] = estimate_page(made_view())
     pages["fleet"] = page_of(made(3, 6, 1, outlier="truck-02", with_diagnosis=True).fleet)
     contents = {name: text.encode("utf-8", "replace") for name, text in pages.items()}
     for suffix in KINDS:
-        for number in range(DRAWINGS):
-            path = folder / f"{number}.{suffix}"
-            write_plot(made_view(), path)
-            contents[path.name] = path.read_bytes()
-    for name, content in contents.items():
-        sys.stdout.write(f"{name} {hashlib.sha256(content).hexdigest()}\n")
+        path = folder / f"estimate.{suffix}"
+        write_plot(made_view(), path)
+        contents[path.name] = path.read_bytes()
+    return {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    sys.stdout.write("".join(f"{name} {value}\n" for name, value in hashes(Path(sys.argv[1])).items()))
