@@ -127,6 +127,7 @@ def test_dates_are_times(table: dict[str, np.ndarray], tmp_path: Path) -> None:
     (undated,) = from_table(table, **columns).pieces
     assert expected.t[0] == pytest.approx(start.astype("datetime64[s]").astype(float) + undated.t[0], abs=STEP)
     assert undated.t[-1] - undated.t[0] == pytest.approx(expected.t[-1] - expected.t[0], abs=STEP)
+    np.testing.assert_allclose(by_text.t, expected.t, rtol=0.0, atol=1e-6)
     for rows, lateness in ((expected, 2e-7), (undated, 1e-3)):  # s, of a float of an epoch, and of a whole millisecond
         np.testing.assert_allclose(by_text.speed, rows.speed, rtol=0.0, atol=2.0 * lateness)  # speeds up by 2 m/s²
 
