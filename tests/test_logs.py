@@ -382,7 +382,7 @@ def test_error_lines_of_trc_1_0_are_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "right"),
     [
-        ("drive.log", gzip.compress(b"(1.0) can0 18FEF100#00\n"), "drive.log.gz"),
+        ("drive.log", gzip.compress(b"(1.0) can0 18FEF100#00\n", mtime=0), "drive.log.gz"),
         ("drive.asc", b"LOGG" + bytes(200), "drive.blf"),
         ("drive.blf", b"MDF     4.10    ", "drive.mf4"),
         ("drive.log", b"date Tue Nov 14 10:13:20 pm 2023\nbase hex  timestamps absolute\n", "drive.asc"),
