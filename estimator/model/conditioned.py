@@ -20,7 +20,7 @@ from estimator.signals import Floats
 TOGETHER = 16  # draws that are made at once: bounds the memory beside the draws themselves
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Conditioned:
     """Road model with given scales; K is the covariance of the data."""
 
@@ -43,8 +43,13 @@ class Conditioned:
         precision, log_prior = model.precision(scales, variances)
         factor = Factor.of(precision)
         log_noise = float(sum(np.log(variance).sum() for variance in variances))
-        log_determinant = log_noise + factor.log_determinant - log_prior
-        return cls(model, scales, np.concatenate(variances), factor, log_determinant)
+        return cls(
+            model=model,
+            scales=scales,
+            variance=np.concatenate(variances),
+            factor=factor,
+            log_determinant=log_noise + factor.log_determinant - log_prior,
+        )
 
     @cached_property
     def _moments(self) -> tuple[Floats, Floats, Floats, float]:
