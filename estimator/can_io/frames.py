@@ -17,6 +17,15 @@ JOINED_BYTES = 4095  # payload of the longest message that is joined from frames
 FIRST_BYTES = np.array([(1 << 8 * n) - 1 for n in range(CLASSIC_BYTES + 1)], np.uint64)  # mask of n bytes of a payload
 
 
+class UnchangedMessage(can.Message):
+    """Message whose bytes nobody changes. Its copies share them: python-can's virtual bus copies what it delivers."""
+
+    __slots__ = ()
+
+    def __deepcopy__(self, memo: dict[int, Any] | None) -> can.Message:
+        return self.__copy__()
+
+
 @dataclass(frozen=True, slots=True)
 class Frames:
     """Data frames in order of arrival.
@@ -75,7 +84,7 @@ class Frames:
         payload = self.data.tobytes()
         for i, ident in enumerate(ids):
             start = i * width
-            yield can.Message(
+            yield UnchangedMessage(
                 timestamp=times[i],
                 arbitration_id=ident & ~EXTENDED,
                 is_extended_id=bool(ident & EXTENDED),
