@@ -9,8 +9,6 @@ import pytest
 
 from estimator.blas_threads import one_blas_thread
 
-HERE = Path(__file__).parent
-
 
 def pytest_configure(config: pytest.Config) -> None:
     """Property tests with the same examples in every run, and without limits of time, which a busy machine exceeds."""
@@ -25,12 +23,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Keep the tests of a module, or of a folder below this one, in one worker: they share what fixtures compute."""
+    """Keep the tests of a module in one worker, for they share what fixtures compute, and those of socketcan."""
     from xdist.scheduler import LoadScopeScheduling
 
     class ByModule(LoadScopeScheduling):  # type: ignore[misc]  # pytest-xdist is not typed everywhere
         def _split_scope(self, nodeid: str) -> str:
-            return Path(nodeid.partition("::")[0]).relative_to(HERE.name).parts[0]
+            path = Path(nodeid.partition("::")[0])
+            return path.parent.name if path.parent.name == "socketcan" else str(path)
 
     return ByModule(config, log)
 

@@ -1,0 +1,109 @@
+"""One drive, one fit, one result: what is stated, drawn and estimated is of one model."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from project_paths import ROOT
+from simulated_logs import CLIMB, drive, written
+
+from estimator.components.drive_state import DriveState
+from estimator.config import from_dict, load, replace
+from estimator.diagnosis.result import Diagnosis
+from estimator.report.diagnosis_page import page
+from estimator.settings import Bus
+from estimator.simulation.effects.effect import Effect
+from estimator.streaming.drive_extraction import diagnose_logs, drives_of
+from estimator.streaming.replay import estimate_logs
+
+pytestmark = pytest.mark.slow
+
+HILLS = Effect(name="grade", magnitude=0.01)
+ONCE = {"gate": {"interval_s": 1e6}}  # one update, of the whole drive
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def mean_square(d: Diagnosis, which: str) -> float:
+    """Of the cells of the map, each as often as it was driven."""
+    assert d.gap_map is not None
+    values, times = getattr(d.gap_map, which), d.gap_map.samples
+    seen = np.isfinite(values)
+    return float(np.average(values[seen] ** 2, weights=times[seen]))
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    recording = drive("mixed", 15, 7, HILLS, altitude_noise=0.5)
+    return written(recording, tmp_path_factory.mktemp("shown") / "hills.blf")
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    recording = drive("mixed", 15, 7, HILLS, without=CLIMB)
+    return written(recording, tmp_path_factory.mktemp("hidden") / "hills.blf")
+
+
+@pytest.fixture(scope="module")
+def diagnosed(shown: Path) -> Diagnosis:
+    return diagnose_logs(shown, from_dict({}))
+
+
+def test_hills_that_an_altimeter_shows_are_drawn_as_they_are_stated(diagnosed):
+    d = diagnosed
+    assert [effect.name for effect in d.effects] == ["grade"]
+    traces = d.traces
+    assert rms(traces.measured - traces.base) == pytest.approx(d.rms_base, rel=1e-9)
+    assert rms(traces.measured - traces.extended) == pytest.approx(d.rms_final, rel=1e-9)
+    share = 1 - (d.rms_final / d.rms_base) ** 2
+    assert share > 0.8
+    assert mean_square(d, "extended") < (1 - 0.9 * share) * mean_square(d, "plain")
+
+
+def test_hills_that_no_signal_shows_are_drawn_as_if_they_were_known(hidden):
+    """What a signal could reach: the curve is of the posterior's mean, the figure counts its doubt as well."""
+    d = diagnose_logs(hidden, from_dict({}))
+    (grade,) = d.effects
+    assert (d.verdict, grade.name, d.streaming_effects) == ("effect", "grade", ())
+    assert grade.magnitude.value == pytest.approx(HILLS.magnitude, rel=0.5)  # what can be foretold of it
+    assert "no signal" in grade.detail
+    assert any("altitude" in advice.shown_by for advice in d.advice)
+    traces = d.traces
+    assert rms(traces.measured - traces.base) == pytest.approx(d.rms_base, rel=1e-9) == grade.rms_before
+    known = rms(traces.measured - traces.road_known)
+    document = page(d)
+    assert "if the road were known" in document
+    assert "with the effects" not in document.split("What it does to the parameters")[0]
+    assert 0.5 * grade.rms_after < known < grade.rms_after < 0.3 * grade.rms_before
+    assert mean_square(d, "extended") < 0.3 * mean_square(d, "plain")
+
+
+def test_the_plain_model_is_the_one_whose_parameters_are_given(diagnosed):
+    d = diagnosed
+    v, a = d.traces.speed, d.traces.acceleration
+    power = (d.base.A + d.base.C * v**2 + d.base.mass * a) * v
+    assert rms(power - d.traces.base) < 0.2 * rms(d.traces.base)  # but for the lag and the drag of the engine
+
+
+@pytest.mark.parametrize("kind", ["shown", "hidden"])
+def test_estimate_and_diagnosis_fit_a_drive_alike(kind, request):
+    log = request.getfixturevalue(kind)
+    evidence = estimate_logs(log, from_dict(ONCE)).pipeline.estimator.evidence
+    (made,) = drives_of(log, from_dict({}))
+    state = DriveState.of(made.strides, made.rests)
+    fit = evidence.fit
+    assert len(state.fit.strides) == len(fit.strides)
+    assert state.fit.scales.values.tolist() == fit.scales.values.tolist()
+    assert state.fit.equations.solve()[0].tolist() == fit.equations.solve()[0].tolist()
+
+
+@pytest.mark.nightly
+def test_a_real_trip_is_drawn_as_it_is_stated(recordings):
+    folder = recordings / "bmw_i3"
+    settings = load(ROOT / "dbc" / "bmw_i3.toml")
+    d = diagnose_logs(folder / "TripA06.blf", replace(settings, bus=Bus(dbc=[str(folder / "bmw_i3.dbc")])))
+    assert d.effects
+    assert rms(d.traces.measured - d.traces.base) == pytest.approx(d.rms_base, rel=1e-9)
+    assert rms(d.traces.measured - d.traces.extended) == pytest.approx(d.rms_final, rel=1e-9)
